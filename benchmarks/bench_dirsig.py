@@ -85,7 +85,7 @@ class OneFile:
     """One paint of 200 members: text made at once, one value at a time, and read back."""
 
     def setup(self):
-        from hyperpaint.io.dirsig.emissivity_files import ColumnText, emissivity_head
+        from hyperpaint.io.dirsig.dirsig_files import ColumnText, emissivity_head
 
         self.values = np.random.default_rng(0).random((MEMBERS, BANDS))
         self.text = ColumnText(wavelengths(), "CURVE_BEGIN")

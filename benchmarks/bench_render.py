@@ -36,7 +36,7 @@ def prepared(samples):
     from hyperpaint.simulation.rendering.scene_record import TraceSettings
     from hyperpaint.simulation.rendering.tracing import prepare_scene
 
-    return prepare_scene(scene(), TraceSettings.of([SUN], samples=samples))
+    return prepare_scene(scene(), TraceSettings([SUN], samples=samples))
 
 
 @functools.cache
@@ -45,8 +45,8 @@ def lighting(smile=0.0):
     from hyperpaint.simulation.camera import smile as shifts
     from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet
     from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
-    from hyperpaint.simulation.rendering.lighting import make_lighting
     from hyperpaint.simulation.rendering.painting import factor_spectra
+    from hyperpaint.simulation.rendering.relighting import make_lighting
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     bands = BandSet.nano_hyperspec()

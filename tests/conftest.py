@@ -48,6 +48,14 @@ def no_compute() -> Callable[[], contextlib.AbstractContextManager[None]]:
     return _no_compute
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give each worker whole files, which share what they build; one that is idle takes from another."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
+
+
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if "real_data" not in report.keywords:
         return

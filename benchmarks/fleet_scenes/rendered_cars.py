@@ -69,11 +69,11 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
 
 def _rendered(seed: int) -> dict[str, Any]:
     import hyperpaint as hp
-    from hyperpaint.simulation.rendering.broken_clouds import BrokenClouds
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
+    from hyperpaint.simulation.rendering.sky_models import BrokenClouds
 
     light = conditions_of(seed)
     lines, columns = round(LENGTH_M / light.gsd), round(SWATH_M / light.gsd)
@@ -138,8 +138,7 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     ``dust`` (along_track, cross_track) is the row of ``dust_ratio`` (row, band): what a pixel's paint is to
     the mean of its car's. ``true_direct``, ``true_shares`` (band): of the light at the middle of the scene.
     """
-    from hyperpaint.simulation.rendering.painting import factor_spectra
-    from hyperpaint.simulation.rendering.populations import populations_of, rows_of_pixels
+    from hyperpaint.simulation.rendering.painting import factor_spectra, populations_of, rows_of_pixels
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     record, settings = SceneRecord.from_attrs(traced.attrs)
@@ -178,8 +177,7 @@ def truth_of(line: Any, along: Any, across: Any, *, spectrum: bool = True) -> An
     one with flakes there is no such: its reflectance factor under this sun and sky as seen from here, on a
     level panel. Both without the mirror image in the coat.
     """
-    from hyperpaint.simulation.rendering.fleet import fleet_paint
-    from hyperpaint.simulation.rendering.scene_spectra import paint_spec, spectrum_of
+    from hyperpaint.simulation.rendering.scene_spectra import fleet_paint, paint_spec, spectrum_of
 
     from .verdicts import Truth
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
-from typing import TypeVar
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
 
 import xarray as xr
+
+from hyperpaint.base.errors import SchemaError
 
 from .errors import PaintWarning
 
@@ -79,3 +83,39 @@ def _is_old(library: xr.Dataset | xr.DataArray) -> bool:
         return True
     name = library.coords.get(_OLD_DIM)  # as .isel(paint=0) leaves it
     return name is not None and name.ndim == 0 and name.dtype.kind in "OUT" and (_BAND,) in shapes
+
+
+# --- keyword arguments that have been renamed --------------------------------------------------------------
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator that refuses an old keyword argument and names the new one (`SchemaError`).
+
+    Examples
+    --------
+    >>> @renamed(colour="paint")
+    ... def draw(paint):
+    ...     return paint
+    >>> draw(colour="red")
+    Traceback (most recent call last):
+    hyperpaint.base.errors.SchemaError: draw(colour=) is now draw(paint=); pass paint= [keyword-renamed]
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        @functools.wraps(function)
+        def call(*args: P.args, **keywords: P.kwargs) -> R:
+            for old, new in names.items():
+                if old in keywords:
+                    name = function.__name__
+                    raise SchemaError(
+                        f"{name}({old}=) is now {name}({new}=)", mend=f"pass {new}=", code="keyword-renamed"
+                    )
+            return function(*args, **keywords)
+
+        return call
+
+    return decorate

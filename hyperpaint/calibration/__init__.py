@@ -15,8 +15,8 @@ from .anchors import (
     panel_radiance,
 )
 from .calibrating import calibrate
+from .calibration_dataset import quantum_efficiency, relative_responsivity
 from .detector import dark_at, dark_model, flat_field, linearity
-from .views import quantum_efficiency, relative_responsivity
 
 __all__ = [
     "anchor_to_radiance",

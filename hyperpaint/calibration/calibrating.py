@@ -22,24 +22,21 @@ from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, Linearity, line
 from .calibration_dataset import Result, responses_of_lines
 from .detector import deviant_darks, element_values, row_medians
 from .elements import (
+    FROM_SCATTER,
+    LampLines,
+    SweepData,
     at_steps,
     band_widths,
     complete_edge_lines,
     deviant_elements,
     element_differences,
+    fit_steps,
     placed_lines,
+    read_lines,
+    slope_shift_of_lines,
 )
 from .lab_sweep import LabSweep, check_sweep, listed, refused
-from .line_fits import SHAPES, Fits, NoiseModel
-from .responsivity import slope_shift_of_lines
-from .steps import (
-    FROM_SCATTER,
-    LampLines,
-    SweepData,
-    fit_steps,
-    read_lines,
-)
-from .wavelength_map import WavelengthMap, fit_wavelength_map
+from .line_fits import SHAPES, Fits, NoiseModel, WavelengthMap, fit_wavelength_map
 
 MIN_LINES = 4
 #: Allowed decrease of the beam over the columns: in flux uncertainties, and minimum [1].

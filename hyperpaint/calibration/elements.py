@@ -6,16 +6,35 @@ map gives the centre and the neighbours give the width; only the height is fitte
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
 import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.kernels.line_fits import AREA, profiles
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
+from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.schema import STEP
+from hyperpaint.kernels.arguments import LineSamples
+from hyperpaint.kernels.line_fits import AREA, CENTRE, WIDTH, profiles
+from hyperpaint.radiometry.linear_counts import Linearity
+from hyperpaint.radiometry.stray_light import smear_of
 
 from .detector import row_medians
-from .lab_sweep import LabSweep
-from .line_fits import SHAPES, NoiseModel, Window
-from .steps import SIGNAL_BINS, LampLines, SweepData, binned
-from .wavelength_map import WavelengthMap, fit_width
+from .lab_sweep import LabSweep, listed, refused
+from .line_fits import (
+    SHAPES,
+    Fits,
+    Light,
+    NoiseModel,
+    WavelengthMap,
+    Window,
+    find_line,
+    fit_width,
+    fit_window,
+    fitted,
+)
 
 _MIN_BRIGHT_SHARE = 0.12  # share of a lamp line's height above which a dead element is visible
 _MIN_DEVIATION_SHARE = 0.5  # deviation of a dead element, as a share of its lamp line
@@ -311,3 +330,386 @@ def _complete_step(
     lamp_lines.centre[index] = centre[is_complete]
     lamp_lines.completed[index] = True
     lamp_lines.covariance[(*index, AREA, AREA)] = area_variance[is_complete]
+
+
+# --- from the areas of lamp lines to the gain of every element ---------------------------------------------
+
+
+_MAX_GAP_STEPS = 3.0  # median steps; wider gaps are not interpolated
+
+
+def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> Floats:
+    """Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit"."""
+    if shape == "gaussian":
+        return np.asarray(fwhm**2 / (8.0 * np.log(2.0)))
+    if shape == "triangle":
+        return np.asarray(fwhm**2 / 6.0)
+    return np.asarray((fwhm**2 + np.square(spacing)) / 12.0)
+
+
+def second_order_factor(
+    wavelength: Floats, level: Floats, camera_variance: Floats, source_variance: Floats
+) -> Floats:
+    """Return the factor from the responsivity in a lamp line to that of a band at the same wavelength.
+
+    ``wavelength`` (step,) [nm]; ``level`` (step,) is the responsivity from the lamp lines' areas at any
+    scale, median of the columns, NaN where unknown; ``camera_variance`` and ``source_variance`` (step,) are
+    those of the camera's line shape and of the monochromator's [nm2].
+    """
+    factor = np.ones_like(level)
+    positive = np.flatnonzero(np.isfinite(level) & (level > 0))
+    if positive.size < 5:
+        return factor
+    x, y = wavelength[positive], level[positive]
+    step_before, step_after = np.diff(x)[:-1], np.diff(x)[1:]
+    curvature = (
+        2.0 * ((y[2:] - y[1:-1]) / step_after - (y[1:-1] - y[:-2]) / step_before) / (step_before + step_after)
+    )
+    relative_curvature = np.empty_like(y)
+    relative_curvature[1:-1] = curvature / y[1:-1]
+    relative_curvature[0], relative_curvature[-1] = relative_curvature[1], relative_curvature[-2]
+    # smoothed, since noise of a second difference is six times that of the values
+    smooth_curvature = np.convolve(
+        np.pad(relative_curvature, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid"
+    )
+    factor[positive] = 1.0 + 0.5 * (camera_variance - source_variance)[positive] * smooth_curvature
+    return np.clip(factor, 0.9, 1.1)
+
+
+def monotone_slopes(x: Floats, y: Floats) -> Floats:
+    """Return slopes at nodes ``x`` (node,) for interpolation of ``y`` (node, column) without ringing.
+
+    Slopes of a cubic spline, of fourth order. Where curvature changes sign, they are limited
+    as by Fritsch and Carlson (Hyman 1983), which keeps monotone pieces monotone.
+    """
+    from scipy.interpolate import CubicSpline
+
+    if len(x) < 3:
+        return np.repeat(np.diff(y, axis=0) / np.diff(x)[:, None], len(x), axis=0)
+    slope = np.asarray(CubicSpline(x, y, axis=0).derivative()(x))
+    secant = np.diff(y, axis=0) / np.diff(x)[:, None]
+    secant_before, secant_after = np.vstack([secant[:1], secant]), np.vstack([secant, secant[-1:]])
+    limit = 3.0 * np.minimum(np.abs(secant_before), np.abs(secant_after))
+    limited = np.clip(slope, -limit, limit)
+    limited = np.where((secant_before * secant_after > 0) & (limited * secant_before < 0), 0.0, limited)
+    curvature = np.sign(np.diff(secant, axis=0))
+    # concave or convex at a node and both its neighbours: a smooth extremum, not the foot of a step
+    padded = np.vstack([curvature[:1], curvature[:1], curvature, curvature[-1:], curvature[-1:]])
+    is_smooth = (padded[:-2] == padded[1:-1]) & (padded[1:-1] == padded[2:]) & (padded[1:-1] != 0)
+    return np.asarray(np.where(is_smooth, slope, limited))
+
+
+def interpolate_nodes(
+    x: Floats, y: Floats, used: Bools, at: Floats, tolerance: float = 0.0
+) -> tuple[Floats, Bools]:
+    """Return each column's values (place, column) between its used nodes, and where they are finite.
+
+    ``x`` (node,) increases; ``y`` and ``used`` (node, column): columns with fewer than four used nodes get
+    nothing; ``at`` (place, column) may lie ``tolerance`` beyond the outer nodes. NaN beyond them and in gaps
+    of over three steps.
+    """
+    values = np.full(at.shape, np.nan)
+    patterns, member = np.unique(used, axis=1, return_inverse=True)
+    max_gap = _MAX_GAP_STEPS * float(np.median(np.diff(x)))
+    for index in range(patterns.shape[1]):
+        nodes = np.flatnonzero(patterns[:, index])
+        columns = np.flatnonzero(member.ravel() == index)
+        if nodes.size < 4:
+            continue
+        x_used, y_used, place = x[nodes], y[np.ix_(nodes, columns)], at[:, columns]
+        place = np.where((place < x_used[0]) & (place >= x_used[0] - tolerance), x_used[0], place)
+        place = np.where((place > x_used[-1]) & (place <= x_used[-1] + tolerance), x_used[-1], place)
+        # cubic Hermite polynomials between the nodes
+        left = np.clip(np.searchsorted(x_used, place, side="right") - 1, 0, len(x_used) - 2)
+        width = np.diff(x_used)[left]
+        u = (place - x_used[left]) / width
+        slope, column = monotone_slopes(x_used, y_used), np.arange(columns.size)
+        y0, y1 = y_used[left, column], y_used[left + 1, column]
+        m0, m1 = slope[left, column] * width, slope[left + 1, column] * width
+        cubic = y0 * (1 + 2 * u) * (1 - u) ** 2 + m0 * u * (1 - u) ** 2
+        cubic += y1 * u**2 * (3 - 2 * u) + m1 * u**2 * (u - 1)
+        values[:, columns] = np.where((u >= 0) & (u <= 1) & (width <= max_gap), cubic, np.nan)
+    return values, np.isfinite(values)
+
+
+def element_gain(
+    step_wavelength: Floats,
+    node: Floats,
+    used: Bools,
+    wavelength: Floats,
+    etendue: Floats,
+    tolerance: float = 0.0,
+) -> tuple[Floats, Bools]:
+    """Return the gain of every element [W m-2 sr-1 nm-1 s count-1], and whether it is known.
+
+    NaN where it would be extrapolated. ``node`` (step, cross_track) is the responsivity of a band times
+    spacing, the integral of its response [count nm J-1], of the steps ``used`` there; ``step_wavelength``
+    (step,) and ``wavelength`` (band, cross_track) of the elements [nm]; ``etendue`` (cross_track,) [m2 sr].
+    Within the ``tolerance``, the uncertainty of the wavelengths [nm], an element counts as on the outer step.
+    """
+    log = np.log(np.where(used & (node > 0), node, 1.0))
+    log_gain, finite = interpolate_nodes(step_wavelength, log, used & (node > 0), wavelength, tolerance)
+    return np.asarray(np.exp(-log_gain) / etendue), finite
+
+
+_PARTS = 161  # points of the monochromator's line
+_REACH = {True: 1.0, False: 2.2}  # half support of a triangle and of a Gaussian in full widths
+
+
+def slope_shift_of_lines(
+    lab: LabSweep,
+    noise: NoiseModel,
+    slope: Floats,
+    camera_width: Floats,
+    spacing: Floats,
+    amplitude: Floats,
+    shape: str,
+) -> Floats:
+    """Return by how much a sloping responsivity shifts the centres of the lamp lines (step,) [nm].
+
+    ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``camera_width``, ``spacing`` and
+    ``amplitude`` (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the
+    height of the line [count]; ``shape`` is the camera's line shape, ``noise`` weights the fits.
+    """
+    curvature = np.gradient(slope, lab.wavelength)
+    shifts = np.zeros(len(slope))
+    for step, source in enumerate(lab.width):
+        offset = np.linspace(-1.0, 1.0, _PARTS) * _REACH[lab.triangular] * source
+        light = (
+            np.maximum(1.0 - np.abs(offset) / source, 0.0)
+            if lab.triangular
+            else np.exp(-4.0 * np.log(2.0) * (offset / source) ** 2)
+        )
+        light *= np.exp(slope[step] * offset + 0.5 * curvature[step] * offset**2)
+        # a lamp line of this light in units of bands, and the shift of its fitted centre
+        place, width, slit = (nm / spacing[step] for nm in (offset, camera_width[step], source))
+        half = int(np.ceil(2.2 * np.hypot(width, slit) + 2.0))
+        bands = np.arange(-half, half + 1, dtype=np.float64)
+        parts = np.empty((_PARTS, bands.size))
+        widths, zeros = np.full(_PARTS, width), np.zeros(_PARTS)
+        profiles(bands - place[:, None], widths, zeros, SHAPES[shape], False, parts)
+        line = (light / light.sum()) @ parts
+        line *= amplitude[step] / line.max()
+        variance = noise.variance(line, float(lab.frames[step])) + (1e-4 * amplitude[step]) ** 2
+        samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([slit]))
+        start = np.array([[0.0, width, line.sum(), 0.0]])
+        fits = fitted(samples, SHAPES[shape], lab.triangular, start)
+        shifts[step] = spacing[step] * (fits.parameters[0, CENTRE] if fits.converged[0] else 0.0)
+    return shifts
+
+
+# --- read all steps of a sweep once, one after the other, and fit their lamp lines -------------------------
+
+
+Tick = Callable[[], None]
+
+#: Sources of a noise model; the third source is the sweep's own statement.
+FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off the lines"
+
+_MIN_CLIPPED_BANDS = (
+    3  # bands of a column at the highest count of the sweep; a lamp line that is not clipped has one or two
+)
+_COUNT_TOLERANCE = 0.25
+_MIN_EDGE_DISTANCE = 0.5  # minimum distance of a lamp line's centre from the edge of the array [full widths]
+_SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.inf]])
+SIGNAL_BINS = len(_SIGNAL_EDGES) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class SweepData:
+    """Data of a sweep that are kept after reading."""
+
+    windows: list[Window | None]  #: Window of every step; None without a lamp line
+    rows: Floats  #: (step, band): counts outside the lines relative to the lines' areas
+    noise: NoiseModel  #: Noise of one frame
+    noise_source: str  #: Source of the noise model
+
+
+@dataclass(eq=False)
+class LampLines:
+    """Fitted lamp lines of all steps, (step, cross_track) except where noted; NaN without a line."""
+
+    centre: Floats
+    camera_width: Floats
+    width: Floats
+    amplitude: Floats
+    area: Floats
+    area_u: Floats
+    centre_u: Floats
+    camera_width_u: Floats
+    covariance: Floats
+    chi2: Floats
+    degrees: Floats
+    trusted: Bools
+    completed: Bools
+
+    @classmethod
+    def empty(cls, steps: int, columns: int) -> LampLines:
+        """Return lines without any fit."""
+        lamp_lines = cls(*(np.full((steps, columns), np.nan) for _ in fields(cls)))
+        lamp_lines.covariance = np.full((steps, columns, 4, 4), np.nan)
+        lamp_lines.trusted, lamp_lines.completed = np.zeros((2, steps, columns), np.bool_)
+        return lamp_lines
+
+    def store(self, step: int, window: Window, fits: Fits, bands: int) -> None:
+        """Store the fits of one step."""
+        index = (step, window.columns)
+        self.centre[index] = fits.parameters[:, CENTRE]
+        self.camera_width[index] = fits.parameters[:, WIDTH]
+        self.width[index] = fits.width
+        self.amplitude[index] = fits.amplitude
+        self.area[index] = fits.area
+        with np.errstate(invalid="ignore"):
+            self.area_u[index] = np.sqrt(fits.area_variance) / fits.area
+            self.centre_u[index] = np.sqrt(fits.covariance[:, CENTRE, CENTRE])
+            self.camera_width_u[index] = np.sqrt(fits.covariance[:, WIDTH, WIDTH])
+        self.covariance[index] = fits.covariance
+        self.chi2[index], self.degrees[index] = fits.chi2, fits.degrees
+        centre, margin = fits.parameters[:, CENTRE], _MIN_EDGE_DISTANCE * fits.width
+        with np.errstate(invalid="ignore"):
+            is_inside = (centre >= margin) & (centre <= bands - 1 - margin)
+        self.trusted[index] = fits.converged & is_inside & ~window.saturated & np.isfinite(self.area_u[index])
+
+
+def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None, tick: Tick) -> SweepData:
+    """Read every step once and keep the windows around its lamp lines.
+
+    SchemaError if the lamp lines do not move along the array with the wavelengths, or columns without flux
+    are lit; a warning if lamp lines look clipped and ``saturation_count`` is missing.
+    """
+    steps, bands, _ = lab.shape
+    windows: list[Window | None] = []
+    rows = np.zeros((steps, bands))
+    tally = np.zeros((3, SIGNAL_BINS))
+    scatter = []
+    highest = np.full(bad.shape, -np.inf)
+    for step in range(steps):
+        raw = lab.frame(step)
+        highest = np.fmax(highest, raw)
+        net = curve.net(raw, lab.dark.at(float(lab.exposure[step])))
+        if lab.band_shift_time:
+            smear = smear_of(lab.band_shift_time, float(lab.exposure[step]), bands)
+            net = net - smear * np.nansum(net, axis=0)
+        if lab.variance is not None:
+            variance = np.asarray(lab.variance.isel({STEP: step}).to_numpy(), np.float64)
+            is_saturated = lab.saturation is not None and raw >= lab.saturation - float(
+                SATURATION_MARGIN_COUNTS
+            )
+            is_counted = np.isfinite(net) & np.isfinite(variance) & ~(bad | is_saturated)
+            tally += binned(net[is_counted], net[is_counted], variance[is_counted])
+        if flat is not None:
+            net = net * flat
+        window = find_line(net, raw, bad, lab.saturation)
+        if window is not None:
+            rows[step] = window.out_of_band
+            far_counts = net[np.abs(np.arange(bands) - window.band) > 0.25 * bands]
+            scatter.append(
+                1.4826**2 * np.nanmedian((far_counts - np.nanmedian(far_counts)) ** 2) * lab.frames[step]
+            )
+        windows.append(window)
+        tick()
+    _check_monotone(lab, windows)
+    # lit columns without flux or capture fraction
+    missing_flux = [
+        f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
+        for step, window in enumerate(windows)
+        if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
+    ]
+    if missing_flux:
+        raise refused(
+            f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
+            mend="measure it there",
+            code="flux-missing",
+        )
+    # one highest count that repeats along a column
+    if lab.saturation is None:
+        highest = np.where(bad, -np.inf, highest)
+        is_highest = highest >= highest.max() - _COUNT_TOLERANCE
+        if (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any():
+            text = (
+                f"saturation_count is missing, and the highest count {highest.max():g} repeats in "
+                f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
+                "give saturation_count"
+            )
+            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=3)
+    return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
+
+
+def binned(signal: Floats, *values: Floats) -> Floats:
+    """Return, for bins of the signal [count], the number of samples and the sums of values (row, bin)."""
+    bins = np.searchsorted(_SIGNAL_EDGES, signal, side="right") - 1
+    return np.stack([np.bincount(bins, weight, SIGNAL_BINS) for weight in (None, *values)])
+
+
+def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[NoiseModel, str]:
+    # Return the noise by photon transfer of the sweep, else as stated, else by scatter off the lamp lines.
+    dark_variance = lab.dark.spread**2 * lab.dark.leverage(float(np.median(lab.exposure)))
+    dark_share = lab.dark.leverage(float(np.median(lab.exposure))) / (
+        lab.dark_frames or np.median(lab.frames)
+    )
+    is_used = tally[0] > 50
+    if is_used.sum() >= 3 and tally[2][is_used].any():
+        count, (signal, variance) = tally[0][is_used], tally[1:, is_used] / tally[0][is_used]
+        weight = np.sqrt(count) / np.maximum(variance, 1e-6)
+        terms = np.column_stack([np.ones_like(signal), signal]) * weight[:, None]
+        constant, slope = np.linalg.lstsq(terms, variance * weight, rcond=None)[0]
+        if slope > 0:
+            constant = max(float(constant), 0.0)
+            return NoiseModel(
+                constant, float(slope), dark_variance or constant * float(dark_share)
+            ), FROM_FRAMES
+    if lab.electrons_per_count is not None:
+        constant = (lab.read_noise or 0.0) ** 2 + QUANTISATION_VARIANCE_COUNT2
+        return NoiseModel(
+            constant, 1.0 / lab.electrons_per_count, dark_variance or constant * float(dark_share)
+        ), "as stated"
+    # scatter includes the noise of the dark
+    return NoiseModel(float(np.median(scatter)) if scatter else 0.0, 0.0), FROM_SCATTER
+
+
+def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
+    peaks = [(step, window.band) for step, window in enumerate(windows) if window is not None]
+    if len(peaks) < 3:
+        return
+    peak_bands = np.array([band for _, band in peaks])
+    steps_of_peaks = np.diff(peak_bands)
+    reversed_steps = np.flatnonzero(steps_of_peaks * np.sign(np.median(steps_of_peaks)) < -2)
+    if reversed_steps.size:
+        listed_peaks = listed(
+            [
+                f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {peak_bands[k + 1]}, after {peak_bands[k]}"
+                for k in reversed_steps
+            ]
+        )
+        raise refused(
+            f"lamp lines do not move along the array as the wavelengths do: {listed_peaks}",
+            mend="check that counts and step_wavelength belong together, in order",
+            code="steps-unordered",
+        )
+
+
+def fit_steps(
+    lab: LabSweep,
+    sweep_data: SweepData,
+    shape: int,
+    tick: Tick,
+    first: tuple[WavelengthMap, list[Fits | None]] | None = None,
+) -> tuple[LampLines, list[Fits | None]]:
+    """Return the lamp lines of all steps, and the fits of every step (None for a step without a line).
+
+    Without ``first``, the monochromator's line is not deconvolved: such fits give the centres. With a
+    wavelength map and first fits, they are fits of the camera's response convolved with that line.
+    """
+    lamp_lines = LampLines.empty(lab.shape[0], lab.shape[2])
+    fits_of_steps: list[Fits | None] = [None] * lab.shape[0]
+    for step, window in enumerate(sweep_data.windows):
+        if window is not None:
+            light, start = Light(np.zeros(len(window.columns)), False), None
+            if first is not None and (start := first[1][step]) is not None:
+                spacing = first[0].spacing(start.parameters[:, CENTRE], window.columns)
+                light = Light(np.asarray(lab.width[step] / spacing), lab.triangular)
+            fits = fit_window(window, sweep_data.noise, float(lab.frames[step]), shape, light, start)
+            lamp_lines.store(step, window, fits, lab.shape[1])
+            fits_of_steps[step] = fits
+        tick()
+    return lamp_lines, fits_of_steps

@@ -1,28 +1,189 @@
-"""The commands from raw cubes to stores and maps: ``check``, ``process``, ``mosaic`` and others."""
+"""The commands from raw cubes to stores and maps: ``run``, ``check``, ``process``, ``mosaic`` and others."""
 
 from __future__ import annotations
 
+import contextlib
 import textwrap
 from pathlib import Path
 from typing import Any
 
 import click
 
-from .console import (
+import hyperpaint as hp
+import hyperpaint.workflows as workflows
+from hyperpaint.io.store.raw_references import outside, virtual_groups
+
+from .options import (
     EXISTING,
     EXISTING_FILE,
     FAILED_CHECK,
     FILE,
+    FOLDER,
     PLACE,
+    WRONG_INPUT,
     beside,
+    command,
     is_watched,
+    keys_of,
     program_option,
     progress_bar,
     refuse_in_store,
     say_outcome,
+    settable,
+    takes,
     without_none,
 )
-from .options import command, settable, takes
+
+MIN_SIZE = click.IntRange(min=8)
+
+
+@command(
+    epilog="""\b
+Example:
+  hyperpaint demo --out demo""",
+)
+@takes(
+    "workflows.demonstration:run_demonstration",
+    only=["folder", "lines", "bands", "columns", "seed", "scene", "samples", "overwrite"],
+    folder={
+        "spelling": "--out",
+        "type": FOLDER,
+        "default": "hyperpaint_demo",
+        "help": "Folder of all files of the demo.",
+    },
+    lines={"type": MIN_SIZE},
+    bands={"type": MIN_SIZE},
+    columns={"type": MIN_SIZE},
+    seed={"type": click.IntRange(min=0)},
+    scene={"type": click.Choice(["rendered", "plan"])},
+    samples={"metavar": "N"},
+    overwrite={"help": "Write into a folder that holds other files."},
+)
+@click.pass_context
+def demo(ctx: click.Context, /, folder: Path, **shape: Any) -> None:
+    """Simulate a collect, process it like a real one, and compare the result with the truth.
+
+    Writes raw files in the instruments' own formats, collect.toml, a store, truth.zarr and a picture into the
+    folder. Prints recovered and true reflectance of every material and, for a rendered scene, the signature
+    of every paint. Exit status 1 outside tolerance.
+    """
+    import time
+
+    start = time.perf_counter()
+    with progress_bar("simulating") as simulated:
+        comparison = workflows.demonstration.run_demonstration(
+            folder, **shape, progress=is_watched(), simulated=simulated, say=click.echo
+        )
+    click.echo(f"\n{time.perf_counter() - start:.0f} s in all. Now try:")
+    click.echo(f"  hyperpaint info {folder / 'collect.toml'}")
+    click.echo(f"  hyperpaint verify {folder / workflows.demonstration.STORE}")
+    if (folder / workflows.demonstration.PICTURE).is_file():
+        click.echo(f"  and look at {folder / workflows.demonstration.PICTURE}; or in Python:")
+    else:
+        click.echo("  or in Python:")
+    click.echo("    import xarray as xr, hyperpaint as hp")
+    store = folder / workflows.demonstration.STORE
+    click.echo(f'    line = xr.open_zarr("{store}", group="flightlines/raw_0").paint.reflectance()')
+    click.echo(f'    paints = line.paint.signatures(hp.read_regions("{folder / "regions.geojson"}"))')
+    click.echo("    print(paints.reflectance.isel(signature=0).to_series())")
+    if not comparison.ok:
+        ctx.exit(FAILED_CHECK)
+
+
+_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+
+
+@command(
+    epilog="""\b
+Examples:
+  hyperpaint init 2021_07_20
+  hyperpaint init 2021_07_20 --asd ../asd/morning --dark ../dark --calibration ../camera.zarr
+  hyperpaint run 2021_07_20/collect.toml""",
+)
+@click.argument("folder", metavar="FOLDER", type=_FOLDER)
+@takes(
+    "workflows.field_folder:find_field_files",
+    asd={"metavar": "DIR", "type": _FOLDER},
+    dark={"metavar": "DIR", "type": _FOLDER},
+    calibration={"metavar": "PATH", "type": EXISTING},
+)
+@click.option("--out", metavar="FILE", type=FILE, help="The file.  [default: collect.toml in FOLDER]")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def init(folder: Path, out: Path | None, overwrite: bool, **folders: Path | None) -> None:
+    """Write a commented collect.toml from the files in the folder of a flight.
+
+    Finds raw cubes, their frame indices and navigation, darks, ASD and SVC files and the calibration. Values
+    that no file contains are marked "?"; process lists them until they are filled in.
+    """
+    files = workflows.field_folder.find_field_files(folder, **folders)
+    path = workflows.field_folder.write_collect_toml(files, out, overwrite=overwrite)
+    cubes = len(files.cubes)
+    click.echo(
+        f"{path}: {cubes} cube{'' if cubes == 1 else 's'}, {len(files.darks)} dark, "
+        f"{len(files.irradiance)} folder of irradiance, {len(files.references)} of references"
+    )
+    for note in files.notes:
+        click.echo(f"note: {note}", err=True)
+    if unknown := workflows.field_folder.unknown_keys(path):
+        click.echo("fill in, then process:\n  " + "\n  ".join(unknown))
+    else:
+        target = path.parent if path.name == "collect.toml" else path
+        click.echo(f"next: hyperpaint check {path}, then hyperpaint run {target}")
+
+
+@command(
+    epilog="""\b
+Examples:
+  hyperpaint run 2021_07_20
+  hyperpaint run collect.toml --regions cars.geojson --out products
+  hyperpaint run collect.toml --skip map --skip dirsig
+
+\b
+Maps need the height of the ground [m above the ellipsoid] in collect.toml: [geometry] ground = 152.4""",
+)
+@click.argument("collect", metavar="COLLECT.toml", type=EXISTING)
+@takes(
+    "workflows.field_day:run_field_day",
+    without=["say"],
+    out={"metavar": "DIR", "type": FOLDER},
+    regions={"metavar": "R.geojson", "type": EXISTING_FILE},
+    skip={
+        "type": click.Choice(keys_of("workflows.field_day:STEPS")[1:]),
+        "help": "Leave out this step; repeatable.",
+    },
+    specular_sky={"help": "Subtract the sky that clear coats mirror, which contact probes do not see."},
+    alignment={"help": "Correct wavelengths between camera and record.  [default: as COLLECT.toml]"},
+)
+@click.pass_context
+def run(ctx: click.Context, /, collect: Path, **options: Any) -> None:
+    """Process a field day, from the files of the instruments to the report.
+
+    Writes the store, paint signatures, their comparison with the references, maps, a mosaic, DIRSIG materials
+    and a report. A step whose inputs have not changed is not repeated, so that an interrupted run resumes.
+    Exit status 1 where the validation fails.
+    """
+    with contextlib.ExitStack() as bars:
+
+        def progress(step: str) -> Any:
+            return bars.enter_context(progress_bar(step))
+
+        def say(outcome: workflows.products.StepOutcome) -> None:
+            bars.close()
+            text = "see below" if outcome.state == "failed" else outcome.text
+            click.echo(f"{outcome.step:<10}  {outcome.state:<9}  {text}")
+
+        day = workflows.field_day.run_field_day(
+            collect, progress=progress if is_watched() else None, say=say, **options
+        )
+    for error in day.errors:
+        click.echo(f"error: {error.text(on_command_line=True)}", err=True)
+    report = day.out / "report.html"
+    if report.exists():
+        click.echo(f"look at {report}")
+    if day.errors:
+        ctx.exit(WRONG_INPUT)
+    if day.passed is False:
+        ctx.exit(FAILED_CHECK)
 
 
 def _list_kinds(ctx: click.Context, _parameter: click.Parameter, is_set: bool) -> None:
@@ -59,9 +220,7 @@ def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
     check the same first: they stop at findings that make results wrong, and warn of others; --accept FINDING
     accepts a finding. Exit status 1 if there are findings.
     """
-    from hyperpaint.workflows.collect_check import check_collect
-
-    findings = check_collect(collect)
+    findings = workflows.pipeline.check_collect(collect)
     for finding in findings:
         click.echo(f"{'wrong' if finding.kind.refused else 'doubtful'}: {finding}")
     if findings:
@@ -101,11 +260,16 @@ def process(collect: Path, out: Path | None, **options: Any) -> None:
     Everything is checked before anything is written. Run again, the command resumes an interrupted run and
     leaves a complete store unchanged.
     """
-    from hyperpaint.workflows.field_day import store_of
-    from hyperpaint.workflows.pipeline import run
-
     limit = program_option("memory_limit")
-    say_outcome(run(collect, out or store_of(collect), memory_limit=limit, progress=is_watched(), **options))
+    say_outcome(
+        workflows.pipeline.run(
+            collect,
+            out or workflows.field_day.store_of(collect),
+            memory_limit=limit,
+            progress=is_watched(),
+            **options,
+        )
+    )
 
 
 @command(
@@ -141,10 +305,7 @@ def virtual(collect: Path, out: Path, **options: Any) -> None:
     It holds all variables that calibrate the lines; counts stay in the raw files of the camera, and are read
     when a product is computed. Raw files that were moved, truncated or changed are refused.
     """
-    from hyperpaint.io.store.raw_references import outside, virtual_groups
-    from hyperpaint.workflows.virtual_store import virtualise
-
-    say_outcome(virtualise(collect, out, **options))
+    say_outcome(workflows.virtual_store.virtualise(collect, out, **options))
     _, allow = outside(out, virtual_groups(out))
     if allow:
         shown = allow[0] if len(allow) == 1 else allow
@@ -209,11 +370,9 @@ def calibrate(
     SWEEP.zarr holds counts (step, band, cross_track), dark_counts, step_wavelength, flux, capture_fraction,
     exposure_time, monochromator_fwhm and etendue, with units.
     """
-    from hyperpaint.workflows.laboratory import write_calibration
-
     out = out or sweep.with_name("calibration.zarr")
     with progress_bar("calibrating") as progress:
-        calibration = write_calibration(
+        calibration = workflows.laboratory.write_calibration(
             sweep,
             out,
             absolute=not relative,
@@ -279,7 +438,6 @@ def make_map(
     every cell. Nothing is averaged.
     """
     from hyperpaint.geometry.orthorectification.mapping import describe_swath
-    from hyperpaint.workflows.maps import map_of_store, write_map
 
     out = out or beside(store, f"{line or 'map'}.tif")
     map_options = {name: options.pop(name) for name in ("stac", "geozarr", "overwrite")}
@@ -290,8 +448,8 @@ def make_map(
     refuse_in_store(store, out)
     arguments = {**settings, **without_none(options)}
     with progress_bar("locating") as progress:
-        orthomap = map_of_store(store, line, progress=progress, **arguments)
-    notes = write_map(orthomap, out, progress=is_watched(), **map_options)
+        orthomap = workflows.maps.map_of_store(store, line, progress=progress, **arguments)
+    notes = workflows.maps.write_map(orthomap, out, progress=is_watched(), **map_options)
     rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
     facts = [f"{rows} x {cols} cells of {orthomap.attrs['gsd']:.4g} m", describe_swath(orthomap.attrs), notes]
     click.echo(f"{out}: {', '.join(fact for fact in facts if fact)}")
@@ -342,8 +500,6 @@ def make_mosaic(
     **options: Any,
 ) -> None:
     """Combine flight lines of a store on one map with north up; a cell shows a pixel of a single line."""
-    from hyperpaint.workflows.maps import mosaic_of_store, write_map
-
     out = out or beside(store, "mosaic.tif")
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
         raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
@@ -352,8 +508,41 @@ def make_mosaic(
         if path is not None and path.exists() and not overwrite:
             raise click.UsageError(f"{path} exists; choose another path, or --overwrite [output-exists]")
     with progress_bar("locating") as progress:
-        mosaic = mosaic_of_store(store, lines, progress=progress, **settings, **without_none(options))
-    write_map(mosaic, out, seams=seams, overwrite=overwrite, progress=is_watched())
+        mosaic = workflows.maps.mosaic_of_store(
+            store, lines, progress=progress, **settings, **without_none(options)
+        )
+    workflows.maps.write_map(mosaic, out, seams=seams, overwrite=overwrite, progress=is_watched())
     rows, cols = mosaic.sizes["y"], mosaic.sizes["x"]
     names = ", ".join(mosaic.attrs["flightlines"])
     click.echo(f"{out}: {rows} x {cols} cells of {mosaic.attrs['gsd']:.4g} m, of the lines {names}")
+
+
+@command(
+    epilog="""\b
+Examples:
+  hyperpaint verify lot.zarr
+  hyperpaint verify lot.zarr --inputs     and every byte of its input files""",
+)
+@click.argument("store", metavar="STORE.zarr", type=PLACE)
+@click.option("--inputs", is_flag=True, help="Read all inputs, and compare them with the stored checksums.")
+@click.option(
+    "--collect",
+    metavar="COLLECT.toml",
+    type=EXISTING_FILE,
+    help="Where the inputs are now.  [default: where they were processed]",
+)
+@click.pass_context
+def verify(ctx: click.Context, /, store: Path, inputs: bool, collect: Path | None) -> None:
+    """Read every chunk of a store and compare it with its checksum; exit status 1 if a chunk is wrong.
+
+    Missing groups are listed, with the command that writes them.
+    """
+    report = hp.verify(store)
+    click.echo(str(report))
+    has_faults = not report.ok
+    if inputs or collect is not None:
+        compared = workflows.pipeline.compare_inputs(store, collect)
+        click.echo(str(compared))
+        has_faults |= bool(compared.problems)
+    if has_faults:
+        ctx.exit(FAILED_CHECK)

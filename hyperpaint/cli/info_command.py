@@ -9,12 +9,34 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-import xarray as xr
 
+import hyperpaint as hp
+import hyperpaint.workflows as workflows
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.io.store.raw_references import is_virtual, refuse_kerchunk
+from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.io.dirsig import read_materials
+from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
+from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
+from hyperpaint.io.flightline.headwall import exposure_seconds, read_frame_index, read_settings
+from hyperpaint.io.maps.geotiff import read_geotiff_header
+from hyperpaint.io.navigation.navigation_formats import is_eph_att, is_navigation_csv, is_nmea
+from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
+from hyperpaint.io.navigation.navigation_records import read_imu_gps
+from hyperpaint.io.spectrometers.asd import read_asd, read_asd_text, sniff
+from hyperpaint.io.spectrometers.irradiance import read_irradiance_csv
+from hyperpaint.io.spectrometers.svc import error_bits, overlap_of, pair, position_of, read_svc
+from hyperpaint.io.store import is_complete, list_groups, open_group, open_unverified
+from hyperpaint.io.store.manifest import store_state
+from hyperpaint.io.store.raw_references import (
+    RAW_FILES,
+    is_virtual,
+    open_virtual,
+    refuse_kerchunk,
+    virtual_groups,
+)
+from hyperpaint.io.store.reader import is_zarr, place_of
 from hyperpaint.regions.vector_files import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,
@@ -31,12 +53,10 @@ from hyperpaint.report.summaries import (
     with_times,
 )
 
-from .console import EXISTING
-from .options import command
+from .options import EXISTING, command
 
 if TYPE_CHECKING:
     from hyperpaint.workflows.field_folder import FieldFolder
-
 
 _KNOWN_FORMATS = (
     "an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
@@ -80,52 +100,10 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
     return "\n".join([str(path), *rows])
 
 
-def _file(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd import sniff
-
-    if path.suffix.lower() == ".toml":
-        return _collect(path)
-    if path.suffix.lower() == ".zip":
-        return _store(path)
-    if _is_pose_table(path):
-        return _poses(path)
-    if path.suffix.lower() == ".hdr":
-        return _envi(path)
-    if path.suffix.lower() in (".tif", ".tiff"):
-        return _geotiff(path)
-    if path.suffix.lower() in (".geojson", *VECTOR_FILES):
-        return _regions(path)
-    if path.suffix.lower() == ".sig":
-        return _svc(path)
-    kind: str = sniff(path)
-    readers = {"binary": _asd, "text": _asd_text, "csv": _irradiance_csv}
-    if kind in readers:
-        return readers[kind](path)
-    name = path.name.lower()
-    if name.startswith("frameindex"):
-        return _frame_index(path)
-    if "imu" in name and path.suffix.lower() == ".txt":
-        return _navigation(path)
-    if name == "settings.txt":
-        return _settings(path)
-    headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
-    if any(header.is_file() for header in headers):
-        return _envi(path)
-    if path.suffix.lower() in (*_TABLES, ".ems"):
-        return _spectra_if_any(path)
-    if path.suffix.lower() == ".mat":
-        return _materials(path)
-    raise FormatError(f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown")
-
-
 # --- facts by kind of file ---------------------------------------------------------------------------------
 
 
 def _envi(path: Path) -> Facts:
-    from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
-    from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
-    from hyperpaint.io.flightline.headwall import exposure_seconds
-    from hyperpaint.io.navigation.navigation_formats import is_eph_att
 
     header_path, data = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
@@ -147,7 +125,6 @@ def _envi(path: Path) -> Facts:
 
 
 def _geotiff(path: Path) -> Facts:
-    from hyperpaint.io.maps.geotiff import read_geotiff_header
 
     header = read_geotiff_header(path)
     yield "is", f"GeoTIFF, {size_of(path.stat().st_size)}"
@@ -167,9 +144,8 @@ def _geotiff(path: Path) -> Facts:
 
 
 def _regions(path: Path) -> Facts:
-    from hyperpaint.regions import read_regions
 
-    regions = read_regions(path)
+    regions = hp.read_regions(path)
     yield "is", f"{counted(len(regions), 'region')} in coordinates of the {regions.coordinates}"
     yield "names", _first_names(regions.names)
     yield "crs", "" if regions.coordinates == "sensor" else regions.crs or "not said"
@@ -182,7 +158,6 @@ def _regions(path: Path) -> Facts:
 
 
 def _asd(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd_binary import read_asd
 
     file = read_asd(path)
     yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
@@ -201,7 +176,6 @@ def _asd(path: Path) -> Facts:
 
 
 def _svc(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.svc_layout import error_bits, overlap_of, pair, position_of, read_svc
 
     file = read_svc(path)
     overlap = overlap_of(file.header)
@@ -223,19 +197,18 @@ def _svc(path: Path) -> Facts:
 
 
 def _asd_text(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd_text import read_asd_text
 
     text = read_asd_text(path)
     yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
     likely = text.likely_quantity
     yield "holds", f"{likely} (a guess from the plot range)" if likely else "unknown units"
     yield "wavelength", range_of(text.wavelength, "nm")
-    yield "saved", "" if text.local_time is None else f"{text.local_time} by the logging PC (zone unknown)"
-    yield "exposure", "" if text.integration_ms is None else f"{text.integration_ms:g} ms"
+    local_time, integration_ms = (text.preamble.get(key) for key in ("local_time", "integration_ms"))
+    yield "saved", "" if local_time is None else f"{local_time} by the logging PC (zone unknown)"
+    yield "exposure", "" if integration_ms is None else f"{integration_ms:g} ms"
 
 
 def _irradiance_csv(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
 
     series: Any = read_irradiance_csv(path)
     shape = np.shape(series.values)
@@ -256,9 +229,8 @@ def _spectra_if_any(path: Path) -> Facts:
 
 
 def _library(path: Path) -> Facts:
-    from hyperpaint.io.library import open_library
 
-    library = open_library(path)
+    library = hp.open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
     yield "is", f"{form}: {counted(library.sizes['signature'], 'spectrum').replace('spectrums', 'spectra')}"
     yield "paints", _first_names(library["signature"].values.tolist())
@@ -276,7 +248,6 @@ def _first_names(names: Sequence[object]) -> str:
 
 
 def _materials(path: Path) -> Facts:
-    from hyperpaint.io.dirsig import read_materials
 
     materials = read_materials(path)
     yield "is", f"DIRSIG material list: {counted(len(materials), 'material')}"
@@ -284,7 +255,6 @@ def _materials(path: Path) -> Facts:
 
 
 def _frame_index(path: Path) -> Facts:
-    from hyperpaint.io.flightline.headwall import read_frame_index
 
     frames = read_frame_index(path).frame
     missing = int(frames[-1] - frames[0] + 1 - frames.size)
@@ -293,7 +263,6 @@ def _frame_index(path: Path) -> Facts:
 
 
 def _navigation(path: Path) -> Facts:
-    from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     record = read_imu_gps(path)
     yield "is", f"navigation record: {record.rows.size} rows"
@@ -304,8 +273,6 @@ def _navigation(path: Path) -> Facts:
 
 
 def _is_pose_table(path: Path) -> bool:
-    from hyperpaint.io.navigation.navigation_csv import is_navigation_csv
-    from hyperpaint.io.navigation.nmea import is_nmea
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
@@ -316,7 +283,6 @@ def _is_pose_table(path: Path) -> bool:
 
 
 def _poses(path: Path) -> Facts:
-    from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
 
     kind = navigation_format(path)
     if kind == "imu_gps":
@@ -347,7 +313,6 @@ def _poses(path: Path) -> Facts:
 
 
 def _settings(path: Path) -> Facts:
-    from hyperpaint.io.flightline.headwall import exposure_seconds, read_settings
 
     pairs = read_settings(path)
     exposure = exposure_seconds(pairs, path.name)
@@ -359,13 +324,11 @@ def _settings(path: Path) -> Facts:
 
 
 def _collect(path: Path) -> Facts:
-    from hyperpaint.io.collect.collect_toml import read_collect
-    from hyperpaint.workflows.laboratory import open_collect
 
     collect = read_collect(path, need_irradiance=False)
     has_irradiance = collect.irradiance is not None
     # without dask, because nothing is computed
-    tree = open_collect(path, need_irradiance=has_irradiance, chunks=None)
+    tree = hp.open_collect(path, need_irradiance=has_irradiance, chunks=None)
     lines_text = counted(len(collect.flightlines), "flight line")
     yield "is", f"collect {collect.name!r}, {lines_text}; every file opens"
     total = 0
@@ -384,16 +347,14 @@ def _collect(path: Path) -> Facts:
 
 
 def _folder(path: Path) -> Facts:
-    from hyperpaint.io.store.reader import is_zarr
 
     if is_zarr(path):
         return _store(path)
     if any(path.glob("*.spectrum.txt")):
         return _library(path)
-    from hyperpaint.workflows.field_folder import find_field_files
 
     try:
-        return facts_of_field_folder(find_field_files(path))
+        return facts_of_field_folder(workflows.field_folder.find_field_files(path))
     except CollectError as error:
         raise StoreError(
             f"{path} is a folder, but neither a Zarr store nor a field day ({error})",
@@ -403,9 +364,6 @@ def _folder(path: Path) -> Facts:
 
 
 def _store(path: Path) -> Facts:
-    from hyperpaint.io.store import list_groups
-    from hyperpaint.io.store.manifest import store_state
-    from hyperpaint.io.store.reader import place_of
 
     groups, (location, _) = list_groups(path), place_of(path)
     if groups == [""]:
@@ -421,7 +379,6 @@ def _store(path: Path) -> Facts:
 
 
 def _group(path: Path, name: str) -> Facts:
-    from hyperpaint.io.store import is_complete, open_group, open_unverified
 
     # open without chunks, decoded times and indexes, for which xarray imports dask, pint and others
     options = {"chunks": None, "decode_times": False, "create_default_indexes": False}
@@ -447,12 +404,8 @@ def _group(path: Path, name: str) -> Facts:
     else:
         has_names = "signature" in group.coords and group["signature"].ndim == 1
         yield "paints", _first_names(group["signature"].values.tolist()) if has_names else ""
-        yield from ((name, form_of(array)) for name, array in _sorted(group))
+        yield from ((str(name), form_of(group[name])) for name in sorted(map(str, group.data_vars)))
         yield from facts_of_bands(group)
-
-
-def _sorted(group: xr.Dataset) -> list[tuple[str, xr.DataArray]]:
-    return sorted(((str(name), array) for name, array in group.data_vars.items()), key=lambda item: item[0])
 
 
 def _facts_text(facts: Facts) -> str:
@@ -493,8 +446,6 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
 
     ``allow``: see `open_virtual`.
     """
-    from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
-
     groups = virtual_groups(path)
     yield "is", f"virtual store (icechunk) of {counted(len(groups), 'flight line')}, cubes in their raw files"
     for name, about in groups.items():
@@ -505,6 +456,40 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
             yield f"/{name} NOT READ", error.text(on_command_line=True)
         else:
             yield f"/{name} holds", "\n".join(f"{key}: {text}" for key, text in facts_of_line(line) if text)
+
+
+# --- kinds of files ---
+
+#: Readers of the facts by suffix; these kinds of files have no other content.
+_BY_SUFFIX = {
+    ".toml": _collect,
+    ".zip": _store,
+    ".hdr": _envi,
+    ".sig": _svc,
+    **dict.fromkeys((".tif", ".tiff"), _geotiff),
+    **dict.fromkeys((".geojson", *VECTOR_FILES), _regions),
+}
+#: Readers of files of field spectrometers by the kind of their content.
+_BY_CONTENT = {"binary": _asd, "text": _asd_text, "csv": _irradiance_csv}
+
+
+def _file(path: Path) -> Facts:
+    name, suffix = path.name.lower(), path.suffix.lower()
+    reader = _BY_SUFFIX.get(suffix) or (_poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path)))
+    if reader is None:
+        headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
+        rules = (
+            (name.startswith("frameindex"), _frame_index),
+            ("imu" in name and suffix == ".txt", _navigation),
+            (name == "settings.txt", _settings),
+            (any(header.is_file() for header in headers), _envi),
+            (suffix in (*_TABLES, ".ems"), _spectra_if_any),
+            (suffix == ".mat", _materials),
+        )
+        reader = next((rule_reader for is_met, rule_reader in rules if is_met), None)
+    if reader is None:
+        raise FormatError(f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown")
+    return reader(path)
 
 
 # --- the command ---

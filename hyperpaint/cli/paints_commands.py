@@ -10,24 +10,30 @@ import click
 import numpy as np
 import xarray as xr
 
+import hyperpaint as hp
+import hyperpaint.workflows as workflows
 from hyperpaint.base.schema import flags_named
+from hyperpaint.io.spectrometers.asd import sniff
+from hyperpaint.pictures.figures import check_picture
 
-from .console import (
+from .options import (
     EXISTING,
     EXISTING_FILE,
     FAILED_CHECK,
     FILE,
     PLACE,
     beside,
+    command,
     is_watched,
     progress_bar,
     refuse_in_store,
+    settable,
+    takes,
     without_none,
 )
-from .options import command, settable, takes
 
 if TYPE_CHECKING:
-    from hyperpaint.regions import Regions
+    pass
 
 
 @command(
@@ -106,8 +112,6 @@ def make_signatures(
     and the properties of its region. Pixels with saturation, glint, shadow or light of neighbours are
     excluded. --ground, --dem and --set locate the lines for regions in map coordinates.
     """
-    from hyperpaint.workflows.library_files import NOT_DETECTED, table_of, write_signatures
-
     smoothing = None if smooth is None else {"method": smooth, "window": window}
     limits: dict[str, Any] = {
         name: settings.pop(name) for name in ("diffuse", "glint", "shadow", "adjacency") if name in settings
@@ -121,7 +125,7 @@ def make_signatures(
         )
     out = out or beside(store, "paints.zarr")
     with progress_bar("flags and signatures" if flags else "extracting") as progress:
-        library = write_signatures(
+        library = workflows.library_files.write_signatures(
             store,
             regions,
             out,
@@ -131,7 +135,7 @@ def make_signatures(
             progress=progress,
             **options,
         )
-    if flags and library.attrs["flags"] == NOT_DETECTED:
+    if flags and library.attrs["flags"] == workflows.library_files.NOT_DETECTED:
         click.echo(
             "glint, shadow and light of neighbours are not flagged on a map; signatures from the store of "
             "the flight line exclude them",
@@ -139,9 +143,8 @@ def make_signatures(
         )
     for text in library.attrs.get("left_out", ()):
         click.echo(f"left out {text}", err=True)
-    click.echo(
-        f"{out}: {library.sizes['signature']} paints, {library.sizes['band']} bands\n{table_of(library)}"
-    )
+    click.echo(f"{out}: {library.sizes['signature']} paints, {library.sizes['band']} bands")
+    click.echo(workflows.library_files.table_of(library))
 
 
 _PART_PATTERN = re.compile(
@@ -257,23 +260,17 @@ def validate(
     or fail; differences between references of several instruments; and unpaired spectra. Exit status 1
     outside tolerance, if a reference named by a region is missing, or if a part has too few bands to judge.
     """
-    from hyperpaint.workflows.library_files import check_table, validate_files, write_table
-
     if out is not None:
-        check_table(out, overwrite=overwrite)
+        workflows.library_files.check_table(out, overwrite=overwrite)
     if picture is not None:
-        from hyperpaint.pictures.figures import check_picture
-
         check_picture(picture)
-    validation = validate_files(library, references, **without_none(options))
+    validation = workflows.library_files.validate_files(library, references, **without_none(options))
     click.echo(validation.table())
     if out is not None:
-        write_table(validation, out, overwrite=overwrite)
+        workflows.library_files.write_table(validation, out, overwrite=overwrite)
         click.echo(f"all digits are in {out}")
     if picture is not None:
-        from hyperpaint.pictures.plot_validation import validation_figure
-
-        validation_figure(validation, picture)
+        hp.pictures.validation_figure(validation, picture)
         click.echo(f"look at it in {picture}")
     for problem in validation.problems:
         click.echo(f"not passed: {problem}", err=True)
@@ -305,7 +302,7 @@ that a paint is too similar to others for this rate (most white, silver and grey
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
 @takes(
-    "paints.detection.detecting:detect",
+    "paints.detection:detect",
     only=["library", "others", "method", "false_alarm_rate", "background", "unknown_rate", "shrinkage"],
     library={"type": EXISTING, "help": "Paints to find: a store of signatures, or a file of spectra."},
     others={
@@ -345,14 +342,7 @@ def detect_paints(
     **options: Any,
 ) -> None:
     """Find the paints of a library in a flight line of a store, or in a map."""
-    from hyperpaint.io.library import open_library
-    from hyperpaint.io.store import open_store, to_store
-    from hyperpaint.paints.detection import detect, detected_regions
     from hyperpaint.paints.signatures import EXCLUDED
-    from hyperpaint.radiometry import reflectance
-    from hyperpaint.regions import region_mask
-    from hyperpaint.surroundings import flag
-    from hyperpaint.workflows.maps import line_of_store
 
     others, regions, line = (options.pop(name) for name in ("others", "regions", "line"))
     out = out or beside(store, "detections.zarr")
@@ -360,39 +350,38 @@ def detect_paints(
     exclude = EXCLUDED
     for flag_to_keep in flags_named(options.pop("keep")):
         exclude &= ~flag_to_keep
-    searched = reflectance(line_of_store(store, line))
+    searched = hp.reflectance(workflows.maps.line_of_store(store, line))
     if options.pop("flags"):
-        searched = flag(searched)
-    detections = detect(
+        searched = hp.surroundings.flag(searched)
+    detections = hp.paints.detect(
         searched,
-        open_library(library),
+        hp.open_library(library),
         exclude=exclude,
-        others=None if others is None else open_library(others),
+        others=None if others is None else hp.open_library(others),
         background=None
         if background is None
-        else region_mask(_regions_of_line(background, searched), searched) >= 0,
+        else hp.regions.region_mask(_regions_of_line(background, searched), searched) >= 0,
         **options,
     )
-    to_store(detections, out, overwrite=overwrite, progress=is_watched())
-    detections = open_store(out, "")
+    hp.to_store(detections, out, overwrite=overwrite, progress=is_watched())
+    detections = hp.open_store(out, "")
     detected = detections["detected"]
     click.echo(f"{out}: {int(detected.sum())} of {detected.size} pixels\n{_detection_table(detections)}")
     if regions is not None and (cars := _regions_of_line(regions, searched)):
-        table = detected_regions(detections, cars).to_dataframe().reset_index()
+        table = hp.paints.detected_regions(detections, cars).to_dataframe().reset_index()
         click.echo(table.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
 
 
-def _regions_of_line(path: Path, line: xr.Dataset) -> Regions:
-    from hyperpaint.regions import Regions, read_regions
+def _regions_of_line(path: Path, line: xr.Dataset) -> hp.Regions:
 
-    regions = read_regions(path)
+    regions = hp.read_regions(path)
     name = str(line.attrs.get("name", ""))
     line_regions = tuple(region for region in regions if not name or region.flightline in ("", name))
     if len(line_regions) < len(regions):
         click.echo(
             f"{path}: {len(regions) - len(line_regions)} of {len(regions)} regions are of other flight lines"
         )
-    return Regions(line_regions, regions.coordinates, regions.crs)
+    return hp.Regions(line_regions, regions.coordinates, regions.crs)
 
 
 def _detection_table(detections: xr.Dataset) -> str:
@@ -498,14 +487,12 @@ def list_paints(
     LIBRARY is a Zarr store of signatures, or any file of spectra that hyperpaint reads; by default the
     starter library. A paint must meet all conditions.
     """
-    from hyperpaint.paints.paint_search import search_library
-
     if options["maximum_angle"] is not None and like is None:
         raise click.UsageError("--maximum-angle needs --like [argument-missing]")
     if options["maximum_colour_difference"] is not None and options["colour"] is None:
         raise click.UsageError("--maximum-difference needs --colour [argument-missing]")
     paints = _open_paints(library, members)
-    matches = search_library(paints, like=_spectrum(like, paints), **options)
+    matches = hp.paints.search_library(paints, like=_spectrum(like, paints), **options)
     count = matches.sizes["signature"]
     click.echo(f"{count} of {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
     if not count:
@@ -513,28 +500,21 @@ def list_paints(
         return
     click.echo(_paint_table(matches))
     if out is not None:
-        from hyperpaint.io.library import write_library
-
         with progress_bar("writing") as progress:
-            path = write_library(matches, out, overwrite=overwrite, progress=progress)
+            path = hp.write_library(matches, out, overwrite=overwrite, progress=progress)
         click.echo(f"saved in {path}")
     if picture is not None:
-        from hyperpaint.pictures.plot_spectra import library_overview
-
-        library_overview(matches, picture)
+        hp.pictures.library_overview(matches, picture)
         click.echo(f"look at them in {picture}")
 
 
 def _open_paints(library: Path | None, members: int | None) -> xr.Dataset:
     if library is None:
-        from hyperpaint.paints.starter_paints import starter_library
-
-        return starter_library() if members is None else starter_library(members=members)
+        return hp.paints.starter_library() if members is None else hp.paints.starter_library(members=members)
     if members is not None:
         raise click.UsageError("--members is only for the starter library; leave it out [option-conflict]")
-    from hyperpaint.io.library import open_library
 
-    return open_library(library)
+    return hp.open_library(library)
 
 
 def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
@@ -545,18 +525,9 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     if not path.exists():
         raise click.UsageError(f"--like {like!r} is neither a paint nor a file [paint-unknown]")
     if path.suffix.lower() == ".sig":
-        from hyperpaint.io.spectrometers.svc import open_svc
+        return hp.open_svc(path)
 
-        return open_svc(path)
-    from hyperpaint.io.spectrometers.asd import sniff
-
-    if path.is_file() and sniff(path) == "binary":
-        from hyperpaint.io.spectrometers.asd import open_asd
-
-        return open_asd(path)
-    from hyperpaint.io.library import open_library
-
-    return open_library(path)
+    return hp.open_asd(path) if path.is_file() and sniff(path) == "binary" else hp.open_library(path)
 
 
 def _paint_table(matches: xr.Dataset) -> str:
@@ -592,9 +563,7 @@ def check_library(ctx: click.Context, /, library: Path) -> None:
     missing: quantity, specular_component, measurement_geometry, finish, provenance, licence.
     hp.io.declare_library adds them. Exit status 1 if there are departures.
     """
-    from hyperpaint.io.library import check_library as compare
-
-    report = compare(str(library))
+    report = hp.io.check_library(str(library))
     click.echo(str(report))
     if not report.ok:
         ctx.exit(FAILED_CHECK)
@@ -694,8 +663,6 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
     For DIRSIG every paint becomes emissivity with many curves, so that a texture can draw from them, and a
     MATERIAL_ENTRY; README.txt explains how to add them to a scene.
     """
-    from hyperpaint.io.library import open_library, write_library
-
     out = out or beside(library, _DEFAULT_NAMES.get(form, form).format(library.stem))
     options_set = {name: value for name, value in options.items() if value not in (None, False)}
     curves = options_set.get("curves")
@@ -703,15 +670,13 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
         options_set.pop("curves", None)
         names = ", ".join(f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in options_set)
         raise click.UsageError(f"{names} only with --format dirsig [option-conflict]")
-    paints = open_library(library)
+    paints = hp.open_library(library)
     with progress_bar("writing") as progress:
         if "scene" in options_set:
-            from hyperpaint.workflows.dirsig_export import export_dirsig_scene
-
             if unused := sorted(set(options_set) - _SCENE_OPTIONS):
                 names = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
                 raise click.UsageError(f"{names} not with --scene (ClassicEmissivity) [option-conflict]")
-            scene = export_dirsig_scene(
+            scene = workflows.rendering.export_dirsig_scene(
                 options_set.pop("scene"),
                 out,
                 library=paints,
@@ -729,7 +694,6 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
         if form == "dirsig":
             if options_set.pop("coat_brdf", False):
                 raise click.UsageError("--coat-brdf only with --scene [option-conflict]")
-            from hyperpaint.io.dirsig import write_dirsig
 
             share = options_set.get("specular", "library")
             if share != "library":
@@ -738,7 +702,7 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
                 except ValueError:
                     message = f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
                     raise click.UsageError(message) from None
-            materials = write_dirsig(paints, out, overwrite=overwrite, progress=progress, **options_set)
+            materials = hp.write_dirsig(paints, out, overwrite=overwrite, progress=progress, **options_set)
             click.echo(
                 f"{out}: {materials.sizes['signature']} paints, {int(materials['curves'].sum())} curves"
             )
@@ -752,7 +716,9 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
             click.echo(f"mirrored light {attrs['mirror_reflection']}, {attrs['mirror_reflection_source']}")
             click.echo(f"how to add them: {out / 'README.txt'}")
             return
-        path = write_library(paints, out, format=form, curves=curves, overwrite=overwrite, progress=progress)
+        path = hp.write_library(
+            paints, out, format=form, curves=curves, overwrite=overwrite, progress=progress
+        )
     click.echo(f"{path}: {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
     if curves is None and form in ("envi", "csv", "parquet") and "member_reflectance" in paints.variables:
         click.echo("one row a paint, its centre; --curves all also writes members, quantiles and spread")

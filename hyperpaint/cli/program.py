@@ -23,8 +23,7 @@ import click
 from hyperpaint import __version__
 from hyperpaint.base.errors import PaintError, PaintWarning
 
-from .console import SIGNALLED, WRONG_INPUT, is_watched
-from .options import Command
+from .options import SIGNALLED, WRONG_INPUT, Command, is_watched
 
 #: Every command by its group, with one line of help.
 GROUPS = {
@@ -64,6 +63,16 @@ GROUPS = {
     },
 }
 
+#: Files of the groups.
+_FILES = {
+    "Start": "flight",
+    "Flight": "flight",
+    "Paints": "paints",
+    "Scenes": "look",
+    "Look": "look",
+    "Care": "flight",
+}
+
 #: Commands that resume an interrupted run.
 RESUMED = ("process", "render", "run")
 
@@ -86,7 +95,7 @@ class Program(click.Group):
         """Return a command, imported from the file of its group."""
         for group, commands in GROUPS.items():
             if cmd_name in commands:
-                name = "info_command" if cmd_name == "info" else f"{group.lower()}_commands"
+                name = "info_command" if cmd_name == "info" else f"{_FILES[group]}_commands"
                 values = vars(import_module(f".{name}", __package__)).values()
                 return next(
                     value for value in values if isinstance(value, Command) and value.name == cmd_name

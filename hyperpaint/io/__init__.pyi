@@ -1,17 +1,16 @@
 from .dirsig import write_dirsig_scene as write_dirsig_scene
 from .envi.envi_cube_writing import write_envi as write_envi
-from .envi.envi_references import EnviParser as EnviParser
+from .envi.envi_cubes import EnviParser as EnviParser
 from .flightline.line_table import write_line_table as write_line_table
 from .library.specification import check_library as check_library, declare_library as declare_library
 from .maps.geotiff import write_geotiff as write_geotiff
 from .navigation.control_points import read_control_points as read_control_points
-from .skies.sky_table import (
+from .skies import (
     read_sixs as read_sixs,
     read_sky_csv as read_sky_csv,
     read_tape7 as read_tape7,
     read_uvspec as read_uvspec,
 )
-from .spectrometers.radcal import read_radcal as read_radcal
-from .spectrometers.spectrum_csv import read_certificate as read_certificate
+from .spectrometers.spectrum_csv import read_certificate as read_certificate, read_radcal as read_radcal
 from .store import encoding as encoding
 from .store.raw_references import open_virtual as open_virtual

@@ -288,7 +288,7 @@ class Raster(NamedTuple):
     highest: float
 
 
-# --- maps: `hyperpaint.kernels.inverse_map` and `hyperpaint.kernels.gathering`
+# --- maps: `hyperpaint.kernels.inverse_map` and `hyperpaint.kernels.inverse_map`
 
 
 # Map coordinates of the pixels of lines, and of the line before them.

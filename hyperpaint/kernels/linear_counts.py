@@ -9,7 +9,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, inlined_kernel, kernel
 
-from .arguments import DetectorModel
+from .arguments import DetectorModel, Rounding
 
 _ONE = np.uint32(1)
 _ONE_F32 = np.float32(1.0)
@@ -133,3 +133,26 @@ def slope_row(
             position = (count - detector.first_node) * per_count
             node = np.uint32(np.int32(min(position, last) if position > _NOTHING else _NOTHING))
             slope[x] = _ONE_F32 + (table[node + _ONE] - table[node]) * per_count
+
+
+# --- rounding of float32 values to the stored mantissa bits ------------------------------------------------
+
+
+@inlined_kernel
+def rounded(value: Any, rounding: Rounding | None) -> Any:
+    """Return a float32 rounded to nearest-even.
+
+    Masks are used instead of shifts, which numba would do in 64 bits.
+    """
+    if rounding is None:
+        return value
+    bits = np.float32(value).view(np.uint32)
+    even = np.uint32((bits & rounding.last) == np.uint32(0))
+    return np.uint32(np.uint32(bits + rounding.half - even) & rounding.mask).view(np.float32)
+
+
+@inlined_kernel
+def round_row(values: Array, rounding: Rounding | None) -> None:
+    if rounding is not None:
+        for x in range(values.size):
+            values[x] = rounded(values[x], rounding)

@@ -10,8 +10,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import inlined_kernel
 
 from .arguments import DetectorModel, ErrorTerms, LightCells, LineCounts, Rounding, SlabOutputs
-from .bit_rounding import round_row, rounded
-from .linear_counts import LinearMemory, slope_row
+from .linear_counts import LinearMemory, round_row, rounded, slope_row
 
 _NAN = np.float32(np.nan)
 _ONE_F32 = np.float32(1.0)

@@ -13,8 +13,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
 from .arguments import Calibration, DetectorModel, LightCells, Rounding, SlabOutputs, StrayLight
-from .bit_rounding import round_row
-from .linear_counts import LinearMemory, linear_memory, signal_row, straighten_dark
+from .linear_counts import LinearMemory, linear_memory, round_row, signal_row, straighten_dark
 from .radiometry import dark_of_line
 from .sample_errors import light_row
 

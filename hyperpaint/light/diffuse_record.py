@@ -7,21 +7,23 @@ and for flight lines that have a record only.
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.base.units import convert, takes_quantities
 
-from .sky_states import NODES_NM, RULES, Evidence, explain, windows_in
-from .sun import solar_position
+from .clear_sky import ClearSky
+from .sun import Scatterers, scattered_light, solar_position
 from .synchrony import channels_of, check_irradiance_times
 
 #: Words of ``sky_state``, in the order of its numbers.
@@ -298,3 +300,406 @@ def _at_lines(
     nearer = usable[np.where(weight[:, 0] > 0.5, after, before)]
     state = np.where(has_time, states_of(probability)[nearer], state).astype(np.int8)
     return rows[0].astype(np.float32), rows[1].astype(np.float32), state
+
+
+# --- possible skies over a spectrometer, and how well each explains a spectrum of irradiance ---------------
+
+
+#: Kinds of sky that are drawn: no cloud, thin cloud before the sun, broken cloud, overcast.
+KINDS = ("air", "thin", "broken", "overcast")
+
+
+@dataclass(frozen=True)
+class SkyRules:
+    """Prior of skies and receivers, before a spectrum is compared.
+
+    Attributes
+    ----------
+    window_nm
+        Centres of the compared intervals [nm]: between the bands of oxygen and water.
+    half_width_nm
+        Half width of the intervals [nm]: wide enough that solar lines look alike to all spectrometers.
+    shape_u
+        Relative standard uncertainty of a single interval [1]: noise, sunlight, the model's bands.
+    colour_u, colour_nm
+        Relative standard uncertainty of slow changes over the spectrum [1], and their length [nm]: lamp,
+        receiver, and the residual of SPECTRL2 against other models (tests: 2 to 3 %).
+    wide_u, wide_prior
+        Relative standard uncertainty of the level of a badly calibrated receiver [1], and the probability of
+        one. An uncalibrated light sensor is wrong by a quarter (MicaSense's, according to their tutorial).
+    aerosol, aerosol_spread
+        Median of the optical depth at 500 nm, and spread of its logarithm (AERONET, continental sites).
+    hazy_aerosol
+        Optical depth from which clear air is called hazy [1].
+    priors
+        Probabilities of `KINDS`.
+    calm, restless
+        Relative standard deviation of the level over `window_s` below which, and above which, each of
+        `KINDS` is unlikely [1]: cirrus drifts by a per cent in a minute, broken cloud hides and reveals the
+        sun.
+    calm_spread, restless_spread
+        Spread of the logarithm of that deviation beyond ``calm`` and ``restless``.
+    window_s
+        Half width of the interval over which the level varies [s]: clouds pass in seconds to a minute.
+    wrong_clock
+        Probability that clock or place are wrong, so that the sun stands elsewhere [1].
+    other_sun_deg
+        Minimum difference of that sun's zenith angle [degree]: smaller ones can hardly be distinguished.
+    misfit
+        Chi-square per interval of the best draw beyond which no sky explains a spectrum.
+    decided
+        Probability that a state needs to be named [1].
+    floor, model
+        Standard uncertainty of a diffuse fraction that no record removes: alone, and times f (1 - f) [1].
+    """
+
+    window_nm: tuple[float, ...] = (
+        415.0, 445.0, 475.0, 500.0, 525.0, 550.0, 575.0, 615.0, 640.0, 670.0, 708.0, 748.0, 778.0, 865.0,
+        882.0, 1005.0,
+    )  # fmt: skip
+    half_width_nm: float = 8.0
+    shape_u: float = 0.015
+    colour_u: float = 0.03
+    colour_nm: float = 200.0
+    wide_u: float = 0.2
+    wide_prior: float = 0.08
+    aerosol: float = 0.12
+    aerosol_spread: float = 0.9
+    hazy_aerosol: float = 0.25
+    priors: tuple[float, ...] = (0.43, 0.12, 0.20, 0.25)
+    calm: tuple[float, ...] = (0.0, 0.004, 0.06, 0.0)
+    restless: tuple[float, ...] = (0.01, 0.03, np.inf, 0.05)
+    calm_spread: tuple[float, ...] = (1.0, 0.8, 0.5, 1.0)
+    restless_spread: float = 0.5
+    window_s: float = 90.0
+    wrong_clock: float = 0.02
+    other_sun_deg: float = 7.0
+    misfit: float = 4.0
+    decided: float = 0.5
+    floor: float = 0.008
+    model: float = 0.10
+
+
+RULES = SkyRules()
+
+#: Number of drawn states of the air; clouds are drawn over each.
+_N_AIR_STATES = 512
+_DRAWS_PER_STATE = {"air": 1, "thin": 2, "broken": 4, "overcast": 2}
+NODES_NM = np.array(
+    [300.0, 350, 380, 410, 450, 500, 550, 600, 650, 700, 760, 830, 900, 1000, 1200, 1600, 2500]
+)
+#: Zenith angle of the sun above which the sky's state is not determined [degree].
+MAX_SUN_ZENITH_DEG = 88.0
+#: Wavelengths of an interval at which the model is evaluated.
+POINTS_PER_WINDOW = 5
+
+
+class _Draws(NamedTuple):
+    kind: Ints  # (draw,) number of `KINDS`
+    air: Ints  # (draw,) number of the state of the air
+    beam: Floats  # (draw,) a
+    blue: Floats  # b
+    returned: Floats  # e
+    cloud: Floats  # c
+    tint: Floats  # of the cloud: share that falls with the fourth power of the wavelength
+    states: Floats  # (parameter, air): aerosol, exponent, ozone, relative pressure, ground, water
+
+
+@functools.cache
+def _draws() -> _Draws:
+    # Draw the skies for comparison, the same in every run.
+    rng = np.random.default_rng(19_590)
+    # one stratum per draw, so that a few hundred draws fill the range
+    strata = (
+        np.argsort(rng.random((6, _N_AIR_STATES)), axis=1) + rng.random((6, _N_AIR_STATES))
+    ) / _N_AIR_STATES
+    from scipy.special import ndtri
+
+    normal = ndtri(strata)
+    states = np.stack(
+        [
+            np.clip(RULES.aerosol * np.exp(RULES.aerosol_spread * normal[0]), 0.01, 1.2),
+            np.clip(1.2 + 0.35 * normal[1], 0.2, 2.2),
+            np.clip(0.31 + 0.03 * normal[2], 0.2, 0.45),
+            np.exp(0.01 * normal[3]),
+            np.clip(0.2 + 0.08 * normal[4], 0.03, 0.6),
+            0.2 + 2.5 * strata[5],
+        ]
+    )
+    parts = []
+    for number, name in enumerate(KINDS):
+        count = _N_AIR_STATES * _DRAWS_PER_STATE[name]
+        u = rng.random((5, count))
+        ones, zeros = np.ones(count), np.zeros(count)
+        tint = 0.3 * u[0]
+        if name == "air":
+            amounts = ones, ones, zeros, zeros
+        elif name == "thin":
+            beam = 0.25 + 0.7 * u[1]
+            amounts = beam, 1.0 - 0.3 * (1.0 - beam) * u[3], (1.0 - beam) * (0.3 + 0.6 * u[2]), zeros
+        elif name == "broken":
+            cover = 0.1 + 0.85 * u[2]
+            # the sun is visible in 45 %, hidden in 35 %, else behind the edge of a cloud
+            beam = np.where(u[1] < 0.45, 1.0, np.where(u[1] < 0.8, 0.1 * u[4], u[4]))
+            amounts = beam, 1.0 - cover, zeros, cover * (0.15 + 0.4 * u[3])
+        else:
+            amounts = zeros, zeros, zeros, np.exp(np.log(0.03) + u[1] * np.log(0.75 / 0.03))
+        air = np.tile(np.arange(_N_AIR_STATES), _DRAWS_PER_STATE[name])
+        parts.append((np.full(count, number), air, *amounts, tint))
+    kind, air, beam, blue, returned, cloud, tint = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return _Draws(kind, air, beam, blue, returned, cloud, tint, states)
+
+
+class Windows(NamedTuple):
+    """Compared intervals of the spectrum that a spectrometer covers."""
+
+    centre: Floats  # (window,) [nm]
+    operator: Floats  # (window, channel): means over channels
+
+
+def windows_in(wavelength: Floats) -> Windows:
+    """Return the intervals that channels (channel,) [nm], in any order, cover."""
+    rows, centres = [], []
+    for centre in RULES.window_nm:
+        is_inside = np.abs(wavelength - centre) <= RULES.half_width_nm
+        is_covered = wavelength.size and wavelength.min() <= centre - 2.0 and centre + 2.0 <= wavelength.max()
+        if is_covered and is_inside.any():
+            rows.append(is_inside / is_inside.sum())
+            centres.append(centre)
+    return Windows(np.array(centres), np.array(rows).reshape(len(rows), wavelength.size))
+
+
+def _irradiance_of_draws(
+    draws: _Draws, wavelength: Floats, direct: Floats, diffuse: Floats
+) -> tuple[Floats, Floats]:
+    # Return irradiance and diffuse fraction of all draws (draw, wavelength).
+    beam, blue, returned, cloud, tint = (amount[:, None] for amount in draws[2:7])
+    direct, diffuse = direct[draws.air], diffuse[draws.air]
+    colour = 1.0 - tint + tint * (wavelength / 490.0) ** -4.0
+    scattered = blue * diffuse + returned * direct + cloud * colour * (direct + diffuse)
+    total = beam * direct + scattered
+    return total, scattered / total
+
+
+def _clear_light(
+    sun_zenith: float, pressure: float, centres: tuple[float, ...], every: int = 1
+) -> tuple[Floats, Floats, Floats, Floats]:
+    # Return direct and diffuse light of every n-th state of clear air: at points of the intervals (air,
+    # window, point), and without gases, which absorb the same share of both, at the nodes (air, node).
+    aerosol, exponent, ozone, relative, ground, water = (state[::every, None] for state in _draws().states)
+    sky = ClearSky(
+        sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
+    )
+    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
+    points = np.array(centres)[:, None] + steps
+    direct, diffuse = (part.reshape(-1, *points.shape) for part in sky.irradiance(points.ravel()))
+    air = Scatterers(aerosol, exponent, pressure * relative, ground)
+    return direct, diffuse, *scattered_light(NODES_NM, sun_zenith, air)
+
+
+@functools.lru_cache(maxsize=64)
+def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
+    # Return, of all draws for a zenith angle of the sun [degree], the logarithm of the irradiance (draw,
+    # window), the diffuse fraction, and that of the same air without clouds (draw, node).
+    draws = _draws()
+    direct, diffuse, node_direct, node_diffuse = _clear_light(sun_zenith, pressure, centres)
+    total, _ = _irradiance_of_draws(draws, np.array(centres), direct.mean(axis=2), diffuse.mean(axis=2))
+    _, fraction = _irradiance_of_draws(draws, NODES_NM, node_direct, node_diffuse)
+    return np.log(total), fraction, (node_diffuse / (node_direct + node_diffuse))[draws.air]
+
+
+@functools.lru_cache(maxsize=16)
+def _whitening(centres: tuple[float, ...], level_u: float) -> tuple[Floats, float]:
+    wavelengths = np.array(centres)
+    covariance = RULES.shape_u**2 * np.eye(wavelengths.size) + level_u**2
+    covariance += RULES.colour_u**2 * np.exp(
+        -0.5 * ((wavelengths[:, None] - wavelengths) / RULES.colour_nm) ** 2
+    )
+    lower = np.linalg.cholesky(covariance)
+    return np.linalg.inv(lower), float(np.log(np.diag(lower)).sum())
+
+
+class Evidence(NamedTuple):
+    """Measurements of a record."""
+
+    level: Floats  # (sample, window): logarithm of the irradiance [W m-2 nm-1]
+    sun_zenith: Floats  # (sample,) [degree]
+    seconds: Floats  # (sample,) since the first
+    level_u: float  # relative standard uncertainty of the level
+
+
+def _chi_square(
+    level: Floats, drawn: Floats, centres: tuple[float, ...], level_u: float
+) -> tuple[Floats, float]:
+    # Return chi-square of every sample with every draw (sample, draw), and the logarithm of the norm.
+    whitening, log_norm = _whitening(centres, level_u)
+    samples, draws = level @ whitening.T, drawn @ whitening.T
+    chi = (samples**2).sum(axis=1)[:, None] + (draws**2).sum(axis=1) - 2.0 * samples @ draws.T
+    return chi, log_norm
+
+
+def _posterior(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floats, ...]:
+    # Return the posterior by sample, width of the level (calibrated or not) and kind of sky (sample, width,
+    # kind ...): logarithm of the evidence; mean of the diffuse fraction (..., node), of its square, and of
+    # the fraction without clouds; probability that the air is hazy; and chi-square per interval of the best
+    # draw (sample,).
+    draws, centres = _draws(), tuple(map(float, windows.centre))
+    shape = evidence.level.shape[0], 2, len(KINDS)
+    log, turbid = np.zeros(shape), np.zeros(shape)
+    mean, square, clear = (np.zeros((*shape, NODES_NM.size)) for _ in range(3))
+    best = np.full(shape[0], np.inf)
+    is_hazy = (draws.states[0][draws.air] >= RULES.hazy_aerosol).astype(np.float64)
+    kinds = [np.flatnonzero(draws.kind == number) for number in range(len(KINDS))]
+    sun = np.minimum(evidence.sun_zenith, MAX_SUN_ZENITH_DEG)
+    node_zenith = np.round(2.0 * sun) / 2.0
+    for zenith in np.unique(node_zenith):
+        drawn_level, drawn_fraction, drawn_clear = _spectra(float(zenith), pressure, centres)
+        for block in np.array_split(
+            samples := np.flatnonzero(node_zenith == zenith), 1 + samples.size // 128
+        ):
+            # levels at the sun of the node
+            sun_ratio = np.cos(np.radians(sun[block])) / np.cos(np.radians(zenith))
+            level = evidence.level[block] - np.log(sun_ratio)[:, None]
+            for width, level_u in enumerate((evidence.level_u, np.hypot(evidence.level_u, RULES.wide_u))):
+                chi, log_norm = _chi_square(level, drawn_level, centres, float(level_u))
+                if width == 0:
+                    best[block] = chi.min(axis=1) / len(centres)
+                chi /= np.maximum(1.0, best[block] / RULES.misfit)[:, None]
+                # evidence of each kind, and its means over the draws
+                for number, draw in enumerate(kinds):
+                    lowest = chi[:, draw].min(axis=1)
+                    weight = np.exp(-0.5 * (chi[:, draw] - lowest[:, None]))
+                    total = weight.sum(axis=1)
+                    log[block, width, number] = np.log(total / draw.size) - 0.5 * lowest - log_norm
+                    weight /= total[:, None]
+                    mean[block, width, number] = weight @ drawn_fraction[draw]
+                    square[block, width, number] = weight @ drawn_fraction[draw] ** 2
+                    clear[block, width, number] = weight @ drawn_clear[draw]
+                    turbid[block, width, number] = weight @ is_hazy[draw]
+    return log, mean, square, clear, turbid, best
+
+
+_OTHER_SUNS_DEG = np.arange(5.0, 85.1, 2.5)
+
+
+@functools.lru_cache(maxsize=64)
+def _clear_air(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> tuple[Floats, Floats]:
+    # Return level (air, window) and diffuse fraction (air, node) of every fourth state of clear air.
+    direct, diffuse, node_direct, node_diffuse = _clear_light(sun_zenith, pressure, centres, every=4)
+    return np.log((direct + diffuse).mean(axis=2)), node_diffuse / (node_direct + node_diffuse)
+
+
+def _other_sun_posterior(
+    evidence: Evidence, windows: Windows, pressure: float
+) -> tuple[Floats, Floats, Floats]:
+    # Return the posterior of clear air if the sun were at other zenith angles than clock and position give:
+    # logarithm of the evidence (sample,), mean of the diffuse fraction (sample, node), and of its square.
+    centres = tuple(map(float, windows.centre))
+    shape = evidence.level.shape[0], _OTHER_SUNS_DEG.size
+    log, mean, square = np.empty(shape), *np.empty((2, *shape, NODES_NM.size))
+    for number, zenith in enumerate(_OTHER_SUNS_DEG):
+        level, fraction = _clear_air(float(zenith), pressure, centres)
+        chi, log_norm = _chi_square(evidence.level, level, centres, float(evidence.level_u))
+        lowest = chi.min(axis=1)
+        weight = np.exp(-0.5 * (chi - lowest[:, None]))
+        total = weight.sum(axis=1)
+        log[:, number] = np.log(total / len(level)) - 0.5 * lowest - log_norm
+        mean[:, number] = weight @ fraction / total[:, None]
+        square[:, number] = weight @ fraction**2 / total[:, None]
+    # average over the other suns, without those near the sun of the clock
+    log[np.abs(_OTHER_SUNS_DEG - evidence.sun_zenith[:, None]) < RULES.other_sun_deg] = -np.inf
+    best = log.max(axis=1)
+    share = np.exp(log - best[:, None])
+    total = share.sum(axis=1)
+    share = (share / total[:, None])[..., None]
+    means = (share * mean).sum(axis=1), (share * square).sum(axis=1)
+    return best + np.log(total / _OTHER_SUNS_DEG.size), *means
+
+
+def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the posterior over the drawn skies, each weighted by how well it explains a sample.
+
+    Diffuse fraction and its uncertainty at `NODES_NM` (sample, node); probability of clear, hazy, broken,
+    overcast and contradictory (sample, state); and how far the fraction is from that of clear air to 1
+    (sample,).
+
+    Notes
+    -----
+    Misfits of the logarithm are Gaussian, with the covariance of a level common to all wavelengths, of slow
+    colour and of single intervals; the uncertainty of the level is `Evidence.level_u` or, with a small prior,
+    `SkyRules.wide_u`. The evidence of a kind of sky is averaged over `SkyRules.window_s` and weighted by how
+    much the level varies in it. Where even the best draw does not fit, all misfits are divided until it does,
+    which gives a wide posterior. A spectrum that clear air under another sun explains better contradicts the
+    clock.
+    """
+    # posterior of kinds of sky and widths of the level
+    log, means, mean_squares, means_without_cloud, turbid, best = _posterior(evidence, windows, pressure)
+    prior = np.log(np.array([[1.0 - RULES.wide_prior], [RULES.wide_prior]]) * np.array(RULES.priors))
+    variation = _variation(evidence)
+    logs = _window_means(log, evidence.seconds) + prior + variation[:, None, :]
+    share = np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
+    total = share.sum(axis=(1, 2))
+    share /= total[:, None, None]
+    # thin cloud, and a level far from its calibration, count as contradictory
+    air, thin, broken, overcast = share[:, 0].T
+    hazy = air * turbid[:, 0, 0]
+    contradictory = share[:, 1].sum(axis=1) + thin
+    probability = np.stack([air - hazy, hazy, broken, overcast, contradictory], axis=1)
+    fraction, square, clear = (
+        (share[..., None] * part).sum(axis=(1, 2)) for part in (means, mean_squares, means_without_cloud)
+    )
+    if (probability[:, :2].sum(axis=1) < RULES.decided).any():
+        # a spectrum that no clear sky explains now may be explained by a clear sky at another hour
+        log, mean, mean_square = _other_sun_posterior(evidence, windows, pressure)
+        log_other_sun = _window_means(log, evidence.seconds) + variation[:, KINDS.index("air")]
+        log_clock_sun = logs.max(axis=(1, 2)) + np.log(total) - np.log(RULES.wrong_clock)
+        is_other_sun = 1.0 / (1.0 + np.exp(np.clip(log_clock_sun - log_other_sun, -500.0, 500.0)))[:, None]
+        probability = (1.0 - is_other_sun) * probability + is_other_sun * np.eye(5)[4]
+        fraction += is_other_sun * (mean - fraction)
+        square += is_other_sun * (mean_square - square)
+    probability[(best > RULES.misfit) | (evidence.sun_zenith > MAX_SUN_ZENITH_DEG)] = np.eye(5)[4]
+    # mean of the likeliest kind; its distance from the mean of all kinds enters the uncertainty
+    kind = np.array([0, 0, KINDS.index("broken"), KINDS.index("overcast")])
+    state = probability[:, :4].argmax(axis=1)
+    is_decided = probability[:, :4].max(axis=1) >= RULES.decided
+    mean = np.where(is_decided[:, None], means[np.arange(state.size), 0, kind[state]], fraction)
+    model = RULES.floor + RULES.model * mean * (1.0 - mean)
+    u = np.sqrt(np.maximum(square - 2.0 * mean * fraction + mean**2, 0.0) + model**2)
+    fraction = mean
+    # under broken cloud, a shadow reaches receiver and ground at different times
+    departure = fraction - fraction.mean(axis=0)
+    square = _window_means(departure**2, evidence.seconds) - _window_means(departure, evidence.seconds) ** 2
+    u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * np.maximum(square, 0.0))
+    node_550 = int(np.abs(NODES_NM - 550.0).argmin())
+    cloud = (fraction - clear)[:, node_550] / np.maximum(1.0 - clear[:, node_550], 1e-6)
+    return fraction, u, probability, np.clip(cloud, 0.0, 1.0)
+
+
+def _window_of(seconds: Floats) -> tuple[Ints, Ints]:
+    # Return the first sample within the window of each sample, and the first sample after it (sample,).
+    first = np.searchsorted(seconds, seconds - RULES.window_s, side="left")
+    return first, np.searchsorted(seconds, seconds + RULES.window_s, side="right")
+
+
+def _window_means(values: Floats, seconds: Floats) -> Floats:
+    # Return means of values (sample, ...) over the window of each sample; times increase.
+    first, last = _window_of(seconds)
+    sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    return np.asarray((sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def _variation(evidence: Evidence) -> Floats:
+    # Return the log likelihood of the level's changes under each kind of sky (sample, kind).
+    sun_cosine = np.maximum(np.cos(np.radians(np.minimum(evidence.sun_zenith, 88.0))), 1e-3)
+    level = evidence.level.mean(axis=1) - np.log(sun_cosine)
+    level = level - level.mean()
+    mean = _window_means(level, evidence.seconds)
+    spread = np.sqrt(np.maximum(_window_means(level**2, evidence.seconds) - mean**2, 0.0))
+    # a record of a few seconds shows only a small part of the changes of a minute
+    first, last = _window_of(evidence.seconds)
+    span = (evidence.seconds[last - 1] - evidence.seconds[first]) / (2.0 * RULES.window_s)
+    log_spread = np.log(np.maximum(spread, 1e-3))[:, None]
+    with np.errstate(divide="ignore"):
+        below = np.maximum(np.log(RULES.calm) - log_spread, 0.0) / np.array(RULES.calm_spread)
+    above = np.maximum(log_spread - np.log(RULES.restless), 0.0) / RULES.restless_spread
+    return np.asarray(-0.5 * (below**2 * np.minimum(span, 1.0)[:, None] + above**2))

@@ -1,6 +1,17 @@
-"""The starter library: forty synthetic car paints from a few parameters each."""
+"""The starter library: forty synthetic car paints from a few parameters each.
+
+``starter_paints.json`` has a row for every paint: absorption over scattering K/S of its pigments, a constant
+plus edges and bumps (kind, centre [nm], width [nm], height), the roughness of its coat, and the share of the
+light that meets flakes; ``interference`` is the optical thickness [nm] of the film on mica flakes and the
+depth of its modulation. The paints are the catalogue of the simulator, and paints of its families.
+"""
 
 from __future__ import annotations
+
+import functools
+import json
+from importlib import resources
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,14 +21,6 @@ from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.simulation.rendering.materials import fresnel_reflectance
-from hyperpaint.simulation.rendering.scene_spectra import (
-    FOURTEEN,
-    PaintSpec,
-    generate_paint,
-    paint_spec,
-    spectrum_of,
-)
 
 from .colours import paint_colours, srgb_hex
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
@@ -29,14 +32,15 @@ FIRST_NM, LAST_NM, BANDS = 400.0, 1000.0, 272
 
 MAX_MEMBERS = 10_000
 
-#: Family and number of the paints added to the built-in fourteen, see `hyperpaint.simulation`.
-GENERATED = (
-    ("white", 1), ("white", 9), ("grey", 2), ("grey", 7), ("carbon_black", 0), ("ir_black", 4),
-    ("ir_black", 16), ("solid", 3), ("solid", 4), ("solid", 5), ("solid", 2), ("solid", 8), ("solid", 9),
-    ("solid", 10), ("solid", 11), ("tinted", 7), ("tinted", 2), ("tinted", 16), ("tinted", 20),
-    ("tinted", 22), ("metallic", 17), ("metallic", 23), ("metallic", 5), ("metallic", 15), ("pearl", 3),
-    ("pearl", 13),
-)  # fmt: skip
+#: Transmittance of a coat in both directions near normal, over that of diffuse light, and its reflectance for
+#: diffuse light from inside: for the paints of the catalogue, and exactly for an index of 1.5.
+_CATALOGUE_COAT, _FAMILY_COAT = (0.384, 0.6), (0.4096, 0.5963457597077115)
+
+#: Optical depth of the tinted binder above a flake, over K/S [1].
+_FLAKE_DEPTH = 0.05
+
+#: Mirror reflection of a coat of index 1.5 near normal [1].
+_MIRROR = 0.2**2
 
 #: Standard deviations of the members: amount of pigment (relative), wavelengths of its absorption [nm], and
 #: light on a pixel (relative).
@@ -102,11 +106,10 @@ def starter_library(
     elif not (np.diff(nm) > 0.0).all():
         problems.add("wavelength= does not ascend", mend="sort it", code="order-wrong")
     problems.raise_if_any()
-    generated = [generate_paint(family, number) for family, number in GENERATED]
-    specs = [*map(paint_spec, FOURTEEN), *generated]
+    specs = _specs()
     values: dict[str, Array] = {
         # reflectance of the body between the flakes, without mirrored light
-        "reflectance": np.stack([spec.reflectance(nm) * (1.0 - _flake_share(spec)) for spec in specs]),
+        "reflectance": np.stack([_reflectance(spec, nm) * (1.0 - spec["flakes"]) for spec in specs]),
         SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
     }
     if members:
@@ -121,40 +124,65 @@ def starter_library(
         {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},
         {"title": "parameters of pigments, hyperpaint.simulation"},
     )
-    names = [f"Synthetic {spec.trade_name}" for spec in specs]
-    parents = [{spec.name: 1.0} for spec in specs]
+    names = [f"Synthetic {spec['trade_name']}" for spec in specs]
+    parents = [{str(spec["spectrum"]): 1.0} for spec in specs]
     paints = synthetic_library(bands, names, values, parents, "Kubelka-Munk from parametric K/S", seed=seed)
     paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
     swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
-    families = [spec.name.split(":")[1] if ":" in spec.name else "catalogue" for spec in specs]
     columns = {
-        "finish": ("Finish", [spec.finish for spec in specs]),
-        "colour": ("Colour in words", [spec.colour for spec in specs]),
+        "finish": ("Finish", [spec["finish"] for spec in specs]),
+        "colour": ("Colour in words", [spec["colour"] for spec in specs]),
         "srgb": ("sRGB of the body in daylight", swatches),
-        "family": ("Family of pigments", families),
+        "family": ("Family of pigments", [spec["family"] for spec in specs]),
     }
     texts = {
         name: (SIGNATURE, text_column(column), {"long_name": meaning})
         for name, (meaning, column) in columns.items()
     }
-    roughness = np.array([spec.coat.roughness for spec in specs])
+    roughness = np.array([spec["roughness"] for spec in specs])
     attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
     return paints.assign_coords({**texts, "roughness": (SIGNATURE, roughness, attrs)})
 
 
-def _specular(spec: PaintSpec, nm: Floats) -> Floats:
-    # Reflectance of coat and flakes around the mirror direction (band,) [1]
-    coat = float(fresnel_reflectance(1.0, spec.coat.index))
-    if spec.flakes is None:
-        return np.full(nm.size, coat)
-    return coat + (1.0 - coat) ** 2 * spec.flakes.share * spectrum_of(spec.flakes.spectrum)(nm)
+@functools.cache
+def _specs() -> list[dict[str, Any]]:
+    text = resources.files(__package__).joinpath("starter_paints.json").read_text(encoding="utf-8")
+    specs: list[dict[str, Any]] = json.loads(text)
+    return specs
 
 
-def _flake_share(spec: PaintSpec) -> float:
-    return 0.0 if spec.flakes is None else spec.flakes.share
+def _absorption(spec: dict[str, Any], nm: Floats) -> Floats:
+    # K/S (band,) [1]
+    ratio = np.full(nm.size, spec["absorption"])
+    for kind, centre, width, height in spec["absorbers"]:
+        ratio += height * (
+            0.5 * (1.0 + np.tanh((nm - centre) / (2 * width)))
+            if kind == "edge"
+            else np.exp(-0.5 * ((nm - centre) / width) ** 2)
+        )
+    return ratio
 
 
-def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator) -> Floats32:
+def _reflectance(spec: dict[str, Any], nm: Floats) -> Floats:
+    # Reflectance of the body between the flakes, without mirrored light (band,) [1]
+    base = thick_layer_reflectance(_absorption(spec, nm))
+    through, inside = _CATALOGUE_COAT if spec["family"] == "catalogue" else _FAMILY_COAT
+    return np.clip(through * base / (1.0 - inside * base), 0.0, 1.0)
+
+
+def _specular(spec: dict[str, Any], nm: Floats) -> Floats:
+    # Reflectance of coat and flakes around the mirror direction (band,) [1]: aluminium with the dip of its
+    # interband transition, in paints of the families seen through the tinted binder
+    metal = 0.92 - 0.01 * (nm - 550.0) / 1000.0 - 0.045 * np.exp(-0.5 * ((nm - 825.0) / 65.0) ** 2)
+    if spec["interference"] is not None:
+        thickness, depth = spec["interference"]
+        metal = metal * (1.0 - depth * np.cos(2.0 * np.pi * thickness / nm) ** 2)
+    if spec["family"] != "catalogue":
+        metal = metal * np.exp(-2.0 * _FLAKE_DEPTH * _absorption(spec, nm))
+    return np.asarray(_MIRROR + (1.0 - _MIRROR) ** 2 * spec["flakes"] * np.clip(metal, 0.0, 1.0))
+
+
+def _variants(spec: dict[str, Any], nm: Floats, count: int, rng: np.random.Generator) -> Floats32:
     # Variants of a paint (member, band) with other pigment, wavelengths and light
     interface = Interface()
     pigments = np.exp(_PIGMENT_SD * rng.standard_normal(count))
@@ -162,7 +190,7 @@ def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator)
     lights = np.exp(_LIGHT_SD * rng.standard_normal(count))
     variants = np.empty((count, nm.size), np.float32)
     for row, pigment, shift, light in zip(variants, pigments, shifts, lights, strict=True):
-        layer = np.clip(interface.layer(spec.reflectance(nm - shift)), 1e-4, 1.0)
+        layer = np.clip(interface.layer(_reflectance(spec, nm - shift)), 1e-4, 1.0)
         varied_layer = thick_layer_reflectance(pigment * absorption_to_scattering(layer))
-        row[:] = np.clip(light * interface.outside(varied_layer) * (1.0 - _flake_share(spec)), 0.0, 1.0)
+        row[:] = np.clip(light * interface.outside(varied_layer) * (1.0 - spec["flakes"]), 0.0, 1.0)
     return variants

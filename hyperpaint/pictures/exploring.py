@@ -17,14 +17,13 @@ import xarray as xr
 
 from hyperpaint.base.errors import StoreError, needs_extra
 from hyperpaint.base.facts import documented
-from hyperpaint.base.keyword_names import renamed
+from hyperpaint.base.old_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.paints.starter_paints import starter_library
 
-from .explorer import FULL_WIDTH, Explorer
-from .explorer_figures import INK
+from .explorer import FULL_WIDTH, INK, Explorer
 from .explorer_state import Explored
 
 

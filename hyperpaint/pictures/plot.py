@@ -18,8 +18,17 @@ from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 
-from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
-from .orientation import map_dims, orientation_of, show_picture
+from .figures import (
+    columns_for,
+    ink_of,
+    label_for,
+    legend_below,
+    map_dims,
+    new_figure,
+    orientation_of,
+    save_figure,
+    show_picture,
+)
 
 OVERVIEW_SHAPE = (1000, 640)  # maximum lines and columns of the stored picture
 STRETCH = (2.0, 98.0)  # percentiles of brightness shown black and white

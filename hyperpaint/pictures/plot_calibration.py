@@ -14,7 +14,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
-from hyperpaint.calibration.views import fitted_lines
+from hyperpaint.calibration.calibration_dataset import fitted_lines
 
 from .figures import axes_width, check_picture, columns_for, ink_of, legend_below, new_figure, save_figure
 

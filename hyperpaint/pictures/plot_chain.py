@@ -21,8 +21,16 @@ from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.regions import pixels_of, regions_from
 
-from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
-from .orientation import orientation_of, show_picture
+from .figures import (
+    columns_for,
+    ink_of,
+    label_for,
+    legend_below,
+    new_figure,
+    orientation_of,
+    save_figure,
+    show_picture,
+)
 from .plot import finite_quantiles, rgb
 from .plot_spectra import checked_places, draw_pixels, good_bands
 

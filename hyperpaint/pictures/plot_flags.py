@@ -20,6 +20,7 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, pixels_of, regions_from
 
 from .figures import (
+    Orientation,
     axes_or_new,
     axes_width,
     columns_for,
@@ -27,9 +28,10 @@ from .figures import (
     label_for,
     legend_below,
     new_figure,
+    orientation_of,
     save_figure,
+    show_picture,
 )
-from .orientation import Orientation, orientation_of, show_picture
 from .plot import flag_label, flags_of, percent, rgb, stored_picture
 
 

@@ -4,7 +4,6 @@ Opened lines and their files come in, `Finding`s go out: a name, found, expected
 `workflows`, which refuses or warns.
 """
 
-from .finding import KINDS, Finding, Kind
-from .line_judging import judge_dark_cube, judge_line
+from .line_judging import KINDS, Finding, Kind, judge_dark_cube, judge_line
 
 __all__ = ["KINDS", "Finding", "Kind", "judge_dark_cube", "judge_line"]

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS, lines_a_task
-from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.errors import PaintWarning, Problem
 from hyperpaint.base.variables import BAND, CROSS_TRACK, IRRADIANCE_TIME
 from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
 from hyperpaint.io.envi.envi_header import EnviHeader, read_header
@@ -24,28 +25,189 @@ from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines
-from hyperpaint.radiometry.plausible_light import light_level
+from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, light_level
 
-from .finding import KINDS, Finding
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of finding.
+
+    Attributes
+    ----------
+    name
+        Name by which it is listed and accepted; its error code.
+    meaning
+        Fault of the inputs.
+    mend
+        Remedy.
+    refused
+        Whether processing stops, because results would be wrong; otherwise a warning is given.
+    """
+
+    name: str
+    meaning: str
+    mend: str
+    refused: bool = True
+
+
+_ROWS = (
+    Kind(
+        "counts-over-range",
+        "Counts are above the highest count of the camera's converter.",
+        "set bit_depth in [camera], or shift left-justified counts down",
+    ),
+    Kind(
+        "stray-counts",
+        "A few elements hold counts above the highest count of the camera's converter.",
+        "nothing if a frame counter or status word is in the picture: its elements are flagged saturated",
+        refused=False,
+    ),
+    Kind(
+        "byte-order",
+        "Spectra are noise as stored, and smooth with the two bytes of every count exchanged.",
+        "mend `byte order` in the header of the cube",
+    ),
+    Kind(
+        "interleave",
+        "Neighbouring bands are similar in another interleave, but not in the declared one.",
+        "mend `interleave` in the header of the cube",
+    ),
+    Kind(
+        "band-order",
+        "Absorption bands of daylight (such as oxygen at 760 nm) are not in the bands that wavelengths and "
+        "gains predict, or neighbouring bands are uncorrelated.",
+        "mend the order of the bands in cube and dark, or name the calibration of this camera and binning",
+    ),
+    Kind(
+        "dark-of-zeros",
+        "Elements of the dark are exactly zero in every frame.",
+        'record the dark again; for dark-corrected counts write cubes = "none" in [dark]',
+    ),
+    Kind(
+        "dark-over-scene",
+        "The dark is brighter than the scene.",
+        "name the dark of this exposure and gain, recorded with the lens capped",
+    ),
+    Kind(
+        "dark-lit",
+        "The dark holds light: its spectrum follows the scene's.",
+        "record the dark again with the lens capped",
+    ),
+    Kind(
+        "dark-unsteady",
+        "The frames of the dark differ: some are blank, or lit.",
+        "leave these frames out of the dark cube",
+    ),
+    Kind(
+        "dark-pattern",
+        "The scene does not contain the fixed pattern of the dark, which belongs to another camera, binning "
+        "or order of columns or bands.",
+        "name the dark of this camera, in the same binning and orientation",
+    ),
+    Kind(
+        "first-frame",
+        "The number in the cube's name is not the number of its first frame.",
+        "name the frame index of this cube; nothing for a renamed cube",
+        refused=False,
+    ),
+    Kind(
+        "foreign-frame-index",
+        "The frame index belongs to another cube.",
+        "name the frame index of this cube",
+    ),
+    Kind(
+        "doubled-frames",
+        "Lines repeat the line before them bit for bit, although noise makes frames differ.",
+        "leave these lines out of regions; places and times after them may be late",
+        refused=False,
+    ),
+    Kind(
+        "lost-frames",
+        "Frames are missing, although the frame index counts them or does not mention them.",
+        "check the frame index against the cube; times and places may be wrong from there on",
+        refused=False,
+    ),
+    Kind(
+        "irradiance-constant",
+        "All spectra of irradiance are bit-identical, or those during the line are: the spectrometer had "
+        "stopped.",
+        "name the record of this flight, with spectra measured during the line",
+    ),
+    Kind(
+        "irradiance-level",
+        "Irradiance is far below or far above that of a clear sky at the place and time.",
+        "check the units of the record (units in [irradiance]), its receptor, its time and the line's place",
+    ),
+    Kind(
+        "navigation-still",
+        "The platform does not move along the line.",
+        "name the navigation of this flight, or none",
+        refused=False,
+    ),
+    Kind(
+        "navigation-gaps",
+        "Positions or angles are missing for many lines.",
+        "name the navigation of this flight; check its clock",
+        refused=False,
+    ),
+    Kind(
+        "navigation-convention",
+        "The picture of a line contradicts a declared sign, order or reference of the navigation.",
+        "check this declaration in [navigation], and [geometry] ground",
+        refused=False,
+    ),
+    Kind(
+        "navigation-clock",
+        "The picture of a line is early or late against the navigation, or against the irradiance record.",
+        "set clock_offset_s of this record, or stamp",
+        refused=False,
+    ),
+)
+#: Every kind of finding, by its name.
+KINDS = {kind.name: kind for kind in _ROWS}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fault found in the inputs of a flight line.
+
+    Attributes
+    ----------
+    kind
+        Its row in `KINDS`.
+    line
+        Name of the flight line or cube.
+    found, expected
+        Measured and accepted values, in words.
+    """
+
+    kind: Kind
+    line: str
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        return str(self.problem())
+
+    def problem(self, *, acceptable: bool = False) -> Problem:
+        """Return the finding as a `Problem`; ``acceptable`` adds the option that accepts it."""
+        name, mend = self.kind.name, self.kind.mend
+        option = mend
+        if acceptable:
+            mend, option = f"{mend}, or pass accept=[{name!r}]", f"{mend}, or pass --accept {name}"
+        return Problem(f"{self.line}: {self.found}", self.expected, mend, option, code=name)
+
 
 # -- Statistics of a sample of a cube: blocks of complete lines, spread over the cube.
 
 
-@dataclass(frozen=True)
-class SampleRules:
-    """Size of the sample of a cube.
-
-    blocks, lines
-        Number of blocks, and of lines in a block: 128 lines give a mean to a tenth of the noise, and the
-        sample of a cube of 640 x 4000 x 272 is read in a tenth of a second [1].
-    """
-
-    blocks: int = 8
-    lines: int = 16
-
-
-SAMPLE_RULES = SampleRules()
+#: Size of the sample of a cube.
+SAMPLE_RULES = SimpleNamespace(
+    # Number of blocks, and of lines in a block: 128 lines give a mean to a tenth of the noise, and the
+    # sample of a cube of 640 x 4000 x 272 is read in a tenth of a second [1].
+    blocks=8,
+    lines=16,
+)
 
 
 @dataclass(frozen=True)
@@ -86,63 +248,47 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
 # -- Check the order of the bands by the solar lines and absorption bands in the cube.
 
 
-@dataclass(frozen=True)
-class BandRules:
-    """Thresholds beyond which bands are not in the order of their wavelengths.
-
-    bands, spacing_nm, fwhm_nm
-        Minimum number of bands, maximum spacing and width [nm]: absorption bands of oxygen and water are 5 to
-        40 nm wide and have to be resolved.
-    explained, unexplained
-        Correlation of the cube's curvature over wavelength with the curvature of daylight over gain [1]: at
-        least `explained` in the best order, at most `unexplained` in the declared one. `explained` is set
-        between 0.85, the maximum by chance over 100 lamps of one to six peaks in the right order, and 0.94,
-        the minimum over the wrong orders of the fault campaign.
-    margin
-        Minimum excess of the best correlation over the best one with inverted curvature [1]: among 22 000
-        orders, lamp lines match some by chance, and some inverted. Wrong orders of the fault campaign have an
-        excess of 0.15 and more.
-    common
-        Minimum share of the lit bands [1] over which a correlation is taken, and at least `bands`.
-    daylight
-        Correlation of the curvatures of irradiance record and clear sky [1], above which the record is
-        daylight.
-    shift_nm
-        Minimum shift that is tried [nm]; `hyperpaint.alignment` measures and corrects smaller ones.
-    stretches, shifts_nm
-        Range of wavelengths that are tried: band spacing over the declared spacing [1], and shift of the
-        mean wavelength [nm].
-    rough
-        Squared ratio of the median difference of neighbouring lit bands to the median difference of all pairs
-        [1]: 1 for bands in random order. Medians, because a dead band or lamp lines dominate a mean. Set
-        between 0.1, the maximum over right collects of the fault campaign, and 0.38, the minimum over mixed
-        bands.
-    lit_counts, lit_share
-        Light above which a band is lit [count], and as a share of the brightest band [1]: darks drift by this
-        much.
-    spread
-        Median difference of all pairs over the median light [1], below which the spectrum is flat and not
-        judged: a saturated line minus its dark varies by some per cent.
-    """
-
-    bands: int = 24
-    fwhm_nm: float = 24.0
-    spacing_nm: float = 15.0
-    explained: float = 0.9
-    margin: float = 0.1
-    common: float = 0.5
-    daylight: float = 0.7
-    unexplained: float = 0.35
-    shift_nm: float = 6.0
-    stretches: tuple[float, float] = (0.5, 2.0)
-    shifts_nm: float = 120.0
-    rough: float = 0.33
-    lit_counts: float = 5.0
-    lit_share: float = 0.05
-    spread: float = 0.2
-
-
-BAND_RULES = BandRules()
+#: Thresholds beyond which bands are not in the order of their wavelengths.
+BAND_RULES = SimpleNamespace(
+    # Minimum number of bands, maximum spacing and width [nm]: absorption bands of oxygen and water are 5 to
+    # 40 nm wide and have to be resolved.
+    bands=24,
+    spacing_nm=15.0,
+    fwhm_nm=24.0,
+    # Correlation of the cube's curvature over wavelength with the curvature of daylight over gain [1]: at
+    # least `explained` in the best order, at most `unexplained` in the declared one. `explained` is set
+    # between 0.85, the maximum by chance over 100 lamps of one to six peaks in the right order, and 0.94,
+    # the minimum over the wrong orders of the fault campaign.
+    explained=0.9,
+    unexplained=0.35,
+    # Minimum excess of the best correlation over the best one with inverted curvature [1]: among 22 000
+    # orders, lamp lines match some by chance, and some inverted. Wrong orders of the fault campaign have an
+    # excess of 0.15 and more.
+    margin=0.1,
+    # Minimum share of the lit bands [1] over which a correlation is taken, and at least `bands`.
+    common=0.5,
+    # Correlation of the curvatures of irradiance record and clear sky [1], above which the record is
+    # daylight.
+    daylight=0.7,
+    # Minimum shift that is tried [nm]; `hyperpaint.alignment` measures and corrects smaller ones.
+    shift_nm=6.0,
+    # Range of wavelengths that are tried: band spacing over the declared spacing [1], and shift of the mean
+    # wavelength [nm].
+    stretches=(0.5, 2.0),
+    shifts_nm=120.0,
+    # Squared ratio of the median difference of neighbouring lit bands to the median difference of all pairs
+    # [1]: 1 for bands in random order. Medians, because a dead band or lamp lines dominate a mean. Set
+    # between 0.1, the maximum over right collects of the fault campaign, and 0.38, the minimum over mixed
+    # bands.
+    rough=0.33,
+    # Light above which a band is lit [count], and as a share of the brightest band [1]: darks drift by this
+    # much.
+    lit_counts=5.0,
+    lit_share=0.05,
+    # Median difference of all pairs over the median light [1], below which the spectrum is flat and not
+    # judged: a saturated line minus its dark varies by some per cent.
+    spread=0.2,
+)
 
 
 def judge_bands(
@@ -232,7 +378,8 @@ def _agreements(curvature: Floats, wavelength: Floats, daylight: _Daylight) -> d
     agreements = {}
     mean_nm = float(wavelength.mean())
     shifts = np.arange(-BAND_RULES.shifts_nm, BAND_RULES.shifts_nm, 3.0)[:, None]
-    for stretch in np.geomspace(*BAND_RULES.stretches, 140):
+    narrowest, widest = BAND_RULES.stretches
+    for stretch in np.geomspace(narrowest, widest, 140):
         for signed in (stretch, -stretch):
             nm = mean_nm + shifts + signed * (wavelength - mean_nm)
             agreement = _correlation(curvature, _curvature(daylight.irradiance_at(nm)))
@@ -284,39 +431,27 @@ def _correlation(first: Floats, second: Floats) -> Floats:
 # -- Check that irradiance and navigation belong to the flight.
 
 
-@dataclass(frozen=True)
-class RecordRules:
-    """Thresholds beyond which records do not belong to the flight.
-
-    samples
-        Minimum number of equal spectra in a row that is reported [1].
-    still_factor
-        Length of the longest run of equal spectra over the median of the other runs [1], above which it is
-        reported: loggers write every reading several times.
-    least_share, most_share
-        Accepted irradiance over that of a clear sky [1]: a thunderstorm transmits 0.02, sides of clouds add
-        0.5.
-    still_lines, still_share, still_m
-        Minimum number of lines to judge; a platform does not move if more than this share of the lines [1]
-        repeats the position before, or if all positions lie within this extent [m].
-    turned
-        Range of an angle [degree] from which a camera turns in place, and need not move.
-    gap_share
-        Accepted share of lines without a position or angle [1].
-    """
-
-    samples: int = 3
-    still_factor: float = 3.0
-    least_share: float = 0.015
-    most_share: float = 3.6
-    still_lines: int = 24
-    still_share: float = 0.25
-    still_m: float = 0.03
-    turned: float = 5.0
-    gap_share: float = 0.2
-
-
-RECORD_RULES = RecordRules()
+#: Thresholds beyond which records do not belong to the flight.
+RECORD_RULES = SimpleNamespace(
+    # Minimum number of equal spectra in a row that is reported [1].
+    samples=3,
+    # Length of the longest run of equal spectra over the median of the other runs [1], above which it is
+    # reported: loggers write every reading several times.
+    still_factor=3.0,
+    # Accepted irradiance over that of a clear sky [1]: a thunderstorm transmits 0.02, sides of clouds add
+    # 0.5.
+    least_share=0.015,
+    most_share=3.6,
+    # Minimum number of lines to judge; a platform does not move if more than this share of the lines [1]
+    # repeats the position before, or if all positions lie within this extent [m].
+    still_lines=24,
+    still_share=0.25,
+    still_m=0.03,
+    # Range of an angle [degree] from which a camera turns in place, and need not move.
+    turned=5.0,
+    # Accepted share of lines without a position or angle [1].
+    gap_share=0.2,
+)
 _ANGLES = ("roll", "pitch", "heading")
 
 
@@ -422,32 +557,22 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
 # -- Check for a frame index of another cube, and for doubled or missing frames.
 
 
-@dataclass(frozen=True)
-class FrameRules:
-    """Thresholds of doubled and lost frames.
-
-    samples, block
-        Number of samples compared between neighbouring lines, and of lines read at once.
-    chance
-        Expected number of lines in a cube that equal the line before by chance [1], up to which equal lines
-        are reported.
-    noisy
-        Maximum share of equal samples in neighbouring lines that differ [1], up to which noise is visible and
-        equal lines are reported.
-    jump, window
-        Lasting delay of the time stamps [frame periods] that is reported, and number of lines before and
-        after over which it must last: single stamps of a computer are late, and later ones are not.
-    """
-
-    samples: int = 1024
-    block: int = 1024
-    chance: float = 1e-3
-    noisy: float = 0.9
-    jump: float = 0.7
-    window: int = 8
-
-
-FRAME_RULES = FrameRules()
+#: Thresholds of doubled and lost frames.
+FRAME_RULES = SimpleNamespace(
+    # Number of samples compared between neighbouring lines, and of lines read at once.
+    samples=1024,
+    block=1024,
+    # Expected number of lines in a cube that equal the line before by chance [1], up to which equal lines
+    # are reported.
+    chance=1e-3,
+    # Maximum share of equal samples in neighbouring lines that differ [1], up to which noise is visible and
+    # equal lines are reported.
+    noisy=0.9,
+    # Lasting delay of the time stamps [frame periods] that is reported, and number of lines before and after
+    # over which it must last: single stamps of a computer are late, and later ones are not.
+    jump=0.7,
+    window=8,
+)
 
 
 def judge_index(inputs: FlightlineInputs, lines: int) -> tuple[Bools, list[Finding]]:
@@ -536,36 +661,25 @@ def _equal_shares(rows: xr.DataArray, block: int) -> Floats:
 # -- Check interleave and byte order of a cube by the smoothness of its spectra.
 
 
-@dataclass(frozen=True)
-class LayoutRules:
-    """Thresholds at which another layout explains a cube better.
-
-    bands, pixels
-        Number of random bands, and of pixels in a band, that are read.
-    rough, smoother
-        Roughness (mean squared difference of neighbouring bands over twice the variance [1]) above which
-        other layouts are tried, and factor by which another layout must be smoother; observed are 30 for the
-        right interleave and 1000 for the right byte order.
-    unlike
-        Maximum roughness of another layout [1]; noise has 1. A band of status words makes the declared layout
-        rougher than noise, and every other layout smoother than it.
-    separate, separation
-        Minimum share of the variance between bands in the better interleave [1], and its minimum ratio to
-        this share in the declared one: every band has its own mean level, which a wrong interleave mixes.
-        Without this check, neighbouring columns of a uniform field would pass for bands of a camera with few
-        bands.
-    """
-
-    bands: int = 24
-    pixels: int = 64
-    rough: float = 0.1
-    smoother: float = 10.0
-    unlike: float = 0.5
-    separate: float = 0.06
-    separation: float = 0.5
-
-
-LAYOUT_RULES = LayoutRules()
+#: Thresholds at which another layout explains a cube better.
+LAYOUT_RULES = SimpleNamespace(
+    # Number of random bands, and of pixels in a band, that are read.
+    bands=24,
+    pixels=64,
+    # Roughness (mean squared difference of neighbouring bands over twice the variance [1]) above which other
+    # layouts are tried, and factor by which another layout must be smoother; observed are 30 for the right
+    # interleave and 1000 for the right byte order.
+    rough=0.1,
+    smoother=10.0,
+    # Maximum roughness of another layout [1]; noise has 1. A band of status words makes the declared layout
+    # rougher than noise, and every other layout smoother than it.
+    unlike=0.5,
+    # Minimum share of the variance between bands in the better interleave [1], and its minimum ratio to this
+    # share in the declared one: every band has its own mean level, which a wrong interleave mixes. Without
+    # this check, neighbouring columns of a uniform field would pass for bands of a camera with few bands.
+    separate=0.06,
+    separation=0.5,
+)
 
 
 class _View(NamedTuple):
@@ -655,72 +769,54 @@ def _view(file: io.FileIO, header: EnviHeader, lines: int, order: str) -> _View:
 # -- Check that a dark was recorded with the camera and settings of the scene.
 
 
-@dataclass(frozen=True)
-class DarkRules:
-    """Thresholds beyond which frames are not a dark for this scene.
-
-    zero_share
-        Accepted share of elements with a dark of exactly zero and a lit scene [1]: set between dead elements
-        of a detector, under 1 %, and every second column or band, 50 %.
-    zero_counts
-        Mean count above which an element of the scene is lit, and above which the non-zero elements of the
-        dark make zeros suspicious [count]: masked columns have a mean below it, and a black level of 0.2
-        counts is rounded to true zeros.
-    over_share, over_counts, over_level
-        Accepted share of bands [1] whose mean dark over all columns exceeds the mean scene by these counts
-        and by this share of the dark: water beyond 900 nm is as dark as the dark, which drifts with
-        temperature. Set between a drift of 11 % over a pedestal of 100 counts (right) and half the scene's
-        light (wrong).
-    lit_correlation, lit_slope, lit_most, lit_bands
-        Minimum correlation [1] and regression slope [1] of the dark's curvature over wavelength on that of
-        the scene's light, maximum slope, and minimum number of bands. Any two rising spectra have similar
-        slopes; light and detector bias have similar curvature only by chance. Set between correlations of
-        0.36 of right and 0.97 of lit darks in the fault campaign. Above `lit_most` the spectrum of the dark
-        is larger than the light.
-    lit_range
-        Range of the scene's light over bands, over the range of the dark after this light is subtracted [1]:
-        set between a gradient of the bias under a dim scene (right, 1) and darks with a tenth to a third of
-        the light (wrong, 17).
-    frames, frame_bands, frame_counts, frame_share
-        Number of frames of a dark, and of bands, that are sampled; accepted change of the median of a frame,
-        in counts and as a share [1]: temperature changes it by some per cent.
-    pattern_slopes
-        Accepted regression slope of the scene's pattern on the dark's [1]: 1 for the matching dark, 0 for a
-        dark of another camera, 2 and 0.5 for a dark of half and twice the exposure; right collects of the
-        fault campaign have 0.88 to 1.36.
-    pattern_sds
-        Minimum difference of this slope from 1 [standard uncertainties].
-    pattern_contrast
-        Variance of the dark's pattern over the variance of its noise and rounding, from which it is judged
-        [1]: at 4, noise lowers the slope to 0.75, which is accepted.
-    pattern_range
-        Minimum range of the dark to be judged [count]: rounding alone makes steps of 1.
-    pattern_elements
-        Minimum number of differences of elements to judge by.
-    """
-
-    zero_share: float = 0.05
-    zero_counts: float = 1.0
-    over_share: float = 0.1
-    over_counts: float = 5.0
-    over_level: float = 0.2
-    lit_correlation: float = 0.9
-    lit_slope: float = 0.03
-    lit_most: float = 1.0
-    lit_bands: int = 16
-    lit_range: float = 5.0
-    frames: int = 512
-    frame_bands: int = 8
-    frame_counts: float = 5.0
-    frame_share: float = 0.25
-    pattern_slopes: tuple[float, float] = (0.6, 1.6)
-    pattern_sds: float = 5.0
-    pattern_contrast: float = 4.0
-    pattern_range: float = 2.0
-    pattern_elements: int = 200
-
-
-DARK_RULES = DarkRules()
+#: Thresholds beyond which frames are not a dark for this scene.
+DARK_RULES = SimpleNamespace(
+    # Accepted share of elements with a dark of exactly zero and a lit scene [1]: set between dead elements
+    # of a detector, under 1 %, and every second column or band, 50 %.
+    zero_share=0.05,
+    # Mean count above which an element of the scene is lit, and above which the non-zero elements of the
+    # dark make zeros suspicious [count]: masked columns have a mean below it, and a black level of 0.2
+    # counts is rounded to true zeros.
+    zero_counts=1.0,
+    # Accepted share of bands [1] whose mean dark over all columns exceeds the mean scene by these counts and
+    # by this share of the dark: water beyond 900 nm is as dark as the dark, which drifts with temperature.
+    # Set between a drift of 11 % over a pedestal of 100 counts (right) and half the scene's light (wrong).
+    over_share=0.1,
+    over_counts=5.0,
+    over_level=0.2,
+    # Minimum correlation [1] and regression slope [1] of the dark's curvature over wavelength on that of the
+    # scene's light, maximum slope, and minimum number of bands. Any two rising spectra have similar slopes;
+    # light and detector bias have similar curvature only by chance. Set between correlations of 0.36 of
+    # right and 0.97 of lit darks in the fault campaign. Above `lit_most` the spectrum of the dark is larger
+    # than the light.
+    lit_correlation=0.9,
+    lit_slope=0.03,
+    lit_most=1.0,
+    lit_bands=16,
+    # Range of the scene's light over bands, over the range of the dark after this light is subtracted [1]:
+    # set between a gradient of the bias under a dim scene (right, 1) and darks with a tenth to a third of
+    # the light (wrong, 17).
+    lit_range=5.0,
+    # Number of frames of a dark, and of bands, that are sampled; accepted change of the median of a frame,
+    # in counts and as a share [1]: temperature changes it by some per cent.
+    frames=512,
+    frame_bands=8,
+    frame_counts=5.0,
+    frame_share=0.25,
+    # Accepted regression slope of the scene's pattern on the dark's [1]: 1 for the matching dark, 0 for a
+    # dark of another camera, 2 and 0.5 for a dark of half and twice the exposure; right collects of the
+    # fault campaign have 0.88 to 1.36.
+    pattern_slopes=(0.6, 1.6),
+    # Minimum difference of this slope from 1 [standard uncertainties].
+    pattern_sds=5.0,
+    # Variance of the dark's pattern over the variance of its noise and rounding, from which it is judged
+    # [1]: at 4, noise lowers the slope to 0.75, which is accepted.
+    pattern_contrast=4.0,
+    # Minimum range of the dark to be judged [count]: rounding alone makes steps of 1.
+    pattern_range=2.0,
+    # Minimum number of differences of elements to judge by.
+    pattern_elements=200,
+)
 
 
 def judge_dark(

@@ -24,7 +24,6 @@ from hyperpaint.light.illumination import Tilt
 from hyperpaint.light.synchrony import replace_record
 
 from . import slabs
-from .line_inputs import COUNTED, cube_inputs, plan_inputs, refuse_calibration
 from .linear_counts import TABLE, Linearity
 from .panels import (
     CLOSURE,
@@ -36,8 +35,7 @@ from .panels import (
     several_panels,
     without_panels,
 )
-from .plan_cache import lazy_plan
-from .planning import make_plan
+from .planning import COUNTED, cube_inputs, lazy_plan, make_plan, plan_inputs, refuse_calibration
 from .stray_light import described
 from .uncertainty.propagation import UNCERTAINTIES, with_uncertainty
 

@@ -19,10 +19,8 @@ from hyperpaint.io.store.computing import scheduler_in_force
 from hyperpaint.kernels.arguments import SlabOutputs
 
 from .counts_to_reflectance import applied, merged_quality
-from .line_inputs import plan_inputs
 from .panels import declared_panels, declared_scale
-from .plan_cache import PLANS, Entry, Origin
-from .planning import make_plan
+from .planning import PLANS, Entry, Origin, make_plan, plan_inputs
 from .slabs import NO_CUBE, Plan, calibrate_lines
 from .spectral_axis import bands_at
 

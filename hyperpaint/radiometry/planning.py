@@ -5,38 +5,67 @@ It runs once per line, as a node of the graph: wrong values are reported when re
 
 from __future__ import annotations
 
+import dataclasses
+import math
+import threading
+import uuid
 import warnings
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
+import dask
+import dask.array as da
 import numpy as np
 import xarray as xr
+from dask.delayed import Delayed
 
+from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
+from hyperpaint.base.constants import (
+    DULL_MEDIAN,
+    HIGHEST_MEDIAN,
+    LOWEST_MEDIAN,
+    QUANTISATION_VARIANCE_COUNT2,
+    SATURATION_MARGIN_COUNTS,
+    brightest_median,
+    unit_slip,
+)
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError, TimeError
-from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, Quality
+from hyperpaint.base.facts import one_of
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+    Quality,
+)
+from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record
 from hyperpaint.light.illumination import (
     MAX_SUN_ZENITH_DEG,
     Smile,
     Tilt,
+    at_bands,
+    departure_of_record,
     imager_of,
     matched_series,
     smile_cells,
 )
 from hyperpaint.light.sky_functions import sunward_gain
 from hyperpaint.light.sun import solar_position
-from hyperpaint.light.synchrony import LineLight, line_light
+from hyperpaint.light.synchrony import LineLight, check_irradiance_times, line_light
 
-from .linear_counts import TABLE, Linearity
+from . import slabs
+from .linear_counts import TABLE, Linearity, declared_linearity
 from .panel_judging import REFUSED, RULES as PANEL_RULES, PanelClosure, PanelContext, judge_panels
-from .plausible_light import check_light, warn_of_lost_bands
+from .panels import Panel
 from .slabs import Plan, panel_correction, scale_of_factors, usable_panels
-from .stray_light import check_stray_light, stray_light_of
-from .uncertainty.irradiance_noise import at_bands
-from .uncertainty.propagation import error_terms
+from .stray_light import SHIFT_TIME, STRAY_LIGHT, check_stray_light, stray_light_of
+from .uncertainty.propagation import error_terms, uncertainty_inputs
 
 # -- Light on a tilted surface under the sky that the irradiance record shows, which may not be clear.
 
@@ -590,3 +619,399 @@ def _panel_scale(
         return closure.scale[usable[0]], closure, None, np.full(lines, np.hypot(declared_u, noise))
     scale, weights, u = panel_correction(closure.at(usable), time)
     return scale, closure, weights, np.hypot(declared_u, u)
+
+
+# --- cache of the plans of recently used lines in this process, so that later calls for pixels -------------
+
+
+MAX_PLANS = 8
+#: Largest size of all plans and their origins [byte].
+MAX_BYTES = 64 * 2**20
+#: Largest plan that is embedded in a graph [byte]; tasks compute larger plans from smaller inputs.
+MAX_EMBEDDED_BYTES = 8 * 2**20
+MAX_PENDING_PLANS = 16
+
+
+class _VariableState:
+    def __init__(self, variable: xr.Variable) -> None:
+        self.layout = (variable.dims, variable.shape, variable.dtype)
+        self.attrs = dict(variable.attrs)
+        self.values = None if _is_lazy(variable) else np.array(variable.values)
+        data = variable._data
+        # assigning to a part of a dask array changes its name
+        self.name = getattr(data, "name", None)
+        try:
+            self.source: Callable[[], Any] = weakref.ref(data)
+        except TypeError:  # xarray's wrapper of a file has no weak references
+            self.source = lambda: data
+
+    def matches(self, variable: xr.Variable) -> bool:
+        layout = (variable.dims, variable.shape, variable.dtype)
+        if self.layout != layout or not xr.core.utils.dict_equiv(self.attrs, variable.attrs):
+            return False
+        if self.values is None:
+            data = variable._data
+            is_same = self.source() is data and self.name == getattr(data, "name", None)
+            return is_same and _is_lazy(variable)
+        if _is_lazy(variable):
+            return False
+        values = np.asarray(variable.values)
+        if values.dtype == object:
+            return bool(np.array_equal(self.values, values))
+        # compare bytes: NaN equals NaN, and the sign of zero matters
+        stored, current = (np.ascontiguousarray(a).reshape(-1).view(np.uint8) for a in (self.values, values))
+        return bool(np.array_equal(stored, current))
+
+
+def _is_lazy(variable: xr.Variable) -> bool:
+    data = variable._data
+    return (isinstance(data, da.Array) or not variable._in_memory) and not getattr(data, "_copied", False)
+
+
+class Origin:
+    """Inputs of a plan.
+
+    ``line``: flight line with dims named by role; ``options``: compared with ``==``.
+    """
+
+    def __init__(self, line: xr.Dataset, options: tuple[Any, ...]) -> None:
+        self._states = {name: _VariableState(variable) for name, variable in _small(line).items()}
+        self._attrs = dict(line.attrs)
+        self._options = (*options, "counts" in line.variables)
+        copies = (state.values for state in self._states.values())
+        self.nbytes = sum(values.nbytes for values in copies if values is not None)
+
+    def is_of(self, line: xr.Dataset, options: tuple[Any, ...]) -> bool:
+        """Return whether a line with these options gives the same plan."""
+        small = _small(line)
+        return (
+            self._options == (*options, "counts" in line.variables)
+            and self._states.keys() == small.keys()
+            and all(state.matches(small[name]) for name, state in self._states.items())
+            and bool(xr.core.utils.dict_equiv(self._attrs, line.attrs))
+        )
+
+
+def _small(line: xr.Dataset) -> dict[Any, xr.Variable]:
+    return {
+        name: variable
+        for name, variable in line.variables.items()
+        if ALONG_TRACK not in variable.dims or not {BAND, CROSS_TRACK} & set(variable.dims)
+    }
+
+
+@dataclasses.dataclass(eq=False)
+class Entry:
+    """A plan with its origin and the small coordinates of its line."""
+
+    origin: Origin
+    plan: Plan
+    #: Small coordinates; the attributes are those of reflectance
+    labels: xr.Dataset = dataclasses.field(default_factory=xr.Dataset)
+
+    @property
+    def nbytes(self) -> int:
+        return self.origin.nbytes + bytes_of(self.plan) + self.labels.nbytes
+
+
+class PlanCache:
+    """The most recently used plans by their `Origin`; thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._entries: list[Entry] = []  # most recently used last
+        self._pending: dict[str, Origin] = {}
+
+    def entry(self, line: xr.Dataset, options: tuple[Any, ...]) -> Entry | None:
+        """Return the plan of a line; None where it is not cached."""
+        with self._lock:
+            entries = self._entries[::-1]
+        for entry in entries:
+            if entry.origin.is_of(line, options):
+                self.add(entry)
+                return entry
+        return None
+
+    def expect(self, line: xr.Dataset, options: tuple[Any, ...]) -> str:
+        """Return the name with which a task will `fulfil` the plan of a line."""
+        origin, name = Origin(line, options), uuid.uuid4().hex
+        with self._lock:
+            if origin.nbytes <= MAX_BYTES // 2:
+                self._pending[name] = origin
+            while len(self._pending) > MAX_PENDING_PLANS:
+                del self._pending[next(iter(self._pending))]
+        return name
+
+    def fulfil(self, name: str, plan: Plan) -> None:
+        """Add an expected plan; does nothing in a process that did not call `expect`."""
+        with self._lock:
+            origin = self._pending.pop(name, None)
+        if origin is not None:
+            self.add(Entry(origin, plan))
+
+    def add(self, entry: Entry) -> None:
+        """Add a plan or mark it as used; the least recently used plans are dropped."""
+        with self._lock:
+            self._entries = [*(other for other in self._entries if other is not entry), entry]
+            while len(self._entries) > MAX_PLANS or sum(e.nbytes for e in self._entries) > MAX_BYTES:
+                del self._entries[0]
+
+
+PLANS = PlanCache()
+
+
+def bytes_of(value: Any) -> int:
+    """Return the bytes of all arrays of a plan."""
+    if isinstance(value, np.ndarray):
+        return int(value.nbytes)
+    if dataclasses.is_dataclass(value):
+        return sum(map(bytes_of, vars(value).values()))
+    return sum(map(bytes_of, value)) if isinstance(value, tuple) else 0
+
+
+def lazy_plan(
+    line: xr.Dataset, options: tuple[Any, ...] | None, planner: Callable[..., Plan], **inputs: Any
+) -> Callable[..., Delayed]:
+    """Return a function from a cube's shape, dtype and slabs to its lazy plan, named by a hash of the inputs.
+
+    With ``options`` None no cache is used; else a cached plan is embedded in the graph.
+    """
+
+    def of_cube(shape: tuple[int, int, int], dtype: str, starts: Array) -> Delayed:
+        name = f"make_plan-{dask.base.tokenize(planner, shape, dtype, starts, inputs)}"
+        expected = ""
+        if options is not None:
+            line_options = (*options, planner, shape, dtype)
+            entry = PLANS.entry(line, line_options)
+            if entry is None:
+                expected = PLANS.expect(line, line_options)
+            elif bytes_of(entry.plan) <= MAX_EMBEDDED_BYTES:
+                return Delayed(name, {name: dataclasses.replace(entry.plan, starts=starts)})
+        compute = dask.delayed(_computed, pure=True)
+        return compute(expected, planner, shape, dtype, starts, inputs, dask_key_name=name)
+
+    return of_cube
+
+
+def _computed(
+    expected: str, planner: Callable[..., Plan], shape: Any, dtype: str, starts: Array, inputs: Any
+) -> Plan:
+    plan = planner(shape, dtype, starts, **inputs)
+    PLANS.fulfil(expected, plan)
+    return plan
+
+
+# --- collect the inputs of a plan from a labelled flight line; labels are checked, values are --------------
+
+
+COUNTED = ("counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count")
+_LIGHT = ("irradiance", "irradiance_fwhm")
+_OPTIONAL = (
+    "dark_exposure_time",
+    "dark_time",
+    "read_noise",
+    "time",
+    "good",
+    "band_spacing",
+    "wavelength_shift",
+    "latitude",
+    "longitude",
+    "srf",
+    "srf_offset",
+)
+
+
+def plan_inputs(
+    dataset: xr.Dataset,
+    stored: dict[str, Any] | None,
+    scale_panels: Sequence[Panel],
+    *,
+    tilt: Tilt | None = None,
+    keep_bits: int | None = None,
+    uncertainty: bool = False,
+) -> tuple[xr.DataArray, dict[str, Any]]:
+    """Return the cube from which reflectance is computed, and the inputs of `make_plan` besides its shape.
+
+    ``scale_panels``: panels that give the scale; ``stored``: their scale, if measured before.
+    """
+    if "counts" in dataset.variables:
+        refuse_calibration(dataset, needs_scale=not scale_panels)
+    cube, values = cube_inputs(dataset, "reflectance")
+    # the plan adds the uncertainty of the panels' means, and of lines between panels
+    panel_u = max((panel.uncertainty for panel in scale_panels), default=None)
+    return cube, {
+        "cube": values,
+        "light": _light_inputs(dataset, tilt, bool(scale_panels) and stored is None),
+        "tilt": tilt,
+        "panel": stored,
+        "keep_bits": keep_bits,
+        "uncertain": uncertainty_inputs(dataset, panel_u) if uncertainty else None,
+    }
+
+
+def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
+    """Raise SchemaError for gains without an absolute scale, where one is needed."""
+    if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
+        raise SchemaError(
+            "the gain of this line has no absolute scale (attribute absolute_scale 'unknown')",
+            mend="compute it with hyperpaint.calibration.anchor_to_radiance, or pass panel= to reflectance",
+            code="scale-unknown",
+        )
+
+
+def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
+    """Return the counts or the radiance of a line, and the small variables that calibrate it."""
+    schema.warn_of_lost_calibration(dataset, purpose)
+    is_from_counts = "counts" in dataset.variables
+    required = [*COUNTED] if is_from_counts else ["radiance"]
+    if purpose == "reflectance":
+        required += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
+    optional = [name for name in _OPTIONAL if name in dataset.variables]
+    if is_from_counts:
+        optional += [name for name in (*TABLE, "masked", *STRAY_LIGHT) if name in dataset.variables]
+    elif "radiance_gain" in dataset.variables:
+        optional.append("radiance_gain")  # for the slope of the responsivity
+    arrays = schema.require(dataset, dict.fromkeys([*required, *optional]), purpose)
+    cube = arrays.pop("counts" if is_from_counts else "radiance")
+    if not is_from_counts:
+        cube = cube.astype(np.float32)
+    if purpose == "radiance":
+        arrays.pop("wavelength_shift", None)
+    if "masked" in arrays and arrays["masked"].dims == (BAND,):
+        arrays["masked"] = arrays["masked"].expand_dims(CROSS_TRACK, axis=1)
+    values = {name: slabs.small(array) for name, array in arrays.items()}
+    if is_from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
+        values["linearity"] = declared_linearity(dataset.attrs)
+    if SHIFT_TIME in values:
+        values["shifted_bands"] = dataset[SHIFT_TIME].attrs.get("bands")
+    return cube, values
+
+
+def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str, Any]:
+    names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
+    companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
+    names += [name for name in companions if name in dataset.variables]
+    if tilt is not None:
+        names += ["latitude", "longitude"]
+    if tilt is not None or has_panels:
+        names += [name for name in ("diffuse_fraction", "sky_state") if name in dataset.variables]
+    arrays = schema.require(dataset, names, "reflectance")
+    if arrays[IRRADIANCE_TIME].chunks is None:
+        check_irradiance_times(arrays[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
+    values = {name: slabs.small(array) for name, array in arrays.items()}
+    for attr in ("srf_shape", "irradiance_srf_shape"):
+        values[attr] = str(dataset.attrs.get(attr, "gaussian"))
+        one_of(values[attr], schema.SRF_SHAPES, f"attribute {attr}")
+    values["departure"] = departure_of_record(dataset.attrs)
+    return values
+
+
+# --- check that irradiance is plausible daylight and has all channels, before reflectance is ---------------
+
+
+@dataclass(frozen=True)
+class LightRules:
+    """Limits of an irradiance record that fits the sky over a flight.
+
+    least_share, most_share
+        Median of 400-1000 nm over the median of a clear sky at the place and time [1]. A thunderstorm
+        transmits 0.02, light off the sides of clouds adds 0.5, and the clear sky is modelled to a tenth.
+    max_zenith
+        Zenith angle of the sun up to which the clear sky is modelled [degree].
+    most_low_sun
+        Largest median for a lower sun [W m-2 nm-1]: a clear sky has 0.2 at 80 degree.
+    """
+
+    least_share: float = 0.015
+    most_share: float = 1.8
+    max_zenith: float = 80.0
+    most_low_sun: float = 0.3
+
+
+RULES = LightRules()
+
+
+class LightLevel(NamedTuple):
+    """Brightness of a record: median over 400-1000 nm of its brightest sample [W m-2 nm-1], or NaN.
+
+    zenith: smallest zenith angle of the sun [degree]; clear: median of a clear sky at that angle; NaN if
+    unknown.
+    """
+
+    median: float
+    zenith: float
+    clear: float
+
+    @property
+    def slip(self) -> str:
+        """Mistaken unit that explains the level, as "A taken for B"; empty without one."""
+        return unit_slip(self.median / (self.clear if math.isfinite(self.clear) else 1.0))
+
+
+def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> LightLevel:
+    """Return the brightness of the spectra (sample, channel) that light a line, at its place and time."""
+    # smallest zenith angle of the sun; NaN where the position is unknown
+    zenith = clear = math.nan
+    coordinates = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
+    if all(np.isfinite(degrees).any() for degrees in coordinates) and stamps.size:
+        position = [float(degrees[np.isfinite(degrees)].mean()) for degrees in coordinates]
+        zenith = float(np.min(solar_position(stamps, *position)[0]))
+    if zenith <= RULES.max_zenith:
+        nm = channels[(channels >= 300.0) & (channels <= 2500.0)][:: max(1, channels.size // 200)]
+        clear = brightest_median(nm, np.asarray(sum(ClearSky(zenith).irradiance(nm)))[None])
+    return LightLevel(brightest_median(channels, np.asarray(spectra, np.float64)), zenith, clear)
+
+
+def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> None:
+    """Check the level of the spectra (sample, channel) that light a line [W m-2 nm-1].
+
+    Raises SchemaError: The level is impossible for daylight. Warns PaintWarning: It does not fit position and
+    time.
+    """
+    light = light_level(cube, spectra, channels, stamps)
+    level, zenith, clear = light
+    if not math.isfinite(level):
+        return
+    found = f"the median irradiance of 400-1000 nm is {level:.3g} W m-2 nm-1"
+    slip = f", {light.slip}" if light.slip else ""
+    if not LOWEST_MEDIAN <= level <= HIGHEST_MEDIAN:
+        raise SchemaError(
+            found,
+            expected=f"{LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}",
+            mend="correct its units",
+            code="irradiance-level",
+        )
+    if math.isfinite(clear):
+        is_doubtful = not RULES.least_share <= level / clear <= RULES.most_share
+        comparison = f"{level / clear:.2g} times that of a clear sky at its place and time{slip}"
+    elif zenith > RULES.max_zenith:
+        is_doubtful = level > RULES.most_low_sun
+        comparison = f"with the sun {90 - zenith:.0f} degree above the horizon, as with local time for UTC"
+    else:
+        is_doubtful = level < DULL_MEDIAN
+        comparison = f"expected at least {DULL_MEDIAN:g} by day{slip}"
+    if is_doubtful:
+        text = f"{found}, {comparison}; check its units, its time, and the line's place"
+        warnings.warn(PaintWarning(text, code="irradiance-level"), stacklevel=2)
+
+
+def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:
+    """Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are missing.
+
+    spectra: (sample, channel); matched: (sample, node, band). A sample without any channel is a gap.
+    """
+    has_values = np.isfinite(spectra).any(axis=1)
+    is_lost = (
+        np.isnan(matched[has_values]).any(axis=(0, 1))
+        & (wavelength >= channels[0])
+        & (wavelength <= channels[-1])
+    )
+    is_missing = np.isnan(spectra[has_values]).any(axis=0)
+    if not (is_lost.any() and is_missing.any()):
+        return
+    text = (
+        f"irradiance is undefined in {is_missing.sum()} channels, such as {channels[is_missing][0]:g} nm: "
+        f"{is_lost.sum()} of {is_lost.size} bands become NaN at these times, "
+        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over them"
+    )
+    warnings.warn(PaintWarning(text, code="irradiance-gaps"), stacklevel=2)

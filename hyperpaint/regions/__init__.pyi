@@ -1,11 +1,9 @@
 from .geojson import (
+    Region as Region,
+    Regions as Regions,
     read_regions as read_regions,
     regions_from as regions_from,
     write_regions as write_regions,
-)
-from .outlines import (
-    Region as Region,
-    Regions as Regions,
 )
 from .pixels_in_regions import (
     pixels as pixels,

@@ -1,4 +1,4 @@
-"""Regions in GeoJSON (RFC 7946): a FeatureCollection of polygons, one Feature a line of text.
+"""Regions: named polygons with properties, and their files in GeoJSON (RFC 7946), one Feature a line.
 
 Two members beyond the format define the coordinates: ``"coordinates": "sensor"`` or ``"map"``, and ``"crs"``
 as in GeoJSON before 2016. Without either they are sensor coordinates.
@@ -6,20 +6,24 @@ as in GeoJSON before 2016. Without either they are sensor coordinates.
 
 from __future__ import annotations
 
+import hashlib
+import html
 import json
 import os
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number, one_of
 from hyperpaint.base.input_files import is_plain_file, read_limited
 from hyperpaint.io.files.publishing import publish_file
 
-from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of
 
 #: Maximum size of a regions file [byte]; a thousand regions with a hundred corners take 4 MB.
@@ -31,6 +35,317 @@ MAX_REGIONS = 10_000
 MAX_CONTAINERS = 500_000
 MAX_SEPARATORS = 1_500_000
 MAX_LISTED_FEATURES = 20
+
+#: Coordinate systems of regions: column and line of the cube, or map coordinates on the ground.
+COORDINATES = ("sensor", "map")
+
+#: Maximum number of corners of a ring.
+MAX_VERTICES = 10_000
+
+#: Largest absolute coordinate; no pixel and no place on a map has a larger one.
+MAX_COORDINATE = 1e9
+
+MAX_NAME_CHARS = 200
+MAX_DRAWN_REGIONS = 60
+MAX_LISTED_REGIONS = 10
+_COLOUR = re.compile("#[0-9a-fA-F]{6}")
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A named polygon.
+
+    Attributes
+    ----------
+    name
+        Name of the region, and of its paint.
+    polygon : (vertex, 2), float64
+        x (cross_track) and y (along_track) of its corners, whole numbers at pixel centres; or x and y on the
+        map. The last corner is joined to the first.
+    holes
+        Rings cut out of it, as ``polygon``.
+    flightline
+        The flight line of the coordinates; empty where there is only one.
+    properties
+        Other facts about it: make, model, year, colour, finish, reference ... as JSON values.
+
+    Raises
+    ------
+    SchemaError
+        A name, ring or property cannot be used; all are listed.
+
+    Examples
+    --------
+    >>> hood = Region("hood", [(10, 4), (20, 4), (20, 9), (10, 9)], properties={"colour": "red"})
+    >>> hood.polygon.shape, hood.properties["colour"]
+    ((4, 2), 'red')
+    """
+
+    name: str
+    polygon: Floats
+    holes: tuple[Floats, ...] = ()
+    flightline: str = ""
+    properties: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        problems = Problems(f"region {str(self.name)[:80]!r} cannot be used", SchemaError)
+        for label in ("name", "flightline"):
+            value = getattr(self, label)
+            subject = f"{label} {str(value)[:80]!r}"
+            if not isinstance(value, str):
+                problems.add(f"{subject} is {type(value).__name__}", expected="text", code="type-wrong")
+            elif not value and label == "name":
+                problems.add(f"{subject} is empty", expected="text", code="region-name-missing")
+            elif len(value) > MAX_NAME_CHARS:
+                problems.add(
+                    f"{subject} has {len(value)} characters",
+                    expected=f"at most {MAX_NAME_CHARS}",
+                    code="name-too-long",
+                )
+            elif not value.isprintable() or value.strip() != value:
+                problems.add(
+                    f"{subject} has blanks at an end, or characters that cannot be printed",
+                    code="name-unprintable",
+                )
+        rings = [_ring(ring, index, problems) for index, ring in enumerate((self.polygon, *self.holes))]
+        properties = _plain(self.properties, problems)
+        problems.raise_if_any()
+        object.__setattr__(self, "polygon", rings[0])
+        object.__setattr__(self, "holes", tuple(rings[1:]))
+        object.__setattr__(self, "properties", properties)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Region) and self.feature() == other.feature()
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.flightline, self.polygon.tobytes()))
+
+    def __repr__(self) -> str:
+        line = f" on {self.flightline}" if self.flightline else ""
+        holes = f", {len(self.holes)} holes" if self.holes else ""
+        texts = (f"{key}={str(value)[:40]!r}" for key, value in list(self.properties.items())[:4])
+        properties = "".join(f", {text}" for text in texts)
+        (left, low), (right, high) = self.polygon.min(axis=0), self.polygon.max(axis=0)
+        box = f"x {left:.10g} to {right:.10g}, y {low:.10g} to {high:.10g}"
+        return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{properties}>"
+
+    def feature(self) -> dict[str, Any]:
+        """Return the region as a Feature of GeoJSON."""
+        identity = {"name": self.name, **({"flightline": self.flightline} if self.flightline else {})}
+        rings = [
+            [[_number(x), _number(y)] for x, y in (*ring, ring[0])] for ring in (self.polygon, *self.holes)
+        ]
+        return {
+            "type": "Feature",
+            "properties": {**identity, **self.properties},
+            "geometry": {"type": "Polygon", "coordinates": rings},
+        }
+
+
+@dataclass(frozen=True)
+class Regions(Sequence[Region]):
+    """An immutable sequence of regions with their coordinate system.
+
+    Attributes
+    ----------
+    regions
+        The regions; no two have the same name.
+    coordinates
+        "sensor": x is cross_track and y along_track, by their index coordinates where a line has them, which
+        survive a crop, else counted from 0; or "map".
+    crs
+        Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is undeclared.
+
+    Raises
+    ------
+    SchemaError
+        Names occur twice, ``coordinates`` is unknown, or ``crs`` is no text or given for a sensor; all are
+        listed.
+
+    Examples
+    --------
+    >>> hood = Region("hood", [(0, 0), (4, 0), (4, 3), (0, 3)])
+    >>> roof = Region("roof", [(6, 0), (9, 0), (9, 3), (6, 3)])
+    >>> regions = Regions((hood, roof))
+    >>> len(regions), [region.name for region in regions]
+    (2, ['hood', 'roof'])
+    """
+
+    regions: tuple[Region, ...]
+    coordinates: str = "sensor"
+    crs: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "regions", tuple(self.regions))
+        problems = Problems("these regions cannot be used together", SchemaError)
+        names: set[str] = set()
+        for name in (region.name for region in self.regions):
+            if name in names:
+                problems.add(
+                    f"the name {name!r} occurs twice",
+                    mend="give each region its own name",
+                    code="region-name-duplicate",
+                )
+            names.add(name)
+        one_of(self.coordinates, COORDINATES, "coordinates", problems=problems)
+        crs: object = self.crs
+        if crs is not None and not isinstance(crs, str):
+            problems.add(
+                f"the crs is {type(crs).__name__}", expected="text such as 'EPSG:32618'", code="type-wrong"
+            )
+        elif crs is not None and self.coordinates == "sensor":
+            problems.add(
+                f"sensor coordinates have the crs {crs[:80]!r}",
+                expected="none",
+                mend='pass coordinates="map" or no crs',
+                code="option-conflict",
+            )
+        problems.raise_if_any()
+
+    def __repr__(self) -> str:
+        system = self.crs or self.coordinates
+        lines = [f"  {region!r}" for region in self.regions[:MAX_LISTED_REGIONS]]
+        if len(self) > MAX_LISTED_REGIONS:
+            lines.append(f"  ... and {len(self) - MAX_LISTED_REGIONS} more")
+        return "\n".join([f"<Regions: {len(self)} ({str(system)[:40]})>", *lines])
+
+    def __len__(self) -> int:
+        return len(self.regions)
+
+    def __iter__(self) -> Iterator[Region]:
+        return iter(self.regions)
+
+    @overload
+    def __getitem__(self, index: int) -> Region: ...
+    @overload
+    def __getitem__(self, index: slice) -> Regions: ...
+    def __getitem__(self, index: int | slice) -> Region | Regions:
+        if isinstance(index, slice):
+            return Regions(self.regions[index], self.coordinates, self.crs)
+        return self.regions[index]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every region, in order."""
+        return tuple(region.name for region in self.regions)
+
+    @property
+    def flightlines(self) -> tuple[str, ...]:
+        """Flight lines that the regions name, each once, in order."""
+        return tuple(dict.fromkeys(region.flightline for region in self.regions if region.flightline))
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The regions as a FeatureCollection of GeoJSON, as shapely and geopandas take it."""
+        collection: dict[str, Any] = {"type": "FeatureCollection", "coordinates": self.coordinates}
+        if self.crs is not None:
+            collection["crs"] = {"type": "name", "properties": {"name": self.crs}}
+        return {**collection, "features": [region.feature() for region in self.regions]}
+
+    def _repr_html_(self) -> str:
+        """Return the outlines with their names, for a notebook of either theme; texts are escaped."""
+        system = self.crs or self.coordinates
+        limit_note = f", of which {MAX_DRAWN_REGIONS} are shown" if len(self) > MAX_DRAWN_REGIONS else ""
+        outlines = "".join(_drawn(region, self.coordinates) for region in self.regions[:MAX_DRAWN_REGIONS])
+        title = f"{len(self)} regions ({system}){limit_note}"
+        return (
+            f'<div style="font:13px/1.45 system-ui,sans-serif"><strong>{html.escape(title)}</strong>'
+            f'<div style="display:flex;flex-wrap:wrap;gap:2px 14px">{outlines}</div></div>'
+        )
+
+    @property
+    def digest(self) -> str:
+        """Digest of the content: equal digests mean equal regions."""
+        text = json.dumps(self.__geo_interface__, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _drawn(region: Region, coordinates: str) -> str:
+    # HTML of a region: outline filled with its property `colour`, name, flight line
+    rings = [np.asarray(ring, np.float64) for ring in (region.polygon, *region.holes)]
+    low, high = rings[0].min(axis=0), rings[0].max(axis=0)
+    scale = 20.0 / max((high - low).max(), 1e-12)
+    # y of SVG points down, as sensor lines do; north of a map points up
+    screen_signs = np.array([1.0, 1.0 if coordinates == "sensor" else -1.0])
+    corners = [((ring - (low + high) / 2.0) * scale * screen_signs + 12.0).round(1) for ring in rings]
+    step = max(1, len(corners[0]) // 100)
+    path = "".join(f"M{' L'.join(f'{x:g},{y:g}' for x, y in ring[::step].tolist())}Z" for ring in corners)
+    colour = str(region.properties.get("colour") or region.properties.get("color") or "none")
+    fill = colour if _COLOUR.fullmatch(colour) else "none"
+    title = " ".join(text for text in (region.name, region.flightline and f"({region.flightline})") if text)
+    style = "width:24px;height:24px;vertical-align:middle"
+    return (
+        f'<span><svg viewBox="0 0 24 24" aria-hidden="true" style="{style}">'
+        f'<path d="{path}" fill="{fill}" fill-rule="evenodd" stroke="currentColor"/></svg> '
+        f"{html.escape(title)}</span>"
+    )
+
+
+def _number(value: float) -> int | float:
+    integer = int(value)
+    return integer if integer == value else float(value)
+
+
+def _ring(ring: Any, index: int, problems: Problems) -> Floats:
+    ring_name = "polygon" if index == 0 else f"hole {index}"
+    try:
+        corners = np.array(ring, np.float64)
+    except (TypeError, ValueError):
+        corners = np.empty((0,))
+    if corners.ndim != 2 or corners.shape[1] != 2:
+        problems.add(
+            f"the {ring_name} has shape {corners.shape}",
+            expected="(vertex, 2): x and y of its corners",
+            code="dims-wrong",
+        )
+        return corners
+    if len(corners) > 1 and (corners[0] == corners[-1]).all():
+        corners = corners[:-1]
+    if not 3 <= len(corners) <= MAX_VERTICES:
+        problems.add(
+            f"the {ring_name} has {len(corners)} corners",
+            expected=f"3 to {MAX_VERTICES}",
+            code="corner-count",
+        )
+    if not (np.abs(corners) <= MAX_COORDINATE).all():
+        problems.add(
+            f"the {ring_name} has missing or too large coordinates",
+            expected=f"numbers from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g}",
+            code="corner-wrong",
+        )
+    corners = corners + 0.0  # no negative zero
+    corners.flags.writeable = False
+    return corners
+
+
+def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
+    if not isinstance(properties, Mapping):
+        problems.add(f"properties are {type(properties).__name__}", expected="a mapping", code="type-wrong")
+        return {}
+    if reserved := {"name", "flightline"} & set(properties):
+        problems.add(
+            f"properties hold {', '.join(sorted(reserved))}",
+            mend="pass them as arguments of Region",
+            code="property-reserved",
+        )
+    if odd := [key for key in properties if not isinstance(key, str)]:
+        problems.add(f"properties have the names {odd[:3]!r:.80}", expected="text", code="type-wrong")
+        return {}
+    try:
+        text = json.dumps(dict(properties), allow_nan=False, ensure_ascii=False)
+        text.encode()
+    except (TypeError, ValueError, RecursionError) as error:
+        problems.add(
+            f"properties cannot be written as JSON ({error!s:.80})",
+            expected="text, finite numbers, lists or mappings of them",
+            code="property-not-json",
+        )
+        return {}
+    copied: dict[str, Any] = json.loads(text)
+    return copied
+
+
+# --- files and other forms of regions ----------------------------------------------------------------------
 
 
 def read_regions(path: str | os.PathLike[str]) -> Regions:
@@ -201,14 +516,39 @@ def _no_constant(text: str) -> None:
 
 def _collection(document: Any, subject: str) -> Regions:
     problems = Problems(f"{subject} cannot be read as regions", FormatError)
-    features = _features(document, problems)
-    crs = _crs(document, problems) if isinstance(document, Mapping) else None
-    declared = document.get("coordinates") if isinstance(document, Mapping) else None
+    members = document if isinstance(document, Mapping) else {}
+    geojson_type = members.get("type")
+    features = members.get("features") if geojson_type == "FeatureCollection" else None
+    if geojson_type == "Feature":
+        features = [document]
+    if not isinstance(features, list | tuple):
+        description = (
+            f"type {geojson_type!r:.80}" if isinstance(document, Mapping) else type(document).__name__
+        )
+        problems.add(description, expected="a FeatureCollection with a list of features", code="type-wrong")
+    elif len(features) > MAX_REGIONS:
+        problems.add(
+            f"{len(features)} features",
+            expected=f"at most {MAX_REGIONS}",
+            mend="split the file",
+            code="regions-too-many",
+        )
+    crs = members.get("crs")
+    if isinstance(crs, Mapping):
+        inner = crs.get("properties")
+        crs = (inner.get("name") if isinstance(inner, Mapping) else None) or ""  # an empty name is refused
+    if crs is not None and not (isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable()):
+        problems.add(
+            "the crs has no name",
+            expected="text such as 'EPSG:32618', or an object with properties.name",
+            code="crs-missing",
+        )
+    declared = members.get("coordinates")
     coordinates = ("sensor" if crs is None else "map") if declared is None else declared
     one_of(coordinates, COORDINATES, "coordinates", problems=problems)
     problems.raise_if_any()
     regions, invalid_features = [], 0
-    for number, feature in enumerate(features):
+    for number, feature in enumerate(features or ()):
         try:
             regions.append(_region(feature))
         except PaintError as error:
@@ -224,45 +564,6 @@ def _collection(document: Any, subject: str) -> Regions:
         return Regions(tuple(regions), coordinates, crs)
     except SchemaError as error:
         raise FormatError(subject, problems=[error.problem]) from error
-
-
-def _features(document: Any, problems: Problems) -> list[Any]:
-    geojson_type = document.get("type") if isinstance(document, Mapping) else None
-    if geojson_type == "Feature":
-        return [document]
-    features = document.get("features") if geojson_type == "FeatureCollection" else None
-    if not isinstance(features, list | tuple):
-        description = (
-            f"type {geojson_type!r:.80}" if isinstance(document, Mapping) else type(document).__name__
-        )
-        problems.add(description, expected="a FeatureCollection with a list of features", code="type-wrong")
-        return []
-    if len(features) > MAX_REGIONS:
-        problems.add(
-            f"{len(features)} features",
-            expected=f"at most {MAX_REGIONS}",
-            mend="split the file",
-            code="regions-too-many",
-        )
-        return []
-    return list(features)
-
-
-def _crs(document: Mapping[str, Any], problems: Problems) -> str | None:
-    crs = document.get("crs")
-    if isinstance(crs, Mapping):
-        inner = crs.get("properties")
-        crs = inner.get("name") if isinstance(inner, Mapping) else None
-    elif crs is None:
-        return None
-    if isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable():
-        return crs
-    problems.add(
-        "the crs has no name",
-        expected="text such as 'EPSG:32618', or an object with properties.name",
-        code="crs-missing",
-    )
-    return None
 
 
 def _region(feature: Any) -> Region:

@@ -1,12 +1,25 @@
-"""Pixels of a flight line inside regions."""
+"""Pixels of a flight line inside regions, by an exact test of points in a polygon.
+
+A point on an edge is inside. The sign of a cross product tells on which side of an edge a point lies. Where
+its float64 value is within its rounding error bound [1]_, it is computed again in rational numbers. shapely
+is not used: GEOS takes points very close to an edge for points on it (tests/regions/test_regions.py, corners
+divided by three).
+
+References
+----------
+.. [1] J. R. Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates",
+   Discrete Comput. Geom. 18, 305-363 (1997), section 4.1.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
@@ -17,9 +30,19 @@ from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.geometry.georeference.locating import locate
 from hyperpaint.geometry.georeference.poses import POSE
 
-from .geojson import regions_from
-from .outlines import Region, Regions
-from .polygons import contains
+from .geojson import Region, Regions, regions_from
+
+Index = npt.NDArray[np.intp]
+
+_EPSILON = 2.0**-53
+_ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
+_TINIEST = float(np.finfo(np.float64).tiny)
+
+#: Maximum mean number of edges whose y range contains the y of a pixel: few for an outline, thousands for a
+#: zigzag.
+MAX_EDGES_PER_PIXEL = 100
+#: Number of comparisons of an edge with a point below which no polygon is refused.
+FREE_COMPARISONS = 10_000_000
 
 RegionsT = TypeVar("RegionsT", bound=Regions)
 #: Positions along and across the track, line by line.
@@ -168,7 +191,22 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
         names = lines_of_cells(line)
         if not names:
             return _by_coordinates(regions, *coordinates, shape)
-        sources = line[_SOURCE_LINE], _line_numbers(regions, names)
+        # number of the flight line of every region
+        problems = Problems(
+            "pixels of regions cannot be found in this map of several flight lines", SchemaError
+        )
+        lines = [region.flightline.replace(" ", "_") for region in regions]
+        for region, name in zip(regions, lines, strict=True):
+            if name not in names:
+                source = f"is of flight line {region.flightline!r}" if name else "names no flight line"
+                problems.add(
+                    f"region {region.name!r} in sensor coordinates {source}",
+                    expected=f"one of {', '.join(names)}",
+                    mend="give it the property flightline, or draw it in map coordinates",
+                    code="flightline-unknown",
+                )
+        problems.raise_if_any()
+        sources = line[_SOURCE_LINE], [names[name] for name in lines]
         return _by_coordinates(regions, *coordinates, shape, sources)
     columns, rows = numbers_of(line, CROSS_TRACK), numbers_of(line, ALONG_TRACK)
     return [_on_axes(region, columns, rows) for region in regions]
@@ -182,24 +220,6 @@ def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
     numbers = np.atleast_1d(attrs.get("flag_values", ())).astype(int).tolist()
     names = dict(zip(str(attrs.get("flag_meanings", "")).split(), numbers, strict=False))
     return names if len(names) > 1 else {}
-
-
-def _line_numbers(regions: Regions, names: Mapping[str, int]) -> list[int]:
-    # Number of the flight line of every region
-    problems = Problems("pixels of regions cannot be found in this map of several flight lines", SchemaError)
-    for region in regions:
-        if region.flightline.replace(" ", "_") not in names:
-            source = (
-                f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
-            )
-            problems.add(
-                f"region {region.name!r} in sensor coordinates {source}",
-                expected=f"one of {', '.join(names)}",
-                mend="give it the property flightline, or draw it in map coordinates",
-                code="flightline-unknown",
-            )
-    problems.raise_if_any()
-    return [names[region.flightline.replace(" ", "_")] for region in regions]
 
 
 def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
@@ -398,3 +418,93 @@ def _canonical(crs: str) -> str:
     if text.upper() in ("OGC:CRS84", _GEOGRAPHIC_CRS, "WGS84"):
         return _GEOGRAPHIC_CRS
     return text if "[" in text else text.upper()  # names within WKT are case-sensitive
+
+
+# --- points in polygons ------------------------------------------------------------------------------------
+
+
+def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> Bools:
+    """Return whether points lie in a polygon or on one of its edges (point,).
+
+    ``polygon`` (vertex, 2): x and y of its corners, in order, the last joined to the first; ``holes``: rings
+    cut out of it, whose edges belong to the polygon; ``x``, ``y`` (point,): the points; NaN are in no
+    polygon. Where a ring crosses itself, areas that it winds around an even number of times are outside
+    (even-odd rule).
+
+    Raises `SchemaError`: too many long edges; the test would take minutes.
+
+    Examples
+    --------
+    >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+    >>> contains(square, [], np.array([1.0, 2.0, 2.1]), np.array([1.0, 0.5, 0.5])).tolist()
+    [True, True, False]
+    """
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    near = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
+    # sorted by y, the points within the y range of an edge are one run
+    near = near[np.argsort(y[near], kind="stable")]
+    near_x, near_y = x[near], y[near]
+    rings = [polygon, *holes]
+    runs = [_runs(ring, near_y) for ring in rings]
+    comparisons = sum(int((last - first).clip(0).sum()) for first, last in runs)
+    if comparisons > FREE_COMPARISONS + MAX_EDGES_PER_PIXEL * near.size:
+        raise SchemaError(
+            f"on average {comparisons / near.size:.0f} edges lie beside each of {near.size} pixels",
+            expected=f"at most {MAX_EDGES_PER_PIXEL}",
+            mend="split the polygon, or give it fewer corners",
+            code="polygon-too-complex",
+        )
+    inside = np.ones(near.size, bool)
+    for number, (ring, (first, last)) in enumerate(zip(rings, runs, strict=True)):
+        # only points within the y range of a hole can lie in it
+        run = slice(int(first.min()), int(last.max())) if number else slice(0, near.size)
+        if run.start >= run.stop:
+            continue
+        within, edge = _ring(ring, near_x[run], near_y[run], first - run.start, last - run.start)
+        inside[run] &= ~within | edge if number else within | edge
+    belongs: Bools = np.zeros(x.size, bool)
+    belongs[near] = inside
+    return belongs
+
+
+def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
+    # Start and stop (edge,) of the points whose y lies within an edge's y range; y ascends
+    closed = np.concatenate([ring, ring[:1]])[:, 1]
+    first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
+    return first, np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
+
+
+def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tuple[Bools, Bools]:
+    # Masks of the points that a ring winds around an odd number of times, and of those on the ring
+    within = np.zeros(x.size, bool)
+    edge = np.zeros(x.size, bool)
+    closed = np.concatenate([ring, ring[:1]])
+    low, high = np.minimum(closed[:-1], closed[1:]), np.maximum(closed[:-1], closed[1:])
+    for k in np.flatnonzero(first < last):
+        run = slice(first[k], last[k])
+        start, stop = closed[k], closed[k + 1]
+        side = _side(start, stop, x[run], y[run])
+        edge[run] |= (side == 0) & (x[run] >= low[k, 0]) & (x[run] <= high[k, 0])
+        # a ray from the point in +x crosses rising edges left of them, falling edges right of them;
+        # half-open y ranges count a corner once
+        rises = (start[1] <= y[run]) & (y[run] < stop[1]) & (side > 0)
+        within[run] ^= rises | (stop[1] <= y[run]) & (y[run] < start[1]) & (side < 0)
+    return within, edge
+
+
+def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.int8]:
+    # 1 for points left of a directed edge, -1 right of it, 0 on its line
+    along_x, along_y = stop[0] - start[0], stop[1] - start[1]
+    off_x, off_y = x - start[0], y - start[1]
+    product_xy, product_yx = along_x * off_y, along_y * off_x
+    cross = product_xy - product_yx
+    side: npt.NDArray[np.int8] = np.sign(cross).astype(np.int8)
+    doubtful = np.abs(cross) <= _ROUNDING * (np.abs(product_xy) + np.abs(product_yx)) + _TINIEST
+    # products with a zero difference are exact
+    doubtful &= ((along_x != 0) & (off_y != 0)) | ((along_y != 0) & (off_x != 0))
+    # the sign in exact rational arithmetic
+    x0, y0, x1, y1 = (Fraction(float(value)) for value in (*start, *stop))
+    for k in np.flatnonzero(doubtful).tolist():
+        exact = (x1 - x0) * (Fraction(float(y[k])) - y0) - (y1 - y0) * (Fraction(float(x[k])) - x0)
+        side[k] = (exact > 0) - (exact < 0)
+    return side

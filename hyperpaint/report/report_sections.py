@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,26 +18,28 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import PaintError, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, rename_to_roles
+from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, rename_to_roles
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.paints.colours import paint_colours
-from hyperpaint.pictures.figures import data_uri, encode_png, new_figure
-from hyperpaint.pictures.orientation import flown_right, orientation_of
-from hyperpaint.pictures.paint_cards import paint_card
+from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of
 from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flag_label, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
+from hyperpaint.pictures.plot_chain import triptych
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
-from hyperpaint.pictures.plot_panels import draw_panels
+from hyperpaint.pictures.plot_paints import paint_card
 from hyperpaint.pictures.plot_spectra import draw_uncertainties, find_usable, library_overview
+from hyperpaint.pictures.plot_validation import draw_panels, validation_figure
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
+from hyperpaint.validation import validate
 
-from .chain_sections import figure_part, picture_bytes, trust_parts
-from .pages import Part, page_part
-from .summaries import facts_of_bands, facts_of_line, facts_of_map
+from .summaries import Part, facts_of_bands, facts_of_line, facts_of_map, page_part
 
 if TYPE_CHECKING:
     from markupsafe import Markup
+
+    from hyperpaint.regions import Region
 
 MAX_ROWS = 500  # paints in a table
 
@@ -56,9 +59,9 @@ def line_section(
     if note:
         yield "origin of flags", lambda: page_part("paragraph", text=note)
     if "irradiance" in line.variables:
-        yield "irradiance", partial(_irradiance, line)
+        yield "irradiance", partial(_chart, "irradiance", line)
     if "panel_factor" in line.variables:
-        yield "panels", partial(_panels, line)
+        yield "panels", partial(_chart, "panels", line)
     if "reflectance" in line.variables or "irradiance" in line.variables:
         yield "reflectance", partial(_reflectance, line)
     yield from trust_parts(line, regions)
@@ -72,15 +75,11 @@ def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: 
     """
     for number, (library, paint) in enumerate(cards[:most]):
         heading = "" if number else "Paint by paint"
-        yield f"card of {paint}", partial(_card, line, library, paint, heading)
+        caption = f"{paint}: its region, the pixels used, and its signature."
+        yield f"card of {paint}", partial(_drawn, partial(paint_card, line, library, paint), caption, heading)
     if len(cards) > most:
         text = f"and {len(cards) - most} more paints, without a card"
         yield "more cards", lambda: page_part("paragraph", text=text)
-
-
-def _card(line: xr.Dataset, library: xr.Dataset, paint: str, heading: str) -> Markup:
-    caption = f"{paint}: its region, the pixels used, and its signature."
-    return figure_part(paint_card(line, library, paint), caption, heading)
 
 
 def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
@@ -149,23 +148,6 @@ def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
     return figure_part(axes.figure, f"{schema.VARIABLES[layer].meaning}.")
 
 
-def _irradiance(line: xr.Dataset) -> Markup:
-    axes = _new_axes(3.2, _CHART_INCH)
-    draw_irradiance(axes, line)
-    caption = "Downwelling irradiance around the line; the time of the line is shaded."
-    return figure_part(axes.figure, caption, "Irradiance over time", kind="chart")
-
-
-def _panels(line: xr.Dataset) -> Markup:
-    axes = _new_axes(4.0, _CHART_INCH)
-    draw_panels(axes, line)
-    caption = (
-        "Ratio of measured to certified reflectance of the panels, with twice the combined standard "
-        "uncertainty: where the shade misses 1, calibration, irradiance or panel is wrong."
-    )
-    return figure_part(axes.figure, caption, "Panels", kind="chart")
-
-
 def _reflectance(line: xr.Dataset) -> Markup:
     axes = _new_axes(3.6, _CHART_INCH)
     step = max(1, line.sizes[ALONG_TRACK] // 50)
@@ -198,7 +180,7 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
     caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
     yield "spectra", lambda: figure_part(library_overview(usable), caption)
     if "reflectance_u_random" in usable.variables:
-        yield "uncertainty", partial(_uncertainty, usable)
+        yield "uncertainty", partial(_chart, "uncertainty", usable)
     yield "paints", lambda: _table_of_paints(usable)
     if refused := library.attrs.get("refused"):
         pairs = [str(text).partition(": ")[::2] for text in np.atleast_1d(refused)]
@@ -275,6 +257,44 @@ def _new_axes(height: float, width: float = 10.0) -> Any:
     return new_figure("a report", figsize=(width, height), layout="constrained").add_subplot()
 
 
+#: Charts of a line or library: function that draws them, size [inch], heading, caption, kind of figure.
+_CHARTS: Mapping[str, tuple[Callable[[Any, xr.Dataset], None], tuple[float, float], str, str, str]] = {
+    "irradiance": (
+        draw_irradiance,
+        (_CHART_INCH, 3.2),
+        "Irradiance over time",
+        "Downwelling irradiance around the line; the time of the line is shaded.",
+        "chart",
+    ),
+    "panels": (
+        draw_panels,
+        (_CHART_INCH, 4.0),
+        "Panels",
+        "Ratio of measured to certified reflectance of the panels, with twice the combined standard "
+        "uncertainty: where the shade misses 1, calibration, irradiance or panel is wrong.",
+        "chart",
+    ),
+    "uncertainty": (
+        draw_uncertainties,
+        (10.0, 3.8),
+        "Uncertainty",
+        "Standard uncertainty of the mean reflectance; dashed: its random part.",
+        "wide",
+    ),
+}
+
+
+def _chart(name: str, dataset: xr.Dataset) -> Markup:
+    draw, (width, height), heading, caption, kind = _CHARTS[name]
+    axes = _new_axes(height, width)
+    draw(axes, dataset)
+    return figure_part(axes.figure, caption, heading, kind)
+
+
+def _drawn(draw: Callable[[], Any], caption: str, heading: str = "") -> Markup:
+    return figure_part(draw(), caption, heading)
+
+
 def _gain(calibration: xr.Dataset) -> Markup:
     figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
     draw_gain(figure, calibration)
@@ -282,12 +302,126 @@ def _gain(calibration: xr.Dataset) -> Markup:
     return figure_part(figure, caption, "Gain, width and smile", kind="chart wide")
 
 
-def _uncertainty(library: xr.Dataset) -> Markup:
-    axes = _new_axes(3.8)
-    draw_uncertainties(axes, library)
-    caption = "Standard uncertainty of the mean reflectance; dashed: its random part."
-    return figure_part(axes.figure, caption, "Uncertainty")
-
-
 def _provenance(attrs: Mapping[Any, Any]) -> Markup:
     return page_part("provenance", pairs=[(str(name), text) for name, text in attrs.items()])
+
+
+_DPI = 100
+_MAX_MAP_CELLS = 800  # rows or columns
+_MAX_MAP_BANDS = 24
+_POSE = {"latitude", "longitude", "altitude", "roll", "pitch", "heading"}
+
+# results of the comparison of camera and record in the attributes, see `hyperpaint.alignment.align`
+_COMPARED = {
+    "state": "state",
+    "shift": "wavelength shift, camera minus record, at 600 nm [nm]",
+    "shift_slope": "change of the shift over 100 nm [nm]",
+    "width": "band width over declared width [1]",
+    "departure": "departure from no shift [standard uncertainties]",
+    "effect": "largest change of irradiance [1]",
+    "residual": "residual of solar lines, aligned [1]",
+    "residual_declared": "residual of solar lines, as declared [1]",
+    "record_shift": "shift of the record against solar lines [nm]",
+    "camera_shift": "shift of the camera against solar lines [nm]",
+    "record_fwhm": "width of the record's bands [nm]",
+    "camera_width": "width of the camera's bands over declared width [1]",
+}
+
+
+def trust_parts(line: xr.Dataset, regions: Sequence[Region]) -> Iterator[Part]:
+    """Yield counts to reflectance, map and alignment of a flight line, those whose inputs exist."""
+    names = set(line.variables)
+    if {"counts", "radiance_gain", "exposure_time", "irradiance", "wavelength"} <= names:
+        yield "counts to reflectance", partial(_triptych, line, regions)
+    if "reflectance" in names and (
+        ({"east", "north"} <= names) or (names >= _POSE and "ground" in line.attrs)
+    ):
+        yield "map", partial(_map, line)
+    if "alignment_state" in line.attrs:
+        yield "alignment", partial(_alignment, line.attrs)
+
+
+def _triptych(line: xr.Dataset, regions: Sequence[Region]) -> Markup:
+    heading = "From counts to reflectance"
+    for region in regions:
+        try:
+            caption = f"{region.name}: median of its pixels, the middle half and 5 to 95 % of them."
+            return figure_part(triptych(line, region, width=13.0), caption, heading)
+        except SchemaError:  # all pixels of the region are flagged, or it lies outside the line
+            continue
+    centre = (line.sizes[ALONG_TRACK] // 2, line.sizes[CROSS_TRACK] // 2)
+    caption = f"The pixel in the middle of the line: line {centre[0]}, column {centre[1]} of the store."
+    return figure_part(triptych(line, pixels=centre, width=13.0), caption, heading)
+
+
+def _map(line: xr.Dataset) -> Markup:
+    # few visible bands, and cells large enough for the size of the page
+    nm = line["wavelength"].values
+    visible = np.flatnonzero((nm > 400) & (nm < 700))
+    bands = visible[
+        np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAX_MAP_BANDS)).astype(int))
+    ]
+    names = ["reflectance", *(name for name in ("east", "north") if name in line.variables)]
+    coords = line.coords if BAND not in line.dims else line.isel({BAND: bands}).coords
+    selection = line.isel({BAND: bands})[[*names, *(n for n in _POSE if n in line.data_vars)]].assign_coords(
+        coords
+    )
+    try:
+        orthomap = orthorectify(selection, variables=["reflectance"])
+        cells = max(orthomap.sizes["y"], orthomap.sizes["x"])
+        if cells > _MAX_MAP_CELLS:
+            gsd = float(abs(orthomap["x"][1] - orthomap["x"][0])) * cells / _MAX_MAP_CELLS
+            orthomap = orthorectify(selection, gsd, variables=["reflectance"])
+    except PaintError as error:  # camera or heights are missing, which is not a fault of the store
+        return page_part("paragraph", text=f"There is no map: {error}", heading="Map")
+    x, y = orthomap["x"].values, orthomap["y"].values
+    caption = (
+        f"North up, cells of {abs(x[1] - x[0]):.2g} m; easting {x.min():.0f} to {x.max():.0f}, northing "
+        f"{y.min():.0f} to {y.max():.0f} m."
+    )
+    picture = picture_bytes(rgb(rename_to_roles(orthomap)))
+    return page_part("true_colour", src=data_uri(encode_png(picture)), caption=caption, heading="Map")
+
+
+def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide") -> Markup:
+    """Return a figure for a page; a figure of kind ``chart`` may be inverted in dark themes."""
+    src = data_uri(png_of(figure, dpi=_DPI))
+    return page_part("picture", src=src, caption=caption, heading=heading, kind=kind)
+
+
+def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Return a picture from 0 to 1 as bytes; pixels without a value are black."""
+    values = np.nan_to_num(np.asarray(picture)).clip(0.0, 1.0)
+    return np.ascontiguousarray((values * 255.0 + 0.5).astype(np.uint8))
+
+
+def _alignment(attrs: Mapping[Any, Any]) -> Markup:
+    rows = []
+    for name, label in _COMPARED.items():
+        value, u = (attrs.get(f"alignment_{name}{suffix}") for suffix in ("", "_u"))
+        if isinstance(value, int | float):
+            has_u = isinstance(u, int | float)
+            rows.append((label, f"{value:.4g} \u00b1 {u:.2g}" if has_u else f"{value:.4g}"))
+        elif value is not None:
+            rows.append((label, value))
+    return page_part("facts", pairs=rows, heading="Alignment of camera and irradiance record")
+
+
+def validation_section(
+    libraries: Mapping[str, xr.Dataset], references: Sequence[xr.Dataset]
+) -> Iterator[Part]:
+    """Yield the agreement of each library with the field spectra in the store."""
+    for name, library in libraries.items():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", PaintWarning)
+            try:
+                agreement = validate(library, list(references))
+            except SchemaError as error:
+                yield name, partial(page_part, "paragraph", text=f"{name} cannot be compared: {error}")
+                continue
+        yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
+        caption = "Signatures over their references, and the differences with their standard uncertainty."
+        yield "agreement", partial(_drawn, partial(validation_figure, agreement), caption)
+        yield "statistics", partial(page_part, "preformatted", lines=agreement.table().splitlines())
+        for message in dict.fromkeys(str(warning.message) for warning in caught):
+            yield "remark", partial(page_part, "paragraph", text=message)

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -23,19 +23,17 @@ from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.keyword_names import renamed
+from hyperpaint.base.old_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store import to_store
 from hyperpaint.paints.colours import paint_colours, srgb_hex
-from hyperpaint.pictures.figures import encode_png
-from hyperpaint.pictures.orientation import flown_right, orientation_of
+from hyperpaint.pictures.figures import encode_png, flown_right, orientation_of
 from hyperpaint.pictures.plot import flag_label, rgb
 from hyperpaint.pictures.plot_spectra import find_usable
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
-from .shown_groups import flagged, groups_to_show, message_of
-from .store_report import Written
+from .store_report import Written, flagged, groups_to_show, message_of
 
 _Picture: TypeAlias = "np.ndarray[Any, np.dtype[np.uint8]]"
 
@@ -145,7 +143,11 @@ def write_site(
     if Path(store).resolve() in (folder.resolve(), *folder.resolve().parents):
         raise StoreError(f"{out} is in the store itself", mend="choose another path", code="path-in-store")
     groups = groups_to_show(store, flightlines, library)
-    site, unreadable = _Site({}, [], [], {}, list(groups.problems)), set()
+    problems, unreadable = list(groups.problems), set()
+    shown: dict[str, xr.Dataset] = {}
+    lines: list[dict[str, Any]] = []
+    libraries: list[dict[str, Any]] = []
+    pictures: dict[str, _Picture] = {}
     notes: dict[str, str] = {}
     for name, group in (groups.lines | groups.maps).items():
         path = name if name in groups.groups else "map" if link is None else ""
@@ -154,75 +156,63 @@ def write_site(
                 group, note = flagged(group, None, None)
                 notes[name] = "" if group is not groups.lines[name] else note
             variables = _page_variables(group, stored=link is not None)
-            site.add(path, name, variables, _picture(variables, group, max_lines))
+            picture, places = _picture(variables, group, max_lines)
+            file = f"pictures/{len(pictures)}.png"  # the name of a group may be no valid file name
+            shown[path], pictures[file] = variables, picture
+            short_name = name.rpartition("/")[2]
+            label = name if any(entry["name"] == short_name for entry in lines) else short_name
+            # sorted, because xarray lists coordinates in random order
+            entry = {
+                "name": label,
+                "group": path,
+                "picture": file,
+                "variables": sorted(map(str, variables.variables)),
+            }
+            lines.append(entry | places)
         except Exception as error:  # list an unreadable group and show all other groups
-            site.problems.append(f"/{name}: {message_of(error)}")
+            problems.append(f"/{name}: {message_of(error)}")
             unreadable.add(name)
     for name, paints in groups.libraries.items():
-        site.add_library(name if name in groups.groups else "library", name, paints)
+        path = name if name in groups.groups else "library"
+        usable, faults = find_usable(paints)
+        problems.extend(f"/{name}: {text}" for text in faults)
+        shown[path] = usable.drop_vars(_HIDDEN_VARIABLES, errors="ignore")
+        colours = [srgb_hex(colour) for colour in paint_colours(usable)]
+        names = sorted(map(str, shown[path].variables))
+        libraries.append({"name": name, "group": path, "variables": names, "colours": colours})
     for name, note in notes.items():
         if note:
             warnings.warn(PaintWarning(f"/{name}: {note}", code="group-not-shown"), stacklevel=2)
-    if not site.groups:
+    if not shown:
         raise StoreError(
-            f"{store} has no readable flight line, map or paint library: {'; '.join(site.problems)}",
+            f"{store} has no readable flight line, map or paint library: {'; '.join(problems)}",
             code="store-empty",
         )
     with published_folder(folder, overwrite=overwrite, foreign=_foreign) as build:
         if link is None:
-            tree = xr.DataTree.from_dict(site.groups)
-            to_store(tree, build / "store.zarr", layout="web", progress=progress)
-        site.write(build, folder.name, link or "store.zarr", origin)
-    lines_and_maps = [
-        tuple(name for name in names if name not in unreadable) for names in (groups.lines, groups.maps)
-    ]
-    return Written(folder, lines_and_maps[0], lines_and_maps[1], tuple(site.problems))
-
-
-class _Site(NamedTuple):
-    groups: dict[str, xr.Dataset]
-    lines: list[dict[str, Any]]
-    libraries: list[dict[str, Any]]
-    pictures: dict[str, _Picture]
-    problems: list[str]
-
-    def add(self, path: str, name: str, group: xr.Dataset, shown: tuple[_Picture, dict[str, Any]]) -> None:
-        picture, places = shown
-        file = f"pictures/{len(self.pictures)}.png"  # the name of a group may be no valid file name
-        self.groups[path], self.pictures[file] = group, picture
-        variables = sorted(map(str, group.variables))  # xarray lists coordinates in random order
-        short_name = name.rpartition("/")[2]
-        label = name if any(entry["name"] == short_name for entry in self.lines) else short_name
-        entry = {"name": label, "group": path, "picture": file, "variables": variables, **places}
-        self.lines.append(entry)
-
-    def add_library(self, path: str, name: str, library: xr.Dataset) -> None:
-        usable, problems = find_usable(library)
-        self.problems.extend(f"/{name}: {text}" for text in problems)
-        self.groups[path] = usable.drop_vars(_HIDDEN_VARIABLES, errors="ignore")
-        colours = [srgb_hex(colour) for colour in paint_colours(usable)]
-        variables = sorted(map(str, self.groups[path].variables))
-        self.libraries.append({"name": name, "group": path, "variables": variables, "colours": colours})
-
-    def write(self, folder: Path, name: str, store: str, origin: str) -> None:
-        collects = [str(group.attrs["collect"]) for group in self.groups.values() if "collect" in group.attrs]
+            to_store(xr.DataTree.from_dict(shown), build / "store.zarr", layout="web", progress=progress)
+        collects = [str(group.attrs["collect"]) for group in shown.values() if "collect" in group.attrs]
         index = {
             "format": FORMAT,
-            "title": collects[0] if collects else name,
-            "store": store,
-            "lines": self.lines,
-            "libraries": self.libraries,
+            "title": collects[0] if collects else folder.name,
+            "store": link or "store.zarr",
+            "lines": lines,
+            "libraries": libraries,
             "flags": [
                 {"mask": int(flag), "name": flag_label(flag), "colour": flag.colour} for flag in Quality
             ],
         }
-        (folder / "pictures").mkdir()
-        for file, picture in self.pictures.items():
-            (folder / file).write_bytes(encode_png(picture))
+        (build / "pictures").mkdir()
+        for file, picture in pictures.items():
+            (build / file).write_bytes(encode_png(picture))
         for source in _WEB.iterdir():
             text = source.read_text(encoding="utf-8").replace("%ORIGIN%", origin)
-            (folder / source.name).write_text(text, encoding="utf-8", newline="\n")
-        (folder / _INDEX).write_text(json.dumps(index, allow_nan=False), encoding="utf-8")
+            (build / source.name).write_text(text, encoding="utf-8", newline="\n")
+        (build / _INDEX).write_text(json.dumps(index, allow_nan=False), encoding="utf-8")
+    lines_and_maps = [
+        tuple(name for name in names if name not in unreadable) for names in (groups.lines, groups.maps)
+    ]
+    return Written(folder, lines_and_maps[0], lines_and_maps[1], tuple(problems))
 
 
 def _page_variables(group: xr.Dataset, *, stored: bool) -> xr.Dataset:

@@ -6,10 +6,12 @@ script. All texts of a store are escaped.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,27 +19,34 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Progress
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import PaintError, SchemaError, StoreError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.keyword_names import renamed
+from hyperpaint.base.old_names import renamed, with_new_names
 from hyperpaint.base.progress_reports import part_of
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE
 from hyperpaint.io.files.publishing import check_place, publish_file
+from hyperpaint.io.store import list_groups, open_group, open_store, open_unverified
 from hyperpaint.io.store.groups import version_of_program
+from hyperpaint.io.store.location import Location
+from hyperpaint.io.store.manifest import store_state
+from hyperpaint.io.store.reader import place_of
 from hyperpaint.pictures.figures import new_figure
-from hyperpaint.surroundings.scratch import release
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.surroundings.flags import flag_line, is_flagged
+from hyperpaint.surroundings.scratch import compute_into, release, scratch_array, survey_planned
 
-from .chain_sections import validation_section
-from .pages import Part, page_part
 from .report_sections import (
     LAYERS,
+    LAYERS as DRAWN,
     calibration_section,
     card_parts,
     library_section,
     line_section,
     map_section,
     regions_of,
+    validation_section,
 )
-from .shown_groups import flagged, groups_to_show, message_of
+from .summaries import Part, page_part
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -132,7 +141,15 @@ def write_report(
         raise SchemaError(f"cards={cards}", expected="0 or more", code="value-out-of-range")
     groups = groups_to_show(store, flightlines, library)
     lines, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
-    paints_by_line = _paints_by_line(lines, libraries, problems)
+    paints: list[tuple[str, xr.Dataset, str, Region]] = []  # flight line, library, name and region of paints
+    for name, library_of_paints in libraries.items():
+        try:
+            paints += [
+                (line, library_of_paints, paint, region)
+                for line, paint, region in regions_of(library_of_paints)
+            ]
+        except Exception as error:  # see _draw_section
+            problems.append(f"/{name}, regions: {message_of(error)}")
     calibration = groups.groups.get("calibration")
     references = [group for name, group in groups.groups.items() if name.startswith("references/")]
     has_validation = bool(libraries and references)
@@ -140,8 +157,9 @@ def write_report(
     sections: list[tuple[str, Iterator[Part]]] = []
     for number, (name, line) in enumerate(lines.items()):
         share = part_of(progress, number, steps)
-        section = _flagged_section(line, max_lines, paints_by_line[name], cards, flags, sun_zenith, share)
-        sections.append((name, section))
+        on_line = [row for row in paints if row[0] in ("", name, name.rpartition("/")[2])]
+        detect = partial(flagged, sun_zenith=sun_zenith, progress=share) if flags else None
+        sections.append((name, _line_parts(line, max_lines, on_line, cards, detect)))
     sections += [(name, map_section(group, max_lines)) for name, group in maps.items()]
     sections += [(name, library_section(paints)) for name, paints in libraries.items()]
     if has_validation:
@@ -161,51 +179,22 @@ def write_report(
     return Written(page_path, tuple(lines), tuple(maps), tuple(problems))
 
 
-def _flagged_section(
+def _line_parts(
     line: xr.Dataset,
     lines: int,
-    paints: Sequence[_PaintOnLine],
+    paints: Sequence[tuple[str, xr.Dataset, str, Region]],
     cards: int,
-    flags: bool,
-    sun_zenith: float | None,
-    progress: Progress | None,
+    detect: Callable[[xr.Dataset], tuple[xr.Dataset, str]] | None,
 ) -> Iterator[Part]:
-    line, note = flagged(line, sun_zenith, progress) if flags else (line, "")
-    for section_part in line_section(line, lines, [paint.region for paint in paints], note):
+    line, note = (line, "") if detect is None else detect(line)
+    for section_part in line_section(line, lines, [region for *_, region in paints], note):
         yield section_part
         # detected flags lie in memory-mapped files, which a picture reads completely
         for name in ("quality", *LAYERS):
             values = line.variables[name]._data if name in line.variables else None
             if isinstance(values, np.ndarray):
                 release(values)
-    yield from card_parts(line, [(paint.library, paint.paint) for paint in paints], cards)
-
-
-# --- paints on their lines ---------------------------------------------------------------------------------
-
-
-class _PaintOnLine(NamedTuple):
-    library: xr.Dataset
-    paint: str
-    region: Region
-
-
-def _paints_by_line(
-    lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset], problems: list[str]
-) -> dict[str, list[_PaintOnLine]]:
-    # paints measured on each flight line, by its group
-    paints: list[tuple[str, _PaintOnLine]] = []
-    for name, library in libraries.items():
-        try:
-            paints += [
-                (line, _PaintOnLine(library, paint, region)) for line, paint, region in regions_of(library)
-            ]
-        except Exception as error:  # see _draw_section
-            problems.append(f"/{name}, regions: {message_of(error)}")
-    return {
-        group: [paint for name, paint in paints if name in ("", group, group.rpartition("/")[2])]
-        for group in lines
-    }
+    yield from card_parts(line, [(library, paint) for _, library, paint, _ in paints], cards)
 
 
 # --- the page ----------------------------------------------------------------------------------------------
@@ -236,3 +225,120 @@ def _head(store: str | os.PathLike[str], groups: dict[str, xr.Dataset], problems
         "reported": f"{created.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
     }
     return page_part("head", pairs=list(facts.items()), problems=problems)
+
+
+MAX_LINES = 64  # flight lines of one page: each takes some megabytes
+
+_SCENE_FLAGS = "Glint, shadow and light of neighbours"
+
+
+class ShownGroups(NamedTuple):
+    """Opened groups of a store by name."""
+
+    groups: dict[str, xr.Dataset]
+    lines: dict[str, xr.Dataset]
+    maps: dict[str, xr.Dataset]
+    libraries: dict[str, xr.Dataset]
+    problems: list[str]  #: Unreadable groups, with the reason
+
+
+def groups_to_show(
+    store: str | os.PathLike[str],
+    flightlines: Sequence[str] | None,
+    signatures: str | os.PathLike[str] | None,
+) -> ShownGroups:
+    """Return the chosen flight lines, all maps and libraries of a store, and a library beside it.
+
+    Raises `SchemaError` for an unknown flight line, or if ``signatures`` is not a paint library; `StoreError`
+    if the store has nothing to show.
+    """
+    listed, groups = list_groups(store), {}
+    # an unfinished store is a problem, but its finished groups are shown
+    problems = list(store_state(place_of(store)[0] or Location.of(store), listed).problems)
+    for name in listed:
+        try:
+            groups[name] = with_new_names(open_group(store, name))
+        except StoreError as error:
+            problems.append(f"/{name}: {error}")
+            with contextlib.suppress(StoreError):  # show the readable variables
+                groups[name] = open_unverified(store, name)
+    cubes = {"counts", "radiance", "reflectance", "quality"}
+    lines = {
+        name: group
+        for name, group in groups.items()
+        if {ALONG_TRACK, CROSS_TRACK} <= set(group.dims) and cubes & set(group.variables)
+    }
+    if flightlines is None:
+        lines = dict(list(lines.items())[:MAX_LINES])
+    else:
+        keys = {
+            name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None)
+            for name in flightlines
+        }
+        if unknown := [name for name, key in keys.items() if key is None]:
+            raise SchemaError(
+                f"{store} has no flight line {', '.join(map(repr, unknown))}",
+                expected=", ".join(lines) or "none",
+                code="flightline-unknown",
+            )
+        lines = {key: lines[key] for key in keys.values() if key is not None}
+    maps = {
+        name or Path(store).name: group for name, group in groups.items() if {"y", "x"} <= set(group.dims)
+    }
+    libraries = {name: group for name, group in groups.items() if _is_library(group)}
+    if signatures is not None:
+        library = with_new_names(open_store(signatures, ""))
+        if not _is_library(library):
+            raise SchemaError(
+                f"{signatures} is no paint library",
+                expected="reflectance (signature, band), as `hyperpaint signatures` writes",
+                code="library-missing",
+            )
+        libraries[Path(signatures).name] = library
+    if not lines and not libraries and not maps:
+        reason = "; ".join(problems) or f"its groups are {', '.join(groups) or 'none'}"
+        raise StoreError(
+            f"{store} has no flight line, map or signatures to show: {reason}", code="store-empty"
+        )
+    return ShownGroups(groups, lines, maps, libraries, problems)
+
+
+def _is_library(group: xr.Dataset) -> bool:
+    return "reflectance" in group.variables and SIGNATURE in group["reflectance"].dims
+
+
+def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> tuple[xr.Dataset, str]:
+    """Return a line with scene flags, detected if it has none, and a note for the page about their origin."""
+    if not {"reflectance", "irradiance"} & set(line.variables):
+        return line, ""
+    try:
+        if is_flagged(line):
+            return line, ""
+        line = _with_flags(line, sun_zenith, progress)
+    # the line is shown even if detection fails; drawing reports damaged data again
+    except Exception as error:
+        return line, f"{_SCENE_FLAGS} could not be detected: {message_of(error)}"
+    return line, f"{_SCENE_FLAGS} were detected for this page; the store has no such flags."
+
+
+def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
+    # survey the line, then detect all flags in one pass
+    calibrated = line if "reflectance" in line.variables else reflectance(line)
+    with survey_planned(line, "the survey"):
+        flags = flag_line(calibrated, sun_zenith=sun_zenith, progress=part_of(progress, 0, 2)).line
+        names = ["quality", *DRAWN]
+        lazy = [flags[name].transpose(ALONG_TRACK, CROSS_TRACK).data for name in names]
+        values = [scratch_array(array.shape, array.dtype) for array in lazy]
+        compute_into(lazy, values)
+    return line.assign(
+        {
+            name: flags[name].reset_coords(drop=True).copy(data=array)
+            for name, array in zip(names, values, strict=True)
+        }
+    )
+
+
+def message_of(error: Exception) -> str:
+    """Return the message of an error for the page; errors of other packages with their class."""
+    kind = "" if isinstance(error, PaintError) else f"{type(error).__name__}: "
+    return f"{kind}{error!s:.1000}"

@@ -1,9 +1,13 @@
-"""Summary of a dataset: pairs of names and texts, text for a terminal, HTML for a notebook."""
+"""Summary of a dataset: pairs of names and texts, text for a terminal, HTML for a notebook.
+
+HTML comes from macros of ``page.html.j2``: jinja2 escapes every text. A page loads nothing from elsewhere.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+import functools
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +17,10 @@ from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.paints.colours import paint_colours, srgb_hex
-from hyperpaint.pictures.figures import data_uri, encode_png
-from hyperpaint.pictures.orientation import flown_right, orientation_of
+from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, orientation_of
 
-from .pages import page_part
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 Facts = Iterator[tuple[str, str]]  # names and texts
 
@@ -266,9 +270,7 @@ def _attempt(function: Any, otherwise: Any) -> Any:
 def _kind(dataset: xr.Dataset) -> tuple[str, Any]:
     if "reflectance" in dataset.variables and schema.SIGNATURE in dataset["reflectance"].dims:
         return "paint library", _library
-    if ALONG_TRACK in dataset.dims:
-        return "flight line", _line
-    return "dataset", _forms
+    return ("flight line", _line) if ALONG_TRACK in dataset.dims else ("dataset", _forms)
 
 
 def _forms(dataset: xr.Dataset) -> Facts:
@@ -325,3 +327,55 @@ def _library(library: xr.Dataset) -> Facts:
     for name in ("flightlines", "smoothing", "exclude"):
         entry = library.attrs.get(name)
         yield name, ", ".join(map(str, entry)) if isinstance(entry, list) else str(entry or "")
+
+
+Part: TypeAlias = "tuple[str, Callable[[], Markup]]"  # name of a part, and the function that draws it
+
+MAX_TEXT_CHARS = 2000
+
+_LAYOUT = frozenset("\n\t")
+# characters that change the writing direction of the text around them
+_BIDIRECTIONAL = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c")
+
+
+def page_part(name: str, **content: object) -> Markup:
+    """Return a part of a page, made by a macro of ``page.html.j2`` from cleaned and escaped texts.
+
+    Examples
+    --------
+    >>> print(page_part("paragraph", text="1 < 2"))
+    <p class="note">1 &lt; 2</p>
+    """
+    part: Markup = getattr(_macros(), name)(**content)
+    return part
+
+
+@functools.cache
+def _macros() -> Any:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("hyperpaint", "report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=plain_text,
+    )
+    return environment.get_template("page.html.j2").module
+
+
+def plain_text(value: object) -> object:
+    """Return a text without control characters, cut to `MAX_TEXT_CHARS`; finished markup stays unchanged.
+
+    Examples
+    --------
+    >>> plain_text("one" + chr(7))
+    'one\ufffd'
+    """
+    if hasattr(value, "__html__"):
+        return value
+    text = str(value)
+    printable = "".join(
+        char if char in _LAYOUT or (char.isprintable() and char not in _BIDIRECTIONAL) else "\ufffd"
+        for char in text[:MAX_TEXT_CHARS]
+    )
+    return printable + ("..." if len(text) > MAX_TEXT_CHARS else "")

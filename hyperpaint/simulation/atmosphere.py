@@ -128,30 +128,32 @@ def _fine_structure() -> _FineStructure:
     cells = np.searchsorted(table.wavelength, np.arange(first, last + 1.0))
     beyond = table.wavelength > last + 1.0
 
-    def scaled(lines: Floats, depth: Floats) -> Floats:
-        inside = _scaled_to_cells(lines.reshape(-1, per_cell), depth[cells]).ravel()
-        return np.append(inside, depth[beyond])
+    def scaled(lines: Floats, depths: Floats) -> Floats:
+        # Optical depths whose mean transmittance in every cell equals that of the table. ``lines`` says how
+        # the depth is spread; a tenth of its mean is a continuum, so that there is an answer where a cell has
+        # no line. Transmittances are those at the air mass of the table. Bisection.
+        lines, depth = lines.reshape(-1, per_cell), depths[cells]
+        shape = lines + 0.1 * lines.mean(axis=1, keepdims=True) + 1e-6
+        target = np.exp(-TABLE_AIR_MASS * depth)
+        low, high = np.zeros(depth.shape), np.full(depth.shape, 1e9)
+        for _ in range(100):
+            middle = np.where(high < 1e8, 0.5 * (low + high), np.maximum(4.0 * low, 1e-3))
+            left = np.exp(-TABLE_AIR_MASS * middle[:, None] * shape).mean(axis=1)
+            low, high = np.where(left > target, middle, low), np.where(left > target, high, middle)
+        inside = np.where(depth[:, None] > 0.0, low[:, None] * shape, 0.0).ravel()
+        return np.append(inside, depths[beyond])
 
+    rng = np.random.default_rng([_NATURE, 1])
+    water = np.zeros_like(nm)
+    for centre, spread, number, depth in _WATER:
+        centres = rng.normal(centre, spread, number)
+        water += _sum_of_lines(nm, centres, rng.exponential(depth, number), _LINE_WIDTH)
     return _FineStructure(
         wavelength=np.append(nm, table.wavelength[beyond]),
         lines=np.append(solar / means[half:-half], np.ones(beyond.sum())),
         mixed=scaled(_oxygen(nm), table.mixed),
-        water=scaled(_water(nm), table.water),
+        water=scaled(water, table.water),
     )
-
-
-def _scaled_to_cells(lines: Floats, depth: Floats) -> Floats:
-    # Optical depths (cell, point) whose mean transmittance in every cell equals that of ``depth``.
-    # ``lines`` (cell, point) says how the depth is spread; a tenth of its mean is a continuum, so that there
-    # is an answer where a cell has no line. Transmittances are those at the air mass of the table. Bisection.
-    shape = lines + 0.1 * lines.mean(axis=1, keepdims=True) + 1e-6
-    target = np.exp(-TABLE_AIR_MASS * depth)
-    low, high = np.zeros(depth.shape), np.full(depth.shape, 1e9)
-    for _ in range(100):
-        middle = np.where(high < 1e8, 0.5 * (low + high), np.maximum(4.0 * low, 1e-3))
-        left = np.exp(-TABLE_AIR_MASS * middle[:, None] * shape).mean(axis=1)
-        low, high = np.where(left > target, middle, low), np.where(left > target, high, middle)
-    return np.where(depth[:, None] > 0.0, low[:, None] * shape, 0.0)
 
 
 def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: float) -> Floats:
@@ -179,15 +181,6 @@ def _oxygen(wavelength: Floats) -> Floats:
             for split in (0.0, -2.0):
                 centres = 1e7 / (wavenumber + split) / 1.000275  # in air
                 total += _sum_of_lines(wavelength, centres, 0.5 * strength * population, _LINE_WIDTH)
-    return total
-
-
-def _water(wavelength: Floats) -> Floats:
-    rng = np.random.default_rng([_NATURE, 1])
-    total = np.zeros_like(wavelength)
-    for centre, spread, number, depth in _WATER:
-        centres = rng.normal(centre, spread, number)
-        total += _sum_of_lines(wavelength, centres, rng.exponential(depth, number), _LINE_WIDTH)
     return total
 
 

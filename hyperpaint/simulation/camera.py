@@ -8,11 +8,22 @@ with the line shape s of unit area, the smooth responsivity R0 common to all ele
 quantum efficiency), and a factor f of the element near one. With etendue A Omega and exposure t its count is
 
     n = t A Omega INT L(lambda) R_b,x(lambda) d lambda + dark.
+
+The fore optics blur the scene across and along the track, equally in all bands; behind the slit the
+spectrograph displaces the image of a band along the slit (keystone) and scatters light into other bands. With
+the integrals I = INT L R0 s d lambda of the scene, without element factors,
+
+    I'[b, y, x] = SUM_ij k_ij I[b, y - i, x - j - keystone_b],    I'' = (1 + D) I',
+
+where k has unit sum, so that no light is lost. The scene is constant within a column: an image displaced by a
+fraction f of a column is f of one neighbour and 1 - f of the other, and its centre of mass moves by f. Beyond
+its outer lines and columns the scene is mirrored. The smile changes so little between columns that the order
+of blur and response does not matter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,11 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.schema import BAND, VARIABLES
 
 from .atmosphere import spectral_grid
-from .optics import Optics
-from .settings import SimulationSettings
+from .rendering.camera_bands import BandSet, line_shape
+from .settings import OpticsSettings, SimulationSettings
 
 #: Distance from the centre of a Gaussian, in full widths, beyond which its area is below 1e-13.
 GAUSSIAN_REACH = 3.2
@@ -48,44 +58,6 @@ def filled_etendue(slit: float = 20e-6, pitch: float = 7.4e-6, f_number: float =
 
 #: Etendue of the simulated imager [m2 sr].
 ETENDUE = filled_etendue()
-
-
-def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: float) -> Floats:
-    """Return the line shape of a band [nm-1], of unit area on a grid of ``step`` nm.
-
-    Parameters
-    ----------
-    offset
-        Distance from the centre of the band [nm], any shape.
-    fwhm
-        Full width at half maximum [nm]; for "slit" the width of the slit's image.
-    spacing
-        Width of a pixel [nm], over which the slit's image is averaged.
-    shape
-        "gaussian", or "slit": a box ``fwhm`` wide convolved with a box ``spacing`` wide.
-    step
-        Grid step [nm]. The shape of a slit has corners and is averaged exactly over every grid cell.
-
-    Examples
-    --------
-    >>> from hyperpaint.simulation.settings import SHAPES
-    >>> offset = np.arange(-400, 401) * 0.05
-    >>> [round(float(line_shape(offset, 6.0, 2.2, shape, 0.05).sum() * 0.05), 9) for shape in SHAPES]
-    [1.0, 1.0]
-    """
-    if shape == "gaussian":
-        height = 2.0 * np.sqrt(np.log(2.0) / np.pi) / fwhm
-        return np.asarray(height * np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2))
-    # The convolution of two boxes is a sum of four ramps. A ramp integrates to a square, whose difference
-    # over a cell gives the mean.
-    corners = [(1, fwhm + spacing), (-1, fwhm - spacing), (-1, spacing - fwhm), (1, -fwhm - spacing)]
-    # both sides are computed as the rising one, because squares would not cancel exactly on the falling side
-    rising = -np.abs(offset)
-    upper, lower = rising + step / 2, rising - step / 2
-    total = np.zeros_like(offset, dtype=np.float64)
-    for sign, corner in corners:
-        total += sign * (np.maximum(upper + corner / 2, 0.0) ** 2 - np.maximum(lower + corner / 2, 0.0) ** 2)
-    return total / (2.0 * fwhm * spacing * step)
 
 
 def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: float) -> Floats:
@@ -113,20 +85,6 @@ def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: floa
         weights = line_shape(grid[start:stop] - centre, fwhm, 0.0, "gaussian", step)
         convolved[:, index] = spectra[:, start:stop] @ weights / weights.sum()
     return convolved
-
-
-def cubic_weights(fraction: Floats) -> Floats:
-    """Return Lagrange's cubic weights of points at -1, 0, 1 and 2 at fractions from 0 to 1, (..., 4)."""
-    t = np.asarray(fraction, np.float64)
-    return np.stack(
-        [
-            -t * (t - 1) * (t - 2) / 6,
-            (t + 1) * (t - 1) * (t - 2) / 2,
-            -(t + 1) * t * (t - 2) / 2,
-            (t + 1) * t * (t - 1) / 6,
-        ],
-        axis=-1,
-    )
 
 
 def smile(columns: int, nanometres: float) -> Floats:
@@ -160,62 +118,36 @@ def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Float
     return responsivity
 
 
-@dataclass(frozen=True)
-class Imager:
-    """Spectral side of a pushbroom imager.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Imager(BandSet):
+    """Spectral side of a pushbroom imager: its bands, and the differences between its elements.
 
     Attributes
     ----------
-    wavelength
-        Centre wavelengths at the centre column, shape (band,) [nm].
-    wavelength_shift
-        Smile, shape (cross_track,) [nm].
-    fwhm
-        Full width at half maximum [nm] of every band, shape (band,), or of all bands.
-    shape
-        One of `SHAPES`.
-    responsivity
-        R0(lambda) [count nm J-1].
     element_factor
         f_b,x, shape (band, cross_track).
     """
 
-    wavelength: Floats
     wavelength_shift: Floats
-    fwhm: Floats | float
-    shape: str
     responsivity: Callable[[Floats], Floats]
     element_factor: Floats
 
     @cached_property
-    def spacing(self) -> Floats:
-        """Distance between neighbouring bands, shape (band,) [nm]."""
-        return np.gradient(self.wavelength)
-
-    @cached_property
-    def band_fwhm(self) -> Floats:
-        """Full width at half maximum of every band, shape (band,) [nm]."""
-        return np.broadcast_to(np.asarray(self.fwhm, dtype=np.float64), self.wavelength.shape)
-
-    @cached_property
-    def reach(self) -> float:
+    def whole_reach(self) -> float:
         """Distance from the nominal centre of a band beyond which no column responds [nm]."""
         smile_reach = float(np.abs(self.wavelength_shift).max())
-        return (
-            GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
-            if self.shape == "gaussian"
-            else float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
-        )
+        if self.shape == "gaussian":
+            return GAUSSIAN_REACH * float(self.fwhm.max()) + smile_reach
+        return float((self.fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
-    def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        # response R_b without element factors, at wavelength shifts [nm], shape (grid, shift)
+    def response(self, band: int, grid: Floats, shift: Floats) -> Floats:
+        """Return R_b without element factors at wavelength shifts [nm], shape (grid, shift)."""
         offset = grid[:, None] - (self.wavelength[band] + shift)
-        shape = self.line_shape(band, offset, grid[1] - grid[0])
-        return np.asarray(self.responsivity(grid)[:, None] * shape)
+        return np.asarray(self.responsivity(grid)[:, None] * self.line_shape(band, offset, grid[1] - grid[0]))
 
     def line_shape(self, band: int, offset: Floats, step: float) -> Floats:
         """Return the line shape of a band [nm-1] at distances from its centre [nm], on a grid of ``step``."""
-        return line_shape(offset, float(self.band_fwhm[band]), float(self.spacing[band]), self.shape, step)
+        return line_shape(offset, float(self.fwhm[band]), float(self.spacing[band]), self.shape, step)
 
     def integrals(self, spectra: Floats, grid: Floats) -> Floats:
         """Return INT S(lambda) R_b,x(lambda) d lambda of every spectrum and element.
@@ -237,7 +169,7 @@ class Imager:
             The grid ends inside a response.
         """
         step = grid[1] - grid[0]
-        min_nm, max_nm = self.wavelength.min() - self.reach, self.wavelength.max() + self.reach
+        min_nm, max_nm = self.wavelength.min() - self.whole_reach, self.wavelength.max() + self.whole_reach
         if grid[0] > min_nm or grid[-1] < max_nm:
             raise ValueError(
                 f"grid covers {grid[0]:.1f} to {grid[-1]:.1f} nm, responses {min_nm:.1f} to {max_nm:.1f} nm"
@@ -246,8 +178,8 @@ class Imager:
         integrals = np.empty((len(spectra), len(self.wavelength), len(self.wavelength_shift)))
         responses = np.empty((len(spectra), len(shifts)))
         for band, centre in enumerate(self.wavelength):
-            start, stop = np.searchsorted(grid, (centre - self.reach, centre + self.reach))
-            response = self._common_response(band, grid[start:stop], shifts)
+            start, stop = np.searchsorted(grid, (centre - self.whole_reach, centre + self.whole_reach))
+            response = self.response(band, grid[start:stop], shifts)
             for start_column in range(0, len(shifts), _COLUMNS_AT_ONCE):
                 columns = slice(start_column, start_column + _COLUMNS_AT_ONCE)
                 responses[:, columns] = spectra[:, start:stop] @ response[:, columns]
@@ -328,6 +260,189 @@ class Detector:
         return converted
 
 
+_SIGMA_PER_FWHM = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
+_TAIL = 1e-9  # minimum weight of a neighbour in a point spread
+_RANK = (
+    1e-12  # minimum singular value of a kernel, relative to the largest; smaller values are rounding errors
+)
+#: Decay length of scattered light [nm], and its share; the rest is equal in all bands.
+_WINGS = (60.0, 0.6)
+
+
+def point_spread(fwhm: float) -> Floats:
+    """Return an odd number of weights of a Gaussian blur, with unit sum.
+
+    Parameters
+    ----------
+    fwhm
+        Full width at half maximum [pixels].
+
+    Notes
+    -----
+    The discrete analogue of a Gaussian, w_n = exp(-t) I_n(t) with the modified Bessel function I_n [1]_, has
+    exactly the variance t = sigma^2; samples of a Gaussian narrower than a pixel have a smaller variance.
+
+    References
+    ----------
+    .. [1] T. Lindeberg, "Scale-space for discrete signals", IEEE Trans. PAMI 12 (1990) 234-254,
+       https://doi.org/10.1109/34.49051
+
+    Examples
+    --------
+    >>> weights = point_spread(1.0)
+    >>> place = np.arange(len(weights)) - len(weights) // 2
+    >>> print(f"{weights.sum():.6f} {(weights * place**2).sum() * 8 * np.log(2):.6f}")
+    1.000000 1.000000
+    """
+    from scipy.special import ive
+
+    variance = (_SIGMA_PER_FWHM * fwhm) ** 2
+    right_side = np.asarray(ive(np.arange(int(np.ceil(8.0 * _SIGMA_PER_FWHM * fwhm + 8.0)) + 1), variance))
+    right_side = right_side[: int(np.flatnonzero(right_side > _TAIL).max()) + 1]
+    weights = np.concatenate([right_side[:0:-1], right_side])
+    return np.asarray(weights / weights.sum())
+
+
+def keystone(bands: int, columns: float) -> Floats:
+    """Return the displacement of the image of every band to the right, shape (band,) [columns].
+
+    Examples
+    --------
+    >>> keystone(5, 0.4)
+    array([-0.4, -0.2,  0. ,  0.2,  0.4])
+    """
+    return np.asarray(columns * np.linspace(-1.0, 1.0, bands))
+
+
+def stray_light_wings(wavelength: Floats, share: float) -> Floats:
+    """Return stray counts of a band per count of a source band, shape (band, source_band).
+
+    Each column sums to ``share``: a part decreases with the distance in wavelength, the rest is equal in all
+    bands.
+
+    Examples
+    --------
+    >>> stray_light_wings(np.array([400.0, 700.0, 1000.0]), 0.02).sum(axis=0).round(6)
+    array([0.02, 0.02, 0.02])
+    """
+    decay_nm, peaked_share = _WINGS
+    wing = np.exp(-np.abs(wavelength[:, None] - wavelength) / decay_nm)
+    wing = peaked_share * wing / wing.sum(axis=0) + (1.0 - peaked_share) / len(wavelength)
+    return np.asarray(share * wing)
+
+
+class Optics:
+    """Blur, keystone and stray light of a camera; `image` applies them to a scene.
+
+    Parameters
+    ----------
+    settings
+        Blur, keystone and stray light.
+    wavelength
+        Centres of the bands, shape (band,) [nm].
+
+    Attributes
+    ----------
+    reach
+        Number of lines before and behind that contribute to a line.
+    keystone
+        Displacement of the bands' images, shape (band,) [columns].
+    has_stray_light, stray_matrix
+        Whether there is stray light, and its `stray_light_wings`.
+
+    Examples
+    --------
+    >>> optics = Optics(OpticsSettings(keystone_columns=0.25), np.array([400.0, 1000.0]))
+    >>> optics.image([np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])])
+    array([[0.25, 0.75, 0.  ],
+           [0.  , 0.75, 0.25]])
+    """
+
+    def __init__(self, settings: OpticsSettings, wavelength: Floats) -> None:
+        self.keystone = keystone(len(wavelength), settings.keystone_columns)
+        self.stray_matrix = stray_light_wings(wavelength, settings.stray_light)
+        self.has_stray_light = settings.stray_light > 0
+        if settings.psf_kernel is None:
+            pairs = [(point_spread(settings.psf_along_lines), point_spread(settings.psf_across_columns))]
+        else:
+            # a kernel (line, column) as a sum of products of weights along and across the track
+            kernel = np.asarray(settings.psf_kernel, np.float64)
+            along, scales, across = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
+            rank = int(np.count_nonzero(scales > _RANK * scales[0]))
+            pairs = [(along[:, k] * scales[k], across[k]) for k in range(rank)]
+        # weights of lines (line,), and of columns in every band (band, column)
+        self._terms = [(along, _displaced(across, self.keystone)) for along, across in pairs]
+        self.reach = len(pairs[0][0]) // 2
+
+    @classmethod
+    def of(cls, settings: OpticsSettings, wavelength: Floats) -> Optics | None:
+        # optics with these settings, or None if all effects are off
+        blurs = settings.psf_across_columns or settings.psf_along_lines or settings.psf_kernel is not None
+        is_on = blurs or settings.keystone_columns or settings.stray_light
+        return cls(settings, wavelength) if is_on else None
+
+    def image(self, window: Sequence[Floats]) -> Floats:
+        """Return the signal of the elements of a line, shape (band, column).
+
+        Parameters
+        ----------
+        window
+            ``2 * reach + 1`` lines around the line, each (band, column), without element factors.
+        """
+        total = np.zeros(window[0].shape)
+        for along, across in self._terms:
+            line = np.zeros_like(total)
+            # a convolution: weights are applied in reversed order
+            for weight, row in zip(along[::-1].tolist(), window, strict=True):
+                line += weight * row
+            total += _convolved(line, across)
+        if self.has_stray_light:
+            total += self.stray_matrix @ total
+        return total
+
+    def displaced(self, profile: Floats) -> Floats:
+        # profile along the slit (column,) displaced by keystone, shape (band, column)
+        return _convolved(np.broadcast_to(profile, (len(self.keystone), len(profile))),
+                          _displaced(np.ones(1), self.keystone))  # fmt: skip
+
+    def rows_of(self, line: int, lines: int) -> list[int]:
+        """Return the line numbers of the window of `image`, mirrored at the first and last of ``lines``.
+
+        Examples
+        --------
+        >>> Optics(OpticsSettings(psf_kernel=[[1], [1], [1]]), np.array([400.0, 500.0])).rows_of(0, 4)
+        [0, 0, 1]
+        """
+        numbers = np.arange(line - self.reach, line + self.reach + 1) % (2 * lines)
+        return [int(row) for row in np.minimum(numbers, 2 * lines - 1 - numbers)]
+
+
+def _displaced(across: Floats, shift: Floats) -> Floats:
+    # weights (column,) displaced by the shifts of the bands, shape (band, column), odd number of columns
+    extra = int(np.ceil(np.abs(shift).max()))
+    whole_columns = np.floor(shift).astype(int)
+    weights = np.zeros((len(shift), len(across) + 2 * extra))
+    places = zip((whole_columns + extra).tolist(), (shift - whole_columns).tolist(), strict=True)
+    for band, (start, fraction) in enumerate(places):
+        weights[band, start : start + len(across)] += (1.0 - fraction) * across
+        if fraction:
+            weights[band, start + 1 : start + 1 + len(across)] += fraction * across
+    return weights
+
+
+def _convolved(line: Floats, weights: Floats) -> Floats:
+    # convolve ``line`` with ``weights``, both (band, column), along the columns
+    reach, columns = weights.shape[1] // 2, line.shape[1]
+    padded = np.pad(line, ((0, 0), (reach, reach)), mode="symmetric") if reach else line
+    result = np.zeros(line.shape)
+    for tap in range(weights.shape[1]):
+        tap_weights = weights[:, tap, None]
+        if tap_weights.any():
+            start = 2 * reach - tap
+            result += tap_weights * padded[:, start : start + columns]
+    return result
+
+
 # keys of the random streams; flights and sweeps define further keys
 _DARK, _ELEMENTS, _BAD, _DARK_RATE, _COLUMNS = 13, 14, 15, 18, 19
 _RATE_SPREAD = 0.2  # relative standard deviation of the dark current over elements
@@ -369,7 +484,7 @@ class Camera:
 
         Examples
         --------
-        >>> Camera.of(SimulationSettings(bands=4, columns=3, fwhm_nm=5.0)).imager.band_fwhm
+        >>> Camera.of(SimulationSettings(bands=4, columns=3, fwhm_nm=5.0)).imager.fwhm
         array([5., 5., 5., 5.])
         """
         shape = settings.bands, settings.columns
@@ -381,12 +496,12 @@ class Camera:
         band_place = np.linspace(-1.0, 1.0, settings.bands)
         wavelength = np.linspace(settings.first_wavelength, settings.last_wavelength, settings.bands)
         imager = Imager(
-            wavelength + settings.dispersion_bow_nm * (1.0 - band_place**2),
-            smile(settings.columns, settings.smile_nm),
-            settings.fwhm_nm * (1.0 + settings.fwhm_slope * band_place),
-            settings.srf_shape,
-            nominal_responsivity(settings.electrons_per_count),
-            (1.0 + settings.nonuniformity * normal(_ELEMENTS))
+            wavelength=wavelength + settings.dispersion_bow_nm * (1.0 - band_place**2),
+            wavelength_shift=smile(settings.columns, settings.smile_nm),
+            fwhm=settings.fwhm_nm * (1.0 + settings.fwhm_slope * band_place),
+            shape=settings.srf_shape,
+            responsivity=nominal_responsivity(settings.electrons_per_count),
+            element_factor=(1.0 + settings.nonuniformity * normal(_ELEMENTS))
             * (1.0 + settings.column_nonuniformity * normal(_COLUMNS, shape[1:])),
         )
         bad = np.zeros(shape, dtype=bool)
@@ -416,31 +531,10 @@ class Camera:
         """Etendue of an element [m2 sr]."""
         return ETENDUE
 
-    @property
-    def imperfections(self) -> dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]]:
-        """Dims, values and attributes of the optical and electronic imperfections of this camera, by name."""
-        values: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {}
-        if self.optics is not None and self.optics.has_stray_light:
-            row = VARIABLES["stray_light"]
-            values["stray_light"] = row.dims, self.optics.stray_matrix, dict(row.attrs)
-        if self.optics is not None and self.optics.keystone.any():
-            values["keystone"] = (
-                (BAND,),
-                self.optics.keystone,
-                {"long_name": "Displacement of a band's image to the right", "units": "column"},
-            )
-        if self.pedestal:
-            values["pedestal"] = (
-                (),
-                np.asarray(self.pedestal),
-                {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"},
-            )
-        return values
-
     @cached_property
     def response_area(self) -> Floats:
         """INT R of every element, shape (band, cross_track) [count nm J-1]."""
-        centres, reach = self.imager.wavelength, self.imager.reach
+        centres, reach = self.imager.wavelength, self.imager.whole_reach
         grid = spectral_grid(centres.min() - reach - 1.0, centres.max() + reach + 1.0)
         return np.asarray(self.imager.integrals(np.ones((1, len(grid))), grid)[0])
 

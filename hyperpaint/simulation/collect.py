@@ -3,13 +3,19 @@
 Two field spectrometers measured the paints of the cars on the ground before the flight. The truth of their
 files is the spectrum of the paint near normal, without mirrored sky. Beyond 1000 nm, where only the SVC
 measures, the light has no absorption bands.
+
+A region of a paint is a rectangle of neighbouring pixels that show only the paint of one car, in the sun,
+without mirrored sun, and at nearly the same height. A paint gets its largest rectangle over all cars and
+flight lines, minus a margin. Lines are processed once and in order, so that memory does not grow with the
+flight.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +31,7 @@ from hyperpaint.base.schema import CHUNK_LINES
 
 from .atmosphere import spectral_grid
 from .camera import convolve_gaussian
-from .checkerboard_flight import CheckerboardFlight
-from .flight import Flight, Lines, sky_irradiance
+from .flight import CheckerboardFlight, Flight, Lines, PlanFlight, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
     SVC_DETECTORS,
@@ -40,18 +45,141 @@ from .instruments import (
     write_settings,
     write_svc,
 )
-from .painted_regions import REGIONS, PaintedRectangles
-from .plan_flight import PlanFlight
+from .rendering.platforms import CONVENTION
 from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
 from .stores import TruthStore, line_dataset, store_sweep, write_calibration
 from .sweep import Sweep, SweepSettings
-from .trajectories import CONVENTION
 
 SVC_FOLDER, ASD_FOLDER = "svc", "asd_reflectance"
 
 _STEP_NM = 0.1
 _LEAD_S, _PAINT_S, _PANEL_S = 3600, 60, 15  # times from first paint to flight, between paints, panel to paint
 _MARGIN_NM = 40.0  # beyond the outer channels, more than the reach of a line shape
+
+
+#: Name of the file of regions.
+REGIONS = "regions.geojson"
+
+#: Maximum height difference of neighbouring pixels over their distance: includes roofs and bonnets, not
+#: doors.
+_MAX_SLOPE = 0.1
+_MIN_SIDE_PIXELS = 6  # minimum length of the shorter side
+_MARGIN_DIVISOR = 8  # shorter side over the margin at every edge
+
+#: First and last line, first and last column of a rectangle.
+_Box = tuple[int, int, int, int]
+
+
+class PaintedRectangles:
+    """The largest rectangle of every paint, found scan line by scan line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> flight = PlanFlight(SimulationSettings(lines=64, bands=2, columns=160, scene="plan"))
+    >>> rectangles = PaintedRectangles(flight)
+    >>> rectangles.begin("raw_0")
+    >>> rectangles.add(flight.lines(0, 64), np.ones(64, bool))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     rectangles.write(Path(folder) / REGIONS, "an example")
+    ...     regions = json.loads((Path(folder) / REGIONS).read_text())
+    >>> [feature["properties"]["name"] for feature in regions["features"]]
+    ['ir_black', 'red', 'green', 'yellow']
+    """
+
+    def __init__(self, flight: Flight) -> None:
+        self._flight = flight
+        self._step = _MAX_SLOPE * flight.ground_sample
+        self._rectangles_by_paint: dict[int, tuple[str, _Box]] = {}
+        self._areas: dict[int, int] = {}
+        self.begin("")
+
+    def begin(self, flightline: str) -> None:
+        # start a flight line, since rectangles do not extend over two lines
+        columns = self._flight.settings.columns
+        self._flightline, self._line = flightline, 0
+        self._label = np.full(columns, -1, np.int32)
+        self._heights = np.zeros(columns)
+        self._run_lengths = np.zeros(columns, np.int64)
+
+    def add(self, lines: Lines, recorded: NDArray[np.bool_]) -> None:
+        # add scan lines in order; only ``recorded`` lines (along_track,) are used
+        labels = self._flight.clean_paint(lines)
+        heights = np.asarray(lines.layers.get("up", np.zeros(labels.shape)), np.float64)
+        for label, line_heights in zip(labels[recorded], heights[recorded], strict=True):
+            continues = (label == self._label) & (np.abs(line_heights - self._heights) <= self._step)
+            self._run_lengths = np.where(label < 0, 0, np.where(continues, self._run_lengths + 1, 1))
+            self._label, self._heights = label, line_heights
+            if (self._run_lengths >= _MIN_SIDE_PIXELS).any():
+                self._search()
+            self._line += 1
+
+    def _search(self) -> None:
+        # keep rectangles that end at this scan line and are larger than those before
+        for run_start, run_stop in self._runs():
+            paint = int(self._label[run_start]) % len(self._flight.paints)
+            for height, start, stop in _rectangles(self._run_lengths[run_start:run_stop].tolist()):
+                width = stop - start
+                if min(height, width) >= _MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
+                    self._areas[paint] = height * width
+                    box = (self._line - height + 1, self._line, run_start + start, run_start + stop - 1)
+                    self._rectangles_by_paint[paint] = self._flightline, box
+
+    def _runs(self) -> Iterator[tuple[int, int]]:
+        # ranges of columns with one label, similar heights, and enough lines for a rectangle
+        enough = self._run_lengths >= _MIN_SIDE_PIXELS
+        is_joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
+        is_joined &= np.abs(np.diff(self._heights)) <= self._step
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_joined, [False]]).astype(np.int8)))
+        for begin, end in edges.reshape(-1, 2).tolist():
+            if end + 1 - begin >= _MIN_SIDE_PIXELS:
+                yield begin, end + 1
+
+    def write(self, path: Path, generator: str) -> None:
+        """Write the regions as GeoJSON in coordinates of the sensor, in the order of the paints.
+
+        ``generator`` marks the file as simulated.
+        """
+        features = []
+        for number, (flightline, (top, bottom, left, right)) in sorted(self._rectangles_by_paint.items()):
+            margin = max(1, min(bottom + 1 - top, right + 1 - left) // _MARGIN_DIVISOR)
+            top, bottom, left, right = top + margin, bottom - margin, left + margin, right - margin
+            ring = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]
+            paint = self._flight.paints[number]
+            feature = {
+                "type": "Feature",
+                "properties": {
+                    "name": paint,
+                    "flightline": flightline,
+                    "reference": paint,
+                    **self._flight.paint_properties(paint),
+                },
+                "geometry": {"type": "Polygon", "coordinates": [ring]},
+            }
+            features.append(json.dumps(feature))
+        head = '"type": "FeatureCollection",\n"coordinates": "sensor",\n'
+        rows = ",\n".join(features)
+        path.write_text(
+            f'{{\n{head}"generator": {json.dumps(generator)},\n"features": [\n{rows}\n]\n}}\n',
+            encoding="utf-8",
+        )
+
+
+def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:
+    """Yield height, first column and end column of all maximal rectangles under a histogram of heights.
+
+    Examples
+    --------
+    >>> list(_rectangles([2, 3, 1]))
+    [(3, 1, 2), (2, 0, 2), (1, 0, 3)]
+    """
+    rising: list[tuple[int, int]] = []  # stack of increasing heights, with the first column of each
+    for column, height in enumerate([*heights, 0]):
+        begin = column
+        while rising and rising[-1][0] >= height:
+            top_height, begin = rising.pop()
+            yield top_height, begin, column
+        rising.append((height, begin))
 
 
 def write_references(flight: Flight, folder: Path) -> None:
@@ -213,7 +341,7 @@ def simulate_collect(
             f"block_lines={block_lines}", expected="a whole number above 0", code="value-out-of-range"
         )
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
-    flight = _create_flight(settings)
+    flight = flight_of(settings)
     root = _prepare(target, overwrite)
     _write_dark(flight, root / "dark")
     samples = flight.sky_samples()
@@ -232,7 +360,7 @@ def simulate_collect(
         store_sweep(lab, root / "lab" / "sweep.zarr", truth=truth)
     _write_flight(flight, root, block_lines, progress, truth)
     # surveyed points on the ground under the first, middle and last scan line; heights above the ellipsoid
-    pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
+    pose = flight.trajectory.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
     ground = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
     ground[:, 2] = 0.0
     rows = "".join(
@@ -248,7 +376,7 @@ def simulate_collect(
     return path
 
 
-def _create_flight(settings: SimulationSettings) -> Flight:
+def flight_of(settings: SimulationSettings) -> Flight:
     if settings.scene == "plan":
         return PlanFlight(settings)
     if settings.scene == "checkerboard":
@@ -322,13 +450,6 @@ def _comments(flight: Flight) -> dict[str, object]:
     }
 
 
-def _write_settings_file(folder: Path, settings: SimulationSettings) -> None:
-    write_settings(
-        folder / "settings.txt",
-        {"Exposure (ms)": settings.exposure_time_ms, "Frame Period (ms)": settings.frame_period_ms},
-    )
-
-
 def _write_dark(flight: Flight, folder: Path) -> None:
     settings = flight.settings
     dark = flight.dark_frames()
@@ -337,7 +458,7 @@ def _write_dark(flight: Flight, folder: Path) -> None:
     frames = np.arange(len(dark), dtype=np.int64)
     mid_times = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD_NS
     write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(mid_times, settings))
-    _write_settings_file(folder, settings)
+    write_settings(folder / "settings.txt", settings)
 
 
 def _write_flight(
@@ -371,7 +492,7 @@ def _write_flight(
         stamps = _frame_stamps(flight.line_times[frames], settings)
         write_frame_index(folder / f"frameIndex_{name}.txt", frames, stamps)
     painted.write(root / REGIONS, CAMERA_SOFTWARE)
-    _write_settings_file(folder, settings)
+    write_settings(folder / "settings.txt", settings)
     since = np.arange(
         -_NAVIGATION_MARGIN_NS,
         int(flight.line_times[-1]) + _NAVIGATION_MARGIN_NS,
@@ -379,7 +500,7 @@ def _write_flight(
         dtype=np.int64,
     )
     utc = (flight.start + since).astype("datetime64[ns]")
-    pose = flight.pose(since / 1e9)
+    pose = flight.trajectory.pose(since / 1e9)
     write_navigation(folder / "imu_gps.txt", pose, _instrument_stamps(since), utc)
     write_sbet(folder / "trajectory.sbet", pose, utc)
 
@@ -488,5 +609,5 @@ def simulate_line(
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, **effects}
     )
-    flight = _create_flight(settings)
+    flight = flight_of(settings)
     return line_dataset(flight, flight.lines(0, settings.lines), matched=matched)

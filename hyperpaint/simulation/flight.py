@@ -1,8 +1,17 @@
-"""A simulated flight: light and camera, scan line by scan line, over any scene.
+"""Simulated flights: light and camera, scan line by scan line, over a scene.
 
-`plan_flight` flies over a flat picture, `rendered_flight` over triangles; both compute the radiance of every
-element, and this module turns it into counts and truth. The light is a sum of two spectra, direct and
-diffuse, which have separate factors in time.
+A flight over a car park of triangles is in `rendered_flight`; the flights here make their scenes at once.
+The light is a sum of two spectra, direct and diffuse, which have separate factors in time.
+
+`PlanFlight` flies over a flat picture of a car park, for tests of single functions and for huge cubes.
+Across the track are grass, a kerb, a row of bays, the aisle with grey panels, and a second row of bays; bays
+repeat every 2.5 m. The swath is always 16 m wide, so that few columns give a coarse picture of the same
+scene. A pixel shows one of some twenty level Lambert materials, so that a table of INT rho_m E_k R_b,x (k
+direct or diffuse), computed once, has all radiance integrals of a flight.
+
+`CheckerboardFlight` flies over a checkerboard with known corners on the map, to test geolocation. The board
+lies on ground of constant height above the ellipsoid, so that it is as curved as the earth. The radiance of
+a pixel is the mean over its area and its exposure, along the moving line of sight of the camera.
 """
 
 from __future__ import annotations
@@ -14,7 +23,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +33,10 @@ from hyperpaint.base.arrays import Floats, Floats32
 from .atmosphere import Light, Sky, spectral_grid
 from .camera import Camera, convolve_gaussian, expected_counts
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
-from .optics import Optics
-from .paint_spectra import reflectance
+from .paint_spectra import CAR_PAINTS, MATERIALS, PANELS, reflectance
+from .rendering.platforms import LocalFrame, Trajectory, TransverseMercator
 from .rendering.sky_models import cloud_transmittance, relative_air_mass
-from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
-from .trajectories import LocalFrame, Trajectory, TransverseMercator
+from .settings import ORIGIN, PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 
 _OVERCAST_OKTAS = 8.0
 
@@ -61,9 +69,8 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     return clear_sky
 
 
-# keys of the random streams [seed, stream, line], so that values do not depend on the grouping of lines;
-# modules of single flights define further keys
-_NOISE, _DARK_FRAMES, _SKY = 12, 16, 17
+# keys of the random streams [seed, stream, line], so that values do not depend on the grouping of lines
+_TEXTURE, _GLINT, _NOISE, _DARK_FRAMES, _SKY = 10, 11, 12, 16, 17
 
 
 # Description of a truth layer of shape (along_track, cross_track).
@@ -97,22 +104,9 @@ class Lines:
     reflectance: NDArray[np.float32]
     layers: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
 
-    def part(self, start: int, stop: int) -> Lines:
-        rows = slice(start, stop)
-        return Lines(
-            self.surface[rows],
-            self.glint[rows],
-            self.counts[rows],
-            self.radiance[rows],
-            self.reflectance[rows],
-            {name: values[rows] for name, values in self.layers.items()},
-        )
 
-
-# Scan lines, and a function that returns pi INT L R of the elements (band, column) of a row.
-class LineView(NamedTuple):
-    lines: Lines
-    elements: Callable[[int], Floats]
+#: Scan lines, and a function that returns pi INT L R of the elements (band, column) of a row.
+LineView: TypeAlias = tuple[Lines, Callable[[int], Floats]]
 
 
 @dataclass(frozen=True)
@@ -165,9 +159,8 @@ class Flight(abc.ABC):
         self.imager = self.camera.imager
         self.wavelength = self.imager.wavelength
         self.detector = self.camera.detector(settings.exposure_time)
-        self.bad = self.camera.bad
         self.light = Light(settings.drift_per_minute, settings.cloud)
-        reach, width = self.imager.reach, 4.0 * settings.irradiance_fwhm_nm
+        reach, width = self.imager.whole_reach, 4.0 * settings.irradiance_fwhm_nm
         self.grid = spectral_grid(
             min(self.wavelength[0] - reach, ASD_WAVELENGTH[0] - width) - 1.0,
             max(self.wavelength[-1] + reach, ASD_WAVELENGTH[-1] + width) + 1.0,
@@ -175,7 +168,7 @@ class Flight(abc.ABC):
         self.sky = sky_irradiance(settings.sky, settings.sun[0], self.grid)
         incident = self.imager.integrals(np.concatenate([self.sky, np.ones((1, len(self.grid)))]), self.grid)
         #: INT E_k R of the direct and the diffuse light, shape (2, band, cross_track)
-        self._incident = incident[:2]
+        self.incident = incident[:2]
         #: INT R of every element, shape (band, cross_track) [count nm J-1]
         self.response_area = incident[2]
 
@@ -194,14 +187,11 @@ class Flight(abc.ABC):
         Shape (along_track, cross_track): the index of the paint in ``paints``, plus the number of paints
         times the number of the car, if cars have numbers; -1 for all other pixels.
         """
-        is_hidden = lines.glint | self.bad.all(axis=0)
-        return np.where(is_hidden, -1, self._paint_of_surface[lines.surface]).astype(np.int32)
-
-    @cached_property
-    def _paint_of_surface(self) -> NDArray[np.int32]:
         # index in ``paints`` of every surface; -1 for surfaces that are not paint
-        paints = {name: number for number, name in enumerate(self.paints)}
-        return np.array([paints.get(name, -1) for name in self.surfaces], np.int32)
+        numbers = {name: number for number, name in enumerate(self.paints)}
+        paint = np.array([numbers.get(name, -1) for name in self.surfaces], np.int32)
+        is_hidden = lines.glint | self.camera.bad.all(axis=0)
+        return np.where(is_hidden, -1, paint[lines.surface]).astype(np.int32)
 
     def _rng(self, stream: int, *key: int) -> np.random.Generator:
         return np.random.default_rng([self.settings.seed, stream, *key])
@@ -228,25 +218,6 @@ class Flight(abc.ABC):
         period = self.settings.frame_period_ms * 1e6
         return np.asarray(np.rint(np.arange(self.settings.lines) * period), dtype=np.int64)
 
-    @property
-    def radiance_gain(self) -> Floats:
-        # 1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1].
-        return self.camera.radiance_gain(self.response_area)
-
-    def matched_irradiance(self, factors: Floats) -> Floats:
-        """Return the irradiance weighted by the response of each element, INT E R / INT R.
-
-        Parameters
-        ----------
-        factors
-            Factors of direct and diffuse light, shape (2, time).
-
-        Returns
-        -------
-        Shape (time, band, cross_track) [W m-2 nm-1].
-        """
-        return np.asarray(np.einsum("kt,kbx->tbx", factors, self._incident) / self.response_area)
-
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
         """Return scan lines ``start`` to ``stop``; values do not depend on the grouping of lines.
 
@@ -260,20 +231,53 @@ class Flight(abc.ABC):
             Lines no longer needed, whose memory is reused, because allocation takes longer than the
             arithmetic.
         """
-        optics = self.camera.optics
-        if optics is None:
-            view = self._view(start, stop, into)
+        settings, optics, bad = self.settings, self.camera.optics, self.camera.bad
+        reach = 0 if optics is None else optics.reach
+        first_line = max(start - reach, 0)
+        lines, element_light = self._view(first_line, min(stop + reach, settings.lines), into)
+        factor = self.imager.element_factor
 
-            def expose(row: int) -> None:
-                view.lines.counts[row] = self._count(self._record_truth(view, row, start + row), start + row)
+        def record(row: int) -> Floats:
+            # store reflectance and radiance of a row; return pi INT L R of its elements (band, column)
+            light, (direct, diffuse) = element_light(row), self._factors(first_line + row)[:, 0]
+            incident = self.incident[0] * direct
+            incident += diffuse * self.incident[1]
+            np.divide(light, incident, out=lines.reflectance[row], casting="same_kind")
+            np.divide(light, np.pi * self.response_area, out=lines.radiance[row], casting="same_kind")
+            return light if optics is None else light / factor
 
-            # rows run in threads, because numpy releases the interpreter lock; noise is keyed by line
-            with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-                list(pool.map(expose, range(len(view.lines.counts))))
-            return view.lines
-        first_line, end_line = max(start - optics.reach, 0), min(stop + optics.reach, self.settings.lines)
-        return self._expose_through(
-            optics, self._view(first_line, end_line, into), first_line, range(start, stop)
+        def count(row: int, light: Floats) -> None:
+            # ``light`` is overwritten; the number of the line seeds the noise
+            light *= 1.0 / np.pi
+            signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
+            signal[bad] = 0.0
+            rng = self._rng(_NOISE, first_line + row) if settings.noise else None
+            counts = self.detector.read(signal, rng)
+            if settings.pedestal:
+                counts += settings.pedestal
+            lines.counts[row] = counts
+
+        # rows run in threads, because numpy releases the interpreter lock
+        rows = range(len(lines.counts))
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            if optics is None:
+                list(pool.map(lambda row: count(row, record(row)), rows))
+                return lines
+            light = list(pool.map(record, rows))
+
+            def blur(line: int) -> None:
+                window = [light[row - first_line] for row in optics.rows_of(line, settings.lines)]
+                count(line - first_line, optics.image(window) * factor)
+
+            list(pool.map(blur, range(start, stop)))
+        part = slice(start - first_line, stop - first_line)
+        return Lines(
+            lines.surface[part],
+            lines.glint[part],
+            lines.counts[part],
+            lines.radiance[part],
+            lines.reflectance[part],
+            {name: values[part] for name, values in lines.layers.items()},
         )
 
     @abc.abstractmethod
@@ -281,50 +285,21 @@ class Flight(abc.ABC):
         """Return scan lines with empty counts, radiance and reflectance, and the radiance of elements."""
 
     def _cubes(self, number: int, into: Lines | None) -> tuple[Floats32, Floats32, Floats32]:
+        # arrays for counts, radiance and reflectance of a number of lines
         if into is None or len(into.counts) < number:
             shape = (number, self.settings.bands, self.settings.columns)
             return np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
         return into.counts[:number], into.radiance[:number], into.reflectance[:number]
 
-    def _record_truth(self, view: LineView, row: int, line: int) -> Floats:
-        # store reflectance and radiance of a row; return pi INT L R of its elements (band, column)
-        light = view.elements(row)
-        factors = self._factors(line, line + 1)[:, 0]
-        incident = self._incident[0] * factors[0]
-        incident += factors[1] * self._incident[1]
-        np.divide(light, incident, out=view.lines.reflectance[row], casting="same_kind")
-        np.divide(light, np.pi * self.response_area, out=view.lines.radiance[row], casting="same_kind")
-        return light
+    def _reflected_light(self, names: Sequence[str]) -> Floats:
+        # INT rho_m E_k R of level materials, shape (light, material, band, cross_track)
+        rho = reflectance(names, self.grid)
+        integrals = self.imager.integrals(np.concatenate([light * rho for light in self.sky]), self.grid)
+        return integrals.reshape(2, len(names), self.settings.bands, self.settings.columns)
 
-    def _count(self, light: Floats, line: int) -> Floats:
-        # counts from pi INT L R (band, column), which is overwritten; the number of the line seeds the noise
-        settings = self.settings
-        light *= 1.0 / np.pi
-        signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
-        signal[self.bad] = 0.0
-        counts = self.detector.read(signal, self._rng(_NOISE, line) if settings.noise else None)
-        if settings.pedestal:
-            counts += settings.pedestal
-        return counts
-
-    def _expose_through(self, optics: Optics, view: LineView, first_line: int, lines: range) -> Lines:
-        factor = self.imager.element_factor
-
-        def light_without_factors(row: int) -> Floats:
-            return self._record_truth(view, row, first_line + row) / factor
-
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            light = list(pool.map(light_without_factors, range(len(view.lines.counts))))
-
-            def expose(line: int) -> None:
-                window = [light[row - first_line] for row in optics.rows_of(line, self.settings.lines)]
-                view.lines.counts[line - first_line] = self._count(optics.image(window) * factor, line)
-
-            list(pool.map(expose, lines))
-        return view.lines.part(lines.start - first_line, lines.stop - first_line)
-
-    def _factors(self, start: int, stop: int) -> Floats:
-        return self.light.factors(self.line_times[start:stop] / 1e9)
+    def _factors(self, start: int, stop: int | None = None) -> Floats:
+        # factors of direct and diffuse light at mid exposure of lines, or of one line, shape (2, line)
+        return self.light.factors(self.line_times[start : start + 1 if stop is None else stop] / 1e9)
 
     def dark_frames(self) -> NDArray[np.uint16]:
         # dark cube, shape (along_track, band, cross_track)
@@ -374,6 +349,358 @@ class Flight(abc.ABC):
         speed = self.ground_sample / (self.settings.frame_period_ms / 1e3)
         return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE_RAD)
 
-    def pose(self, seconds: Floats) -> dict[str, Floats]:
-        # position and attitude of the navigation system at times after the first line [s]
-        return self.trajectory.pose(seconds)
+
+_BAY_LENGTH, _BAY_WIDTH = 5.0, 2.5
+_ROWS = (1.4, 10.9)  # positions across the track at which the two rows of bays begin [m]
+_GRASS_END, _KERB_END = 1.0, 1.3
+_LINE_HALF_WIDTH = 0.07
+_PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4
+_CLASS = {name: index for index, name in enumerate(MATERIALS)}
+
+#: Windows of a car: bounds along its length and half its width, as fractions of length and half width.
+_WINDOWS = ((0.27, 0.40, 0.0, 0.74), (0.74, 0.84, 0.0, 0.70), (0.42, 0.72, 0.76, 0.90))
+#: Parts of the wheels outside the body, with the same bounds.
+_WHEELS = ((0.13, 0.25, 0.98, 1.03), (0.72, 0.84, 0.98, 1.03))
+
+
+@dataclass(frozen=True)
+class CarPark:
+    """Layout of a car park.
+
+    Attributes
+    ----------
+    columns
+        Columns of the imager across the swath.
+    seed
+        Seed of the occupied bays, and of paints and positions of the cars.
+
+    Examples
+    --------
+    >>> park = CarPark(columns=32, seed=0)
+    >>> park.surface(0, 2).shape, park.surface(0, 2).dtype
+    ((2, 32), dtype('int16'))
+    """
+
+    columns: int
+    seed: int = 0
+
+    @property
+    def ground_sample(self) -> float:
+        # side of a pixel on the ground [m]
+        return SWATH_M / self.columns
+
+    def surface(self, start: int, stop: int) -> NDArray[np.int16]:
+        # class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track)
+        along = (np.arange(start, stop) + 0.5) * self.ground_sample
+        y, x = np.meshgrid(along, (np.arange(self.columns) + 0.5) * self.ground_sample, indexing="ij")
+        classes = np.full(y.shape, _CLASS["asphalt"], dtype=np.int16)
+        classes[x < _KERB_END] = _CLASS["concrete"]
+        classes[x < _GRASS_END] = _CLASS["grass"]
+        # painted lines, at least a pixel wide, so that coarse pictures have them
+        half_width = max(_LINE_HALF_WIDTH, self.ground_sample / 2)
+        is_along = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= half_width
+        for edge in _ROWS:
+            classes[is_along & (x >= edge) & (x <= edge + _BAY_LENGTH)] = _CLASS["painted_line"]
+        # panels in the aisle
+        is_along = (y - _PANEL_START) % _PANEL_PERIOD <= _PANEL_SIZE
+        pitch = (_ROWS[1] - _ROWS[0] - _BAY_LENGTH) / len(PANELS)
+        for index, level in enumerate(PANELS):
+            edge = _ROWS[0] + _BAY_LENGTH + (index + 0.5) * pitch - _PANEL_SIZE / 2
+            is_panel = is_along & (x >= edge) & (x <= edge + _PANEL_SIZE)
+            classes[is_panel] = _CLASS[f"panel_{round(100 * level):02d}"]
+        # cars
+        first_bay, last_bay = int(along[0] // _BAY_WIDTH) - 1, int(along[-1] // _BAY_WIDTH) + 1
+        for bay in range(first_bay, last_bay + 1):
+            for row in range(len(_ROWS)):
+                self._park(classes, y, x, bay, row)
+        return classes
+
+    def _park(self, classes: NDArray[np.int16], y: Floats, x: Floats, bay: int, row: int) -> None:
+        rng = np.random.default_rng([self.seed, 1, bay + 2, row])
+        if rng.random() > 0.85:
+            return
+        length, width = rng.uniform(4.0, 4.7), rng.uniform(1.7, 1.9)
+        centre = (bay + 0.5) * _BAY_WIDTH + rng.normal(0.0, 0.08)
+        nose = _ROWS[row] + rng.uniform(0.1, _BAY_LENGTH - length)
+        turn, forward = rng.normal(0.0, 0.02), rng.random() < 0.7
+        is_near = np.abs(y[:, 0] - centre) < _BAY_WIDTH
+        if not is_near.any():
+            return
+        # twelve neighbouring bays have twelve different paints
+        paints = list(CAR_PAINTS)
+        group, index = divmod(2 * bay + row + 2 * len(paints), len(paints))
+        paint = paints[int(np.random.default_rng([self.seed, 2, group]).permutation(len(paints))[index])]
+        y, x, view = y[is_near], x[is_near], classes[is_near]
+        # u is 0 at the nose and 1 at the tail, v is 0 on the centre line and 1 at the flank
+        u = (x - nose + turn * (y - centre)) / length
+        u = u if forward else 1.0 - u
+        v = np.abs(y - centre - turn * (x - nose - length / 2)) / (width / 2)
+        body = np.abs(2 * u - 1) ** 6 + v**5 <= 1.0
+        wheels, windows = (
+            np.any([(u >= a) & (u <= b) & (v >= c) & (v <= d) for a, b, c, d in boxes], axis=0)
+            for boxes in (_WHEELS, _WINDOWS)
+        )
+        view[wheels] = _CLASS["tyre"]
+        view[body] = _CLASS[paint]
+        view[body & windows] = _CLASS["glass"]
+        classes[is_near] = view
+
+
+_CAR = np.array([name in CAR_PAINTS for name in MATERIALS])
+_TEXTURED = np.array([not name.startswith("panel") for name in MATERIALS])
+
+
+class PlanFlight(Flight):
+    surfaces = tuple(MATERIALS)
+    paints = tuple(CAR_PAINTS)
+
+    def __init__(self, settings: SimulationSettings) -> None:
+        super().__init__(settings)
+        self.park = CarPark(settings.columns, settings.seed)
+        #: shape (light, band, material x cross_track), as a lookup table
+        self._reflected = (
+            self._reflected_light(list(MATERIALS)).transpose(0, 2, 1, 3).reshape(2, settings.bands, -1)
+        )
+
+    def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
+        number = stop - start
+        surface = self.park.surface(start, stop)
+        # reflectance factor of the sun mirrored in clear coats, zero for most pixels
+        mirrored = np.zeros(surface.shape)
+        for row in range(number):
+            rng = self._rng(_GLINT, start + row)
+            chance, strength = rng.random(surface.shape[1]), rng.uniform(2.0, 12.0, surface.shape[1])
+            mirrored[row] = np.where((chance < self.settings.glint) & _CAR[surface[row]], strength, 0.0)
+        block = Lines(surface, mirrored > 0, *self._cubes(number, into))
+        factors = self._factors(start, stop)
+
+        def element_radiance(row: int) -> Floats:
+            return self._element_radiance(start + row, surface[row], factors[:, row], mirrored[row])
+
+        return block, element_radiance
+
+    def _element_radiance(
+        self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats
+    ) -> Floats:
+        # pi INT L R of every element, shape (band, cross_track)
+        direct, diffuse = factors
+        columns = self.settings.columns
+        index = surface.astype(np.intp) * columns + np.arange(columns)
+        radiance = self._reflected[0].take(index, axis=1, mode="clip")
+        radiance *= direct
+        diffuse_radiance = self._reflected[1].take(index, axis=1, mode="clip")
+        diffuse_radiance *= diffuse
+        radiance += diffuse_radiance
+        if self.settings.texture:
+            normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
+            radiance *= np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
+        if mirrored.any():
+            radiance += mirrored * direct * self.incident[0]
+        return np.asarray(radiance)
+
+
+_SQUARES = ("panel_05", "panel_50")
+_LINES_AT_ONCE = 32  # lines of a slab that fits into the cache of a processor
+_MARGIN_M = 1.0  # margin around the imaged area for the list of corners
+
+#: Sample points of a pixel, as fractions of its width, length and exposure around their centre: a sequence
+#: that fills a cube evenly (Roberts 2018, from the root of x**4 = x + 1), and its mirror image, so that the
+#: mean point is the centre.
+_ROOT = 1.2207440846057596
+_HALF_OF_POINTS = (np.arange(1, 41)[:, None] * _ROOT ** -np.arange(1.0, 4.0) + 0.5) % 1.0 - 0.5
+_POINTS = np.concatenate([_HALF_OF_POINTS, -_HALF_OF_POINTS])
+_WEIGHTS = np.concatenate([_POINTS, _POINTS[:, 2:] ** 2], axis=1)
+
+
+@dataclass(frozen=True)
+class Checkerboard:
+    """Squares that cover a map.
+
+    Attributes
+    ----------
+    origin
+        East and north of a corner [m].
+    square
+        Side of a square [m].
+    turn
+        Direction of one of its two axes, clockwise from the map's north [degree].
+
+    Examples
+    --------
+    >>> board = Checkerboard((500.0, 800.0), 0.5, 90.0)
+    >>> board.corners(np.array([1.0, 0.0]))
+    array([500.5, 800. ])
+    """
+
+    origin: tuple[float, float]
+    square: float
+    turn: float
+
+    @property
+    def _axes(self) -> Floats:
+        sine, cosine = np.sin(np.radians(self.turn)), np.cos(np.radians(self.turn))
+        return np.array([[sine, cosine], [cosine, -sine]])
+
+    def corners(self, numbers: Floats) -> Floats:
+        # east and north (..., 2) [m] of corners, from their numbers along both axes
+        return np.asarray(self.origin + self.square * (numbers @ self._axes))
+
+    def numbers(self, east: Floats, north: Floats) -> Floats:
+        # positions along both axes, in squares, shape (2, ...)
+        first_axis, second_axis = self._axes / self.square
+        x, y = east - self.origin[0], north - self.origin[1]
+        return np.stack([first_axis[0] * x + first_axis[1] * y, second_axis[0] * x + second_axis[1] * y])
+
+    def share(self, place: Floats, steps: Floats, weights: Floats) -> Floats:
+        """Return the share of the sample points of pixels that are on bright squares.
+
+        Parameters
+        ----------
+        place
+            East and north of pixel centres, shape (2, ...) [m].
+        steps
+            Vectors along width, length and exposure of a pixel, shape (step, 2, ...) [m].
+        weights
+            Weights of these vectors for every sample point, shape (point, step).
+        """
+        centre = self.numbers(*place)
+        vectors = np.moveaxis(np.tensordot(self._axes / self.square, steps, axes=(1, 1)), 1, 0)
+        bright = np.zeros(centre.shape[1:])
+        for step_weights in weights:
+            point = centre.copy()
+            for weight, vector in zip(step_weights.tolist(), vectors, strict=True):
+                point += weight * vector
+            half_sum = 0.5 * np.floor(point).sum(axis=0)
+            bright += half_sum != np.floor(half_sum)  # a square with an odd sum of numbers
+        return bright / len(weights)
+
+
+class CheckerboardFlight(Flight):
+    """A flight over a checkerboard.
+
+    Examples
+    --------
+    >>> flight = CheckerboardFlight(SimulationSettings(lines=8, bands=4, columns=32, scene="checkerboard"))
+    >>> block = flight.lines(0, 8)
+    >>> block.counts.shape, sorted(block.layers)
+    ((8, 4, 32), ['bright_share', 'east', 'height', 'north'])
+    """
+
+    surfaces = _SQUARES
+    paints = _SQUARES
+
+    def __init__(self, settings: SimulationSettings) -> None:
+        super().__init__(settings)
+        east, north = map(float, self.plane.project(self.frame.latitude, self.frame.longitude))
+        self.board = Checkerboard((east, north), settings.square, settings.board_turn)
+        place = f"of what the middle of the pixel shows at mid exposure, on {self.plane.crs}"
+        metres = {
+            "east": f"East {place}",
+            "north": f"North {place}",
+            "height": "Height above the ellipsoid of that place",
+        }
+        share = {"long_name": "Share of the pixel on bright squares", "units": "1"}
+        self.layers = {
+            "bright_share": Layer("float32", share),
+            **{name: Layer("float64", {"long_name": text, "units": "m"}) for name, text in metres.items()},
+        }
+        self._reflected = self._reflected_light(_SQUARES)
+
+    @cached_property
+    def corners(self) -> dict[str, Floats]:
+        # east and north of the corners in the imaged area and a margin around it [m]
+        origin, rotation = self._cameras
+        sides = self._tangents[[0, -1]]
+        imaged = np.stack(
+            self._map_coordinates(self._places(origin[:, 1], rotation[:, 1], sides))[:2]
+        ).reshape(2, -1)
+        minimum, maximum = imaged.min(axis=1) - _MARGIN_M, imaged.max(axis=1) + _MARGIN_M
+        box = np.stack([limits.ravel() for limits in np.meshgrid(*np.stack([minimum, maximum], axis=1))])
+        ranges = (np.arange(np.floor(n.min()), np.ceil(n.max()) + 1) for n in self.board.numbers(*box))
+        u, v = np.meshgrid(*ranges, indexing="ij")
+        corners = self.board.corners(np.stack([u.ravel(), v.ravel()], axis=-1))
+        east, north = corners[((corners >= minimum) & (corners <= maximum)).all(axis=1)].T
+        return {"east": east, "north": north}
+
+    def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
+        number, columns = stop - start, self.settings.columns
+        starts = range(start, stop, _LINES_AT_ONCE)
+        slabs = [
+            self._pixel_truth(start_line, min(start_line + _LINES_AT_ONCE, stop)) for start_line in starts
+        ]
+        layers: dict[str, NDArray[Any]] = {
+            name: np.concatenate([slab[name] for slab in slabs]).astype(layer.dtype)
+            for name, layer in self.layers.items()
+        }
+        shares = layers["bright_share"]
+        glint = np.zeros((number, columns), bool)
+        block = Lines((shares > 0.5).astype(np.int16), glint, *self._cubes(number, into), layers)
+        factors = self._factors(start, stop)
+
+        def element_radiance(row: int) -> Floats:
+            reflected = np.zeros((self.settings.bands, columns))
+            for factor, (dark, bright) in zip(factors[:, row], self._reflected, strict=True):
+                reflected += factor * (dark + shares[row] * (bright - dark))
+            return reflected
+
+        return block, element_radiance
+
+    def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
+        # paint of pixels within a square, -1 for all others
+        shares = lines.layers["bright_share"]
+        return np.where((shares == 0.0) | (shares == 1.0), super().clean_paint(lines), np.int32(-1))
+
+    @property
+    def _tangents(self) -> Floats:
+        # tangents of the look angles of columns, positive to the right
+        return np.tan(np.radians(self.look_angle))
+
+    @cached_property
+    def _cameras(self) -> tuple[Floats, Floats]:
+        # position and rotation of the camera at start, middle and end of every exposure
+        half_exposure = self.settings.exposure_time / 2
+        return self.trajectory.camera(
+            self.line_times[:, None] / 1e9 + half_exposure * np.array([-1.0, 0.0, 1.0])
+        )
+
+    @cached_property
+    def _to_map(self) -> Floats:
+        # matrix from steps east and north in the scene to steps on the map
+        places = np.stack(
+            self._map_coordinates(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))[:2]
+        )
+        return np.asarray(places[:, 1:] - places[:, :1])
+
+    def _pixel_truth(self, start: int, stop: int) -> dict[str, Floats]:
+        origin, rotation = (pose[start:stop] for pose in self._cameras)
+        tangents, half_pixel = self._tangents, 0.5 * PIXEL_ANGLE_RAD
+        at_start, at_middle, at_end = (self._places(origin[:, k], rotation[:, k], tangents) for k in range(3))
+        east, north, height = self._map_coordinates(at_middle)
+        camera = origin[:, 1], rotation[:, 1]
+        # within a pixel, positions are linear in width and length, and quadratic in time
+        width = self._places(*camera, tangents + half_pixel) - self._places(*camera, tangents - half_pixel)
+        length = self._places(*camera, tangents, half_pixel) - self._places(*camera, tangents, -half_pixel)
+        steps = np.stack([width, length, at_end - at_start, 2.0 * (at_start + at_end - 2.0 * at_middle)])[
+            ..., :2
+        ]
+        steps = np.moveaxis(steps @ self._to_map.T, -1, 1)
+        share = self.board.share(np.stack([east, north]), steps, _WEIGHTS)
+        return {"bright_share": share, "east": east, "north": north, "height": height}
+
+    def _places(self, origin: Floats, rotation: Floats, across: Floats, along: float = 0.0) -> Floats:
+        # points on the ground in the axes of the scene (line, column, 3) [m]
+        rays = np.stack([np.full_like(across, along), across, np.ones_like(across)])
+        rays = (rotation @ rays).swapaxes(1, 2)
+        reach = -origin[:, None, 2] / rays[..., 2]
+        # the ground is 8 cm below the tangent plane at a kilometre; two steps of the iteration are exact
+        for _ in range(2):
+            level = origin[:, None] + reach[..., None] * rays
+            level[..., 2] = 0.0
+            _, _, height = self.frame.geodetic(level)
+            reach = (self.frame.height - height - origin[:, None, 2]) / rays[..., 2]
+        return np.asarray(origin[:, None] + reach[..., None] * rays)
+
+    def _map_coordinates(self, places: Floats) -> tuple[Floats, Floats, Floats]:
+        # east, north and height above the ellipsoid of points (..., 3) in the axes of the scene
+        latitude, longitude, height = self.frame.geodetic(places)
+        return *self.plane.project(latitude, longitude), height

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 
+from .settings import SimulationSettings
+
 #: Wavelengths of the simulated spectrometer [nm].
 ASD_WAVELENGTH = np.arange(350.0, 1076.0)
 
@@ -39,6 +41,7 @@ _LEAPS = np.array(
     ],
     "datetime64[ns]",
 )
+#: OLE automation dates are days since then.
 _OLE_EPOCH = np.datetime64("1899-12-30T00:00:00", "s")
 
 
@@ -73,30 +76,29 @@ class BilWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._file.close()
-        if kind is None:
-            self._path.with_name(self._path.name + ".hdr").write_text(self._header(), encoding="ascii")
-
-    def _header(self) -> str:
-        bands = len(self._wavelength)
+        if kind is not None:
+            return
         default_bands = ",".join(
             str(1 + int(np.abs(self._wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0)
         )
         # Headwall headers have the comma at the start of the next line
         wavelengths = "\n,".join(f"{nm:.3f}" for nm in self._wavelength)
         comments = "".join(f";{key} = {value}\n" for key, value in self._comments.items())
-        return (
+        self._path.with_name(self._path.name + ".hdr").write_text(
             "ENVI\n"
             "description = {[HEADWALL Hyperspec III]}\n"
-            f"samples = {self._columns}\nlines = {self._lines}\nbands = {bands}\n"
+            f"samples = {self._columns}\nlines = {self._lines}\nbands = {len(self._wavelength)}\n"
             "header offset = 0\nfile type = ENVI Standard\ndata type = 12\ninterleave = bil\n"
             f"sensor type = Unknown\ndefault bands = {{{default_bands}}}\n"
             "byte order = 0\nwavelength units = nm\n"
-            f"wavelength = {{\n{wavelengths}\n}}\n{comments}"
+            f"wavelength = {{\n{wavelengths}\n}}\n{comments}",
+            encoding="ascii",
         )
 
 
-def write_settings(path: Path, settings: Mapping[str, object]) -> None:
-    path.write_text("".join(f"{key} = {value}\n" for key, value in settings.items()), encoding="ascii")
+def write_settings(path: Path, settings: SimulationSettings) -> None:
+    rows = {"Exposure (ms)": settings.exposure_time_ms, "Frame Period (ms)": settings.frame_period_ms}
+    path.write_text("".join(f"{key} = {value}\n" for key, value in rows.items()), encoding="ascii")
 
 
 def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.int64]) -> None:
@@ -156,17 +158,18 @@ def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime6
     rows.tofile(path)
 
 
-def _lamp() -> Floats:
-    # irradiance of a filament at 3100 K [W m-2 nm-1]
-    shape = ASD_WAVELENGTH**-5 / np.expm1(1.4388e7 / (ASD_WAVELENGTH * 3100.0))
-    return np.asarray(0.3 * shape / shape.max())
-
-
-def _lamp_counts() -> Floats:
-    # counts with the fore optic under the calibration lamp, with ripple of the detector [count]
-    detector = np.exp(-0.5 * ((ASD_WAVELENGTH - 700.0) / 190.0) ** 2)
-    ripple = 1.0 + 0.03 * np.sin(ASD_WAVELENGTH / 17.0)
-    return np.asarray(9000.0 * detector * ripple * _lamp() / 0.3 + 40.0)
+_FILAMENT = ASD_WAVELENGTH**-5 / np.expm1(1.4388e7 / (ASD_WAVELENGTH * 3100.0))
+#: Irradiance of a filament at 3100 K [W m-2 nm-1].
+_LAMP = 0.3 * _FILAMENT / _FILAMENT.max()
+#: Counts with the fore optic under this lamp, with ripple of the detector [count].
+_LAMP_COUNTS = (
+    9000.0
+    * np.exp(-0.5 * ((ASD_WAVELENGTH - 700.0) / 190.0) ** 2)
+    * (1.0 + 0.03 * np.sin(ASD_WAVELENGTH / 17.0))
+    * _LAMP
+    / 0.3
+    + 40.0
+)
 
 
 def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, reference_stamp: int) -> None:
@@ -186,15 +189,14 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
     reference_stamp
         Time of the reference by the same clock.
     """
-    lamp, lamp_counts = _lamp(), _lamp_counts()
-    counts = irradiance * lamp_counts / lamp * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
-    clock = _AsdClock(stamp, utc_offset, reference_stamp)
+    counts = irradiance * _LAMP_COUNTS / _LAMP * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
     blocks = (
         (1, b"bse_sim.ref", np.full(len(ASD_WAVELENGTH), 0.99)),
-        (2, b"lamp_sim.ill", lamp),
-        (3, b"fo_sim.raw", lamp_counts),
+        (2, b"lamp_sim.ill", _LAMP),
+        (3, b"fo_sim.raw", _LAMP_COUNTS),
     )
-    _write_asd(path, _IRRADIANCE, counts, np.ones(len(ASD_WAVELENGTH)), clock, blocks)
+    times = stamp, utc_offset, reference_stamp
+    _write_asd(path, _IRRADIANCE, counts, np.ones(len(ASD_WAVELENGTH)), times, blocks)
 
 
 def write_asd_reflectance(
@@ -209,57 +211,49 @@ def write_asd_reflectance(
     stamp, utc_offset, reference_stamp
         As for `write_asd`; ``reference_stamp`` is the time of the panel.
     """
-    per_radiance = np.pi * _lamp_counts() / _lamp() * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
-    clock = _AsdClock(stamp, utc_offset, reference_stamp)
-    _write_asd(path, _REFLECTANCE, radiance * per_radiance, white * per_radiance, clock)
+    per_radiance = np.pi * _LAMP_COUNTS / _LAMP * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
+    times = stamp, utc_offset, reference_stamp
+    _write_asd(path, _REFLECTANCE, radiance * per_radiance, white * per_radiance, times)
 
 
-# Settings of the operator: data type, fore optic, maximum of the plot, comment.
-@dataclass(frozen=True)
-class _AsdKind:
-    number: int
-    fore_optic: int
-    plot_maximum: float
-    comment: bytes
-
-
-_IRRADIANCE = _AsdKind(4, 180, 65535.0, b"hyperpaint simulation, remote cosine receptor")
-_REFLECTANCE = _AsdKind(1, 8, 1.25, b"hyperpaint simulation, white panel")
-
-
-# Times by the computer's clock [s since 1970 UTC], and its time zone [s].
-@dataclass(frozen=True)
-class _AsdClock:
-    stamp: int
-    utc_offset: int
-    reference_stamp: int
+#: Settings of the operator: data type, fore optic, maximum of the plot, comment.
+_IRRADIANCE = (4, 180, 65535.0, b"hyperpaint simulation, remote cosine receptor")
+_REFLECTANCE = (1, 8, 1.25, b"hyperpaint simulation, white panel")
 
 
 def _write_asd(
     path: Path,
-    kind: _AsdKind,
+    settings: tuple[int, int, float, bytes],
     counts: Floats,
     reference: Floats,
-    clock: _AsdClock,
+    times: tuple[int, int, int],
     blocks: Sequence[tuple[int, bytes, Floats]] = (),
 ) -> None:
-    zone = clock.utc_offset
+    # ``times``: times of target and reference by the computer's clock [s since 1970 UTC], around its zone [s]
+    (data_type, fore_optic, plot_maximum, comment), (stamp, zone, reference_stamp) = settings, times
+    local = np.datetime64(stamp + zone, "s").item().timetuple()
+    # fields of C's ``tm``: sec min hour mday mon year wday yday isdst, with Sunday as day 0
+    clock = (local.tm_sec, local.tm_min, local.tm_hour, local.tm_mday, local.tm_mon - 1, local.tm_year - 1900)
+    ole_times = (
+        float((np.datetime64(moment + zone, "s") - _OLE_EPOCH).astype(np.int64)) / 86400.0
+        for moment in (reference_stamp, stamp)
+    )
     header = bytearray(484)
     fields: Sequence[tuple[int, str, tuple[object, ...]]] = (
         (0, "3s", (b"as7",)),
-        (3, "157s", (kind.comment,)),
-        (160, "9h", _c_time(clock.stamp + clock.utc_offset)),
+        (3, "157s", (comment,)),
+        (160, "9h", (*clock, (local.tm_wday + 1) % 7, local.tm_yday - 1, 0)),
         (178, "BBBB", (0x57, 0x70, 0, 1)),  # program 5.7, file 7.0, itime, dark subtracted
-        (182, "i", (clock.reference_stamp,)),
-        (186, "B", (kind.number,)),
-        (187, "i", (clock.reference_stamp,)),
+        (182, "i", (reference_stamp,)),
+        (186, "B", (data_type,)),
+        (187, "i", (reference_stamp,)),
         (191, "ff", (ASD_WAVELENGTH[0], 1.0)),
         (199, "B", (2,)),  # float64
         (204, "H", (len(counts),)),
         (390, "I", (ASD_INTEGRATION_MS,)),
-        (394, "h", (kind.fore_optic,)),  # 180: cosine receptor
+        (394, "h", (fore_optic,)),  # 180: cosine receptor
         (398, "HH", (1, 18875)),
-        (402, "4f", (0.0, kind.plot_maximum, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
+        (402, "4f", (0.0, plot_maximum, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
         (418, "H", (16,)),
         (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
         (431, "B", (2,)),  # LSVNIR
@@ -270,7 +264,7 @@ def _write_asd(
     sections = [
         bytes(header),
         counts.astype("<f8").tobytes(),
-        struct.pack("<Hdd", 0xFFFF, _ole(clock.reference_stamp + zone), _ole(clock.stamp + zone)),
+        struct.pack("<Hdd", 0xFFFF, *ole_times),
         struct.pack("<H", 0),
         reference.astype("<f8").tobytes(),
         _EMPTY_CLASSIFIER,
@@ -284,30 +278,6 @@ def _write_asd(
 
 # classifier block: two codes, twenty empty strings, no constituents, an array without dims
 _EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
-
-
-def _c_time(local: int) -> tuple[int, ...]:
-    # fields of C's ``tm``: sec min hour mday mon year wday yday isdst
-    moment = np.datetime64(local, "s")
-    day = moment.astype("datetime64[D]")
-    year, month = day.astype("datetime64[Y]"), day.astype("datetime64[M]")
-    seconds = int((moment - day).astype(np.int64))
-    return (
-        seconds % 60,
-        seconds // 60 % 60,
-        seconds // 3600,
-        int((day - month).astype(np.int64)) + 1,
-        int(month.astype(np.int64)) % 12,
-        int(year.astype(np.int64)) + 70,
-        (int(day.astype(np.int64)) + 4) % 7,
-        int((day - year).astype(np.int64)),
-        0,
-    )
-
-
-def _ole(local: int) -> float:
-    # OLE automation date: days since 1899-12-30
-    return float((np.datetime64(local, "s") - _OLE_EPOCH).astype(np.int64)) / 86400.0
 
 
 _UNIT = 1e-6  # W m-2 sr-1 nm-1 per unit of the files, 1e-10 W cm-2 sr-1 nm-1
@@ -388,32 +358,13 @@ def write_svc(
     sun
         Zenith angle and azimuth of the sun [degree].
     """
-    header = _header(path.name, stamps, utc_offset, position, sun)
-    rounded = np.round(np.stack([white, target]) / _UNIT, 2)
-    percent = 100.0 * rounded[1] / rounded[0]
-    rows = (
-        f"{nm:.1f}  {panel:.2f}  {surface:.2f}  {percentage:.2f}"
-        for nm, panel, surface, percentage in zip(svc_wavelengths(), *rounded, percent, strict=True)
-    )
-    lines = ["/*** Spectra Vista SIG Data ***/", *(f"{key}= {value}" for key, value in header.items()), *rows]
-    path.write_text("\r\n".join(lines) + "\r\n", encoding="ascii", newline="")
-
-
-def _header(
-    name: str,
-    stamps: tuple[int, int],
-    utc_offset: int,
-    position: tuple[float, float],
-    sun: tuple[float, float],
-) -> dict[str, str]:
     latitude = _degrees_and_minutes(position[0], 2, "NS")
     longitude = _degrees_and_minutes(position[1], 3, "EW")
-    times = [np.datetime64(stamp, "s").item() for stamp in stamps]
-    local = [np.datetime64(stamp + utc_offset, "s").item() for stamp in stamps]
+    times, local = ([np.datetime64(stamp + zone, "s").item() for stamp in stamps] for zone in (0, utc_offset))
     clock = [f"{t.month}/{t.day}/{t.year} {t.hour % 12 or 12}:{t:%M:%S} {'AP'[t.hour >= 12]}M" for t in local]
     zeros = ",".join("0" * 32)
-    return {
-        "name": name,
+    header = {
+        "name": path.name,
         "instrument": "HI: 0000001 (HR-1024i)",
         "integration": "20.0, 20.0, 10.0, 40.0, 40.0, 10.0",
         "scan method": "Time-based, Time-based",
@@ -443,6 +394,13 @@ def _header(
         "sun azimuth": f"{sun[1]:.0f}, {sun[1]:.0f}",
         "data": "",
     }
+    rounded = np.round(np.stack([white, target]) / _UNIT, 2)
+    rows = (
+        f"{nm:.1f}  {panel:.2f}  {surface:.2f}  {100.0 * surface / panel:.2f}"
+        for nm, panel, surface in zip(svc_wavelengths(), *rounded, strict=True)
+    )
+    lines = ["/*** Spectra Vista SIG Data ***/", *(f"{key}= {value}" for key, value in header.items()), *rows]
+    path.write_text("\r\n".join(lines) + "\r\n", encoding="ascii", newline="")
 
 
 def _degrees_and_minutes(angle: float, width: int, letters: str) -> str:

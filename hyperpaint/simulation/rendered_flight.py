@@ -23,19 +23,17 @@ from .flight import Flight, Layer, Lines, LineView
 from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
-from .rendering.lighting import ProductTable, source_spectra
-from .rendering.painting import factor_spectra
-from .rendering.platform_geometry import Platform
-from .rendering.populations import populations_of
+from .rendering.painting import factor_spectra, populations_of
+from .rendering.platforms import Platform, TransverseMercator, pixel_edges
+from .rendering.relighting import ProductTable, source_spectra
 from .rendering.scene import Scene
 from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of
 from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .settings import PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
-from .trajectories import TransverseMercator
-from .transport.path_blocks import Block
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
+from .transport.paths import Block
 
 #: Reflectance added by the sun mirrored in a clear coat, above which a pixel is glint [1].
 GLINT = 0.02
@@ -88,7 +86,7 @@ class RenderedFlight(Flight):
         bands = BandSet.of(self.imager)
         # light without path radiance and with unit transmittance
         direct, diffuse = self.sky
-        spread = clear_spread(self.grid, direct, settings.sun[0])
+        shares = clear_spread(self.grid, direct, settings.sun[0])
         atmosphere = Atmosphere(
             self.grid,
             direct / self._cosine,
@@ -97,8 +95,7 @@ class RenderedFlight(Flight):
             0.0 * self.grid,
             *settings.sun,
             overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
-            molecular=spread.molecular,
-            aureole=spread.aureole,
+            **shares,
         )
         light = source_spectra(atmosphere, trace)
         factors = factor_spectra(record, bands)
@@ -168,14 +165,19 @@ class RenderedFlight(Flight):
         # camera poses at start and end of every exposure
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
-        columns = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64)
-        edges, along = columns * PIXEL_ANGLE_RAD, np.array([-0.5, 0.5]) * PIXEL_ANGLE_RAD
-        return Platform(
-            *self.trajectory.camera(moment), edges, along, self.line_times, settings.exposure_time
-        )
+        edges = pixel_edges(settings.columns, PIXEL_ANGLE_RAD)
+        return Platform(*self.trajectory.camera(moment), *edges, self.line_times, settings.exposure_time)
 
     def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
-        block = self._trace(start, stop)
+        platform = self.platform
+
+        def trace(begin: int) -> Block:
+            return trace_block(self._scene, platform, begin, min(begin + _LINES_AT_ONCE, stop))
+
+        # threads run in parallel, because the kernel releases the interpreter lock
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
+        block = Block(*map(np.concatenate, zip(*blocks, strict=True)))
         factors = self._factors(start, stop)
         record = Lines(
             self._surface[block.material],
@@ -194,18 +196,7 @@ class RenderedFlight(Flight):
         )
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
-        return LineView(record, lambda row: record.radiance[row] * per_element)
-
-    def _trace(self, start: int, stop: int) -> Block:
-        # threads run in parallel, because the kernel releases the interpreter lock
-        platform = self.platform
-
-        def trace(begin: int) -> Block:
-            return trace_block(self._scene, platform, begin, min(begin + _LINES_AT_ONCE, stop))
-
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
-        return Block(*map(np.concatenate, zip(*blocks, strict=True)))
+        return record, lambda row: record.radiance[row] * per_element
 
     def _labels(self, block: Block) -> dict[str, NDArray[Any]]:
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
@@ -224,8 +215,8 @@ class RenderedFlight(Flight):
         # pixels in which mirrored sun adds more than `GLINT`, shape (line, column)
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
         weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
-        level = self._incident.mean(axis=(1, 2)) @ factors
-        normal = self._incident[0].mean() / self._cosine * factors[0]
+        level = self.incident.mean(axis=(1, 2)) @ factors
+        normal = self.incident[0].mean() / self._cosine * factors[0]
         return np.asarray(weight * (normal / level)[:, None] > GLINT)
 
 
@@ -245,10 +236,7 @@ def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
         **{name: ("float64", {"long_name": text, "units": "m"}) for name, text in meters.items()},
     }
     # convert arrays to lists, because attributes are written as JSON
-    json_attrs = {
-        name: {
-            key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attrs.items()
-        }
-        for name, (_, attrs) in layers.items()
+    return {
+        name: Layer(dtype, {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attrs.items()})
+        for name, (dtype, attrs) in layers.items()
     }
-    return {name: Layer(dtype, json_attrs[name]) for name, (dtype, _) in layers.items()}

@@ -1,4 +1,7 @@
-"""Settings of a simulated collect: every effect is a field, declared with unit, range and default."""
+"""Settings of a simulated collect: every effect is a field, declared with unit, range and default.
+
+The clock of a flight follows the sun of its scene; the ephemeris is independent of `hyperpaint.light`.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,14 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import Spelling, as_argument, check_fields, declared, fact, is_number
-
-from .optics import OpticsSettings
-from .setting_checks import moment_of
-from .sun_clock import DEFAULT_START, when_sun_stands
 
 #: Instants of an exposure that a time stamp can mark.
 STAMPS = ("start", "mid", "end")
@@ -39,10 +40,12 @@ PIXEL_ANGLE_RAD = 7.4e-6 / 12e-3
 #: Maximum number of paths traced for a pixel.
 MOST_SAMPLES = 1 << 14
 
+_RANGE = "value-out-of-range"
+
 #: Largest seed of a random generator.
 MAX_SEED = 2**63 - 1
 
-#: Paints of the cars: fourteen solid paints, or the paints of a real fleet (`rendering.fleet`).
+#: Paints of the cars: fourteen solid paints, or the paints of a real fleet (`rendering.scene_spectra`).
 FLEETS = ("solid", "real")
 
 #: Kinds of light.
@@ -53,6 +56,207 @@ NEAR_SUNSET = (80.0, 292.0)
 
 #: Latitude and longitude [degree] of the ground under the first line, and its height above the ellipsoid [m].
 ORIGIN = (43.0845, -77.6749, 160.0)
+
+
+def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
+    """Return values as a new float64 array, and note entries that are not finite numbers."""
+    try:
+        array = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        problems.add(f"{name} is not an array of numbers", code="type-wrong")
+        return np.zeros(0)
+    if not np.isfinite(array).all():
+        problems.add(
+            f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite",
+            code="not-finite",
+        )
+    return array
+
+
+def moment_of(value: Any) -> np.datetime64:
+    """Return a time [ns]; NaT for a value that is not a time."""
+    try:
+        return np.datetime64(np.asarray(value, "datetime64[ns]").item(), "ns")
+    except (ValueError, TypeError):
+        return np.datetime64("NaT", "ns")
+
+
+#: Default start of a flight.
+DEFAULT_START = np.datetime64("2021-07-20T17:10:00", "ns")
+
+#: Maximum angle between the sun at the default start and the sun of the scene, to use this start [degree].
+MAX_DEFAULT_ANGLE_DEG = 3.0
+
+#: Maximum angle between the sun at another time and the sun of the scene, to use this time [degree].
+MAX_ANGLE_DEG = 1.0
+
+
+def sun_at(moment: Array, latitude: float, longitude: float) -> tuple[Floats, Floats]:
+    """Return zenith angle and azimuth of the sun [degree] at UTC times, to some hundredths of a degree.
+
+    The low-precision ephemeris of the Astronomical Almanac, without refraction.
+
+    Examples
+    --------
+    >>> zenith, azimuth = sun_at(np.datetime64("2021-07-20T17:10"), 43.04, -77.7)
+    >>> float(zenith.round(1)), float(azimuth.round(-1))
+    (22.6, 180.0)
+    """
+    days = (np.asarray(moment, "datetime64[s]") - np.datetime64("2000-01-01T12:00:00")).astype(float) / 86400
+    anomaly = np.radians(357.528 + 0.9856003 * days)
+    longitude_deg = 280.460 + 0.9856474 * days + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly)
+    ecliptic, tilt = np.radians(longitude_deg), np.radians(23.439 - 4e-7 * days)
+    ascension = np.arctan2(np.cos(tilt) * np.sin(ecliptic), np.cos(ecliptic))
+    declination = np.arcsin(np.sin(tilt) * np.sin(ecliptic))
+    # sidereal rotation: one more turn in a year than days
+    hour = np.radians(280.46062 + 360.98564737 * days + longitude) - ascension
+    phi = np.radians(latitude)
+    height = np.sin(phi) * np.sin(declination) + np.cos(phi) * np.cos(declination) * np.cos(hour)
+    north = np.cos(phi) * np.sin(declination) - np.sin(phi) * np.cos(declination) * np.cos(hour)
+    east = -np.cos(declination) * np.sin(hour)
+    return np.degrees(np.arccos(np.clip(height, -1, 1))), np.degrees(np.arctan2(east, north)) % 360.0
+
+
+@lru_cache(maxsize=64)
+def when_sun_stands(zenith: float, azimuth: float, latitude: float, longitude: float) -> np.datetime64:
+    """Return the time at which the sun is in a direction [degree], on the default day or in its year.
+
+    The default start is used if its sun is within `MAX_DEFAULT_ANGLE_DEG` of the direction; otherwise the
+    time with the nearest direction, first on the default day, then in its year.
+
+    If the sun is never in this direction (in the north, or high in the east), only the zenith angle agrees:
+    the brightness fits the clock, the azimuth of the light does not.
+
+    Raises
+    ------
+    SchemaError
+        The sun never has that zenith angle.
+
+    Examples
+    --------
+    >>> when_sun_stands(25.0, 178.0, 43.0845, -77.6749)
+    np.datetime64('2021-07-20T17:10:00.000000000')
+    """
+    if (
+        _angle_between(*sun_at(np.asarray(DEFAULT_START), latitude, longitude), zenith, azimuth)
+        <= MAX_DEFAULT_ANGLE_DEG
+    ):
+        return DEFAULT_START
+    minute = np.timedelta64(1, "m")
+    # the default day, from noon to noon UTC, for a place in the west
+    default_day = DEFAULT_START.astype("datetime64[m]") + np.arange(-12 * 60, 12 * 60) * minute
+    year = DEFAULT_START.astype("datetime64[Y]").astype("datetime64[m]") + np.arange(365 * 24 * 60) * minute
+    suns = []
+    for moments in (default_day, year):
+        zeniths, azimuths = sun_at(moments, latitude, longitude)
+        angles = _angle_between(zeniths, azimuths, zenith, azimuth)
+        nearest = int(np.argmin(angles))
+        if angles[nearest] <= MAX_ANGLE_DEG:
+            return np.datetime64(moments[nearest], "ns")
+        suns.append((moments, zeniths, azimuths))
+    for moments, zeniths, azimuths in suns:
+        azimuth_differences = np.abs((azimuths - azimuth + 180.0) % 360.0 - 180.0)
+        # of morning and afternoon, take the time with the nearer azimuth
+        nearest = int(np.argmin(np.abs(zeniths - zenith) + 1e-3 * azimuth_differences))
+        if abs(zeniths[nearest] - zenith) <= MAX_ANGLE_DEG:
+            return np.datetime64(moments[nearest], "ns")
+    min_zenith = sun_at(year, latitude, longitude)[0].min()
+    raise SchemaError(
+        f"sun_zenith={zenith:g}: at {latitude:.1f} degrees north the sun is always "
+        f"{min_zenith:.1f} degrees or more from the zenith",
+        mend="pass start_time= for a clock that disagrees with the sun, or another sun_zenith",
+        code="sun-unreachable",
+    )
+
+
+def _angle_between(zenith: Floats, azimuth: Floats, other_zenith: float, other_azimuth: float) -> Floats:
+    zenith_rad, other_zenith_rad = np.radians(zenith), np.radians(other_zenith)
+    turn = np.cos(np.radians(azimuth - other_azimuth))
+    cosine = (
+        np.cos(zenith_rad) * np.cos(other_zenith_rad) + np.sin(zenith_rad) * np.sin(other_zenith_rad) * turn
+    )
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+_MAX_FWHM_PIXELS = 50.0  # maximum width of a point spread
+_MAX_TAPS = 101  # maximum rows or columns of a kernel
+
+
+def _is_kernel(value: Any) -> bool:
+    try:
+        rows = [list(row) for row in value]
+    except TypeError:
+        return False
+    width = len(rows[0]) if rows else 0
+    has_odd_size = len(rows) % 2 == width % 2 == 1 and max(len(rows), width) <= _MAX_TAPS
+    is_valid = has_odd_size and all(
+        len(row) == width and all(is_number(x) and x >= 0 for x in row) for row in rows
+    )
+    return is_valid and sum(map(sum, rows)) > 0
+
+
+@declared
+@dataclass(frozen=True, kw_only=True)
+class OpticsSettings:
+    """Imperfections of a camera's optics and electronics, all off by default.
+
+    Examples
+    --------
+    >>> OpticsSettings(psf_across_columns=1.5, keystone_columns=0.3).stray_light
+    0.0
+    """
+
+    psf_across_columns: float = fact(
+        0.0,
+        "full width at half maximum of a Gaussian blur across the track [columns]; 0 for no blur; the "
+        "variance is exact also for widths below a pixel",
+        least=0.0,
+        most=_MAX_FWHM_PIXELS,
+    )
+    psf_along_lines: float = fact(
+        0.0,
+        "full width at half maximum of a Gaussian blur along the track [lines]; 0 for no blur",
+        least=0.0,
+        most=_MAX_FWHM_PIXELS,
+    )
+    psf_kernel: Sequence[Sequence[float]] | None = fact(
+        None,
+        "weights of a blur that replaces the Gaussian blur, one row per line; they are divided by their sum; "
+        "a weight right of the middle column moves light to the right, a weight after the middle row to "
+        "later lines",
+        kind="own",
+        accepts=_is_kernel,
+        phrase="rows of equally many numbers from 0 on, rows and columns odd and at most "
+        f"{_MAX_TAPS}, with a sum above 0",
+    )
+    keystone_columns: float = fact(
+        0.0,
+        "displacement of the image of the last band to the right [columns]; the first band is displaced "
+        "equally to the left, bands between them in proportion",
+        least=-20.0,
+        most=20.0,
+    )
+    stray_light: float = fact(
+        0.0,
+        "share of the light of a band that is scattered into all bands",
+        least=0.0,
+        most=0.5,
+    )
+    pedestal: float = fact(
+        0.0,
+        "offset of the counts of every frame, in flight and in the lab, that the dark does not contain",
+        unit="count",
+        least=-1000.0,
+        most=30_000.0,
+    )
+    masked_columns: int = fact(
+        0,
+        "number of columns at each edge of the detector that receive no light; their gain is NaN, and their "
+        "counts minus dark are the pedestal",
+        least=0,
+        most=10_000,
+    )
+
 
 _ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]{1,9})?)?)?")
 
@@ -462,86 +666,131 @@ class SimulationSettings(OpticsSettings):
 
     def _note_contradictions(self, problems: Problems, spelled: Spelling) -> None:
         # contradictions between values, each of which is in its range
-        def add(name: str, found: str, expected: str, mend: str, code: str = "value-out-of-range") -> None:
-            problems.add(f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code)
-
         def spelled_value(name: str) -> str:
             return spelled(name, getattr(self, name))
 
-        if self.exposure_time_ms > self.frame_period_ms:
-            add(
+        minutes = (self.lines * self.frame_period_ms / 1000.0 + 2 * self.irradiance_margin_s) / 60.0
+        elements, full = self.bands * self.columns, 2**self.bit_depth - 1
+        dark = self.dark_level + self.dark_rate * self.exposure_time + self.pedestal
+        blurs = self.psf_across_columns or self.psf_along_lines
+        dropped, max_dropped = self.dropped, self.lines - 2 * self.cubes
+        frames: set[int] = set() if isinstance(dropped, int) else set(dropped)
+        is_beyond = any(not 0 <= frame < self.lines for frame in frames)
+        cubes = itertools.starmap(range, itertools.pairwise(self.cube_starts.tolist()))
+        is_board, option = self.scene == "checkerboard", "option-conflict"
+        rows: list[tuple[object, str, str, str, str, str]] = [
+            (
+                self.exposure_time_ms > self.frame_period_ms,
                 "exposure_time_ms",
                 f" exceeds {spelled_value('frame_period_ms')}",
                 "",
                 "shorten the exposure, or lengthen the period",
                 "exposure-too-long",
-            )
-        minutes = (self.lines * self.frame_period_ms / 1000.0 + 2 * self.irradiance_margin_s) / 60.0
-        if abs(self.drift_per_minute) * minutes > 0.9:
-            add(
+            ),
+            (
+                abs(self.drift_per_minute) * minutes > 0.9,
                 "drift_per_minute",
                 f" leaves no light after {minutes:.1f} minutes",
                 "",
                 "lower the drift, or take fewer lines",
                 "light-missing",
-            )
-        if 10**9 % self.navigation_rate:
-            add("navigation_rate", "", "a divisor of 1e9", "take 100")
-        if self.scene != "checkerboard":
-            for name, value in (("swath", SWATH_M), ("course", 0.0)):
-                if getattr(self, name) != value:
-                    add(
-                        name,
-                        "",
-                        f"{value:g} for all scenes but a checkerboard",
-                        "choose the scene checkerboard",
-                        "option-conflict",
-                    )
-        if self.first_wavelength >= self.last_wavelength:
-            add(
+            ),
+            (10**9 % self.navigation_rate, "navigation_rate", "", "a divisor of 1e9", "take 100", _RANGE),
+            *(
+                (
+                    not is_board and getattr(self, name) != value,
+                    name,
+                    "",
+                    f"{value:g} for all scenes but a checkerboard",
+                    "choose the scene checkerboard",
+                    option,
+                )
+                for name, value in (("swath", SWATH_M), ("course", 0.0))
+            ),
+            (
+                self.first_wavelength >= self.last_wavelength,
                 "first_wavelength",
                 "",
                 f"less than {spelled_value('last_wavelength')}",
                 "swap them",
                 "band-order",
-            )
-        if self.lines < 2 * self.cubes:
-            add("cubes", "", f"at most one for every two of the {self.lines} lines", "take fewer cubes")
-        elements = self.bands * self.columns
-        if self.bad_elements > elements:
-            add("bad_elements", "", f"at most the {elements} elements of the camera", "take fewer")
-        if 2 * self.masked_columns >= self.columns:
-            add(
+            ),
+            (
+                self.lines < 2 * self.cubes,
+                "cubes",
+                "",
+                f"at most one for every two of the {self.lines} lines",
+                "take fewer cubes",
+                _RANGE,
+            ),
+            (
+                self.bad_elements > elements,
+                "bad_elements",
+                "",
+                f"at most the {elements} elements of the camera",
+                "take fewer",
+                _RANGE,
+            ),
+            (
+                2 * self.masked_columns >= self.columns,
                 "masked_columns",
                 " at both edges",
                 f"fewer than the {self.columns} columns of the camera",
                 "mask fewer columns",
-            )
-        dark = self.dark_level + self.dark_rate * self.exposure_time + self.pedestal
-        if dark >= 2**self.bit_depth - 1:
-            add(
+                _RANGE,
+            ),
+            (
+                dark >= full,
                 "dark_level",
                 f" with {spelled_value('dark_rate')} and {spelled_value('pedestal')}",
-                f"less than the {2**self.bit_depth - 1} counts of {self.bit_depth} bits",
+                f"less than the {full} counts of {self.bit_depth} bits",
                 "lower the dark, or take more bits",
                 "dark-saturated",
-            )
-        if self.psf_kernel is not None and (self.psf_across_columns or self.psf_along_lines):
-            add("psf_kernel", " and a Gaussian point spread", "one of them", "keep one", "option-conflict")
-        if self.cloud is not None and not (0 <= self.cloud[0] <= 1 and self.cloud[1] > 0):
-            add("cloud", "", "a fraction from 0 to 1 and a duration above 0 s", "correct them")
-        dropped = self.dropped
-        if isinstance(dropped, int):
-            max_dropped = self.lines - 2 * self.cubes
-            if not 0 <= dropped <= max_dropped:
-                add("dropped", "", f"at most {max_dropped}: a cube keeps its outer frames", "drop fewer")
-        elif any(not 0 <= frame < self.lines for frame in dropped):
-            add("dropped", "", f"frames from 0 to {self.lines - 1}", "leave the others out")
-        elif any(
-            set(range(start, stop)) <= set(dropped)
-            for start, stop in itertools.pairwise(self.cube_starts.tolist())
-        ):
-            add("dropped", " leaves a cube empty", "", "keep a frame of every cube", "cube-empty")
+            ),
+            (
+                self.psf_kernel is not None and blurs,
+                "psf_kernel",
+                " and a Gaussian point spread",
+                "one of them",
+                "keep one",
+                option,
+            ),
+            (
+                self.cloud is not None and not (0 <= self.cloud[0] <= 1 and self.cloud[1] > 0),
+                "cloud",
+                "",
+                "a fraction from 0 to 1 and a duration above 0 s",
+                "correct them",
+                _RANGE,
+            ),
+            (
+                isinstance(dropped, int) and not 0 <= dropped <= max_dropped,
+                "dropped",
+                "",
+                f"at most {max_dropped}: a cube keeps its outer frames",
+                "drop fewer",
+                _RANGE,
+            ),
+            (
+                is_beyond,
+                "dropped",
+                "",
+                f"frames from 0 to {self.lines - 1}",
+                "leave the others out",
+                _RANGE,
+            ),
+            (
+                frames and not is_beyond and any(map(frames.issuperset, cubes)),
+                "dropped",
+                " leaves a cube empty",
+                "",
+                "keep a frame of every cube",
+                "cube-empty",
+            ),
+        ]
+        for is_fault, name, found, expected, mend, code in rows:
+            if is_fault:
+                problems.add(f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code)
 
 
 #: Fields of `hyperpaint.simulation.SimulationSettings` that define the camera.

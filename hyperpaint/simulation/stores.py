@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import warnings
 from collections.abc import Mapping
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
 from hyperpaint.base.arrays import Progress
-from hyperpaint.base.errors import StoreError
+from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.input_files import input_path
+from hyperpaint.base.input_files import input_path, read_limited
 from hyperpaint.base.schema import (
     CHUNK_LINES,
     CUBE,
@@ -29,17 +30,21 @@ from hyperpaint.base.schema import (
     Variable,
 )
 
-from .checkerboard_flight import CheckerboardFlight
-from .flight import Flight, Lines
+from .flight import CheckerboardFlight, Flight, Lines
 from .instruments import ASD_WAVELENGTH
-from .sweep import SWEEP_NAME, Sweep, SweepSettings, is_simulated_sweep
-from .trajectories import CONVENTION
+from .rendering.platforms import CONVENTION
+from .sweep import Sweep, SweepSettings
 
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
 
 #: Prefix of the names of truth variables.
 TRUTH = "true_"
+
+#: Name of a simulated sweep.
+SWEEP_NAME = "simulated monochromator sweep"
+
+_MAX_METADATA_BYTES = 64 << 20
 
 _MASKS = {
     "saturated": "True where the converter was full in any band",
@@ -70,7 +75,7 @@ def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr
 def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
     return {
         "wavelength": _variable("wavelength", flight.wavelength),
-        "fwhm": _variable("fwhm", flight.imager.band_fwhm),
+        "fwhm": _variable("fwhm", flight.imager.fwhm),
         "good": _variable("good", np.ones(flight.settings.bands)),
         "wavelength_shift": _variable("wavelength_shift", flight.imager.wavelength_shift, (CROSS_TRACK,)),
     }
@@ -78,7 +83,7 @@ def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
 
 def _calibration(flight: Flight) -> dict[str, xr.Variable]:
     return {
-        "radiance_gain": _variable("radiance_gain", flight.radiance_gain),
+        "radiance_gain": _variable("radiance_gain", flight.camera.radiance_gain(flight.response_area)),
         "electrons_per_count": _variable("electrons_per_count", flight.settings.electrons_per_count),
         "read_noise": _variable("read_noise", flight.settings.read_noise),
         "look_angle": _variable("look_angle", flight.look_angle),
@@ -252,7 +257,8 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
             **_band_coords(flight),
             **_line_coords(flight, recorded),
             **{
-                name: _variable(name, values) for name, values in flight.pose(flight.line_times / 1e9).items()
+                name: _variable(name, values)
+                for name, values in flight.trajectory.pose(flight.line_times / 1e9).items()
             },
             "irradiance_time": _variable(
                 "irradiance_time", (flight.start + samples.middle).astype("datetime64[ns]")
@@ -267,7 +273,9 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
         },
     )
     if matched:
-        values, dims = flight.matched_irradiance(samples.factors), ("irradiance_time", BAND, CROSS_TRACK)
+        # irradiance weighted by the response of each element, INT E R / INT R
+        values = np.asarray(np.einsum("kt,kbx->tbx", samples.factors, flight.incident) / flight.response_area)
+        dims = ("irradiance_time", BAND, CROSS_TRACK)
         line["matched_irradiance"] = xr.Variable(dims, values, VARIABLES["irradiance"].attrs)
     return line
 
@@ -275,10 +283,6 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
 def _scalar_or_step(values: Any) -> Any:
     # one value if all steps have the same value
     return values[0] if np.all(values == values[0]) else values
-
-
-def _has_one_dark(sweep: Sweep) -> bool:
-    return np.ndim(_scalar_or_step(sweep.settings.dark_exposure_time)) == 0
 
 
 def _sweep_dataset(sweep: Sweep) -> xr.Dataset:
@@ -315,7 +319,7 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
         "responsivity": np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None]),
         "wavelength": imager.wavelength,
         "wavelength_shift": imager.wavelength_shift,
-        "fwhm": imager.band_fwhm,
+        "fwhm": imager.fwhm,
         "dark_bias": camera.dark_bias,
         "dark_rate": camera.dark_rate,
         "electrons_per_count": camera.electrons_per_count,
@@ -333,7 +337,16 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
         sweep.power[:, None] * sweep.beam,
         {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"},
     )
-    variables |= {name: xr.Variable(*fields) for name, fields in camera.imperfections.items()}
+    optics = camera.optics
+    if optics is not None and optics.has_stray_light:
+        row = VARIABLES["stray_light"]
+        variables["stray_light"] = xr.Variable(row.dims, optics.stray_matrix, row.attrs)
+    if optics is not None and optics.keystone.any():
+        attrs = {"long_name": "Displacement of a band's image to the right", "units": "column"}
+        variables["keystone"] = xr.Variable((BAND,), optics.keystone, attrs)
+    if camera.pedestal:
+        attrs = {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"}
+        variables["pedestal"] = xr.Variable((), np.asarray(camera.pedestal), attrs)
     return xr.Dataset(
         {f"{TRUTH}{name}": variable for name, variable in variables.items()},
         attrs={f"{TRUTH}srf_shape": imager.shape},
@@ -436,8 +449,23 @@ def write_sweep(
     values = {"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}
     path = input_path(path, "a folder for the sweep", StoreError, "simulate to a folder, and copy it")
     sweep = Sweep(SweepSettings.of(values))
-    for target in (path, _truth_beside(path)):
-        _remove_earlier(target, overwrite)
+    for target in filter(Path.exists, (path, _truth_beside(path))):
+        # remove only an earlier simulated sweep, or its truth
+        try:
+            text = read_limited(target / "zarr.json", _MAX_METADATA_BYTES, "metadata")
+            attributes = json.loads(text)["attributes"]
+            is_earlier = attributes.get("name") == SWEEP_NAME or f"{TRUTH}srf_shape" in attributes
+        except (FormatError, ValueError, KeyError, TypeError, AttributeError):
+            is_earlier = False
+        if not (overwrite and is_earlier):
+            mend = "choose another path, or replace an earlier sweep with {}"
+            raise StoreError(
+                f"{target} exists",
+                mend=mend.format("overwrite=True"),
+                option=mend.format("--overwrite"),
+                code="store-exists",
+            )
+        shutil.rmtree(target)
     store_sweep(sweep, path, truth=truth, progress=progress)
     return path
 
@@ -467,31 +495,19 @@ def _truth_beside(path: Path) -> Path:
     return path.with_name(f"{path.stem}_truth{path.suffix}")
 
 
-def _remove_earlier(target: Path, overwrite: bool) -> None:
-    if not target.exists():
-        return
-    # remove only an earlier simulated sweep, or its truth
-    if not overwrite or not is_simulated_sweep(target, f"{TRUTH}srf_shape"):
-        mend = "choose another path, or replace an earlier sweep with {}"
-        raise StoreError(
-            f"{target} exists",
-            mend=mend.format("overwrite=True"),
-            option=mend.format("--overwrite"),
-            code="store-exists",
-        )
-    shutil.rmtree(target)
-
-
 def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
     settings, camera = sweep.settings, sweep.settings.camera
     shape = (settings.steps, camera.bands, camera.columns)
-    dark = shape[1:] if _has_one_dark(sweep) else shape
-    shapes: dict[str, tuple[int, ...]] = {"counts": shape, "dark_counts": dark}
+    has_one_dark = np.ndim(_scalar_or_step(settings.dark_exposure_time)) == 0
+    shapes: dict[str, tuple[int, ...]] = {
+        "counts": shape,
+        "dark_counts": shape[1:] if has_one_dark else shape,
+    }
     return {**shapes, "counts_variance": shape} if settings.variance else shapes
 
 
 def _fill(sweep: Sweep, cubes: Mapping[str, Any], progress: Progress | None = None) -> None:
-    has_one_dark = _has_one_dark(sweep)
+    has_one_dark = cubes["dark_counts"].ndim == 2
     if has_one_dark:
         cubes["dark_counts"][...] = sweep.dark(0).mean
     for step in range(sweep.settings.steps):

@@ -13,27 +13,21 @@ shifts and interpolated.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32
-from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import check_fields, declared, fact
-from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
-from .camera import GAUSSIAN_REACH, Camera, cubic_weights
+from .camera import GAUSSIAN_REACH, Camera
+from .rendering.camera_bands import cubic_weights
 from .settings import CAMERA_FIELDS, SimulationSettings
-
-SWEEP_NAME = "simulated monochromator sweep"
-MAX_METADATA_BYTES = 64 << 20
-
 
 PerStep = float | Sequence[float] | Floats
 
@@ -207,9 +201,8 @@ class SweepSettings:
     @property
     def dark_exposure_time(self) -> Floats:
         """Exposure of every step's dark frames, shape (step,) [s]."""
-        if self.dark_exposure_ms is None:
-            return self.exposure_time
-        return np.asarray(np.resize(np.asarray(self.dark_exposure_ms, dtype=np.float64), self.steps)) / 1000.0
+        exposures = self.step_exposure_ms if self.dark_exposure_ms is None else self.dark_exposure_ms
+        return self._every_step(exposures) / 1000.0
 
     @property
     def monochromator_fwhm(self) -> Floats:
@@ -217,7 +210,7 @@ class SweepSettings:
         return self._every_step(self.monochromator_fwhm_nm)
 
     def _every_step(self, value: PerStep) -> Floats:
-        return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), self.steps))
+        return np.resize(np.asarray(value, dtype=np.float64), self.steps)
 
 
 # keys of the random streams [seed, stream, step], so that values do not depend on other steps
@@ -233,25 +226,25 @@ class Frames(NamedTuple):
     variance: Floats32  # variance of a frame [count2]
 
 
-def is_simulated_sweep(store: Path, truth: str) -> bool:
-    """Return whether a store is a simulated sweep, or its truth, which has the attribute ``truth``."""
-    try:
-        attributes = json.loads(read_limited(store / "zarr.json", MAX_METADATA_BYTES, "metadata"))[
-            "attributes"
-        ]
-        return attributes.get("name") == SWEEP_NAME or truth in attributes
-    except (FormatError, ValueError, KeyError, TypeError, AttributeError):
-        return False
-
-
 class Sweep:
     def __init__(self, settings: SweepSettings) -> None:
         self.settings = settings
         self.camera = Camera.of(settings.camera)
-        self._shifts, self._to_columns = _shift_table(
-            self.camera.imager.wavelength_shift,
-            min(_MAX_SHIFT_STEP_NM, settings.monochromator_fwhm.min() / 25),
-        )
+        # Shifts at which integrals are computed, and the matrix (cross_track, shift) that interpolates them
+        # to columns. Few distinct shifts are used directly; many are interpolated by Lagrange's cubic from
+        # an even table.
+        shifts = self.camera.imager.wavelength_shift
+        distinct, column = np.unique(shifts, return_inverse=True)
+        step = min(_MAX_SHIFT_STEP_NM, settings.monochromator_fwhm.min() / 25)
+        cells = int(np.ceil((distinct[-1] - distinct[0]) / step))
+        self._shifts, self._to_columns = distinct, np.eye(len(distinct))[column]
+        if len(distinct) > cells + 3:
+            self._shifts = distinct[0] + step * np.arange(-1, cells + 2)
+            place = (shifts - self._shifts[0]) / step
+            lower = np.clip(np.floor(place).astype(int), 1, len(self._shifts) - 3)
+            self._to_columns = np.zeros((len(shifts), len(self._shifts)))
+            nodes = lower[:, None] + np.arange(-1, 3)
+            np.put_along_axis(self._to_columns, nodes, cubic_weights(place - lower), axis=1)
 
     def _rng(self, stream: int, *key: int) -> np.random.Generator:
         return np.random.default_rng([self.settings.camera.seed, stream, *key])
@@ -304,13 +297,22 @@ class Sweep:
     def _order_integrals(self, step: int, order: int) -> Floats:
         # integrals of a diffraction order, whose light appears at ``order`` x its wavelength
         imager, centre = self.camera.imager, self.wavelength[step]
-        fwhm = float(self.settings.monochromator_fwhm[step])
-        offset, weights = _line_quadrature(
-            fwhm, self.settings.monochromator_shape, float(imager.band_fwhm.min()) / order
+        # The grid is even and symmetric around the centre and includes the corners of a triangle, so that a
+        # sum equals the integral to 2e-5 of the peak. Weights have unit sum.
+        fwhm, shape = float(self.settings.monochromator_fwhm[step]), self.settings.monochromator_shape
+        finest = min(_MAX_GRID_STEP_NM[shape], fwhm / 40.0, float(imager.fwhm.min()) / order / 40.0)
+        divisions = int(np.ceil(fwhm / finest))
+        side = divisions if shape == "triangle" else int(np.ceil(GAUSSIAN_REACH * divisions))
+        offset: Floats = np.asarray(np.arange(-side, side + 1) * (fwhm / divisions), dtype=np.float64)
+        height = (
+            np.asarray(1.0 - np.abs(offset) / fwhm)
+            if shape == "triangle"
+            else np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2)
         )
+        weights = height / height.sum()
         grid = centre + offset
         weights = weights * imager.responsivity(grid)
-        reach = imager.reach + order * offset[-1]
+        reach = imager.whole_reach + order * offset[-1]
         integrals = np.zeros((len(imager.wavelength), self.settings.camera.columns))
         cell = order * (offset[1] - offset[0])
         for band in np.flatnonzero(np.abs(imager.wavelength - order * centre) <= reach).tolist():
@@ -370,34 +372,3 @@ class Sweep:
             divisor = 1 if rng is None else frames
             mean = np.rint(mean * divisor) / divisor
         return Frames(mean.astype(np.float32), variance.astype(np.float32))
-
-
-def _line_quadrature(fwhm: float, shape: str, other_width: float) -> tuple[Floats, Floats]:
-    # Distances from the centre [nm], and weights of unit sum. The grid is even and symmetric around the
-    # centre and includes the corners of a triangle, so that a sum equals the integral to 2e-5 of the peak.
-    divisions = int(np.ceil(fwhm / min(_MAX_GRID_STEP_NM[shape], fwhm / 40.0, other_width / 40.0)))
-    step = fwhm / divisions
-    reach = divisions if shape == "triangle" else int(np.ceil(GAUSSIAN_REACH * divisions))
-    offset = np.asarray(np.arange(-reach, reach + 1) * step, dtype=np.float64)
-    height = (
-        np.asarray(1.0 - np.abs(offset) / fwhm)
-        if shape == "triangle"
-        else np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2)
-    )
-    return offset, np.asarray(height / height.sum())
-
-
-def _shift_table(shifts: Floats, step: float) -> tuple[Floats, Floats]:
-    # Shifts at which integrals are computed, and the matrix (cross_track, shift) that interpolates them to
-    # columns. Few distinct shifts are used directly; many are interpolated by Lagrange's cubic from an even
-    # table.
-    distinct, column = np.unique(shifts, return_inverse=True)
-    cells = int(np.ceil((distinct[-1] - distinct[0]) / step))
-    if len(distinct) <= cells + 3:
-        return distinct, np.eye(len(distinct))[column]
-    table = distinct[0] + step * np.arange(-1, cells + 2)
-    place = (shifts - table[0]) / step
-    lower = np.clip(np.floor(place).astype(int), 1, len(table) - 3)
-    weights = np.zeros((len(shifts), len(table)))
-    np.put_along_axis(weights, lower[:, None] + np.arange(-1, 3), cubic_weights(place - lower), axis=1)
-    return table, weights

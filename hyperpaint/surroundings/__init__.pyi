@@ -1,5 +1,5 @@
-from .coat_correction import correct_coat as correct_coat
 from .corrections import (
+    correct_coat as correct_coat,
     correct_light as correct_light,
     remove_mirrored_sky as remove_mirrored_sky,
 )

@@ -1,12 +1,11 @@
-"""Corrections of reflectance for the light of the sky: mirrored sky, tilt, hidden sky.
+"""Corrections of reflectance for the light of the sky: mirrored sky, tilt, hidden sky, clear coat.
 
 They are applied on request only, and recorded in the attributes of ``reflectance``.
 """
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,13 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.mirrored_light import EXCLUDED, THROUGH_COAT
+from hyperpaint.base.mirrored_light import BODY, EXCLUDED, THROUGH_COAT, mirror_reflection
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance
 
-from .light_split import LightSplit, split_of
-from .sun_and_sky import OVERCAST_ZENITH
+from .light_split import OVERCAST_ZENITH, LightSplit, split_of, sun_zenith_of
 
 #: Attributes of reflectance that record corrections.
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt", "coat_corrected")
@@ -31,6 +30,9 @@ MAX_TILT_GAIN = 0.3
 
 #: Normal reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
 NORMAL_REFLECTANCE = 0.04
+
+#: Standard deviation of the lean of roofs and bonnets that are assumed to be level [degree].
+LEAN_U_DEG = 2.0
 
 #: Mend of the error by the earlier correction.
 _MENDS = {
@@ -110,11 +112,9 @@ def remove_mirrored_sky(
     >>> remove_mirrored_sky(paint, sun_zenith=30.0).reflectance.values.round(3)
     array([0.032, 0.031], dtype=float32)
     """
-    line = schema.rename_to_roles(line)
     # all corrections must follow this one: mirrored light does not scale with the light on the paint
     numbers = {"strength": (strength, 0.0, 1.0), "sky_view_factor": (sky_view_factor, 0.0, 1.0)}
-    _check(line, CORRECTIONS, numbers)
-    line = as_fractions(line)
+    line = _checked(line, CORRECTIONS, numbers)
     split = _split(line, diffuse, sun_zenith, sky)
     mirrored = (strength * sky_view_factor * split.fraction * sky_above(split)).astype(np.float32)
     text = (
@@ -122,7 +122,7 @@ def remove_mirrored_sky(
         f"x zenith of a sky ({split.sky})"
     )
     corrected = {name: line[name] - mirrored for name in LEVELS if name in line.variables}
-    return with_correction(line, corrected, "mirrored_sky_removed", text)
+    return _with_correction(line, corrected, "mirrored_sky_removed", text)
 
 
 @takes_quantities(direct="1", sky_view_factor="1", sun_zenith="degree")
@@ -188,77 +188,72 @@ def correct_light(
     >>> correct_light(paint, direct=1.1, sun_zenith=30.0).reflectance.values.round(3)
     array([0.369, 0.364], dtype=float32)
     """
-    line = schema.rename_to_roles(line)
     plain = {
         name: value
         for name, value in (("direct", direct), ("sky_view_factor", sky_view_factor))
         if np.ndim(value) == 0 and not hasattr(value, "dims")
     }
     numbers = {"neighbour_reflectance": neighbour_reflectance, **plain}
-    _check(line, ("light_corrected", "tilt"), {name: (value, 0.0, 10.0) for name, value in numbers.items()})
-    line = as_fractions(line)
+    ranges = {name: (value, 0.0, 10.0) for name, value in numbers.items()}
+    line = _checked(line, ("light_corrected", "tilt"), ranges)
     split = _split(line, diffuse, sun_zenith, sky)
     gain: Any = 0.0
     if split.sky not in ("uniform", "overcast"):
         gain = (1.0 - split.cloud) * _on_bands(sunward_gain(split.wavelength, split.zenith))
     share, lean = split.fraction.astype(np.float32), np.clip(direct - 1.0, -MAX_TILT_GAIN, MAX_TILT_GAIN)
-    with _same_pixels():
-        sky_light = sky_view_factor * (1.0 + lean * gain) * share
-        light = direct * (1.0 - share) + sky_light + (1.0 - sky_view_factor) * neighbour_reflectance
-        light = light.where(light > 0)
-        corrected = {name: line[name] / light for name in (*LEVELS, *WIDTHS) if name in line.variables}
-    factors = {
-        name: f"{value:g}" if name in plain else "given"
-        for name, value in (("direct", direct), ("sky view", sky_view_factor))
-    }
-    amounts = ", ".join(f"{name} {value}" for name, value in factors.items())
-    text = f"{amounts}, diffuse fraction ({split.source}), sky ({split.sky})"
-    return with_correction(line, corrected, "light_corrected", text)
-
-
-def note_unusable(
-    problems: Problems, line: xr.Dataset, numbers: Mapping[str, tuple[float, float, float]]
-) -> None:
-    """Add missing variables, and numbers (value, minimum, maximum) out of range, to the problems."""
-    for name in ("reflectance", "wavelength"):
-        if name not in line.variables:
-            problems.add(f"{name!r} is missing", code="variable-missing")
-    for name, (value, low, high) in numbers.items():
-        if not low <= value <= high:
-            problems.add(f"{name}={value!r}", expected=f"{low:g} to {high:g}", code="value-out-of-range")
-
-
-def _check(
-    line: xr.Dataset, excluded: tuple[str, ...], numbers: Mapping[str, tuple[float, float, float]]
-) -> None:
-    # Raise for unusable input, and for reflectance with one of the excluded corrections
-    problems = Problems("reflectance cannot be corrected", SchemaError)
-    note_unusable(problems, line, numbers)
-    attrs = line["reflectance"].attrs if "reflectance" in line.variables else {}
-    for name in excluded:
-        if name in attrs:
-            problems.add(
-                f"corrected before: {name} is {attrs[name]!r}", mend=_MENDS[name], code="corrected-before"
-            )
-    problems.raise_if_any()
-
-
-@contextlib.contextmanager
-def _same_pixels() -> Iterator[None]:
-    # Raise where operands differ in their pixels, which xarray would reduce to the common ones
     try:
+        # xarray would reduce operands with other pixels to the common ones
         with xr.set_options(arithmetic_join="exact"):
-            yield
+            sky_light = sky_view_factor * (1.0 + lean * gain) * share
+            light = direct * (1.0 - share) + sky_light + (1.0 - sky_view_factor) * neighbour_reflectance
+            light = light.where(light > 0)
+            corrected = {name: line[name] / light for name in (*LEVELS, *WIDTHS) if name in line.variables}
     except xr.AlignmentError as error:
         raise SchemaError(
             "lines or columns of direct= or sky_view_factor= differ from those of the flight line",
             mend="crop all to the same pixels, or drop their coordinates along_track and cross_track",
             code="grid-mismatch",
         ) from error
+    factors = {
+        name: f"{value:g}" if name in plain else "given"
+        for name, value in (("direct", direct), ("sky view", sky_view_factor))
+    }
+    amounts = ", ".join(f"{name} {value}" for name, value in factors.items())
+    text = f"{amounts}, diffuse fraction ({split.source}), sky ({split.sky})"
+    return _with_correction(line, corrected, "light_corrected", text)
 
 
-def as_fractions(line: xr.Dataset) -> xr.Dataset:
-    """Return the line with `LEVELS` and `WIDTHS` in units of 1."""
+def _checked(
+    line: xr.Dataset,
+    excluded: tuple[str, ...],
+    numbers: Mapping[str, tuple[float, float, float]],
+    of_body: bool = False,
+) -> xr.Dataset:
+    # The line with `LEVELS` and `WIDTHS` in units of 1. Raise for missing variables, numbers (value, minimum,
+    # maximum) out of range, one of the excluded corrections, and, with `of_body`, a mirrored sky
+    line = schema.rename_to_roles(line)
+    problems = Problems("reflectance cannot be corrected", SchemaError)
+    for name in ("reflectance", "wavelength"):
+        if name not in line.variables:
+            problems.add(f"{name!r} is missing", code="variable-missing")
+    for name, (value, low, high) in numbers.items():
+        if not low <= value <= high:
+            problems.add(f"{name}={value!r}", expected=f"{low:g} to {high:g}", code="value-out-of-range")
+    attrs = line["reflectance"].attrs if "reflectance" in line.variables else {}
+    earlier = [name for name in excluded if name in attrs]
+    for name in earlier:
+        problems.add(
+            f"corrected before: {name} is {attrs[name]!r}", mend=_MENDS[name], code="corrected-before"
+        )
+    if of_body and "reflectance" in line.variables and not earlier and mirror_reflection(line) != EXCLUDED:
+        problems.add(
+            "the reflectance includes the sky mirrored by the coat, or does not declare its exclusion",
+            mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
+            f"{EXCLUDED!r} where no mirrored sky is included",
+            option="give --specular-sky",
+            code="mirrored-sky-included",
+        )
+    problems.raise_if_any()
     names = [name for name in (*LEVELS, *WIDTHS) if name in line.variables]
     return line.assign({name: convert(line[name], "1") for name in names})
 
@@ -283,8 +278,10 @@ def _on_bands(values: Any) -> xr.DataArray:
     return xr.DataArray(values.astype(np.float32), dims=BAND)
 
 
-def with_correction(line: xr.Dataset, variables: dict[str, xr.DataArray], name: str, text: str) -> xr.Dataset:
-    """Return the line with corrected variables and the attributes of the correction."""
+def _with_correction(
+    line: xr.Dataset, variables: dict[str, xr.DataArray], name: str, text: str
+) -> xr.Dataset:
+    # The line with corrected variables and the attributes of the correction
     corrected = {
         key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
         for key, array in variables.items()
@@ -299,3 +296,176 @@ def with_correction(line: xr.Dataset, variables: dict[str, xr.DataArray], name: 
         entry = f"{name}: {text}"
         result = result.assign_attrs(corrections=entry if earlier == "none" else f"{earlier}; {entry}")
     return result
+
+
+# --- clear coat ------------------------------------------------------------------------------------------
+
+
+@takes_quantities(sun_zenith="degree", view_zenith="degree", lean_u="degree")
+def correct_coat(
+    line: xr.Dataset,
+    *,
+    index: float = COAT_INDEX,
+    index_u: float = COAT_INDEX_U,
+    lean_u: float = LEAN_U_DEG,
+    diffuse: Any = None,
+    sun_zenith: float | None = None,
+    view_zenith: float | None = None,
+    sky: str | None = None,
+) -> xr.Dataset:
+    r"""Divide by the transmission of a clear coat relative to its transmission near the normal.
+
+    Lazy. For paint whose mirrored sky was removed (`remove_mirrored_sky`): a body under a coat receives less
+    light the lower the sun stands, 5 % less at 60 degrees, 8 % at 65. Assumes a level body part, unless
+    `correct_light` was applied; then ``sun_zenith`` is the angle of the sun to its normal.
+
+    Parameters
+    ----------
+    line
+        Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``; or a paint library,
+        with ``sun_zenith``, ``view_zenith`` and ``diffuse_fraction`` of each paint.
+    index, index_u
+        Refractive index of the coat, and its standard uncertainty [1].
+    lean_u
+        Standard uncertainty of the angle between sun and body part [degree].
+    diffuse, sun_zenith, sky
+        As for `remove_mirrored_sky`.
+    view_zenith
+        Angle between the body part's normal and the camera [degree]; by default that of a library's paints, 0
+        for a line: up to 40 degrees its effect is 0.6 %.
+
+    Returns
+    -------
+    Dataset
+        The same with ``reflectance``, its spread, quantiles, members and uncertainties divided, the
+        uncertainty of the coat included in ``reflectance_u_systematic`` where present, and
+        ``coat_transmission`` C and ``coat_transmission_u`` [1]; for a library also ``reflectance_u_coat``
+        [1], the uncertainty from C and the subtracted mirrored sky, common to all pixels of a paint.
+        Attributes of reflectance: ``coat_corrected``; ``quantity``, which is then the body under the coat;
+        ``specular_component`` "excluded".
+
+    Raises
+    ------
+    SchemaError
+        ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the mirrored sky is included,
+        the coat was corrected before, or the split or the sun is unknown; all are listed.
+
+    Warns
+    -----
+    PaintWarning
+        The state of the sky is unknown, and a clear one is assumed.
+
+    Notes
+    -----
+    .. math:: \rho = \rho_{seen} / C, \qquad C = \frac{f_{dir} (1 - F(\theta_s)) + f_{dif} (1 - F_{sky})}
+              {1 - F(0)} \cdot \frac{1 - F(\theta_v)}{1 - F(0)}
+
+    with Fresnel's reflectance F, see `hyperpaint.light.coat_transmission`. The uncertainty of C combines
+    those of the index, the lean, and the diffuse fraction; the uncertainty of the mirrored sky combines the
+    index, on which F(0) depends with :math:`4 (n - 1) / (n + 1)^3`, and the fraction.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> seen = xr.DataArray(np.float32([0.475, 0.475]), dims="band", attrs={"units": "1"})
+    >>> paint = xr.Dataset({"reflectance": seen}, {"wavelength": ("band", [450.0, 850.0], {"units": "nm"})})
+    >>> paint.reflectance.attrs["mirror_reflection"] = "excluded"
+    >>> correct_coat(paint, sun_zenith=60.0, diffuse="model").reflectance.values.round(3)
+    array([0.508, 0.504], dtype=float32)
+    """
+    numbers = {"index": (index, 1.0, 3.0), "index_u": (index_u, 0.0, 1.0), "lean_u": (lean_u, 0.0, 45.0)}
+    line = _checked(line, ("coat_corrected",), numbers, of_body=True)
+    coat = (float(index), float(index_u), float(lean_u))
+    if SIGNATURE in line["reflectance"].dims:
+        shares = _paint_shares(line, coat, (diffuse, sun_zenith, sky), view_zenith)
+    else:
+        split = split_of(line, diffuse, sun_zenith, sky)
+        zenith = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(line, sun_zenith)
+        shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, coat)
+    share, share_u, mirror_u = (array.astype(np.float32) for array in shares)
+    corrected = {name: line[name] / share for name in (*LEVELS, *WIDTHS) if name in line.variables}
+    # index and split also determine the uncertainty of the subtracted mirrored sky
+    was_removed = "mirrored_sky_removed" in line["reflectance"].attrs
+    coat_u = ((corrected["reflectance"] * share_u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / share
+    if "reflectance_u_systematic" in corrected:
+        corrected["reflectance_u_systematic"] = (
+            corrected["reflectance_u_systematic"] ** 2 + coat_u**2
+        ) ** 0.5
+    text = f"clear coat of index {index:g} +- {index_u:g}, panel level +- {lean_u:g} degree"
+    result = _with_correction(line, corrected, "coat_corrected", text)
+    quantity = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
+    result["reflectance"] = result["reflectance"].assign_attrs(quantity)
+    layers = {"coat_transmission": share, "coat_transmission_u": share_u}
+    is_library = SIGNATURE in line["reflectance"].dims
+    table = schema.LIBRARY_VARIABLES if is_library else schema.VARIABLES
+    if is_library:
+        layers["reflectance_u_coat"] = coat_u.transpose(SIGNATURE, BAND).astype(np.float32)
+    return result.assign({name: layer.assign_attrs(table[name].attrs) for name, layer in layers.items()})
+
+
+def _shares(
+    split: LightSplit, incidence: float, view: float, coat: tuple[float, float, float]
+) -> tuple[xr.DataArray, xr.DataArray, xr.DataArray]:
+    # Relative transmission C, its standard uncertainty, and the uncertainty of the mirrored sky, on the dims
+    # of the split. `coat`: index, its uncertainty, uncertainty of the lean [degree].
+    index, index_u, lean_u = coat
+
+    def share(fraction: Any, n: float, angle: float) -> Any:
+        # reflectance of the coat for the light of a uniform sky, or between a clear and an overcast sky
+        sun = None if split.sky == "uniform" else min(incidence, 89.0)
+        sky: Any = xr.DataArray(sky_reflectance(split.wavelength, sun, 0.0, n), dims=BAND)
+        if sun is not None:
+            overcast = xr.DataArray(sky_reflectance(split.wavelength, sun, 1.0, n), dims=BAND)
+            sky = (1.0 - split.cloud) * sky + split.cloud * overcast
+        return transmitted_share(fraction, sky, float(np.clip(angle, 0.0, 89.9)), view, n)
+
+    # uncertainties by finite differences in index, lean and diffuse fraction
+    relative = share(split.fraction, index, incidence)
+    by_index = 0.5 * (
+        share(split.fraction, index + index_u, incidence)
+        - share(split.fraction, max(1.0, index - index_u), incidence)
+    )
+    leans = [abs(share(split.fraction, index, incidence + turn) - relative) for turn in (-lean_u, lean_u)]
+    by_sky = split.u * abs(share(1.0, index, incidence) - share(0.0, index, incidence))
+    relative_u = np.sqrt(by_index**2 + (0.5 * (leans[0] + leans[1])) ** 2 + by_sky**2)
+    normal_u = 4.0 * (index - 1.0) / (index + 1.0) ** 3 * index_u
+    mirror_u = sky_above(split) * np.sqrt(
+        (normal_u * split.fraction) ** 2 + (NORMAL_REFLECTANCE * split.u) ** 2
+    )
+    return relative, relative_u, mirror_u
+
+
+def _paint_shares(
+    library: xr.Dataset,
+    coat: tuple[float, float, float],
+    light: tuple[Any, float | None, str | None],
+    view_zenith: float | None,
+) -> tuple[xr.DataArray, ...]:
+    # `_shares` of every paint under its sun (signature, band); `light`: arguments of `split_of`
+    diffuse, sun_zenith, sky = light
+    names = (
+        "wavelength",
+        "diffuse_fraction",
+        "diffuse_fraction_u",
+        "sky_state",
+        "sun_zenith",
+        "view_zenith",
+    )
+    light_variables = library[[name for name in names if name in library.variables]].reset_coords().compute()
+    rows = []
+    for number in range(library.sizes[SIGNATURE]):
+        paint = light_variables.isel({SIGNATURE: number})
+        zenith = sun_zenith
+        if zenith is None and "sun_zenith" in paint and np.isfinite(paint["sun_zenith"].item()):
+            zenith = float(paint["sun_zenith"].item())
+        if "diffuse_fraction" in paint and not np.isfinite(paint["diffuse_fraction"]).any():
+            paint = paint.drop_vars("diffuse_fraction")
+        split = split_of(paint, diffuse, zenith, sky)
+        incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(paint, zenith)
+        view = paint["view_zenith"].item() if view_zenith is None and "view_zenith" in paint else view_zenith
+        view_angle = 0.0 if view is None or not np.isfinite(view) else min(float(view), 85.0)
+        rows.append(_shares(split, incidence, view_angle, coat))
+    return tuple(
+        xr.concat([array.reset_coords(drop=True) for array in arrays], SIGNATURE).transpose(SIGNATURE, BAND)
+        for arrays in zip(*rows, strict=True)
+    )

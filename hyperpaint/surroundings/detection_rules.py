@@ -7,22 +7,6 @@ ray-traced car parks) unless the field states otherwise.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
-
-
-class Contact(NamedTuple):
-    """Minimum contact of a segment with its lit body."""
-
-    border: float  #: Share of the segment's border that touches the body [1].
-    #: Mean direction of this border: 1 if the segment lies away from the sun, -1 if towards it [1].
-    direction: float
-
-
-class Direct(NamedTuple):
-    """Maximum direct light in a shadow; grey objects that hide sky send light that looks direct."""
-
-    open: float  #: Maximum under the open sky [1].
-    hidden: float  #: Additional maximum for each unit of hidden sky [1].
 
 
 @dataclass(frozen=True)
@@ -163,6 +147,11 @@ class MixtureRules:
 class ShadowRules:
     """Cast shadows; contact rules in the order of their use, later ones with fewer conditions.
 
+    A contact of a segment with its lit body is the share of the segment's border that touches the body, and
+    the mean direction of this border: 1 if the segment lies away from the sun, -1 if towards it. The maximum
+    of direct light in a shadow is a value under the open sky, and an additional one for each unit of hidden
+    sky: grey objects that hide sky send light that looks direct.
+
     Tuned on ray-traced car parks so that glass and black paint are excluded.
     """
 
@@ -185,7 +174,7 @@ class ShadowRules:
     max_ground_level: float = 0.5
     #: Minimum share of all pixels with the surface of ground other than the largest segment [1].
     min_ground_size: float = 0.03
-    #: Mean direction of a border beyond which the border faces the sun; see `Contact` [1].
+    #: Mean direction of a border beyond which the border faces the sun [1].
     sideways: float = 0.35
     rounds: int = 12  #: Maximum number of iterations that extend shadows to touching segments.
     max_pixel_level: float = 0.9  #: Maximum brightness of examined single pixels, relative to their body [1].
@@ -196,20 +185,21 @@ class ShadowRules:
     #: Minimum number of pixels of a clear shadow that shows to which side shadows fall.
     min_telling_px: int = 30
     min_telling_sky: float = 0.3  #: Minimum amount of the sky's light in such a shadow on the ground [1].
-    #: Maximum direct light of clear shadows.
-    clear_direct: Direct = Direct(0.015, 0.12)  # noqa: RUF009
+    #: Maximum direct light of clear shadows, under the open sky and for hidden sky [1].
+    clear_direct: tuple[float, float] = (0.015, 0.12)
     max_sent: float = 0.5  #: Maximum light of a neighbour in a clear shadow, relative to the hidden sky [1].
     max_sent_beside: float = 1.0  #: The same in a shadow beside another shadow [1].
-    #: Minimum contact of certain shadows.
-    sure: Contact = Contact(0.1, 0.2)  # noqa: RUF009
+    sure_border: float = 0.1  #: Minimum contact of certain shadows, share of the border [1].
+    sure_direction: float = 0.2  #: Minimum contact of certain shadows, direction [1].
     #: Minimum share of the border that touches the lit body for a shadow enclosed by it, on any side [1].
     island_border: float = 0.6
-    #: Minimum contact of shadows on the ground.
-    on_ground: Contact = Contact(0.04, 0.1)  # noqa: RUF009
-    #: Minimum contact with which a shadow on the ground may have more direct light.
-    sided: Contact = Contact(0.15, 0.25)  # noqa: RUF009
-    #: Maximum direct light of such shadows.
-    sided_direct: Direct = Direct(0.05, 0.25)  # noqa: RUF009
+    on_ground_border: float = 0.04  #: Minimum contact of shadows on the ground, share of the border [1].
+    on_ground_direction: float = 0.1  #: Minimum contact of shadows on the ground, direction [1].
+    #: Minimum contact with which a shadow on the ground may have more direct light, share of the border [1].
+    sided_border: float = 0.15
+    sided_direction: float = 0.25  #: The same, direction [1].
+    #: Maximum direct light of such shadows, under the open sky and for hidden sky [1].
+    sided_direct: tuple[float, float] = (0.05, 0.25)
     #: Minimum mean direction of the contact of clear shadows on the ground, at any share of contact [1].
     beside_direction: float = -0.2
     worse_factor: float = 1.5  #: Maximum misfit relative to that of the best shadow on the ground [1].
@@ -357,6 +347,22 @@ class FlagRules:
     max_smile_nm: float = 1.0
 
 
+@dataclass(frozen=True)
+class VegetationRules:
+    """The red edge of leaves: a rise within 50 nm, then a plateau.
+
+    Blue paints have such a rise, too; leaves are brighter in the green than in the blue.
+    """
+
+    blue_nm: tuple[float, float] = (430.0, 490.0)  #: Range of the blue [nm].
+    green_nm: tuple[float, float] = (535.0, 565.0)  #: Range of the green [nm].
+    red_nm: tuple[float, float] = (660.0, 690.0)  #: Range before the red edge [nm].
+    edge_nm: tuple[float, float] = (735.0, 765.0)  #: End of the red edge [nm].
+    infrared_nm: tuple[float, float] = (790.0, 900.0)  #: Plateau beyond the red edge [nm].
+    min_edge: float = 3.0  #: Minimum reflectance at the end of the red edge over that in the red [1].
+    max_rise: float = 1.4  #: Maximum reflectance of the plateau over that at the end of the red edge [1].
+
+
 SURVEY = SurveyRules()
 SEGMENTS = SegmentRules()
 GLINT = GlintRules()
@@ -368,3 +374,4 @@ DARK_COATS = DarkCoatRules()
 BODIES = BodyRules()
 DIFFUSE = DiffuseRules()
 FLAGS = FlagRules()
+VEGETATION = VegetationRules()

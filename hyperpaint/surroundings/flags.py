@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Progress
+from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.many_outputs import split_outputs
@@ -27,8 +27,7 @@ from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
 from .detection_rules import FLAGS, MIRROR
-from .full_light import Light, max_excesses
-from .lobes import SATURATED_IN_LOBE
+from .full_light import SATURATED_IN_LOBE, Light, max_excesses
 from .model import SHADED
 from .surveying import to_channels, to_nominal_channels
 
@@ -114,8 +113,8 @@ def flag(
 
     ``glint_fraction`` is all light that looks like direct light of another colour than the body, including
     light from flakes in a paint, and from leaning grey paint. The bit of glint is set only in a lobe of a
-    coat, with a core that stands out (`hyperpaint.surroundings.lobes`), and in saturated pixels that a lobe
-    encloses.
+    coat, with a core that stands out (`hyperpaint.surroundings.full_light`), and in saturated pixels that a
+    lobe encloses.
 
     Known limits: the wide lobe of a worn coat can be distinguished from flakes on coloured and on black paint
     only, and where the body part shows its core; dark glass is taken for asphalt in shadow, so that glint and
@@ -159,30 +158,25 @@ def flag(
             code="option-conflict",
         )
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
-    _check_model(scene, cube, line["wavelength"])
-    return _flag_lazily(line, cube, scene, limits)
-
-
-def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray) -> None:
     problems = Problems("the scene model belongs to another line", SchemaError)
     lines, bands, columns = cube.shape
-    if model.segment.shape != (lines, columns):
+    if scene.segment.shape != (lines, columns):
         problems.add(
-            f"the model has {model.segment.shape} pixels",
+            f"the model has {scene.segment.shape} pixels",
             expected=f"({lines}, {columns}) as the line",
             code="grid-mismatch",
         )
     # a lazy coordinate is not computed: only its size is compared
-    line_wavelength = model.wavelength if wavelength.chunks is not None else wavelength.values
-    if model.wavelength.shape != (bands,) or not np.array_equal(
-        model.wavelength, line_wavelength, equal_nan=True
-    ):
+    wavelength = scene.wavelength if line["wavelength"].chunks is not None else line["wavelength"].values
+    is_same_axis = np.array_equal(scene.wavelength, wavelength, equal_nan=True)
+    if scene.wavelength.shape != (bands,) or not is_same_axis:
         problems.add(
             f"the bands of the model differ from the {bands} bands of the line",
             mend="survey the line that is flagged",
             code="bands-differ",
         )
     problems.raise_if_any()
+    return _flag_lazily(line, cube, scene, limits)
 
 
 def _flag_lazily(
@@ -275,28 +269,23 @@ def _flag_block(
     in_glint = added_glint > np.maximum(limits["glint"] * without_glint, FLAGS.min_glint)
     lobe = model.lobe[start:stop]
     bits[in_glint & (lobe > 0)] |= np.uint16(Quality.GLINT)
-    bits[_shaded(layers["blocked_direct"], model, slice(start, stop), limits["shadow"])] |= np.uint16(
-        Quality.SHADOW
-    )
+    # missing direct light is that of a cast shadow near one on the ground, and in shaded segments of objects;
+    # surfaces that lean away from the sun lack direct light, too: on objects more of it must be missing
+    segment, missing = model.segment[start:stop], layers["blocked_direct"]
+    on_ground = np.append(model.ground > 0, False)[segment]
+    near = on_ground & (model.shade_distance[start:stop] <= FLAGS.penumbra_px)
+    on_objects = ~on_ground & np.append(model.state == SHADED, False)[segment]
+    object_limit = max(limits["shadow"], FLAGS.min_missing_on_objects)
+    is_shaded = near & (missing >= limits["shadow"]) | on_objects & (missing >= object_limit)
+    bits[is_shaded] |= np.uint16(Quality.SHADOW)
     bits[together > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
     bits[model.edge_distance[start:stop] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
-    bits[model.segment[start:stop] < 0] = 0
+    bits[segment < 0] = 0
     bits[lobe == SATURATED_IN_LOBE] |= np.uint16(Quality.GLINT)
     return {
         **{name: np.ascontiguousarray(layer, schema.dtype_of(name)) for name, layer in layers.items()},
         "quality": bits,
     }
-
-
-def _shaded(missing: Array, model: SceneModel, lines: slice, limit: float) -> Bools:
-    # Whether the missing direct light of pixels (line, column) is that of a cast shadow
-    segment = model.segment[lines]
-    on_ground = np.append(model.ground > 0, False)[segment]
-    near = on_ground & (model.shade_distance[lines] <= FLAGS.penumbra_px)
-    # surfaces that lean away from the sun lack direct light, too: on objects more of it must be missing
-    on_objects = ~on_ground & np.append(model.state == SHADED, False)[segment]
-    object_limit = max(limit, FLAGS.min_missing_on_objects)
-    return np.asarray(near & (missing >= limit) | on_objects & (missing >= object_limit))
 
 
 _SURVEYED_FLAGS = flags_set_from("scene")

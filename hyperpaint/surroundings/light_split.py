@@ -1,4 +1,4 @@
-"""Division of the light of a line into direct and diffuse light, and the distribution of its sky.
+"""Division of the light of a line into direct and diffuse light; position of the sun and radiance of the sky.
 
 Only this module chooses the source of a diffuse fraction: measured, modelled or declared. `survey`, the
 corrections and signatures use it.
@@ -14,21 +14,36 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError, needs_extra
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
-from hyperpaint.light.sun import diffuse_fraction
-
-from .sun_and_sky import (
-    SKIES,
-    SOURCES,
-    SUN_FROM,
-    diffuse_from_clear_sky,
-    measured_fraction,
-    mirrored_radiances,
-    sun_zenith_of,
+from hyperpaint.light.sky_functions import (
+    clear_sky_shares,
+    function_shapes,
+    relative_radiance,
+    scattering_cosine,
+    zenith_radiance,
 )
+from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
+
+from .detection_rules import MIRROR
+
+#: Sources of the diffuse fraction other than a measured spectrum.
+SOURCES = ("model", "pvlib", "shadow")
+
+#: Variables of a line that determine the position of the sun.
+SUN_FROM = ("time", "latitude", "longitude")
+
+#: Distributions of sky radiance: clear (`hyperpaint.light.sky_functions`), uniform, and CIE's overcast sky.
+SKIES = ("clear", "uniform", "overcast")
+
+#: Zenith radiance of a CIE overcast sky over the radiance of a uniform sky with the same irradiance [1].
+OVERCAST_ZENITH = 9.0 / 7.0
+
+#: Maximum zenith angle of the sun in sky functions; a lower sun is set to this angle [degree].
+MAX_SUN_ZENITH_DEG = 89.0
+
 
 #: Warning for a line without an irradiance record.
 CLEAR_SKY_ASSUMED = (
@@ -275,3 +290,132 @@ def _from_line_split(
         cloud = excess.where(~states.isin(clear_states), 0.0).where(states != overcast, 1.0)
     source = "of the lines' own record"
     return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith, state)
+
+
+# --- position of the sun, fractions of models and measurements, radiances of skies ------------------------
+
+
+def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
+    """Return the zenith angle of the sun [degree]: the argument, or from time and place of the line."""
+    if sun_zenith is not None:
+        if not 0.0 <= sun_zenith <= 90.0:
+            raise SchemaError(
+                f"sun_zenith={sun_zenith!r}", expected="0 to 90 degrees", code="value-out-of-range"
+            )
+        return float(sun_zenith)
+    if not set(SUN_FROM) <= set(line.variables):
+        raise SchemaError(
+            "the position of the sun is unknown: the line has no time, latitude and longitude",
+            mend="pass sun_zenith= [degree], or diffuse= with a measured spectrum",
+            option="give --sun-zenith",
+            code="sun-unknown",
+        )
+    zenith, _ = solar_position(*(line[name].values for name in SUN_FROM))
+    if not np.isfinite(zenith).any():
+        raise SchemaError(
+            "time, latitude or longitude is missing on every line",
+            mend="pass sun_zenith= [degree]",
+            option="give --sun-zenith",
+            code="sun-unknown",
+        )
+    return float(np.mean(zenith[np.isfinite(zenith)]))
+
+
+def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Floats | None:
+    """Return the direction (along, across) in the image in which shadows fall; None where it is unknown.
+
+    The right-hand column is to the right of the flight.
+    """
+    if heading is None and "heading" in line.variables:
+        heading = _mean_angle(line["heading"].values)
+    if sun_azimuth is None and set(SUN_FROM) <= set(line.variables):
+        _, azimuth = solar_position(*(line[name].values for name in SUN_FROM))
+        sun_azimuth = _mean_angle(azimuth)
+    if heading is None or sun_azimuth is None:
+        return None
+    away = np.radians(sun_azimuth + 180.0 - heading)
+    return np.array([np.cos(away), np.sin(away)])
+
+
+def _mean_angle(degrees: Any) -> float | None:
+    # Mean direction [degree]; None without finite values
+    angles = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
+    if not angles.size:
+        return None
+    return float(np.degrees(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())))
+
+
+def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Floats:
+    """Return the diffuse fraction (band,) [1] of a clear sky, by `hyperpaint.light.sun` or by pvlib.
+
+    ``source`` "pvlib" runs SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) for sea level,
+    1.5 cm of water vapour, 0.31 atm-cm of ozone and a turbidity of 0.1 at 500 nm.
+    """
+    if source != "pvlib":
+        return diffuse_fraction(wavelength, zenith)
+    with needs_extra("pvlib", "sim", "the direct/diffuse split of SPECTRL2"):
+        from pvlib.spectrum import spectrl2
+    spectra: Any = spectrl2(
+        apparent_zenith=zenith,
+        aoi=zenith,
+        surface_tilt=0,
+        ground_albedo=0.2,
+        surface_pressure=101_325.0,
+        relative_airmass=float(air_mass(zenith)),
+        precipitable_water=1.5,
+        ozone=0.31,
+        aerosol_turbidity_500nm=0.1,
+        dayofyear=172,
+    )
+    direct = spectra["poa_global"] - spectra["poa_sky_diffuse"] - spectra["poa_ground_diffuse"]
+    share = 1.0 - np.ravel(direct) / np.ravel(spectra["poa_global"])
+    return np.interp(wavelength, np.ravel(spectra["wavelength"]), share)
+
+
+def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
+    """Return a measured diffuse fraction at the wavelengths of the bands.
+
+    Takes ``fraction``, an array (band,) or a DataArray with a coordinate ``wavelength``: reading in the shade
+    of a small disc over the reading in full light [1]; ``wavelength`` (band,) [nm]. Raises `SchemaError`: it
+    does not cover the bands, or values are missing or outside 0 to 1.
+    """
+    if hasattr(fraction, "coords") and "wavelength" in fraction.coords:
+        nm = np.asarray(fraction["wavelength"].values, np.float64)
+        order = np.argsort(nm, kind="stable")
+        values = np.interp(
+            wavelength, nm[order], np.asarray(fraction.values, np.float64)[order], np.nan, np.nan
+        )
+    else:
+        values = np.asarray(fraction, np.float64)
+    if values.shape != wavelength.shape:
+        raise SchemaError(
+            f"diffuse= has shape {values.shape}",
+            expected=f"one value for each of the {wavelength.size} bands, or a DataArray with a coordinate "
+            "'wavelength' [nm]",
+            code="length-mismatch",
+        )
+    if not ((values >= 0) & (values <= 1)).all():
+        raise SchemaError(
+            "diffuse= has missing values or values outside 0 to 1",
+            expected="0 to 1 in all bands",
+            code="value-out-of-range",
+        )
+    return values
+
+
+def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple[Floats, Floats]:
+    """Return the radiance of the zenith, and the excess of the sky around the sun over it (band,) [1].
+
+    Both are relative to the mean of the sky. Only a clear sky is brighter around the sun. Takes ``sky``, one
+    of `SKIES`, ``wavelength`` (band,) [nm] and the sun's zenith angle [degree].
+    """
+    zero = np.zeros(wavelength.shape)
+    if sky != "clear":
+        return zero + (OVERCAST_ZENITH if sky == "overcast" else 1.0), zero
+    zenith = min(sun_zenith, MAX_SUN_ZENITH_DEG)
+    above = zenith_radiance(wavelength, zenith)
+    cosine = np.cos(np.radians(max(zenith - MIRROR.from_sun_deg, 0.0)))
+    from_sun = scattering_cosine(cosine, np.array(0.0), zenith)
+    shapes = function_shapes(zenith)
+    radiances = np.array([1.0, *(relative_radiance(shape, cosine, from_sun) for shape in shapes)])
+    return above, np.maximum(radiances @ clear_sky_shares(wavelength, zenith) - above, 0.0)

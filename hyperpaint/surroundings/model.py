@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Ints
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
 
@@ -20,21 +20,13 @@ Index = npt.NDArray[np.int32]
 CELL = 4
 
 
-def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first_line: int) -> Index:
-    """Return the two coloured bodies nearest to every pixel of some lines, of other paints than the pixel.
-
-    (line, column, 2), int32: numbers of segments, -1 for none. Takes ``neighbour`` (cell_along, cell_cross,
-    rank): segments nearest to a cell, -1 for none; ``body`` (segment,): body of a segment; ``paint``
-    (segment,): the same number for all bodies of one paint; ``number`` (line, column): segment of every
-    pixel of these lines, -1 without data; ``first_line``: number of the first of these lines.
-    """
-    lines, columns = number.shape
-    cells = neighbour[(first_line + np.arange(lines)) // CELL][:, np.arange(columns) // CELL]
-    return _first_two(cells, body, paint, number)
-
-
 def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, pixels: Ints) -> Index:
-    """Return `two_nearest` (pixel, 2) of pixels (pixel,) given as flat indices into a complete line."""
+    """Return the two coloured bodies nearest to pixels (pixel,), of other paints than the pixel's.
+
+    (pixel, 2), int32: numbers of segments, -1 for none. Takes ``neighbour`` (cell_along, cell_cross, rank):
+    segments nearest to a cell, -1 for none; ``body``, ``paint`` (segment,): the paint is equal for all bodies
+    of one paint; ``number`` (line, column): segment of every pixel; ``pixels``: their flat indices.
+    """
     line, column = np.divmod(pixels, number.shape[1])
     return _first_two(neighbour[line // CELL, column // CELL], body, paint, number[line, column])
 
@@ -93,17 +85,6 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
 
 #: Values of fields that older models lack: a uniform sky, glint allowed in all pixels, all bodies ground.
 _DEFAULTS = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
-
-
-def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
-    # Whether a cast to `dtype` keeps all values in range
-    if values.dtype.kind not in "iufb":
-        return False
-    if dtype.kind == "f" or not values.size:
-        return True
-    limits = np.iinfo(dtype)
-    # both comparisons are False for NaN
-    return bool(values.min() >= limits.min and values.max() <= limits.max)
 
 
 def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
@@ -241,8 +222,10 @@ class SceneModel:
         return np.append(self.body, np.int32(-1))[self.segment[start:stop]]
 
     def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
-        """Return `two_nearest` of the pixels of some lines (line, column, 2); -1 for none."""
-        return two_nearest(self.neighbour, self.body, self.paint, self.segment[start:stop], start)
+        """Return `nearest_at` of the pixels of some lines (line, column, 2)."""
+        lines, columns = np.arange(start, min(stop, len(self.segment))), np.arange(self.segment.shape[1])
+        cells = self.neighbour[lines // CELL][:, columns // CELL]
+        return _first_two(cells, self.body, self.paint, self.segment[start:stop])
 
     def to_dataset(self) -> xr.Dataset:
         """Return the model as a Dataset that `hyperpaint.to_store` takes."""
@@ -276,7 +259,13 @@ class SceneModel:
                 )
             else:
                 values = dataset[stored].transpose(*dims).values
-                if _fits(values, np.dtype(dtype)):
+                limits = None if dtype == "float64" else np.iinfo(dtype)
+                # a cast must keep all values in range; both comparisons are False for NaN
+                if values.dtype.kind in "iufb" and (
+                    limits is None
+                    or not values.size
+                    or (values.min() >= limits.min and values.max() <= limits.max)
+                ):
                     fields[name] = np.ascontiguousarray(values, dtype)
                 else:
                     problems.add(

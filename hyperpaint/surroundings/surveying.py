@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 import xarray as xr
+from scipy.ndimage import binary_dilation, find_objects, label
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
@@ -23,23 +23,25 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, 
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 
-from .detection_rules import BODIES, DARK_COATS, GLINT, SHADOWS, SURVEY
+from .detection_rules import BODIES, DARK_COATS, DIFFUSE, GLINT, SHADOWS, SURVEY, VEGETATION
 from .full_light import (
     AS_GLINT,
     Light,
     Matches,
     Mixtures,
+    Picture,
     least_amounts,
     match_segments,
     median_spectra,
+    mirror_lobes,
     mixtures_of,
+    padded,
     senders_of,
     solve,
     unmix_spectra,
     without_sun,
 )
-from .light_split import LightSplit, split_of
-from .lobes import Picture, PixelBodies, mirror_lobes, padded
+from .light_split import LightSplit, shadow_side_of, split_of
 from .model import CELL, LIT, SHADED, SceneModel, nearest_at
 from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
 from .segments import (
@@ -54,28 +56,8 @@ from .segments import (
     sample_pixels,
     touching,
 )
-from .sun_and_sky import fraction_in_shadow, shadow_side_of
 
 # --- leaves by their spectrum: lawns are ground with shadows, crowns of trees are not cars -----------------
-
-
-@dataclass(frozen=True)
-class VegetationRules:
-    """The red edge of leaves: a rise within 50 nm, then a plateau.
-
-    Blue paints have such a rise, too; leaves are brighter in the green than in the blue.
-    """
-
-    blue_nm: tuple[float, float] = (430.0, 490.0)  #: Range of the blue [nm].
-    green_nm: tuple[float, float] = (535.0, 565.0)  #: Range of the green [nm].
-    red_nm: tuple[float, float] = (660.0, 690.0)  #: Range before the red edge [nm].
-    edge_nm: tuple[float, float] = (735.0, 765.0)  #: End of the red edge [nm].
-    infrared_nm: tuple[float, float] = (790.0, 900.0)  #: Plateau beyond the red edge [nm].
-    min_edge: float = 3.0  #: Minimum reflectance at the end of the red edge over that in the red [1].
-    max_rise: float = 1.4  #: Maximum reflectance of the plateau over that at the end of the red edge [1].
-
-
-VEGETATION = VegetationRules()
 
 
 def is_vegetation(spectrum: Floats, wavelength: Floats) -> Bools:
@@ -181,19 +163,20 @@ def match_shade(
     # step 2: shadows on the ground
     on_ground = ground[mixtures.body]
     segment_border = border[mixtures.segment]
-    contact = SHADOWS.on_ground
-    touches = (length >= contact.border * segment_border) & (away >= contact.direction * length)
+    touches = (length >= SHADOWS.on_ground_border * segment_border) & (
+        away >= SHADOWS.on_ground_direction * length
+    )
     touches &= length >= SHADOWS.min_contact_sides
     fits = (mixtures.misfit < SHADOWS.max_misfit) & without_sun(mixtures)
     # more direct light is allowed with more contact
     sided = (
-        (length >= SHADOWS.sided.border * segment_border)
-        & (away >= SHADOWS.sided.direction * length)
+        (length >= SHADOWS.sided_border * segment_border)
+        & (away >= SHADOWS.sided_direction * length)
         & (mixtures.misfit < SHADOWS.max_misfit)
     )
     fits |= sided & (
         mixtures.direct
-        < SHADOWS.sided_direct.open + SHADOWS.sided_direct.hidden * (SHADOWS.open_sky - mixtures.sky)
+        < SHADOWS.sided_direct[0] + SHADOWS.sided_direct[1] * (SHADOWS.open_sky - mixtures.sky)
     )
     beside = (
         (length >= SHADOWS.min_contact_sides)
@@ -278,7 +261,7 @@ def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[F
 def _are_clear(mixtures: Mixtures, max_sent: float = SHADOWS.max_sent) -> Bools:
     # Whether candidates fit well and, unlike glass and black paint, get little light other than the sky's
     hidden = np.clip(SHADOWS.open_sky - mixtures.sky, 0.0, 1.0)
-    clear = mixtures.direct < SHADOWS.clear_direct.open + SHADOWS.clear_direct.hidden * hidden
+    clear = mixtures.direct < SHADOWS.clear_direct[0] + SHADOWS.clear_direct[1] * hidden
     clear &= mixtures.sent < max_sent * (1.0 - mixtures.sky)
     return np.asarray(clear & (mixtures.misfit < SHADOWS.max_clear_misfit))
 
@@ -286,8 +269,8 @@ def _are_clear(mixtures: Mixtures, max_sent: float = SHADOWS.max_sent) -> Bools:
 def _are_certain(mixtures: Mixtures, length: Floats, away: Floats, border: Floats) -> Bools:
     # Whether candidates are clear, and lie away from the sun beside their lit body, or are enclosed by it
     segment_border = border[mixtures.segment]
-    touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure.border * segment_border)
-    is_away = away >= SHADOWS.sure.direction * length
+    touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure_border * segment_border)
+    is_away = away >= SHADOWS.sure_direction * length
     enclosed = (length > SHADOWS.island_border * segment_border) & (away >= -SHADOWS.sideways * length)
     sees_sky = mixtures.sky > SHADOWS.min_clear_sky
     return np.asarray(_are_clear(mixtures) & sees_sky & touches & (is_away | enclosed))
@@ -298,7 +281,7 @@ def _are_turned_away(mixtures: Mixtures, length: Floats, away: Floats, scene: Sc
     # on the sunward side
     level = np.nan_to_num(scene.spectrum).mean(axis=1)[mixtures.body]
     touches = length >= SHADOWS.min_contact_sides
-    touches &= length > SHADOWS.sure.border * scene.border[mixtures.segment]
+    touches &= length > SHADOWS.sure_border * scene.border[mixtures.segment]
     fits = (mixtures.misfit < SHADOWS.max_spectral_misfit) & (mixtures.direct < SHADOWS.max_turned_direct)
     fits &= (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct) & (level < SHADOWS.max_lit_level)
     fits &= mixtures.sky * level > DARK_COATS.max_mirrored
@@ -325,8 +308,6 @@ def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Boo
 
 def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]) -> Bools:
     # Whether candidates are shadows by their spectrum, beside their lit body on any side
-    from scipy.ndimage import binary_dilation, find_objects
-
     level = np.nan_to_num(scene.spectrum).mean(axis=1)
     fits = (mixtures.misfit < SHADOWS.max_spectral_misfit) & (mixtures.direct < SHADOWS.max_spectral_direct)
     fits &= (mixtures.sky > SHADOWS.min_clear_sky) & (mixtures.sent < SHADOWS.max_spectral_direct)
@@ -350,8 +331,6 @@ def penumbrae(
     Light fades over some pixels at the edge of a shadow; the division into segments gave these pixels to any
     neighbour. Takes ``matches``, ``ground``: from `match_shade`; shadows on the ground are unchanged.
     """
-    from scipy.ndimage import binary_dilation, find_objects
-
     result = number
     shadows = np.flatnonzero((matches.state == SHADED) & ~ground[matches.body])
     boxes = find_objects(number + 1) if shadows.size else []
@@ -406,8 +385,8 @@ def _extend(
     body: Array,
 ) -> None:
     # Assign candidates that touch shadows, and are not in the sun, until none is added
-    segment_border, on_ground = scene.border[mixtures.segment], ground[mixtures.body]
-    faces_sun = (away < -SHADOWS.sideways * length) & (length > SHADOWS.sure.border * segment_border)
+    pairs, segment_border, on_ground = scene.pairs, scene.border[mixtures.segment], ground[mixtures.body]
+    faces_sun = (away < -SHADOWS.sideways * length) & (length > SHADOWS.sure_border * segment_border)
     fits = best & ~faces_sun & without_sun(mixtures)
     ground_shadows = fits & on_ground & (mixtures.misfit < SHADOWS.max_misfit)
     ground_shadows &= mixtures.sky < SHADOWS.open_sky
@@ -425,7 +404,8 @@ def _extend(
         # share of the border that touches any shadow, and shadows on the ground
         shaded = state == SHADED
         beside_shadow, beside_ground_shadow = (
-            _touched(mask, scene)[mixtures.segment] / segment_border
+            np.bincount(pairs.one, pairs.length * mask[pairs.other], shaded.size)[mixtures.segment]
+            / segment_border
             for mask in (shaded, shaded & ground[body])
         )
         enough = ground_shadows & (beside_shadow > np.where(clear, SHADOWS.next_clear, SHADOWS.next))
@@ -435,12 +415,6 @@ def _extend(
         enough |= best & ~faces_sun & (mixtures.direct < SHADOWS.max_enclosed_direct) & enclosed
         if not _assign(mixtures, enough, state, body):
             break
-
-
-def _touched(mask: Bools, scene: Scene) -> Floats:
-    # Number of sides of every segment that touch segments of a mask (segment,)
-    weight = scene.pairs.length * mask[scene.pairs.other]
-    return np.bincount(scene.pairs.one, weight, scene.size.size).astype(np.float64)
 
 
 def _assign(mixtures: Mixtures, accepted: Bools, state: Array, body: Array) -> bool:
@@ -487,8 +461,6 @@ def of_shadows(shaded: Bools, dark: Bools) -> Bools:
     Takes ``shaded`` (line, column): pixels without direct light; ``dark`` (line, column): pixels of segments
     in shadow.
     """
-    from scipy.ndimage import binary_dilation, find_objects, label
-
     pieces, count = label(shaded, np.ones((3, 3)))
     belongs = np.zeros(count + 1, bool)
     belongs[np.unique(pieces[binary_dilation(dark, np.ones((3, 3))) & shaded])] = True
@@ -568,21 +540,17 @@ _AS_PIXEL = np.transpose(
 )
 
 
-class Paints(NamedTuple):
-    """Bodies that show the same paint."""
-
-    first: npt.NDArray[np.int32]  #: (segment,): First of the bodies with the paint of the segment.
-    one: Ints  #: (pair,): First of two near bodies with the same paint; every pair occurs in both orders.
-    other: Ints  #: (pair,): Second of two near bodies with the same paint.
-
-
 def _relative_colour(spectrum: Floats, light: Light) -> Floats:
     # Colour of spectra relative to their brightness (segment,) [1]
     return np.asarray(coloured(spectrum, light) / np.maximum(np.nan_to_num(spectrum).mean(axis=1), 1e-6))
 
 
-def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches, light: Light) -> Paints:
-    r"""Return the bodies with the same paint, such as the parts of one car.
+def same_paints(
+    spectrum: Floats, size: Ints, pairs: Touching, matches: Matches, light: Light
+) -> tuple[npt.NDArray[np.int32], tuple[Ints, Ints]]:
+    r"""Return the first body with the paint of every segment (segment,), and pairs of bodies of one paint.
+
+    The bodies of a pair (pair,) are near, such as the parts of one car; every pair occurs in both orders.
 
     Two bodies that touch, or have a small segment between them, have the same paint where :math:`\rho (c
     f_{dir} + V f_{dif}) + g f_{dir}`, the spectrum of the first in other light, fits the second to 2 %. Grey
@@ -602,7 +570,7 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
     _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     _, first = np.unique(label, return_index=True)
     both_orders = np.concatenate([one, other]), np.concatenate([other, one])
-    return Paints(first[label][matches.body].astype(np.int32), *distinct_pairs(*both_orders, size.size))
+    return first[label][matches.body].astype(np.int32), distinct_pairs(*both_orders, size.size)
 
 
 def clean_references(
@@ -610,7 +578,7 @@ def clean_references(
     samples: list[Ints],
     spectrum: Floats,
     matches: Matches,
-    paints: Paints,
+    same_paint: tuple[Ints, Ints],
     light: Light,
     neighbours: Callable[[Ints], npt.NDArray[np.int32]],
     zenith: float,
@@ -623,8 +591,9 @@ def clean_references(
     averaged. Glint that covers a whole body is estimated from another part with the same paint.
 
     Takes ``channels`` (line, column, channel): reflectance [1]; ``samples``: flat indices of pixels of every
-    segment; ``spectrum`` (segment, channel): median reflectance [1]; ``neighbours``: function that returns
-    the coloured segments beside pixels (pixel, 2); ``zenith``: angle of the sun [degree]; NaN where unknown.
+    segment; ``spectrum`` (segment, channel): median reflectance [1]; ``same_paint``: see `same_paints`;
+    ``neighbours``: function that returns the coloured segments beside pixels (pixel, 2); ``zenith``: angle of
+    the sun [degree]; NaN where unknown.
     """
     finite_spectrum = np.nan_to_num(spectrum)
     reference, tilt = finite_spectrum.copy(), np.full(len(spectrum), BODIES.tilt)
@@ -659,7 +628,9 @@ def clean_references(
                 # scaled to the median direct light of the body: the clean pixels may lean differently
                 scale = 1.0 if grey else np.median(direct) / np.median(direct[clean])
                 reference[segment] = values[clean].mean(axis=0) * scale
-    reference -= _common_glint(reference, samples, paints, light) @ np.stack([light.direct, light.sunward])
+    reference -= _common_glint(reference, samples, same_paint, light) @ np.stack(
+        [light.direct, light.sunward]
+    )
     return np.ascontiguousarray(reference[matches.body]), tilt[matches.body]
 
 
@@ -701,12 +672,15 @@ def _added_light(
     return glint + added.sum(axis=1) - BODIES.lift * neighbour_spectra.max(axis=1), amount[:, 0]
 
 
-def _common_glint(reference: Floats, samples: list[Ints], paints: Paints, light: Light) -> Floats:
+def _common_glint(
+    reference: Floats, samples: list[Ints], same_paint: tuple[Ints, Ints], light: Light
+) -> Floats:
     # Amounts of mirrored sun, and of the sky around it, that cover a whole body (segment, 2), by comparison
     # with other parts of the same paint
     size = np.array([indices.size for indices in samples])
-    large = size[paints.other] >= BODIES.min_part_share * size[paints.one]
-    one, other = paints.one[large], paints.other[large]
+    one, other = same_paint
+    large = size[other] >= BODIES.min_part_share * size[one]
+    one, other = one[large], other[large]
     amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT.tolerance, AS_GLINT)
     glint = np.zeros((len(reference), 2))
     np.maximum.at(glint, one[misfit < 1.0], amount[misfit < 1.0][:, [2, 4]])
@@ -968,7 +942,9 @@ def survey(
     channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), bits)
     channels, channel = without_unknown(channels, channel)
     spectra = (wavelength, fraction, line_split.u.values, *line_split.mirrored())
-    centre, split, split_u, *sky = (_channel_means(values, channel) for values in spectra)
+    is_used = channel >= 0
+    used, counts = channel[is_used], np.bincount(channel[is_used])
+    centre, split, split_u, *sky = (np.bincount(used, values[is_used]) / counts for values in spectra)
     shift = shift_of_channels(line, channel, channels.shape[1])
     to_nominal_channels(channels, centre, shift)
     light = Light.under(split, *sky)
@@ -1005,15 +981,16 @@ def survey(
         sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
         segments = Segments(number, segments.sure, sizes)
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
-    paints = same_paints(spectrum, segments.size, pairs, matches, light)
-    neighbours = partial(nearest_at, neighbour, matches.body, paints.first, segments.number)
+    paint, same_paint = same_paints(spectrum, segments.size, pairs, matches, light)
+    neighbours = partial(nearest_at, neighbour, matches.body, paint, segments.number)
     reference, tilt = clean_references(
-        channels, samples, spectrum, matches, paints, light, neighbours, zenith
+        channels, samples, spectrum, matches, same_paint, light, neighbours, zenith
     )
     del samples
     is_coloured = coloured_bodies(reference, light)
     # ground without any cast shadow may be a bonnet that fills the picture
     uncoated = ground & ground[matches.body[matches.state == SHADED]].any()
+    bodies = np.append(matches.body, np.int32(-1))
     lobe = (
         np.zeros(saturated.shape, np.uint8)
         if light.direct.mean() < SURVEY.min_direct
@@ -1021,7 +998,7 @@ def survey(
             Picture(
                 channels,
                 saturated,
-                PixelBodies(segments.number, matches.body),
+                lambda index: bodies[segments.number[index]],
                 uncoated,
                 reference,
                 is_coloured,
@@ -1045,14 +1022,14 @@ def survey(
         noise=noise,
         segment=segments.number,
         shade_distance=shade_distance,
-        edge_distance=edge_distance(segments, matches.body, paints.first),
+        edge_distance=edge_distance(segments, matches.body, paint),
         lobe=lobe,
         neighbour=neighbour,
         size=segments.size,
         state=matches.state,
         body=matches.body,
         ground=ground[matches.body].astype(np.int8),
-        paint=paints.first,
+        paint=paint,
         tilt=tilt,
         spectrum=spectrum,
         reference=reference,
@@ -1083,6 +1060,36 @@ def _shade_distance(
         deep[lines] = shaded[lines] & (block.mean(axis=2) < SHADOWS.max_deep_level * level[number[lines]])
     distance[of_shadows(shaded, (distance == 0) | deep)] = 0
     return distance
+
+
+def fraction_in_shadow(
+    channels: Floats32, samples: list[Ints], spectrum: Floats, size: Ints, matches: Matches
+) -> Floats:
+    r"""Return the diffuse fraction (channel,) from the cast shadows on the largest body that has one.
+
+    :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, from the pixels of the shadows that see most of the sky: the
+    60th to 90th percentile of brightness in the bluest quarter of the channels. It is not corrected for the
+    unknown sky that objects hide, and the unknown light that they send. Takes ``samples``: flat indices of
+    pixels of every segment. Raises `SchemaError`: no cast shadow is large enough.
+    """
+    shaded = np.flatnonzero((matches.state == SHADED) & (size >= DIFFUSE.min_shadow_px))
+    if not shaded.size:
+        raise SchemaError(
+            f"diffuse='shadow': no cast shadow of at least {DIFFUSE.min_shadow_px} pixels on ground that is "
+            "also seen in full sun",
+            mend="pass diffuse='model', or a measured spectrum",
+            code="shadow-missing",
+        )
+    bodies = matches.body[shaded]
+    largest = bodies[np.argmax(size[bodies])]
+    flat = channels.reshape(-1, channels.shape[2])
+    indices = np.concatenate([samples[segment] for segment in shaded[bodies == largest]])
+    values = gather(flat, indices).astype(np.float64)
+    values = values[np.isfinite(values).all(axis=1)]
+    blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
+    low, high = np.quantile(blue, DIFFUSE.open_sky_quantiles)
+    under_open_sky = values[(blue >= low) & (blue <= high)]
+    return np.asarray(np.clip(under_open_sky.mean(axis=0) / spectrum[largest], 0.0, 1.0))
 
 
 def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:
@@ -1126,9 +1133,3 @@ def _source_text(diffuse: Any, split: LightSplit) -> str:
         "pvlib": f"SPECTRL2 of pvlib, {sun}",
         "shadow": "cast shadow in the image",
     }.get(str(diffuse), f"clear sky of hyperpaint.light.sun, {sun}")
-
-
-def _channel_means(values: Floats, channel: Ints) -> Floats:
-    # Means of values (band,) over the bands of every channel (channel,)
-    is_used = channel >= 0
-    return np.asarray(np.bincount(channel[is_used], values[is_used]) / np.bincount(channel[is_used]))

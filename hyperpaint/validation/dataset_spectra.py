@@ -1,9 +1,14 @@
-"""Spectra from paint libraries and spectrometer datasets, on one axis of wavelengths."""
+"""Spectra of paint libraries and spectrometer datasets, prepared for validation.
+
+Names, values, uncertainties and channels on one axis of wavelengths; readings outside of a clear coat and of
+the body under it are distinguished, and converted where possible.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -13,14 +18,311 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError, UnitsError
-from hyperpaint.base.mirrored_light import BODY, THROUGH_COAT, mirror_reflection
+from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import convert
+from hyperpaint.light.coat_transmission import (
+    COAT_INDEX,
+    COAT_INDEX_U,
+    interface_reflectance,
+    sky_reflectance,
+)
 from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.paints.band_ratios import covariance
 
-from .coat_readings import coat_of, light_notes
-from .measured_spectra import Measured, names_of_paint, names_of_spectrum
+_SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names of one spectrum."""
+
+    shown: str  #: Name in results.
+    #: Names for pairing, by rank: full names; names without suffix; names without folder, which spectra of
+    #: other folders may share. A match of one rank excludes matches of later ranks.
+    ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
+    #: Number of the dataset, and folder in it: only readings of one origin are repeats of one another.
+    origin: tuple[int, str]
+
+    @property
+    def every(self) -> frozenset[str]:
+        """Names of all ranks."""
+        return frozenset[str]().union(*self.ranks)
+
+
+def names_of_spectrum(spectrum: str, source: str, further: str, number: int, dataset: int) -> Names:
+    """Return the names of a spectrum of a field spectrometer.
+
+    ``spectrum``: its name, preceded by the folder where names repeat; ``source``: its file; ``further``: a
+    further name; any of these may be empty. ``number``: number of the spectrum in its dataset; ``dataset``:
+    number of the dataset.
+
+    Examples
+    --------
+    >>> names = names_of_spectrum("site1/red", "red.sig", "", 0, 1)
+    >>> [sorted(rank) for rank in names.ranks], names.origin
+    ([['site1/red', 'site1/red.sig'], [], ['red', 'red.sig']], (1, 'site1/'))
+    """
+    base = PurePath(spectrum).name
+    folder = spectrum[: len(spectrum) - len(base)] if spectrum.endswith(base) else ""
+    full = frozenset(text for text in (spectrum, further, source and folder + source) if text)
+    no_suffix = frozenset(name for text in full for name in _without_suffix(text)) - full
+    aliases = frozenset(alias for text in (spectrum, source, further) for alias in _aliases(text))
+    # readers number equal names in one folder, such as "red (1)" of red.sig: these are not repeats either
+    numbered = base if source and base not in set(_aliases(source)) else ""
+    shown = spectrum or source or further or f"spectrum {number}"
+    return Names(shown, (full, no_suffix, aliases - full - no_suffix), (dataset, folder + numbered))
+
+
+def _aliases(text: str) -> Iterator[str]:
+    """Yield the names of a file, or of a column in it: with and without folder and suffixes.
+
+    Examples
+    --------
+    >>> sorted(set(_aliases("svc/red.asd.txt")))
+    ['red', 'red.asd', 'red.asd.txt', 'svc/red.asd.txt']
+    """
+    if not text:
+        return
+    yield text
+    for path in (text, text.rpartition(":")[2]):
+        name = PurePath(path).name
+        yield name
+        yield from _without_suffix(name)
+
+
+def _without_suffix(name: str) -> Iterator[str]:
+    while name.lower().endswith(_SUFFIXES):
+        name = name[: name.rindex(".")]
+        yield name
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One spectrum of reflectance with its origin and uncertainty."""
+
+    names: Names  #: Names for pairing, and the origin.
+    reference_name: str  #: Name of the reference in the properties of a signature; empty without it.
+    instrument: str  #: Make of the instrument.
+    serial: str  #: Serial number of the instrument, or a similar text; may be empty.
+    wavelength: Floats  #: (channel,), float64: Increasing centre wavelengths [nm].
+    fwhm: Floats  #: (channel,), float64: Widths [nm].
+    values: Floats  #: (channel,), float64: Reflectance [1]; NaN without a value.
+    u_random: Floats | None  #: (channel,): Standard uncertainty independent from channel to channel [1].
+    u_systematic: Floats | None  #: (channel,): Standard uncertainty common to all channels [1].
+    sd: Floats | None  #: (channel,): Standard deviation of the averaged readings or pixels [1].
+    count: float  #: Number of averaged readings or independent pixels; 1 where unknown.
+    overlap: str  #: Treatment of overlapping detectors by the reader: preserved, removed or unknown.
+    matched: bool  #: Whether values were changed there to make detectors meet.
+    mirror: str  #: Whether the mirror image of sky and surroundings is included, excluded, or unknown.
+    absolute: bool  #: Whether reflectance is relative to a perfect diffuser, not to a panel.
+    notes: tuple[str, ...]  #: Remarks for the reader of results.
+    quantity: str = ""  #: Body under a coat or outside of the coat, see base.mirrored_light.
+    geometry: str = ""  #: Measurement geometry of the instrument, such as d/8.
+    coat_index: float = 1.5  #: Refractive index of the coat.
+    covariance: Floats | None = (
+        None  #: (channel, channel): Covariance of both uncertainties [1]; None if unknown.
+    )
+
+    @property
+    def name(self) -> str:
+        """Name in results."""
+        return self.names.shown
+
+    @property
+    def has_uncertainty(self) -> bool:
+        """Whether any part of the uncertainty is known."""
+        return any(component is not None for component in (self.u_random, self.u_systematic, self.sd))
+
+    def times(self, factor: Floats | float, **changes: Any) -> Measured:
+        """Return the spectrum with values and spreads multiplied by a factor, and other changed fields."""
+        spreads = {"u_random": self.u_random, "u_systematic": self.u_systematic, "sd": self.sd}
+        scaled = {name: None if spread is None else spread * factor for name, spread in spreads.items()}
+        return replace(self, **{"values": self.values * factor, **scaled, **changes})
+
+    def gaps(self) -> list[str]:
+        """Return the unknown parts of the uncertainty, for the reader of the result."""
+        if self.u_random is None and self.u_systematic is None:
+            return []
+        gaps, has_value = [], np.isfinite(self.values)
+        for name, u, counterpart in (
+            ("random", self.u_random, "systematic"),
+            ("systematic", self.u_systematic, "random"),
+        ):
+            if u is None:
+                gaps.append(f"{counterpart} part only, the {name} part is unknown")
+            elif not np.isfinite(u[has_value]).all():
+                count = int(np.isfinite(u[has_value]).sum())
+                gaps.append(
+                    f"{name} part known in {count} of {int(has_value.sum())} channels; no uncertainty "
+                    "elsewhere"
+                )
+        return gaps
+
+    def errors(self, rng: np.random.Generator, draws: int) -> Floats:
+        """Return random draws of the errors of the values (draw, channel).
+
+        They follow the covariance where it is known; else random errors are independent and systematic errors
+        common to all channels. Where neither is known, the standard deviation of the mean counts as
+        systematic: readings of a surface differ in level more than in shape. NaN in channels without an
+        uncertainty that other channels have.
+        """
+        if self.covariance is not None:
+            missing = np.isnan(np.diagonal(self.covariance))
+            # truncated correlations cause eigenvalues slightly below zero
+            variances, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
+            components = vectors * np.sqrt(np.maximum(variances, 0.0))
+            errors = rng.standard_normal((draws, variances.size)) @ components.T
+            return np.asarray(np.where(missing, np.nan, errors))
+        errors = np.zeros((draws, self.values.size))
+        if self.u_random is not None:
+            errors += self.u_random * rng.standard_normal(errors.shape)
+        systematic = self.u_systematic
+        if systematic is None and self.u_random is None and self.sd is not None:
+            systematic = self.sd / np.sqrt(self.count)
+        if systematic is not None:
+            errors += systematic * rng.standard_normal((draws, 1))
+        return errors
+
+
+def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
+    """Return references multiplied by the reflectance of their white panel.
+
+    ``spectra``: references relative to the panel; ``panel``: reflectance of the panel on ``wavelength``: a
+    DataArray, or a Dataset with ``reflectance``. It is interpolated linearly; beyond its wavelengths the
+    result is NaN.
+
+    Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is not a certificate; all
+    problems are listed.
+    """
+    array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
+    if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:
+        raise SchemaError(
+            f"panel= is {type(panel).__name__}",
+            expected="a DataArray of reflectance on wavelength",
+            mend="see read_certificate",
+            code="type-wrong",
+        )
+    problems = Problems("references cannot be scaled by the panel", SchemaError)
+    wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
+    values = convert(array, "1", "panel").values.astype(np.float64)
+    order = np.argsort(wavelength)
+    wavelength, values = wavelength[order], values[order]
+    if not (np.isfinite(wavelength).all() and np.isfinite(values).all() and (np.diff(wavelength) > 0).all()):
+        problems.add("panel= has wavelengths twice, or values that are not finite", code="not-finite")
+    elif not ((values > 0.0) & (values <= 1.2)).all():
+        limits = f"{values.min():g} to {values.max():g}"
+        problems.add(
+            f"panel= has values from {limits}",
+            expected="above 0, at most 1.2",
+            mend="divide percent by 100",
+            code="value-out-of-range",
+        )
+    for spectrum in spectra:
+        if spectrum.absolute:
+            problems.add(
+                f"reference {spectrum.name!r} is absolute already, or from a library",
+                mend="remove the argument panel=",
+                code="option-conflict",
+            )
+    problems.raise_if_any()
+    scaled = []
+    for spectrum in spectra:
+        factor = np.interp(spectrum.wavelength, wavelength, values, np.nan, np.nan)
+        covariance = None if spectrum.covariance is None else spectrum.covariance * np.outer(factor, factor)
+        notes = (*spectrum.notes, "scaled by the panel's certificate")
+        scaled.append(spectrum.times(factor, covariance=covariance, absolute=True, notes=notes))
+    return scaled
+
+
+# --- clear coats -------------------------------------------------------------------------------------------
+
+#: Zenith angle of the sun above which a degree of lean changes the direct light by more than the usual
+#: tolerance, 5 % [degree].
+_LOW_SUN_DEG = 70.0
+
+
+def coat_of(attrs: Any) -> dict[str, Any]:
+    """Return quantity, instrument geometry and index of the coat, by the attributes of a dataset.
+
+    ``quantity`` is one of the words of `hyperpaint.base.mirrored_light`; without it, ``specular_component``
+    determines the quantity.
+    """
+    quantity = attrs.get("quantity")
+    if quantity not in (BODY, OUTSIDE, THROUGH_COAT):
+        quantity = OUTSIDE if attrs.get("specular_component") == INCLUDED else ""
+    index = attrs.get("coat_index", COAT_INDEX)
+    usable = isinstance(index, int | float) and 1.0 <= float(index) <= 3.0
+    return {
+        "quantity": quantity,
+        "geometry": str(attrs.get("measurement_geometry", "")),
+        "coat_index": float(index) if usable else COAT_INDEX,
+    }
+
+
+def as_body(reference: Measured, signature: Measured) -> Measured:
+    r"""Return a reading outside of a coat converted to the body under it, if the signature is of the body.
+
+    The attribute ``measurement_geometry`` of the reference must be "0/0", "0/45", "45/0", or that of an
+    integrating sphere, such as "d/8". Without it, or for a reading of the body, the reference is returned
+    unchanged.
+
+    Notes
+    -----
+    .. math:: R_{body} = (R - s F(0)) \frac{1 - F(0)}{1 - F_{in}}
+
+    with s = 1 where the mirror image is included, and the interface's reflectance :math:`F_{in}` of the
+    instrument's light.
+    """
+    if signature.quantity != BODY or reference.quantity != OUTSIDE:
+        return reference
+    # reflectance of the coat for the light of the instrument [1]
+    index, angles = reference.coat_index, {"0/0": 0.0, "0/45": 45.0, "45/0": 45.0}
+    if reference.geometry in angles:
+        incident = float(interface_reflectance(angles[reference.geometry], index))
+    elif reference.geometry in ("d/0", "0/d", "d/8", "8/d"):
+        incident = float(sky_reflectance([550.0], None, index=index)[0])
+    else:
+        return reference
+    normal = float(interface_reflectance(0.0, index))
+    mirrored = normal if reference.mirror == INCLUDED and reference.geometry not in ("0/45", "45/0") else 0.0
+    factor = (1.0 - normal) / (1.0 - incident)
+
+    # uncertainty of the subtracted reflectance from that of the index, the largest part for black paint
+    normal_u = float(mirrored > 0.0) * 4.0 * (index - 1.0) / (index + 1.0) ** 3 * COAT_INDEX_U
+    known_u = 0.0 if reference.u_systematic is None else reference.u_systematic
+    systematic = factor * np.hypot(known_u, normal_u) * np.ones_like(reference.values)
+
+    note = (
+        f"the reference, a reading of the coat's outside in {reference.geometry}, was converted to the body "
+        f"under it: less {mirrored:.3f}, times {factor:.3f}"
+    )
+    return reference.times(
+        factor,
+        values=(reference.values - mirrored) * factor,
+        u_systematic=systematic,
+        covariance=None,  # it lacks the uncertainty of the index
+        mirror=EXCLUDED,
+        quantity=BODY,
+        notes=(*reference.notes, note),
+    )
+
+
+def difference(signature: Measured, reference: Measured) -> str:
+    """Return the difference in quantity of signature and reference, and the mend; empty for none."""
+    quantity, reference_quantity = signature.quantity, reference.quantity
+    if not quantity or not reference_quantity or quantity == reference_quantity:
+        return ""
+    mend = {
+        BODY: "give the reference the attributes measurement_geometry and specular_component, or extract "
+        "signatures with coat=False",
+        OUTSIDE: "extract signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
+        THROUGH_COAT: "extract signatures with coat=True, or call correct_coat",
+    }[quantity]
+    return f"the signature is a {quantity}, the reference a {reference_quantity}: {mend}"
+
+
+# --- datasets ----------------------------------------------------------------------------------------------
 
 _MAX_DETECTORS = 8
 
@@ -31,17 +333,13 @@ _NAMES = {"asd": ("asd", "fieldspec", "handheld"), "svc": ("svc", "spectra vista
 _DETECTOR_EDGES_NM = (1000.0, 1900.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Axis:
-    """Channels in use, in the order of wavelength."""
-
-    order: npt.NDArray[np.intp]  #: (channel,): Positions in the file.
-    detector: npt.NDArray[np.intp]  #: (channel,): Number of the channel's detector.
-    joins: tuple[float, ...]  #: Wavelengths at which the next detector begins [nm].
-
-
-def join_detectors(wavelength: Floats) -> Axis:
+def join_detectors(
+    wavelength: Floats,
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], tuple[float, ...]]:
     """Return the channels that form one increasing axis of wavelengths.
+
+    Their positions in the file (channel,), the number of every channel's detector (channel,), and the
+    wavelengths at which the next detector begins [nm].
 
     Where wavelengths fall, another detector begins. Two overlapping detectors are joined in the middle of
     their overlap: samples of different detectors are not averaged, since scale and resolution differ.
@@ -52,8 +350,8 @@ def join_detectors(wavelength: Floats) -> Axis:
 
     Examples
     --------
-    >>> axis = join_detectors(np.array([980.0, 990.0, 1000.0, 970.0, 988.0, 1006.0]))
-    >>> axis.order.tolist(), axis.joins
+    >>> order, _, joins = join_detectors(np.array([980.0, 990.0, 1000.0, 970.0, 988.0, 1006.0]))
+    >>> order.tolist(), joins
     ([0, 4, 5], (985.0,))
     """
     if not (wavelength.size and np.isfinite(wavelength).all()):
@@ -84,7 +382,7 @@ def join_detectors(wavelength: Floats) -> Axis:
         channels = np.concatenate([channels[below_join], above_join])
         number = np.concatenate([number[below_join], np.full(above_join.size, index)])
         joins.append(join)
-    return Axis(channels, number, tuple(joins))
+    return channels, number, tuple(joins)
 
 
 def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
@@ -228,7 +526,7 @@ def _library_spectra(
             values[number],
             spreads,
             next((count for count in counts if np.isfinite(count)), None),
-            names=names_of_paint(str(name), dataset_number),
+            names=Names(str(name), (frozenset({str(name)}), frozenset(), frozenset()), (dataset_number, "")),
             reference_name=_text_of(dataset, "reference", number, SIGNATURE),
             instrument=str(attrs.get("instrument", "")) or default_instrument,
             serial="",
@@ -256,6 +554,7 @@ def _uncorrected_coat(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]
 
 
 def _light_notes(dataset: xr.Dataset, number: int) -> list[str]:
+    # Reasons why the level of a signature is uncertain, for the reader of the result
     values = {
         name: dataset[name].isel({SIGNATURE: number}).values[()]
         for name in ("sun_zenith", "sky_state")
@@ -263,8 +562,19 @@ def _light_notes(dataset: xr.Dataset, number: int) -> list[str]:
     }
     has_split = "diffuse_fraction" in dataset.variables and SIGNATURE in dataset["diffuse_fraction"].dims
     has_split = has_split and bool(np.isfinite(dataset["diffuse_fraction"].isel({SIGNATURE: number})).all())
-    contradictory = has_split and values.get("sky_state") == SKY_STATES.index("contradictory")
-    return light_notes(float(values.get("sun_zenith", np.nan)), contradictory)
+    notes, sun_zenith = [], float(values.get("sun_zenith", np.nan))
+    if sun_zenith > _LOW_SUN_DEG:
+        change = 100.0 * np.tan(np.radians(min(sun_zenith, 89.0))) * np.pi / 180.0
+        notes.append(
+            f"the sun stood {sun_zenith:.0f} degrees from the zenith: one degree of lean changes its light "
+            f"by {change:.0f} %; judge the shape of the signature rather than its level"
+        )
+    if has_split and values.get("sky_state") == SKY_STATES.index("contradictory"):
+        notes.append(
+            "the irradiance record contradicted every sky at that time, so the level is uncertain: check "
+            "clocks and the receiver's calibration, or give sun_zenith= to signatures"
+        )
+    return notes
 
 
 # --- spectrometers -----------------------------------------------------------------------------------------
@@ -373,22 +683,22 @@ class _Channels:
     ) -> _Channels:
         # `data_fwhm`: widths in the data; `user_fwhm`: width that the user states
         wavelength = np.asarray(wavelength, np.float64)
-        axis = join_detectors(wavelength)
-        nm_sorted = wavelength[axis.order]
-        joins = ", ".join(f"{nm:.4g}" for nm in axis.joins)
-        notes = [f"detectors joined at {joins} nm"] if joins else []
+        order, number, joins = join_detectors(wavelength)
+        nm_sorted = wavelength[order]
+        text = ", ".join(f"{nm:.4g}" for nm in joins)
+        notes = [f"detectors joined at {text} nm"] if joins else []
         if user_fwhm is not None:
             _check_widths(np.array([user_fwhm]), nm_sorted)
             notes.append(f"widths of channels {user_fwhm:g} nm, as given")
-            return cls(axis.order, nm_sorted, np.full(nm_sorted.size, user_fwhm), tuple(notes))
+            return cls(order, nm_sorted, np.full(nm_sorted.size, user_fwhm), tuple(notes))
         if data_fwhm is not None:
-            fwhm = convert(data_fwhm, "nm").values.astype(np.float64)[axis.order]
+            fwhm = convert(data_fwhm, "nm").values.astype(np.float64)[order]
             if np.isfinite(fwhm).all() and (fwhm > 0).all():
                 _check_widths(fwhm, nm_sorted)
-                return cls(axis.order, nm_sorted, fwhm, tuple(notes))
-        channel_detector = axis.detector if detector is None else detector[axis.order]
+                return cls(order, nm_sorted, fwhm, tuple(notes))
+        channel_detector = number if detector is None else detector[order]
         fwhm, source = channel_widths(nm_sorted, channel_detector, instrument)
-        return cls(axis.order, nm_sorted, fwhm, (*notes, source))
+        return cls(order, nm_sorted, fwhm, (*notes, source))
 
     def spectrum(
         self, values: Floats, spreads: Mapping[str, Any], count: float | None, **description: Any

@@ -16,10 +16,15 @@ from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.units import takes_quantities
 
-from .agreement import statistics_of, uncertainty_of
-from .comparing import Compared, between_references, compare, paired
-from .dataset_spectra import references_from, signatures_from
-from .measured_spectra import scaled_by_panel
+from .comparing import (
+    Compared,
+    between_references,
+    compare,
+    paired,
+    statistics_of,
+    uncertainty_of,
+)
+from .dataset_spectra import references_from, scaled_by_panel, signatures_from
 from .validation_result import FLOOR, MAX_TOLERANCE_SHARE, MEANINGS, RELATIVE, STATISTICS, Validation
 
 #: Parts of the spectrum [nm]: first wavelength, and end, exclusive.
@@ -125,7 +130,7 @@ def validate(
     Equal quantities are compared: where the signature is of the body under a clear coat, and the attributes
     of a reference declare a reading of the coat's outside (``quantity``, or ``specular_component``
     "included") and its geometry (``measurement_geometry`` such as "d/8", ``coat_index``), the reference is
-    converted to the body, see `hyperpaint.validation.coat_readings.as_body`; the result notes it.
+    converted to the body, see `hyperpaint.validation.dataset_spectra.as_body`; the result notes it.
 
     Statistics are plain means over bands, see `statistics_of`. Their uncertainty comes from propagated draws
     (JCGM 101): random errors independent from channel to channel, systematic errors common to all. The
@@ -179,9 +184,11 @@ def validate(
     reference_spectra = references_from(references, reference_fwhm)
     if panel is not None:
         reference_spectra = scaled_by_panel(reference_spectra, panel)
-    pairing = paired(signatures_from(signatures), reference_spectra, pairs)
-    compared = [compare(pair, seed) for pair in pairing.pairs]
-    between = [compare(pair, seed) for pair in between_references(pairing.pairs)]
+    matched, unpaired_signatures, unpaired_references, missing = paired(
+        signatures_from(signatures), reference_spectra, pairs
+    )
+    compared = [compare(pair, seed) for pair in matched]
+    between = [compare(pair, seed) for pair in between_references(matched)]
     between = [comparison for comparison in between if comparison.used.any()]
     problems = Problems("pairs have no band in common", SchemaError)
     for comparison in compared:
@@ -211,8 +218,16 @@ def validate(
             missing=(),
             tolerance=limits,
         )
-        texts = _disagreements(between_instruments.statistics)
-        messages += [("references-disagree", text) for text in texts]
+        found = between_instruments.statistics
+        outside = (found["judged"] & ~found["passes"]).values
+        messages += [
+            (
+                "references-disagree",
+                f"{found['signature'].values[row]}: {found['instrument'].values[row]} is beyond the "
+                f"tolerance in {', '.join(found['part'].values[outside[row]])}; check both references",
+            )
+            for row in np.flatnonzero(outside.any(axis=1))
+        ]
     for code, text in dict.fromkeys(messages):
         warnings.warn(PaintWarning(text, code=code), stacklevel=2)
     return Validation(
@@ -221,21 +236,12 @@ def validate(
         notes=tuple(
             (*comparison.notes(), *texts) for comparison, texts in zip(compared, scatters, strict=True)
         ),
-        unpaired_signatures=pairing.signatures,
-        unpaired_references=pairing.references,
-        missing=pairing.signatures if require_all else pairing.missing,
+        unpaired_signatures=unpaired_signatures,
+        unpaired_references=unpaired_references,
+        missing=unpaired_signatures if require_all else missing,
         tolerance=limits,
         between=between_instruments,
     )
-
-
-def _disagreements(between: xr.Dataset) -> list[str]:
-    outside = (between["judged"] & ~between["passes"]).values
-    return [
-        f"{between['signature'].values[row]}: {between['instrument'].values[row]} is beyond the tolerance in "
-        f"{', '.join(between['part'].values[outside[row]])}; check both references"
-        for row in np.flatnonzero(outside.any(axis=1))
-    ]
 
 
 #: Two paints seem exchanged where their RMSE with the references of one another over the RMSE with their own
@@ -369,8 +375,8 @@ def _statistics(
         "signature": [comparison.pair.signature.name for comparison in compared],
         "reference": [comparison.names for comparison in compared],
         "instrument": [comparison.instrument for comparison in compared],
-        "overlap": [comparison.overlap for comparison in compared],
-        "mirror_reflection": [comparison.mirror for comparison in compared],
+        "overlap": [comparison.common("overlap") for comparison in compared],
+        "mirror_reflection": [comparison.common("mirror") for comparison in compared],
     }
     matched = np.array([comparison.matched for comparison in compared], bool)
     coords: dict[str, Any] = {

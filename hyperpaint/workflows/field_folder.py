@@ -1,24 +1,38 @@
-"""Files of a field day: cubes, darks, spectra, calibration and surveyed points of a folder."""
+"""Files of a field day: cubes, darks, spectra, calibration and surveyed points of a folder.
+
+`write_collect_toml` writes a commented ``collect.toml`` for them. Values that reflectance needs and that no
+file contains are written as ``"?"``; `process` refuses them by name until they are filled in.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import math
 import os
 import re
+import textwrap
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, Problems
+from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, Problems, StoreError
+from hyperpaint.base.facts import documented, key_line, toml_text
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import CROSS_TRACK
+from hyperpaint.io.collect.collect_toml import SCHEMA
 from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
 from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.files.publishing import publish_file
+from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.io.files.toml_tables import UNKNOWN
+from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 from hyperpaint.io.flightline.headwall import (
     cube_number,
     find_exposure,
@@ -27,6 +41,8 @@ from hyperpaint.io.flightline.headwall import (
     navigation_beside,
     read_frame_index,
 )
+from hyperpaint.io.navigation.control_points import column_heading, metres_of
+from hyperpaint.io.navigation.navigation_records import read_imu_gps
 from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra
 
 _MAX_SURVEY_BYTES = 1 << 20
@@ -212,7 +228,8 @@ class _FileSearch:
         calibration, sweep = self._calibration()
         irradiance, references = self._instruments()
         cubes = tuple(self._flight_cubes())
-        record = _record_times([path for folder, _ in irradiance for path in self.spectra[folder, ".asd"]])
+        record = [path for folder, _ in irradiance for path in self.spectra[folder, ".asd"]]
+        utc_offset_h, clock_offsets_s = _record_times(record, cubes)
         return FieldFolder(
             folder=self.folder,
             cubes=cubes,
@@ -221,8 +238,8 @@ class _FileSearch:
             sweep=sweep,
             irradiance=tuple(irradiance),
             references=tuple(references),
-            utc_offset_h=record.utc_offset_h,
-            clock_offsets_s=record.offsets_for(cubes),
+            utc_offset_h=utc_offset_h,
+            clock_offsets_s=clock_offsets_s,
             survey=self._survey(),
             notes=tuple(self.notes),
         )
@@ -267,7 +284,6 @@ class _FileSearch:
 
     def _calibration(self) -> tuple[Path | None, Path | None]:
         # the single calibration, else the single lab sweep
-        from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 
         calibrations, sweeps, reasons = [], [], []
         for path in self.calibrations:
@@ -313,8 +329,6 @@ class _FileSearch:
 
 def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     # heights above the ellipsoid [m]
-    from hyperpaint.io.files.reading import read_limited_text
-    from hyperpaint.io.navigation.control_points import column_heading, metres_of
 
     text = read_limited_text(path, _MAX_SURVEY_BYTES, "a table of surveyed points").decode(
         "utf-8-sig", "replace"
@@ -351,54 +365,34 @@ def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
         return read_spectra(files, None)
 
 
-@dataclass(frozen=True)
-class _Record:
-    # first and last time of the irradiance record, by the clock of its PC
-    first: np.datetime64 | None = None
-    last: np.datetime64 | None = None
-    utc_offset_h: float | None = None
-
-    def offsets_for(self, cubes: Iterable[FlightCube]) -> tuple[float, float] | None:
-        # minimum and maximum clock offset [s] with which the record covers all cubes
-        spans = [span for cube in cubes if (span := _flight_times(cube)) is not None]
-        if self.first is None or self.last is None or self.utc_offset_h is None or not spans:
-            return None
-        zone = np.timedelta64(round(self.utc_offset_h * 3600), "s")
-        least = max(most for _, most in spans) - (self.last - zone)
-        most = min(least for least, _ in spans) - (self.first - zone)
-        return least / np.timedelta64(1, "s"), most / np.timedelta64(1, "s")
-
-
-def _record_times(files: list[Path]) -> _Record:
-    # times of the first and the last file by name
-    if not files:
-        return _Record()
-    ordered = sorted(files)
+def _record_times(
+    files: list[Path], cubes: Iterable[FlightCube]
+) -> tuple[float | None, tuple[float, float] | None]:
+    # clock of the PC of the irradiance record minus UTC [h], and minimum and maximum clock offset [s] with
+    # which the record covers all cubes; from the first and the last file by name
     try:
-        spectra = _read_quietly(list(dict.fromkeys((ordered[0], ordered[-1]))))[0]
+        ordered = sorted(files)
+        spectra = _read_quietly(list(dict.fromkeys((ordered[0], ordered[-1]))))[0] if files else []
     except PaintError:
-        return _Record()
-    zones = [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
+        return None, None
+    zone_h = next((spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None), None)
     stamps = [
         np.datetime64(spectrum.local_time, "ns") for spectrum in spectra if spectrum.local_time is not None
     ]
-    zone = zones[0] if zones else None
-    return _Record(min(stamps), max(stamps), zone) if stamps else _Record(utc_offset_h=zone)
-
-
-def _flight_times(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
-    # UTC times of the first and the last line
-    from hyperpaint.io.navigation.navigation_records import read_imu_gps
-
-    if cube.frame_index is None or cube.navigation is None:
-        return None
-    try:
-        index = read_frame_index(cube.frame_index)
-        times = read_imu_gps(cube.navigation).clock_for(index).at(index.stamp)
-    except PaintError:
-        return None
-    times = times[~np.isnat(times)]
-    return (times.min(), times.max()) if times.size else None
+    spans = []  # UTC times of the first and the last line
+    for cube in cubes:
+        if cube.frame_index is not None and cube.navigation is not None:
+            with contextlib.suppress(PaintError):
+                index = read_frame_index(cube.frame_index)
+                times = read_imu_gps(cube.navigation).clock_for(index).at(index.stamp)
+                times = times[~np.isnat(times)]
+                spans += [(times.min(), times.max())] if times.size else []
+    if zone_h is None or not stamps or not spans:
+        return zone_h, None
+    zone, second = np.timedelta64(round(zone_h * 3600), "s"), np.timedelta64(1, "s")
+    least = max(end for _, end in spans) - (max(stamps) - zone)
+    most = min(start for start, _ in spans) - (min(stamps) - zone)
+    return zone_h, (least / second, most / second)
 
 
 def _walk(folder: Path) -> Iterator[Path]:
@@ -418,3 +412,204 @@ def _walk(folder: Path) -> Iterator[Path]:
             name for name in folders if name not in stores and not name.startswith(".") and depth < MAX_DEPTH
         )
         yield from (Path(parent, name) for name in sorted(names) if not name.startswith("."))
+
+
+_RAW_CUBES = "raw_*[0-9].hdr"
+
+
+@documented()
+def write_collect_toml(
+    files: FieldFolder, path: str | os.PathLike[str] | None = None, *, overwrite: bool = False
+) -> Path:
+    """Write a commented ``collect.toml`` that names the files of a folder.
+
+    Parameters
+    ----------
+    files
+        See `find_field_files`.
+    path
+        By default ``collect.toml`` in the folder; paths in it are relative to its own folder.
+    overwrite
+
+    Returns
+    -------
+    Path of the file.
+
+    Raises
+    ------
+    StoreError
+        The file exists, is not a ``.toml``, or cannot be written.
+    """
+    path = files.folder / "collect.toml" if path is None else Path(path)
+    if path.exists() and path.suffix.lower() != ".toml":
+        raise StoreError(
+            f"{path} exists and is not a .toml file", mend="choose another path", code="file-foreign"
+        )
+    publish_file(path, "\n".join(_toml_lines(files, path.parent)).encode(), overwrite=overwrite)
+    return path
+
+
+def unknown_keys(path: Path) -> list[str]:
+    """Return the lines of a ``collect.toml`` that are still to be filled in."""
+    lines = read_limited(path, 1 << 20, "a collect.toml").decode().splitlines()
+    return [line.partition("#")[0].strip() for line in lines if f'= "{UNKNOWN}"' in line.partition("#")[0]]
+
+
+def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
+    def relative(path: Path) -> str:
+        return Path(os.path.relpath(path, base)).as_posix()
+
+    def key(name: str, value: Any = None, note: str = "") -> str:
+        # ``table`` is the table being written
+        return key_line(SCHEMA[table], name, value, note)
+
+    name = files.folder.resolve().name
+    yield f"# Written by hyperpaint init from the files in {name}."
+    yield f'# Replace every "{UNKNOWN}"; a key behind # is optional, with its default or an example.'
+    table = "collect"
+    yield from ("", "[collect]", f"name = {_quoted(name)}")
+
+    table = "camera"
+    yield from ("", "[camera]", key("bit_depth", 12), key("stamp", "end"))
+    if not all(cube.has_exposure for cube in files.cubes):
+        yield key("exposure_time_ms", UNKNOWN, "exposure [ms]: no settings.txt and no header states it")
+    if not all(cube.frame_index for cube in files.cubes):
+        yield key("frame_period_ms", UNKNOWN, "time from line to line [ms]: a cube has no frame index")
+
+    table = "calibration"
+    yield from ("", "[calibration]")
+    if files.sweep is not None:
+        yield key("sweep", _without_controls(relative(files.sweep)))
+    else:
+        calibration = files.calibration
+        yield key("path", UNKNOWN if calibration is None else _without_controls(relative(calibration)))
+
+    table = "dark"
+    yield from (
+        "",
+        "[dark]",
+        key("cubes", [_without_controls(relative(path)) for path in files.darks] or UNKNOWN),
+    )
+
+    table = "navigation"
+    yield from ("", "[navigation]  # for maps only")
+    yield "# Conventions differ between makers, and no file states them. These are assumed for a Headwall"
+    yield "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture."
+    for choice, fact in SCHEMA["navigation"].items():
+        if fact.choices:
+            yield key(choice, fact.default or "left_to_right")
+
+    table = "geometry"
+    yield from ("", "[geometry]  # for maps only")
+    if files.survey is None:
+        yield from (key("ground"), key("dem"))
+    else:
+        survey = files.survey
+        source = f"{relative(survey.path)}, median of {survey.points} points within {survey.spread:.2f} m"
+        yield key("ground", round(survey.height, 3), f"m above the ellipsoid: {source}")
+    lens = files.cubes[0].lens
+    if lens is None:
+        yield key("fov_deg")
+    else:
+        optics = f"{lens.focal_length_mm:g} mm, {lens.columns} pixels of {lens.pixel_pitch_um:g} um"
+        yield key("fov_deg", float(f"{lens.field_of_view:.6g}"), f"lens of the header: {optics}")
+    yield from (key("boresight_deg"), key("lever_arm_m"))
+
+    table = "irradiance"
+    yield from ("", "[irradiance]")
+    if not files.irradiance:
+        yield key("files", UNKNOWN, "files of the irradiance spectrometer (not needed for radiance)")
+    else:
+        patterns = [_without_controls(f"{relative(folder)}/*{suffix}") for folder, suffix in files.irradiance]
+        yield key("files", patterns[0] if len(patterns) == 1 else patterns)
+        yield key("quantity", "irradiance")
+        if files.utc_offset_h is None:
+            yield key("utc_offset_h", UNKNOWN, "logging PC minus UTC [h], such as -5: no file states it")
+        yield key("clock_offset_s", *_clock_offset(files.clock_offsets_s))
+        yield from (key("fwhm_nm"), key("mount"))
+        table = "alignment"
+        yield from ("", "[alignment]", key("apply", "auto"))
+
+    table = "flightlines"
+    ids = _folder_ids(files.cubes, relative)
+    for cube, cubes in _tables(files.cubes, relative):
+        yield from ("", "[[flightlines]]")
+        folder_id = ids.get(cube.header.parent)
+        is_pattern = cubes.endswith(_RAW_CUBES)
+        if folder_id is not None:
+            yield f"id = {_quoted(folder_id if is_pattern else f'{folder_id}_{_stem(cube)}')}"
+        yield f"cube = {_quoted(cubes)}"
+        if is_pattern:
+            yield "# every cube has its own frame index; cubes of one recording become one line"
+        elif cube.frame_index is not None:
+            yield f"frame_index = {_quoted(relative(cube.frame_index))}"
+        if cube.navigation is not None:
+            yield f"nav = {_quoted(relative(cube.navigation))}"
+        if cube.frame_index is None or cube.navigation is None:
+            yield key("start_time", UNKNOWN, "UTC of the first line, such as 2021-07-20T17:00:00Z")
+
+    table = "panels"
+    yield from ("", "# [[panels]]  # targets of known reflectance in the scene: they scale their line")
+    yield '# line = "raw_0"'
+    yield from map(key, ("along_track", "cross_track", "reflectance", "uncertainty"))
+    for instrument, folder, suffix in files.references:
+        yield from ("", "[[references]]", f"instrument = {_quoted(instrument)}")
+        yield f"files = {_quoted(f'{relative(folder)}/*{suffix}')}"
+    if files.notes:
+        yield from ("", "# Files without a use:")
+        for note in files.notes:
+            yield from textwrap.wrap(note, 100, initial_indent="# * ", subsequent_indent="#   ")
+    yield ""
+
+
+def _clock_offset(offsets: tuple[float, float] | None) -> tuple[float | str, str]:
+    # the offset is 0 if the record covers the flight without one, else to be filled in
+    if offsets is None or offsets[0] <= 0.0 <= offsets[1]:
+        return 0.0, "added to the clock of the logging PC [s]: no file states it, 0 is assumed"
+    if offsets[0] > offsets[1]:
+        return UNKNOWN, "the record is shorter than the flight: files are missing"
+    span = f"{offsets[0]:.0f} to {offsets[1]:.0f} s"
+    return UNKNOWN, f"added to the clock of the logging PC: the record covers the flight with {span}"
+
+
+def _tables(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> Iterator[tuple[FlightCube, str]]:
+    # the first cube of every table, and the cube or the pattern of cubes in the table
+    for folder, group in itertools.groupby(cubes, key=lambda cube: cube.header.parent):
+        folder_cubes = list(group)
+        companions = {(cube.navigation, cube.frame_index is None) for cube in folder_cubes}
+        pattern_fits = set(folder.glob(_RAW_CUBES)) == {cube.header for cube in folder_cubes}
+        if len(folder_cubes) > 1 and len(companions) == 1 and pattern_fits:
+            yield folder_cubes[0], f"{relative(folder)}/{_RAW_CUBES}"
+        else:
+            yield from ((cube, relative(cube.header)) for cube in folder_cubes)
+
+
+def _folder_ids(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> dict[Path, str]:
+    # ids of folders, which distinguish cubes of equal names; empty if all names differ
+    stems = [_stem(cube).lower() for cube in cubes]
+    if len(set(stems)) == len(stems):
+        return {}
+    ids: dict[Path, str] = {}
+    for folder in dict.fromkeys(cube.header.parent for cube in cubes):
+        stem = re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight"
+        used_ids = {name.lower() for name in ids.values()}
+        # an id has at least two characters and differs from those of other folders
+        candidates = (stem, *(f"{stem}_{number}" for number in range(2, len(cubes) + 2)))
+        ids[folder] = next(name for name in candidates if len(name) > 1 and name.lower() not in used_ids)
+    return ids
+
+
+def _stem(cube: FlightCube) -> str:
+    return cube.header.name.split(".")[0]
+
+
+def _without_controls(text: str) -> str:
+    if any(ord(letter) < 32 for letter in text):
+        raise FormatError(
+            f"{text!r}: a file name with control characters", mend="rename it", code="name-invalid"
+        )
+    return text
+
+
+def _quoted(text: str) -> str:
+    return toml_text(_without_controls(text))

@@ -16,11 +16,17 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, SchemaError
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import CROSS_TRACK, label
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.io.collect.collect_toml import open_with_settings
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
+from hyperpaint.io.flightline.calibration_store import open_sweep
+from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
+from hyperpaint.io.store import to_store
+from hyperpaint.light.aircraft_receiver import level_irradiance
+from hyperpaint.pictures.figures import check_picture
 
 if TYPE_CHECKING:
-    from hyperpaint.io.collect.collect_opening import OpenedCollect
-    from hyperpaint.io.collect.collect_toml import Collect
+    from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
 
 
 def calibrate_sweep(
@@ -32,7 +38,6 @@ def calibrate_sweep(
     Warns as `calibrate`.
     """
     from hyperpaint.calibration import calibrate
-    from hyperpaint.io.flightline.calibration_store import open_sweep
 
     sweep = open_sweep(path)
     try:
@@ -60,8 +65,6 @@ def write_calibration(
     `MissingExtraError` if the picture needs matplotlib; `StoreError` if the store cannot be written, or holds
     other data.
     """
-    from hyperpaint.io.store import to_store
-
     if Path(out).resolve() == Path(sweep).resolve():
         raise SchemaError(
             f"{out} is the sweep itself",
@@ -69,13 +72,10 @@ def write_calibration(
             code="output-is-input",
         )
     if picture is not None:
-        from hyperpaint.pictures.figures import check_picture
-
         check_picture(Path(picture))
     calibration = calibrate_sweep(sweep, progress=progress, **options)
     to_store(calibration, Path(out), overwrite=overwrite)
     if picture is not None:
-        from hyperpaint.io.flightline.calibration_store import open_sweep
         from hyperpaint.pictures.plot_calibration import calibration_report
 
         calibration_report(calibration, open_sweep(sweep), Path(picture))
@@ -130,9 +130,6 @@ def opened_collect(
     collect: str | os.PathLike[str] | Collect, *, need_irradiance: bool = True, chunks: Any = "auto"
 ) -> OpenedCollect:
     """Open a collect, as `open_collect` does, with its settings."""
-    from hyperpaint.io.collect.collect_opening import open_with_settings
-    from hyperpaint.light.aircraft_receiver import level_irradiance
-
     opened = open_with_settings(
         collect,
         need_irradiance=need_irradiance,
@@ -146,7 +143,6 @@ def opened_collect(
 
 
 def _declare_panels(opened: OpenedCollect) -> None:
-    from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 
     lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
     panels_by_line: dict[str, list[dict[str, Any]]] = {}
@@ -201,7 +197,6 @@ def _column_angles(path: Path, columns: int) -> Floats:
 
 def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
     # angles of columns from a field of view between the outer edges of the columns [degree]
-    from hyperpaint.geometry.georeference.cameras import PinholeCamera
 
     convention = Convention.from_attrs(line.attrs)
     if convention is None or convention.column_order is None:

@@ -24,10 +24,18 @@ import xarray as xr
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
+from hyperpaint.geometry import locate
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.files.reading import safe_cell
+from hyperpaint.io.library import open_library
+from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
+from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
+from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
+from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Regions, regions_from
+from hyperpaint.regions.proposals import propose_regions
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.validation import Validation, validate
@@ -93,9 +101,6 @@ def write_signatures(
         The store lacks a flight line of the regions; or the library cannot be written, or ``out`` holds other
         data and ``overwrite`` is False.
     """
-    from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
-    from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
-
     library_path, store_path = Path(out).resolve(), Path(store).resolve()
     if library_path == store_path or store_path in library_path.parents:
         raise SchemaError(
@@ -130,7 +135,14 @@ def write_signatures(
                     option="--no-flags extracts without them",
                 )
                 raise
-    origin = _origin_of_flags(lines, new_flags, flagged_lines)
+    origins: dict[str, None] = {}
+    for name, line in lines.items():
+        if name in new_flags:
+            origin = str(new_flags[name].line["quality"].attrs["flags_from"])
+        else:
+            text = str(line["quality"].attrs.get("flags_from", "not said from what"))
+            origin = f"those of the store, {text}" if name in flagged_lines else NOT_DETECTED
+        origins[origin] = None
     targets, refused = _propose(lines, new_flags, survey_options) if outlines is None else (outlines, [])
     lines |= {name: flagged.line for name, flagged in new_flags.items()}
     if options.get("specular_sky"):
@@ -146,7 +158,7 @@ def write_signatures(
                 subject = f"extracting from {name or store}"
                 stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
         library = extract_signatures(lines, targets, progress=step_progress, **options)
-    library.attrs |= {"store": store_path.name, "flags": origin}
+    library.attrs |= {"store": store_path.name, "flags": "; ".join(origins)}
     if refused:
         library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
     to_store(library, Path(out), overwrite=overwrite)
@@ -156,7 +168,6 @@ def write_signatures(
 def _located(
     lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
 ) -> dict[str, xr.Dataset]:
-    from hyperpaint.geometry import locate
 
     problems = Problems("signatures cannot be extracted", SchemaError)
     if maps and regions is None:
@@ -180,7 +191,6 @@ def _open_lines(
     store: str | os.PathLike[str], requested: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
     # opened lines by name, and the names of lines that have flags
-    from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
     listed = list_groups(store)
     groups = [group for group in listed if group.startswith("flightlines/")]
@@ -209,24 +219,10 @@ def _open_lines(
     return lines, frozenset(flagged)
 
 
-def _origin_of_flags(
-    lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], flagged_lines: frozenset[str]
-) -> str:
-    origins = []
-    for name, line in lines.items():
-        if name in flagged:
-            origins.append(str(flagged[name].line["quality"].attrs["flags_from"]))
-        else:
-            text = str(line["quality"].attrs.get("flags_from", "not said from what"))
-            origins.append(f"those of the store, {text}" if name in flagged_lines else NOT_DETECTED)
-    return "; ".join(dict.fromkeys(origins))
-
-
 def _propose(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
 ) -> tuple[Regions, list[str]]:
     # accepted regions, and texts with place and reasons of rejected regions
-    from hyperpaint.regions.proposals import propose_regions
 
     # with several lines, names of paints start with the name of the line
     proposals_by_line = {}
@@ -290,30 +286,24 @@ def validate_files(
     Raises `FormatError`, `SchemaError`, `StoreError` or `UnitsError` if a file cannot be read, or as
     `validate`.
     """
-    from hyperpaint.io.library import open_library
-    from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
-    from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
-
     signatures = open_library(library)
     name_pairs = None if pairs is None else read_pairs(pairs)
     certificate = None if panel is None else read_certificate(panel)
-    spectra = open_references(references or [_store_beside(signatures, Path(library))])
+    if not references:
+        name = signatures.attrs.get("store")
+        store = Path(library).absolute().parent / str(name)
+        # a plain name only: a path stored in a file must not lead out of the folder
+        is_name = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
+        if not is_name or not (store / "references").is_dir():
+            raise SchemaError(
+                f"no references: the store of {library} has none, or is not beside it",
+                mend="pass references=",
+                option="pass files with --reference",
+                code="references-missing",
+            )
+        references = [store]
+    spectra = open_references(references)
     return validate(signatures, spectra, name_pairs, panel=certificate, **options)
-
-
-def _store_beside(signatures: xr.Dataset, library: Path) -> Path:
-    name = signatures.attrs.get("store")
-    path = library.absolute().parent / str(name)
-    # a plain name only: a path stored in a file must not lead out of the folder
-    is_name = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
-    if not is_name or not (path / "references").is_dir():
-        raise SchemaError(
-            f"no references: the store of {library} has none, or is not beside it",
-            mend="pass references=",
-            option="pass files with --reference",
-            code="references-missing",
-        )
-    return path
 
 
 # --- tables ------------------------------------------------------------------------------------------------
@@ -331,27 +321,43 @@ def write_table(validation: Validation, path: str | os.PathLike[str], *, overwri
     """
     path = Path(path)
     check_table(path, overwrite=overwrite)
-    text = _csv_text(validation) if path.suffix.lower() == ".csv" else _json_text(validation)
-    publish_file(path, text.encode(), overwrite=overwrite)
+    statistics, between = validation.statistics, validation.between
+    names = _names_by_part(statistics)
+    if path.suffix.lower() == ".csv":
+        columns, text = [*_PAIR_COLUMNS, "part", *names, *_OXYGEN], io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        for table in (statistics, *([] if between is None else [between.statistics])):
+            for pair, part in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
+                row = table.isel(pair=pair, part=part)
+                cells = [_json_value(row[name].values.item()) for name in columns]
+                safe = (safe_cell(cell) if isinstance(cell, str) else cell for cell in cells)
+                writer.writerow(["" if cell is None else cell for cell in safe])
+        content = text.getvalue()
+    else:
+        spans = (statistics[name].values for name in ("part", "first_wavelength", "last_wavelength"))
+        document = {
+            "passed": validation.passed,
+            "tolerance": dict(validation.tolerance),
+            "units": {
+                name: statistics[name].attrs["units"] for name in names if "units" in statistics[name].attrs
+            },
+            "parts": {
+                str(part): [_json_value(float(edge)) for edge in edges]
+                for part, *edges in zip(*spans, strict=True)
+            },
+            "pairs": _pair_entries(validation),
+            "references_against_one_another": [] if between is None else _pair_entries(between),
+            "unpaired_signatures": list(validation.unpaired_signatures),
+            "unpaired_references": list(validation.unpaired_references),
+            "missing": list(validation.missing),
+        }
+        content = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    publish_file(path, content.encode(), overwrite=overwrite)
 
 
 def _names_by_part(table: xr.Dataset) -> list[str]:
     return [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
-
-
-def _csv_text(validation: Validation) -> str:
-    names = [*_PAIR_COLUMNS, "part", *_names_by_part(validation.statistics), *_OXYGEN]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    tables = [] if validation.between is None else [validation.between.statistics]
-    for table in (validation.statistics, *tables):
-        for pair, part in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
-            row_statistics = table.isel(pair=pair, part=part)
-            cells = [_json_value(row_statistics[name].values.item()) for name in names]
-            safe = (safe_cell(cell) if isinstance(cell, str) else cell for cell in cells)
-            writer.writerow(["" if cell is None else cell for cell in safe])
-    return text.getvalue()
 
 
 def _pair_entries(validation: Validation) -> list[dict[str, Any]]:
@@ -367,33 +373,6 @@ def _pair_entries(validation: Validation) -> list[dict[str, Any]]:
         }
         pairs.append(entry)
     return pairs
-
-
-def _json_text(validation: Validation) -> str:
-    table = validation.statistics
-    names = _names_by_part(table)
-    document = {
-        "passed": validation.passed,
-        "tolerance": dict(validation.tolerance),
-        "units": {name: table[name].attrs["units"] for name in names if "units" in table[name].attrs},
-        "parts": {
-            str(part): [_json_value(float(edge)) for edge in edges]
-            for part, *edges in zip(
-                table["part"].values,
-                table["first_wavelength"].values,
-                table["last_wavelength"].values,
-                strict=True,
-            )
-        },
-        "pairs": _pair_entries(validation),
-        "references_against_one_another": []
-        if validation.between is None
-        else _pair_entries(validation.between),
-        "unpaired_signatures": list(validation.unpaired_signatures),
-        "unpaired_references": list(validation.unpaired_references),
-        "missing": list(validation.missing),
-    }
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _json_value(value: Any) -> Any:

@@ -17,6 +17,10 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.geometry.georeference.cameras import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
+from hyperpaint.io.files.publishing import check_place, published_files
+from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
+from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
+from hyperpaint.io.maps.rasters import read_heights
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 
 
@@ -92,7 +96,10 @@ def location_of(
     """
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
-    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid, _track(flightline))
+    names = ("longitude", "latitude", "altitude")
+    is_flown = set(names) <= set(flightline.variables)
+    track: Any = tuple(flightline[name].values for name in names) if is_flown else None
+    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid, track)
     if (field_of_view, focal_length_mm, pixel_pitch_um) != (None, None, None):
         location["camera"] = PinholeCamera(
             flightline.sizes["cross_track"],
@@ -179,9 +186,6 @@ def write_map(
     MissingExtraError
         A GeoTIFF needs rasterio (extra ``geo``).
     """
-    from hyperpaint.io.files.publishing import check_place, published_files
-    from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
-
     item, is_tiff = path.with_suffix(".json"), path.suffix.lower() in (".tif", ".tiff")
     companions = ([item] if stac else []) + ([] if seams is None else [seams])
     if stac:
@@ -195,18 +199,15 @@ def write_map(
             to_store(orthomap, path, overwrite=overwrite, progress=progress)
         return ""
     notes = []
-    foreign = None if is_tiff else _foreign_store
-    with (
-        plan,
-        published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (
-            *companion_paths,
-            target,
-        ),
-    ):
+
+    def foreign(folder: Path) -> str:
+        # empty for a store of one map, which may be replaced
+        return "" if list_groups(folder) == [""] else "something other than a map"
+
+    product = published_files([*companions, path], overwrite=overwrite, foreign=None if is_tiff else foreign)
+    with plan, product as (*companion_paths, target):
         texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
         if is_tiff:
-            from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
-
             draw_geotiff(orthomap, target, path)
             factors = ", ".join(f"1:{factor}" for factor in read_geotiff_header(target).overviews)
             notes.append(f"overviews {factors}" if factors else "too small for overviews")
@@ -239,11 +240,6 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
     return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + shared)
 
 
-def _foreign_store(folder: Path) -> str:
-    # empty for a store of one map, which may be replaced
-    return "" if list_groups(folder) == [""] else "something other than a map"
-
-
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     """Return a flight line of a store by its name, by default the only one; or the map of a store."""
     prefix = "flightlines/"
@@ -269,15 +265,9 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     return flightline
 
 
-def _track(line: xr.Dataset) -> tuple[Any, Any, Any] | None:
-    names = ("longitude", "latitude", "altitude")
-    return tuple(line[name].values for name in names) if set(names) <= set(line.variables) else None  # type: ignore[return-value]
-
-
 def _heights(
     path: Path, reference: str | None, undulation: float | None, around: tuple[Any, Any, Any] | None
 ) -> xr.DataArray:
-    from hyperpaint.io.maps.rasters import read_heights
 
     dem = read_heights(path, around)
     references = {"height_reference": reference, "geoid_undulation": undulation}

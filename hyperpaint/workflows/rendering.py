@@ -31,36 +31,253 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import json
+import os
 import shutil
-import sys
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from hyperpaint.base.constants import NUMERICS_VERSION
+from hyperpaint.base.arrays import Floats, Floats32, round_bits
+from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.facts import arguments_of, as_argument, documented
 from hyperpaint.base.input_files import open_input
-from hyperpaint.base.keyword_names import renamed
-from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
+from hyperpaint.base.mirrored_light import EXCLUDED
+from hyperpaint.base.old_names import renamed
+from hyperpaint.base.schema import (
+    CHUNK_LINES,
+    CUBE,
+    FORMAT_VERSION,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+)
+from hyperpaint.io.dirsig import write_dirsig_scene
 from hyperpaint.io.store import list_groups, open_group, open_store
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
-from hyperpaint.io.store.writer import check_room, run_contents, whole_run
-from hyperpaint.simulation.settings import SimulationSettings
+from hyperpaint.io.store.writer import WholeRun
+from hyperpaint.pictures.figures import new_figure, save_figure
+from hyperpaint.pictures.plot import overview
+from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.rendering.painting import assigned_paints, by_name
+from hyperpaint.simulation.rendering.relighting import relight
+from hyperpaint.simulation.rendering.scene_record import SceneRecord
+from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
+from hyperpaint.simulation.rendering.tracing import trace
+from hyperpaint.simulation.settings import ORIGIN, SimulationSettings
+from hyperpaint.simulation.stores import labelled
 
-from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
-from .render_libraries import read_paints, spectra_digest
-from .render_products import Render, pose_of
-from .scene_files import SCHEMA, SceneFile, read_scene_file
-from .scene_parts import RenderParts, build_parts, chosen_atmospheres
-from .store_inputs import finishing_command, refuse_to_write_over
+from .products import (
+    Outcome,
+    computing_on,
+    digest_of,
+    local_folder,
+    refuse_to_write_over,
+    write_groups,
+)
+from .scene_files import (
+    SCHEMA,
+    RenderParts,
+    SceneFile,
+    build_parts,
+    chosen_atmospheres,
+    read_paints,
+    read_scene_file,
+    spectra_digest,
+)
+
+if TYPE_CHECKING:
+    from hyperpaint.simulation.camera import Camera, Detector, Optics
+    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.rendering.platforms import Platform
+
+    from .scene_files import RenderParts
+
+_INTERVAL_S = 2  # time between samples of the spectrometer
+_MARGIN_S = 6  # record before and after the flight
+_DARK_FRAMES = 64  # number of frames averaged for a dark
+# keys of the random streams, different from those of other simulators
+_NOISE, _DARK = 20, 21
+
+
+def flight_line(
+    traced: xr.Dataset, atmosphere: Atmosphere, file: SceneFile, parts: RenderParts
+) -> xr.Dataset:
+    """Return the flight line of a traced scene under an atmosphere, lazily; see `hyperpaint.render_scene`."""
+    # Bands of counts are weighted by the responsivity of the detector. Bands of radiance are not: readers of
+    # radiance do not know the responsivity, and resample the irradiance without it.
+    bands = BandSet.of(parts.camera.imager)
+    relit = relight(
+        traced,
+        bands if file.product == "counts" else dataclasses.replace(bands, responsivity=None),
+        paints=dict(file.paints),
+        atmosphere=atmosphere,
+        spectra=dict(parts.spectra),
+        hold_edges=file.hold_edges,
+    )
+    picture = overview(relit)
+    line = relit.rename(reflectance="true_reflectance")
+    if file.true_reflectance:
+        # rounded to the mantissa bits of a stored reflectance, half to even
+        rounded: xr.DataArray = xr.apply_ufunc(
+            round_bits,
+            line["true_reflectance"],
+            KEPT_BITS,
+            dask="parallelized",
+            output_dtypes=[np.float32],
+            keep_attrs=True,
+        )
+        rounded.attrs |= {"long_name": "Reflectance factor without noise", "keep_bits": KEPT_BITS}
+        line["true_reflectance"] = rounded
+    else:
+        line = line.drop_vars("true_reflectance")
+    if file.product == "counts":
+        exposure_time, seed = parts.platform.exposure_time, file.sampling["seed"]
+        counts = counts_of(
+            line["radiance"], parts.camera, exposure_time, seed, atmosphere.name, noise=parts.noise
+        )
+        line = line.drop_vars("radiance").merge(counts)
+    line = irradiance_series(line, parts.platform).assign_coords(pose_of(parts.platform))
+    line = line.assign(look_angle=look_angle_of(parts.platform))
+    return line if picture is None else line.assign(overview=picture)
+
+
+def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
+    """Return a render with the irradiance that a spectrometer logs during the flight, every 2 s.
+
+    ``relit`` has the spectrum of its steady light; the record starts before and ends after the flight.
+    """
+    first, last = (moment.astype("datetime64[s]") for moment in platform.utc[[0, -1]])
+    count = int((last - first).astype(np.int64) + 2 * _MARGIN_S) // _INTERVAL_S + 2
+    seconds = _INTERVAL_S * np.arange(count) - _MARGIN_S
+    time = (first + seconds.astype("timedelta64[s]")).astype("datetime64[ns]")
+    spectrum = np.asarray(relit["irradiance"][0].values)
+    wavelength = relit[IRRADIANCE_WAVELENGTH].variable
+    return (
+        relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
+        .assign(
+            irradiance=_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
+            irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL_S),
+        )
+        .assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
+    )
+
+
+def pose_of(platform: Platform) -> dict[str, xr.Variable]:
+    """Return the pose of the camera at mid-exposure of every line, as variables of a flight line."""
+    roll, pitch, heading = platform.attitude.T
+    pose = {"altitude": platform.position[:, 2], "roll": roll, "pitch": pitch, "heading": heading}
+    return {name: _variable(name, values) for name, values in pose.items()}
+
+
+def look_angle_of(platform: Platform) -> xr.Variable:
+    """Return the angles of column centres from the camera's axis, positive to the right [degree]."""
+    edges = platform.column_edges
+    return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
+
+
+def counts_of(
+    radiance: xr.DataArray, camera: Camera, exposure_time: float, seed: int, name: str, *, noise: bool = True
+) -> xr.Dataset:
+    """Return the counts of a camera under this radiance, with all variables that calibrate them.
+
+    Lazy. The noise of a line is drawn from a generator keyed by seed, name of the render and number of the
+    line, so that counts do not depend on chunks or workers; without ``noise`` counts are still rounded. The
+    optics of the camera blur the radiance. ``radiance``: mean over the camera's responses (along_track, band,
+    cross_track) [W m-2 sr-1 nm-1]; ``exposure_time``: [s].
+    """
+    import dask.array as da
+
+    # a mean radiance of 1 gives (exposure time) x (etendue) x (integral of the response) counts; dead
+    # elements 0
+    scale, factor = exposure_time * camera.etendue * camera.response_area, np.where(camera.bad, 0.0, 1.0)
+    if camera.optics is not None:  # optics act before the response of single elements
+        scale, factor = scale / camera.imager.element_factor, factor * camera.imager.element_factor
+    detector = camera.detector(exposure_time)
+    key = (seed, _NOISE, zlib.crc32(name.encode()))
+    cube = radiance.transpose(*CUBE).data
+    reach = 0 if camera.optics is None else camera.optics.reach
+    number, stops = cube.shape[0], np.cumsum(cube.chunks[0]).tolist()
+    exposure = _Exposure(
+        detector, camera.optics, scale, factor, camera.pedestal, key if noise else None, number
+    )
+    blocks = []
+    for start, stop in zip([0, *stops], stops, strict=False):
+        # include the lines around a block that blur into it
+        window_start, window_end = max(start - reach, 0), min(stop + reach, number)
+        window = cube[window_start:window_end].rechunk(-1)
+        chunks = ((stop - start,), *window.chunks[1:])
+        block = da.map_blocks(
+            exposure.counts,
+            window,
+            first=window_start,
+            lines=range(start, stop),
+            dtype=np.uint16,
+            chunks=chunks,
+            meta=np.empty((0, 0, 0), dtype=np.uint16),
+        )
+        blocks.append(block)
+    variables = {
+        "counts": xr.Variable(CUBE, da.concatenate(blocks), VARIABLES["counts"].attrs),
+        "dark_counts": _variable("dark_counts", _dark(detector, key) if noise else detector.dark),
+        "radiance_gain": _variable("radiance_gain", camera.radiance_gain()),
+        "exposure_time": _variable("exposure_time", exposure_time),
+        "saturation_count": _variable("saturation_count", detector.saturation_count),
+        "electrons_per_count": _variable("electrons_per_count", camera.electrons_per_count),
+        "read_noise": _variable("read_noise", camera.read_noise),
+    }
+    return xr.Dataset(variables)
+
+
+@dataclass(frozen=True)
+class _Exposure:
+    detector: Detector
+    optics: Optics | None
+    scale: Floats  # Counts at a mean radiance of 1, (band, cross_track)
+    factor: Floats  # Relative response of the elements, 0 for dead elements, (band, cross_track)
+    pedestal: float
+    key: tuple[int, ...] | None  # Of the noise; None for none
+    number: int  # Number of lines of the scene
+
+    def counts(self, cube: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
+        # counts of ``lines`` in their order, because afterglow of a line adds to the next; the cube starts at
+        # ``first``
+        cube = np.nan_to_num(cube, nan=0.0)  # beyond the scene there is no light
+        counts = np.empty((len(lines), *cube.shape[1:]), dtype=np.uint16)
+        for line, row in zip(lines, counts, strict=True):
+            rng = None if self.key is None else np.random.default_rng([*self.key, line])
+            electrons = self.detector.read(self._signal(cube, first, line), rng)
+            if self.pedestal:
+                electrons += self.pedestal
+            row[...] = self.detector.convert(electrons[None])[0]
+        return counts
+
+    def _signal(self, cube: Floats32, first: int, line: int) -> Floats:
+        if self.optics is None:
+            return np.asarray(cube[line - first] * (self.scale * self.factor))
+        window = [cube[row - first] * self.scale for row in self.optics.rows_of(line, self.number)]
+        return self.optics.image(window) * self.factor
+
+
+def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
+    # the mean of frames has residual noise and rounding errors
+    rng = np.random.default_rng([key[0], _DARK])
+    sd = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
+    return np.asarray(detector.dark + sd * rng.standard_normal(detector.dark.shape))
+
+
+def _variable(name: str, values: Any) -> xr.Variable:
+
+    return labelled(VARIABLES[name], values)
+
 
 #: Group of the traced scene.
 TRANSPORT = "transport"
@@ -210,49 +427,88 @@ def run(
         )
     parts = build_parts(file)
     if library is not None:
-        file, parts = _with_library(file, parts, Path(library))
+        # paints of the file take precedence over those of the library
+        paints = by_name(read_paints(Path(library)))
+        targets = assigned_paints(SceneRecord.of(parts.scene), list(paints))
+        file = dataclasses.replace(file, paints={**targets, **file.paints})
+        parts = dataclasses.replace(parts, spectra={**paints, **parts.spectra})
     names = [light.name for light in chosen_atmospheres(parts, atmospheres)]
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot render {path}"))
         lines = CHUNK_LINES if client is None else CLUSTER_LINES
-        traced = _traced(file, parts, lines)
+        traced = trace(
+            parts.scene,
+            parts.platform,
+            parts.suns,
+            **arguments_of(SCHEMA["sampling"], file.sampling),
+            overcast=parts.overcast,
+            chunk_lines=lines,
+        )
+        meshes = []
+        for mesh in file.meshes:
+            with open_input(mesh.path, "an input of a scene") as content:
+                digest = hashlib.file_digest(content, "sha256").hexdigest()
+            meshes.append([digest, mesh.name, dict(mesh.options)])
+        inputs = {
+            "format": [FORMAT_VERSION, NUMERICS_VERSION],
+            "scene": {**file.scene, "name": file.name},
+            "meshes": meshes,
+            "platform": dict(file.platform),
+            "sampling": dict(file.sampling),
+            "suns": parts.suns,
+            "overcast": parts.overcast,
+        }
+        traced = traced.assign_coords(pose_of(parts.platform)).assign_attrs({INPUTS: digest_of(inputs)[:32]})
         settings = {SETTINGS: f"numerics={NUMERICS_VERSION}"}
         planned = {TRANSPORT: traced, **_renders(traced, file, parts, names)}
         planned = {name: dataset.assign_attrs(settings) for name, dataset in planned.items()}
-        complete = kept_groups(planned, out, overwrite=overwrite, command="render")
-        _refuse_orphans(out, planned, complete)
-        pending = [name for name in planned if name not in complete]
-        tokens = {name: token_of(planned[name]) for name in pending}
-        check_room({name: planned[name] for name in pending}, out, tokens)
-        attrs = {"name": file.name, "scene_file": file.path.read_text(encoding="utf-8")}
-        contents = run_contents(planned)
-        writing = {name: planned[name] for name in pending}
-        again = {
-            "--samples": samples,
-            "--to": to,
-            "--atmosphere": list(atmospheres),
-            "--overwrite": overwrite,
-            "--library": library and Path(library).absolute(),
-            "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
-        }
-        command = finishing_command(f"render {quote(str(Path(path).absolute()))}", again)
-        turn = stack.enter_context(
-            whole_run(out, contents, writing, attrs, command=command, overwrite=overwrite)
+        size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
+
+        def pending_groups(pending: list[str]) -> dict[str, xr.Dataset]:
+            # a new traced scene would not fit the renders that are kept
+            stored = list_groups(out) if TRANSPORT in pending and out.exists() else []
+            orphans = [name for name in stored if name.startswith(RENDERS) and name not in planned]
+            if orphans:
+                raise StoreError(
+                    f"{out} holds /{', /'.join(orphans)}, of a scene traced with other parameters",
+                    mend="render these atmospheres too, or choose another path",
+                    code="renders-outdated",
+                )
+            return {name: planned[name] for name in pending}
+
+        def from_stored(name: str, turn: WholeRun) -> xr.Dataset:
+            if name == TRANSPORT:
+                return planned[name]
+            turn.settle()
+            traced = open_group(out, TRANSPORT)
+            return _renders(traced, file, parts, [name.removeprefix(RENDERS)])[name].assign_attrs(settings)
+
+        def announced(name: str) -> str:
+            if name == TRANSPORT:
+                return f"tracing {size}, {file.sampling['samples']} rays a pixel\n"
+            return f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
+
+        return write_groups(
+            out,
+            planned,
+            pending_groups,
+            {"name": file.name, "scene_file": file.path.read_text(encoding="utf-8")},
+            source=path,
+            command="render",
+            options={
+                "--samples": samples,
+                "--to": to,
+                "--atmosphere": list(atmospheres),
+                "--overwrite": overwrite,
+                "--library": library and Path(library).absolute(),
+                "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
+            },
+            from_stored=from_stored,
+            announce=announced if progress else None,
+            overwrite=overwrite,
+            client=client,
         )
-        for name in pending:
-            dataset = traced
-            if name != TRANSPORT:  # from the stored traced scene
-                turn.settle()
-                stored = open_group(out, TRANSPORT)
-                dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
-            if progress:
-                size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
-                product = f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
-                tracing = f"tracing {size}, {file.sampling['samples']} rays a pixel\n"
-                sys.stderr.write(tracing if name == TRANSPORT else product)
-            turn.write(name, dataset.assign_attrs(settings), progress=progress)
-    return Outcome(out, tuple(pending), tuple(complete))
 
 
 def _with_options(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
@@ -267,42 +523,7 @@ def _with_options(file: SceneFile, samples: int | None, to: str | None) -> Scene
     return file if to is None else dataclasses.replace(file, product=to)
 
 
-def _with_library(file: SceneFile, parts: RenderParts, paints: Path) -> tuple[SceneFile, RenderParts]:
-    # add the paints of a library; paints of the file take precedence
-    from hyperpaint.simulation.rendering.given_spectra import by_name
-    from hyperpaint.simulation.rendering.painting import assigned_paints
-    from hyperpaint.simulation.rendering.scene_record import SceneRecord
-
-    library = by_name(read_paints(paints))
-    targets = assigned_paints(SceneRecord.of(parts.scene), list(library))
-    file = dataclasses.replace(file, paints={**targets, **file.paints})
-    return file, dataclasses.replace(parts, spectra={**library, **parts.spectra})
-
-
 # --- groups to write ---------------------------------------------------------------------------------------
-
-
-def _traced(file: SceneFile, parts: RenderParts, lines: int) -> xr.Dataset:
-    from hyperpaint.simulation.rendering.tracing import trace
-
-    traced = trace(
-        parts.scene,
-        parts.platform,
-        parts.suns,
-        **arguments_of(SCHEMA["sampling"], file.sampling),
-        overcast=parts.overcast,
-        chunk_lines=lines,
-    )
-    inputs = {
-        "format": [FORMAT_VERSION, NUMERICS_VERSION],
-        "scene": {**file.scene, "name": file.name},
-        "meshes": [[_file_digest(mesh.path), mesh.name, dict(mesh.options)] for mesh in file.meshes],
-        "platform": dict(file.platform),
-        "sampling": dict(file.sampling),
-        "suns": parts.suns,
-        "overcast": parts.overcast,
-    }
-    return traced.assign_coords(pose_of(parts.platform)).assign_attrs({INPUTS: _digest(inputs)})
 
 
 def _renders(
@@ -311,9 +532,14 @@ def _renders(
     renders = {}
     for atmosphere in parts.atmospheres:
         if atmosphere.name in names:
+            light = hashlib.sha256()
+            for field in dataclasses.fields(atmosphere):
+                value = getattr(atmosphere, field.name)
+                light.update(f"{field.name} ".encode())
+                light.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
             inputs = {
                 "transport": traced.attrs[INPUTS],
-                "atmosphere": _light_digest(atmosphere),
+                "atmosphere": light.hexdigest(),
                 "camera": dict(file.camera),
                 "exposure_time": parts.platform.exposure_time,
                 "spectra": spectra_digest(parts.spectra),
@@ -321,48 +547,10 @@ def _renders(
                 "paints": dict(file.paints),
                 "product": [file.product, file.true_reflectance, file.sampling["seed"]],
             }
-            render = Render(
-                atmosphere, parts.camera, parts.platform, parts.spectra, file.paints, file.hold_edges
+            renders[RENDERS + atmosphere.name] = flight_line(traced, atmosphere, file, parts).assign_attrs(
+                {INPUTS: digest_of(inputs)[:32]}
             )
-            renders[RENDERS + atmosphere.name] = render.of(
-                traced,
-                product=file.product,
-                true_reflectance=file.true_reflectance,
-                seed=file.sampling["seed"],
-                noise=parts.noise,
-            ).assign_attrs({INPUTS: _digest(inputs)})
     return renders
-
-
-def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
-    # a new traced scene would not fit the renders that are kept
-    if TRANSPORT in complete or not out.exists():
-        return
-    orphans = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
-    if orphans:
-        raise StoreError(
-            f"{out} holds /{', /'.join(orphans)}, of a scene traced with other parameters",
-            mend="render these atmospheres too, or choose another path",
-            code="renders-outdated",
-        )
-
-
-def _light_digest(atmosphere: Any) -> str:
-    digest = hashlib.sha256()
-    for field in dataclasses.fields(atmosphere):
-        value = getattr(atmosphere, field.name)
-        digest.update(f"{field.name} ".encode())
-        digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-    return digest.hexdigest()
-
-
-def _file_digest(path: Path) -> str:
-    with open_input(path, "an input of a scene") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _digest(inputs: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
 
 _PICTURE_INCH, _DPI = 4.0, 150
@@ -374,8 +562,6 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     Raises `MissingExtraError` if matplotlib is not installed; `StoreError` if no group has an overview, which
     needs three visible bands; `SchemaError` if matplotlib does not write this file type.
     """
-    from hyperpaint.pictures.figures import new_figure, save_figure
-
     datasets = {group: open_store(store, group) for group in groups}
     overviews = {group: dataset["overview"] for group, dataset in datasets.items() if "overview" in dataset}
     if not overviews:
@@ -393,3 +579,142 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
         axes.set_title(group.rpartition("/")[2].replace("_", " "))
         axes.set_axis_off()
     save_figure(figure, path, dpi=_DPI)
+
+
+_GRID_NM = np.arange(380.0, 1051.0, 2.0)  # wavelengths on which built-in spectra are written
+
+
+def export_dirsig_scene(
+    scene_file: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    library: xr.Dataset | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    r"""Write the scene of a ``scene.toml`` for DIRSIG.
+
+    Parameters
+    ----------
+    scene_file
+        A scene file of `hyperpaint.render_scene`; its ``[paints]`` repaint materials and cars.
+    folder
+        A folder, new or empty.
+    library
+        Measured paints, which take precedence over the file's ``[spectra]`` and over built-in spectra of the
+        same name. Paints that are not named in the scene are assigned in turn to the cars without another
+        repaint.
+    overwrite, progress, **options
+        As for `hyperpaint.io.dirsig.write_dirsig_scene`.
+
+    Returns
+    -------
+    Dataset
+        The written materials, as returned by `hyperpaint.io.dirsig.write_dirsig_scene`.
+
+    Raises
+    ------
+    FormatError, SchemaError, StoreError
+        As `hyperpaint.render_scene` and `hyperpaint.io.dirsig.write_dirsig_scene`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "lawn.toml")
+    ...     text = '[scene]\nkind = "plane"\nspectrum = "grass"\n[platform]\nlines = 2\ncolumns = 2\n'
+    ...     _ = path.write_text(text + "ground_sample_m = 0.1\naltitude_m = 15.0\n")
+    ...     export_dirsig_scene(path, Path(folder, "out")).material_id.values.tolist()
+    ['grass']
+    """
+    file = read_scene_file(Path(scene_file))
+    parts = build_parts(file)
+    repaint = dict(file.paints)
+    libraries = [] if library is None else [library]
+    if library is not None:
+        repaint = painted_cars(parts.scene, list(map(str, library["signature"].values)), repaint)
+    libraries += [*named_libraries(parts.spectra), _spectra_library(parts, repaint)]
+    return write_dirsig_scene(
+        parts.scene,
+        folder,
+        libraries,
+        repaint=repaint,
+        origin=ORIGIN,
+        overwrite=overwrite,
+        progress=progress,
+        **options,
+    )
+
+
+def painted_cars(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -> dict[str, str]:
+    """Return new paints by instance: ``repaint``, and other ``names`` in turn for cars without a repaint.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation.rendering.car_parks import car_park
+    >>> scene = car_park(length=5.0, width=16.0, neighbours=(), seed=1)
+    >>> [instance.paint for instance in scene.instances if instance.kind == "car"]
+    ['light_blue', 'dark_red', 'yellow', 'white']
+    >>> painted_cars(scene, ["yellow", "roof 7", "roof 8"], {"car_000": "roof 8"})
+    {'car_000': 'roof 8', 'car_001': 'roof 7', 'car_003': 'roof 7'}
+    """
+    scene_names = {item.name for item in (*scene.materials, *scene.instances)}
+    scene_names |= {item.spectrum for item in scene.materials} | set(repaint.values())
+    new_paints = [name for name in names if name not in scene_names]
+    cars = [
+        item.name
+        for item in scene.instances
+        if item.kind == "car" and item.name not in repaint and not {item.paint} & {*names, *repaint}
+    ]
+    return {
+        **repaint,
+        **{car: new_paints[number % len(new_paints)] for number, car in enumerate(cars) if new_paints},
+    }
+
+
+def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
+    """Return the paint libraries among spectra; paints are "<key>/<name>", a single paint also "<key>"."""
+    libraries = []
+    for key, value in spectra.items():
+        if hasattr(value, "data_vars"):
+            names = [str(name) for name in value["signature"].values]
+            libraries.append(value.assign_coords(signature=[f"{key}/{name}" for name in names]))
+            if len(names) == 1:
+                libraries.append(value.assign_coords(signature=[key]))
+    return libraries
+
+
+def _spectra_library(parts: RenderParts, repaint: Mapping[str, str]) -> xr.Dataset:
+    # spectra of the file and built-in spectra as a library; DIRSIG has no flakes, so that the reflectance of
+    # a paint with flakes is the sum of pigment and flakes
+
+    flakes = {
+        material.spectrum: material.flakes
+        for material in parts.scene.materials
+        if material.flakes is not None
+    }
+    names = [material.spectrum for material in parts.scene.materials] + list(repaint.values())
+    spectra: dict[str, Floats] = {}
+    for name in dict.fromkeys(names):
+        file_spectrum: Any = parts.spectra.get(name)
+        if file_spectrum is not None and not hasattr(file_spectrum, "data_vars"):
+            wavelength, values = file_spectrum
+            spectra[name] = np.interp(_GRID_NM, wavelength, values, left=np.nan, right=np.nan)
+            continue
+        try:
+            body = spectrum_of(name)(_GRID_NM)
+        except SchemaError:
+            continue  # a paint of the library; the writer reports unknown names
+        flake = flakes.get(name)
+        if flake is not None:
+            body = (1.0 - flake.share) * body + flake.share * spectrum_of(flake.spectrum)(_GRID_NM)
+        spectra[name] = body
+    reflectance = np.array(list(spectra.values()), np.float32).reshape(-1, len(_GRID_NM))
+    return xr.Dataset(
+        {"reflectance": (("signature", "band"), reflectance, {"units": "1", "mirror_reflection": EXCLUDED})},
+        {
+            "signature": np.array(list(spectra), object),
+            "wavelength": ("band", _GRID_NM, {"units": "nm"}),
+        },
+    )

@@ -1,16 +1,21 @@
-"""Scene files: a ``scene.toml`` read and checked, and its files located, before anything is built."""
+"""Scene files: a ``scene.toml`` read and checked, its files located, and its parts built."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.base.errors import FormatError, Problems
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
 from hyperpaint.base.facts import (
     Fact,
     Facts,
@@ -23,12 +28,20 @@ from hyperpaint.base.facts import (
     filled,
     shown,
 )
+from hyperpaint.base.input_files import input_path, read_limited
+from hyperpaint.io.dirsig.dirsig_files import read_materials
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
-from hyperpaint.simulation.rendering.car_parks import BAY, CAR_PARK, note_car_park_faults
-from hyperpaint.simulation.rendering.four_curves import PRESETS
-from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes
-from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_faults
-from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
+from hyperpaint.io.library import open_library
+from hyperpaint.io.spectrometers.irradiance import open_irradiance
+from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
+from hyperpaint.simulation.camera import Camera
+from hyperpaint.simulation.rendering.appearance import coat_of_gloss
+from hyperpaint.simulation.rendering.car_parks import BAY, CAR_PARK, car_park, note_car_park_faults
+from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
+from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material
+from hyperpaint.simulation.rendering.mesh_files import read_mesh
+from hyperpaint.simulation.rendering.platforms import PUSHBROOM, Platform, note_pushbroom_faults, pushbroom
+from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS, Instance, Scene, plane
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
 from hyperpaint.simulation.rendering.sky_models import SKY
 from hyperpaint.simulation.settings import CAMERA_FIELDS, SimulationSettings
@@ -434,7 +447,11 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
 
 def _check_size(scene_file: SceneFile, problems: Problems) -> None:
     if scene_file.scene["kind"] == "car_park":
-        triangles = _triangles(scene_file.scene)
+        # 1300 triangles a car, two a leaf
+        park = park_arguments(scene_file.scene)
+        bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
+        trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
+        triangles = float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
         if triangles > _MAX_TRIANGLES:
             problems.add(
                 f"[scene] would have some {triangles:.1e} triangles",
@@ -453,9 +470,296 @@ def _check_size(scene_file: SceneFile, problems: Problems) -> None:
         )
 
 
-def _triangles(scene: Mapping[str, Any]) -> float:
-    # 1300 a car, two a leaf
-    park = park_arguments(scene)
-    bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
-    trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
-    return float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
+_TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", "")
+MAX_EXPORT_BYTES = 64 << 20
+_DIRSIG_MARKER, _MATERIALS = "paints.json", "materials.mat"
+
+
+def read_spectra(path: Path) -> Any:
+    """Return the spectra of a file of ``[spectra]``, in the form that `hyperpaint.simulation.relight` takes.
+
+    A file of two columns gives (wavelength [nm], reflectance) in double precision; other files are libraries.
+    Raises `FormatError` or `StoreError` as `read_paints`.
+    """
+    if input_path(path, "spectra").is_file() and path.suffix.lower() in _TABLE_SUFFIXES:
+        try:
+            return read_spectrum_csv(path)
+        except FormatError as plain:
+            try:
+                return read_paints(path)
+            except FormatError:
+                raise plain from None
+    return read_paints(path)
+
+
+def read_paints(path: Path) -> dict[str, xr.Dataset] | xr.Dataset:
+    """Return the paints of a file or folder: a library, or libraries of one paint by name.
+
+    Accepted are all files that `hyperpaint.open_library` opens, and exports of `hyperpaint.write_dirsig`:
+    their folder, their material list (``.mat``), or one of their ``.ems`` and ``.txt`` files.
+
+    Raises
+    ------
+    FormatError
+        The file has another format, or a file of the material list is missing.
+    StoreError
+        A Zarr store is unfinished or invalid.
+    """
+    if path.suffix.lower() == ".mat":
+        return _dirsig_paints(path)
+    if path.is_dir() and (path / _DIRSIG_MARKER).is_file() and (path / _MATERIALS).is_file():
+        return _dirsig_paints(path / _MATERIALS)
+    return open_library(path)
+
+
+def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
+
+    records = _export_records(path.parent)
+    problems = Problems(f"{path} cannot be rendered", FormatError)
+    paints: dict[str, xr.Dataset] = {}
+    for material in read_materials(path):
+        file = material.emissivity_file or material.reflectance_file
+        if file is None:
+            problems.add(
+                f"material {material.name!r} without an emissivity or reflectance file",
+                code="material-without-file",
+            )
+        elif not (path.parent / file).is_file():
+            problems.add(
+                f"material {material.name!r}: no file {file!r} beside the list", code="file-not-found"
+            )
+        else:
+            paint, record = open_library(path.parent / file), records.get(str(material.id), {})
+            centre = path.parent / str(record.get("reflectance_file", file))
+            if centre.is_file():  # an emissivity file of many curves lacks the centre of the paint
+                curve = open_library(centre)
+                nm, centre_nm = paint["wavelength"].values, curve["wavelength"].values
+                if nm.shape == centre_nm.shape and np.allclose(nm, centre_nm, rtol=0.0, atol=1e-3):
+                    values = curve["reflectance"].values
+                    paint = paint.assign(reflectance=(paint["reflectance"].dims, values, {"units": "1"}))
+            paints[str(record.get("paint", material.name))] = paint
+    problems.raise_if_any()
+    return paints
+
+
+def _export_records(folder: Path) -> dict[str, dict[str, Any]]:
+    # records of paints by material id; empty for material lists of other programs
+    try:
+        document = json.loads(read_limited(folder / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
+        return {str(record["id"]): dict(record) for record in document["paints"]}
+    except (FormatError, OSError, ValueError, TypeError, KeyError):
+        return {}
+
+
+def spectra_digest(spectra: Mapping[str, Any]) -> str:
+    """Return a digest of all values of spectra, which shows whether a render was made from them."""
+    digest = hashlib.sha256()
+    for name, value in spectra.items():
+        digest.update(f"{name} ".encode())
+        if isinstance(value, Mapping) and not hasattr(value, "data_vars"):
+            digest.update(spectra_digest(value).encode())
+        elif hasattr(value, "data_vars"):
+            stored_names = ("signature", "wavelength", "good", "reflectance", "member_reflectance")
+            for variable in (variable for variable in stored_names if variable in value.variables):
+                values = np.asarray(value[variable].values)
+                digest.update(
+                    str(values.tolist()).encode() if values.dtype.kind in "OUT" else values.tobytes()
+                )
+        else:
+            for array in value:
+                digest.update(np.asarray(array).tobytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class RenderParts:
+    """All parts of a render."""
+
+    scene: Scene
+    platform: Platform
+    camera: Camera
+    noise: bool  #: Whether the camera has noise.
+    atmospheres: tuple[Atmosphere, ...]  #: Atmospheres of the file; all their suns are traced.
+    spectra: Mapping[str, Any]  #: Spectra of the file: (wavelength [nm], reflectance), or a paint library.
+
+    @property
+    def suns(self) -> list[tuple[float, float]]:
+        """Zenith and azimuth of every distinct sun [degree]."""
+        return list(dict.fromkeys((light.sun_zenith, light.sun_azimuth) for light in self.atmospheres))
+
+    @property
+    def overcast(self) -> bool:
+        """Whether an atmosphere has an overcast sky, brighter towards the zenith."""
+        return any(light.overcast_share > 0.0 for light in self.atmospheres)
+
+
+def build_parts(file: SceneFile) -> RenderParts:
+    """Return the parts that a scene file describes.
+
+    Raises `FormatError` if the file, or one of its files, cannot be used; all problems are listed. Raises
+    `MissingExtraError` if a mesh needs a package that is not installed.
+    """
+    problems = Problems(f"{file.path} cannot be rendered", FormatError)
+    parts: dict[str, Any] = {}
+    # build every part, so that all problems are listed
+    builders: dict[str, tuple[str, Callable[[], Any]]] = {
+        "scene": ("[scene]", lambda: _built_scene(file)),
+        "camera": (
+            "[camera]",
+            lambda: Camera.of(SimulationSettings.of(camera_fields(file.platform, file.camera))),
+        ),
+        "atmospheres": ("[[atmospheres]]", lambda: _built_atmospheres(file)),
+        "spectra": ("[spectra]", lambda: _spectra(file)),
+        "platform": ("[platform]", lambda: _platform(file, parts.get("scene"))),
+    }
+    for name, (table, build) in builders.items():
+        try:
+            parts[name] = build()
+        except ImportError:
+            raise
+        except (PaintError, OSError) as error:
+            problems.add_error(table, error)
+    problems.raise_if_any()
+    return RenderParts(**parts, noise=file.camera.get("noise", True))
+
+
+def chosen_atmospheres(parts: RenderParts, names: Sequence[str]) -> tuple[Atmosphere, ...]:
+    """Return the atmospheres with these names, by default all; `SchemaError` for an unknown name."""
+    by_name = {light.name: light for light in parts.atmospheres}
+    unknown = [name for name in names if name not in by_name]
+    if unknown:
+        raise SchemaError(
+            f"there is no atmosphere {', '.join(map(repr, unknown))} in the scene file",
+            expected=f"some of {', '.join(by_name)}",
+            code="choice-unknown",
+        )
+    return tuple(by_name[name] for name in dict.fromkeys(names)) if names else parts.atmospheres
+
+
+# --- the scene ---------------------------------------------------------------------------------------------
+
+
+def _built_scene(file: SceneFile) -> Scene:
+    kind, parts = file.scene["kind"], []
+    if kind == "car_park":
+        coat: Any = (_coat(file.scene) or "own") if file.scene.get("coat", True) else None
+        parts.append(car_park(**park_arguments(file.scene), coat=coat))
+    elif kind == "plane":
+        ground = arguments_of(SCHEMA["scene"], filled(SCHEMA["scene"], file.scene))
+        surface = "asphalt" if ground["spectrum"] == "asphalt" else "other"
+        parts.append(plane(ground["size_m"], Material("ground", ground["spectrum"], surface)))
+    parts += [_mesh(entry) for entry in file.meshes]
+    return replace(parts[0], name=file.name) if len(parts) == 1 else Scene.join(parts, file.name)
+
+
+def _mesh(entry: MeshEntry) -> Scene:
+    facts = SCHEMA["meshes"]
+    options = arguments_of(facts, filled(facts, entry.options))
+    kind = options["kind"]
+    surface = {key: value for key, value in entry.options.items() if key in MATERIAL}
+    default = _material(entry.name, surface, kind) if "spectrum" in surface else None
+    parts = {
+        part: _material(f"{part} of {entry.name}", table, kind)
+        for part, table in (options["materials"] or {}).items()
+    }
+    painted = [
+        material.spectrum
+        for material in (default, *parts.values())
+        if material is not None and material.kind == "paint"
+    ]
+    mesh = read_mesh(
+        entry.path,
+        parts,
+        default=default,
+        instance=Instance(entry.name, kind, painted[0] if kind == "car" and painted else ""),
+        unit=options["unit_m"],
+        up=options["up"],
+    )
+    return mesh.moved(options["offset_m"], options["heading_deg"])
+
+
+def _coat(table: Mapping[str, Any]) -> Coat | None:
+    # None without keys of a coat; gloss takes precedence over roughness
+    options = arguments_of(COAT, {key: table[key] for key in COAT if key in table})
+    if "gloss" not in options:
+        return Coat(**options) if options else None
+    options.pop("roughness", None)
+    return coat_of_gloss(options.pop("gloss"), **options)
+
+
+def _material(name: str, table: str | Mapping[str, Any], kind: str) -> Material:
+    # a material of a car is paint unless the table has another class
+    table = {"spectrum": table} if isinstance(table, str) else table
+    surface = table.get("class", "paint" if kind == "car" else "other")
+    coat, share = _coat(table), float(table.get("flakes", 0.0))
+    return Material(
+        f"paint of {name}" if surface == "paint" else name,
+        table["spectrum"],
+        surface,
+        Coat() if coat is None and (share or surface == "paint") else coat,
+        Flakes(share) if share else None,
+    )
+
+
+# --- platform and camera -----------------------------------------------------------------------------------
+
+
+def _platform(file: SceneFile, scene: Scene | None) -> Platform:
+    options = dict(file.platform)
+    if "centre" not in options and "start" not in options and scene is not None:
+        # by default the flight is over the centre of the scene
+        east, north = scene.bounds[:, :2].mean(axis=0)
+        options["centre"] = float(east), float(north)
+        if file.scene["kind"] == "car_park":
+            # the park extends from y = 0 to the north; the ground around it extends further
+            options["centre"] = 0.0, park_arguments(file.scene)["length"] / 2
+    return pushbroom(**options)
+
+
+# --- light -------------------------------------------------------------------------------------------------
+
+
+def _built_atmospheres(file: SceneFile) -> tuple[Atmosphere, ...]:
+    problems = Problems("the atmospheres cannot be used", SchemaError)
+    atmospheres = []
+    for entry in file.atmospheres:
+        try:
+            options = dict(entry.options)
+            oktas = options.pop("oktas", None)
+            if entry.table is not None:
+                atmosphere = Atmosphere.from_table(entry.table, **options)
+            elif entry.irradiance:
+                atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), **options)
+            else:
+                atmosphere = preset_atmosphere(entry.preset or entry.name)
+                share = options.pop("overcast_share", None)
+                if options or oktas is not None:
+                    oktas = 8.0 if oktas is None and atmosphere.overcast_share > 0.0 else oktas
+                    sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth}
+                    atmosphere = Atmosphere.clear(**{**sun, **options})
+                if share is not None:
+                    atmosphere = replace(atmosphere, overcast_share=share)
+            atmosphere = atmosphere.clouded(oktas) if oktas else atmosphere
+            atmospheres.append(replace(atmosphere, name=entry.name))
+        except (PaintError, OSError) as error:
+            problems.add_error(entry.name, error)
+    problems.raise_if_any()
+    return tuple(atmospheres)
+
+
+def _spectra(file: SceneFile) -> dict[str, Any]:
+    problems = Problems("spectra cannot be read", FormatError)
+    spectra: dict[str, Any] = {}
+    for name, path in file.spectra.items():
+        try:
+            value = read_spectra(path)
+        except PaintError as error:
+            problems.add_error(name, error)
+            continue
+        if isinstance(value, dict):  # paints on different wavelengths
+            is_single = len(value) == 1
+            spectra |= {name if is_single else f"{name}/{paint}": curve for paint, curve in value.items()}
+        else:
+            spectra[name] = value
+    problems.raise_if_any()
+    return spectra

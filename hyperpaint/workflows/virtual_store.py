@@ -16,7 +16,7 @@ import xarray as xr
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.envi.envi_cubes import FILE_DIMS, EnviArray, open_envi, slab_lines, slab_offsets
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store.manifest import SETTINGS
 from hyperpaint.io.store.raw_references import (
@@ -31,13 +31,14 @@ from hyperpaint.io.store.raw_references import (
     write_icechunk,
 )
 from hyperpaint.io.store.stage import Staging, staging
+from hyperpaint.light.diffuse_record import split_of_lines
+from hyperpaint.radiometry.panels import declared_panels
 
-from .collect_check import refuse_findings
-from .pipeline import Outcome, aligned_group, local_folder, opened_groups
-from .store_inputs import refuse_to_write_over
+from .pipeline import aligned_group, corrections_of, opened_groups, refuse_findings
+from .products import Outcome, local_folder, refuse_to_write_over
 
 if TYPE_CHECKING:
-    from hyperpaint.io.collect.collect_opening import OpenedCollect
+    from hyperpaint.io.collect.collect_toml import OpenedCollect
 
 #: Maximum share of a cube that is copied [1]; beyond it, processing the collect is better.
 MAX_COPIED_SHARE = 0.1
@@ -113,7 +114,23 @@ def virtualise(
     lines = {name: tree[name] for name in opened.cubes}
     cubes = _cubes(opened, lines, prefix)
     if out.exists():
-        difference = _difference(out, lines, cubes)
+        # difference of the existing store from the collect, in words; empty if there is none
+        difference, summary = "", summary_of({name: (line, cubes[name]) for name, line in lines.items()})
+        try:
+            if not is_virtual(out):
+                difference = "and is not a virtual store"
+            elif virtual_groups(out) != summary:
+                difference = "from other inputs"
+        except StoreError as error:
+            difference = f"and cannot be read ({error})"
+        if not difference:
+            # allow access only to the files of the collect, not to places named in the store
+            allow = [file.url for cube in cubes.values() for file in cube.files]
+            try:
+                for name in summary:
+                    open_virtual(out, name, allow=allow)
+            except StoreError:
+                difference = _INCOMPLETE
         if not difference:
             staging_area = Staging(out.absolute())
             if staging_area.folder.exists():  # leftovers of a run killed at its end
@@ -131,59 +148,25 @@ def virtualise(
     apply = alignment or opened.settings.alignment
     groups = {}
     for name, line in lines.items():
-        companions = _companions(aligned_group(line, name, "reflectance", apply))
+        # all variables except the cube, in memory
+        aligned = aligned_group(line, name, "reflectance", apply)
+        companions = aligned.drop_vars("counts")
+        if panels := declared_panels(aligned):
+            product = aligned.paint.reflectance(panel=panels)
+            companions = companions.assign(
+                {variable: product[variable] for variable in product if str(variable).startswith("panel_")}
+            )
+        split = split_of_lines(aligned)
+        companions = (companions if split is None else companions.assign(split.data_vars)).compute()
+        companions.attrs.pop(SETTINGS, None)
         groups[name] = companions.assign_attrs(accepted.get(name, {})), cubes[name]
     attrs = {str(key): value for key, value in opened.tree.attrs.items()}
     with published_folder(
         out, overwrite=True, foreign=lambda folder: "" if is_virtual(folder) else "other files"
     ) as folder:
         write_icechunk(folder, groups, attrs)
-    corrected = {
-        name: str(companions.attrs["alignment"])
-        for name, (companions, _) in groups.items()
-        if companions.attrs.get("alignment_state") == "applied"
-    }
+    corrected = corrections_of({name: companions for name, (companions, _) in groups.items()})
     return Outcome(out, tuple(groups), (), corrected)
-
-
-def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
-    # difference of an existing store from the collect, in words; empty if there is none
-    if not is_virtual(out):
-        return "and is not a virtual store"
-    summary = summary_of({name: (line, cubes[name]) for name, line in lines.items()})
-    try:
-        if virtual_groups(out) != summary:
-            return "from other inputs"
-    except StoreError as error:
-        return f"and cannot be read ({error})"
-    try:
-        # allow access only to the files of the collect, not to places named in the store
-        allow = [file.url for cube in cubes.values() for file in cube.files]
-        for name in summary:
-            open_virtual(out, name, allow=allow)
-    except StoreError:
-        return _INCOMPLETE
-    return ""
-
-
-def _companions(line: xr.Dataset) -> xr.Dataset:
-    # all variables except the cube, in memory
-    from hyperpaint.light.diffuse_record import split_of_lines
-    from hyperpaint.radiometry.panels import declared_panels
-
-    companions = line.drop_vars("counts")
-    panels = declared_panels(line)
-    if panels:
-        product = line.paint.reflectance(panel=panels)
-        companions = companions.assign(
-            {name: product[name] for name in product if str(name).startswith("panel_")}
-        )
-    split = split_of_lines(line)
-    if split is not None:
-        companions = companions.assign(split.data_vars)
-    companions = companions.compute()
-    companions.attrs.pop(SETTINGS, None)
-    return companions
 
 
 def _cubes(
@@ -206,7 +189,6 @@ def _cubes(
 
 
 def _array(entry: Any) -> EnviArray:
-    from hyperpaint.io.envi.envi_cubes import open_envi
 
     with warnings.catch_warnings():  # already given when the collect was opened
         warnings.simplefilter("ignore", PaintWarning)
@@ -258,7 +240,6 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
 
 
 def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
-    from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
 
     first_array = arrays[0]
     interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first_array.axes)

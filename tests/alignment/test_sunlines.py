@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperpaint.alignment.sunlines import divided, record_against_sun
+from hyperpaint.alignment.comparison import divided, record_against_sun
 from hyperpaint.simulation import simulate_line
 
 

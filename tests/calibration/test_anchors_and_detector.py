@@ -20,7 +20,7 @@ from hyperpaint.calibration import (
     linearity,
     panel_radiance,
 )
-from hyperpaint.calibration.responsivity import interpolate_nodes, monotone_slopes
+from hyperpaint.calibration.elements import interpolate_nodes, monotone_slopes
 from hyperpaint.radiometry.linear_counts import Linearity
 from hyperpaint.simulation import simulate_sweep
 

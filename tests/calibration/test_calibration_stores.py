@@ -13,7 +13,7 @@ from support.codecs import plain_zarr
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError
 from hyperpaint.cli.program import main
-from hyperpaint.io.collect.collect_opening import open_collect as open_without_physics
+from hyperpaint.io.collect.collect_toml import open_collect as open_without_physics
 from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 from hyperpaint.simulation import simulate_collect, simulate_sweep
 

@@ -34,7 +34,7 @@ IMPORTS = (
     *("dask.array", "numba", "numcodecs.blosc", "pandas", "pint", "scipy.interpolate", "xarray", "zarr"),
     *(
         "hyperpaint.accessor",
-        "hyperpaint.io.collect.collect_opening",
+        "hyperpaint.io.collect.collect_toml",
         "hyperpaint.io.store",
         "hyperpaint.kernels.radiometry",
     ),

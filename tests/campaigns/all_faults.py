@@ -15,37 +15,35 @@ import argparse
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
-    sys.path.insert(0, str(ROOT))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from campaigns.faults import (  # noqa: E402
+from campaigns.faults import (
     bombs,
     disks,
+    interruptions,
+    long_texts,
     parsers,
-    power,
-    products,
     storage,
+    store_sequences,
     times,
-    whole_runs,
     workers,
-    writers,
-)  # fmt: skip
-from campaigns.faults.outcome import HEADER, Outcome, total  # noqa: E402
+)
+from campaigns.faults.outcome import HEADER, Outcome, total
 
 CAMPAIGNS = {
     "parsers": parsers.campaign,
+    "texts": long_texts.campaign,
     "bombs": bombs.campaign,
     "storage": storage.campaign,
+    "sequences": store_sequences.campaign,
     "workers": workers.campaign,
-    "kills": writers.kills,
-    "runs": whole_runs.kills,
-    "calls": whole_runs.calls,
+    "kills": interruptions.kills,
+    "calls": interruptions.calls,
+    "races": interruptions.races,
     "time": times.campaign,
-    "races": writers.races,
-    "disks": disks.campaign,
-    "products": products.campaign,
-    "power": power.campaign,
+    "disks": disks.disks,
+    "power": disks.cuts,
 }
 MOST_SHOWN = 10
 
@@ -69,9 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
         except KeyboardInterrupt:
             stopped = True
         for outcome in total(parts):
-            print(outcome, flush=True)
-            for line in outcome.wrong[:MOST_SHOWN]:
-                print(f"    {line}", flush=True)
+            print("\n    ".join([str(outcome), *outcome.wrong[:MOST_SHOWN]]), flush=True)
             failed |= not outcome.good
         if stopped:
             print("stopped before its end: this is what was counted so far")

@@ -57,7 +57,7 @@ def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) 
     from hyperpaint.simulation.camera import Camera
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.settings import SimulationSettings
-    from hyperpaint.workflows.render_products import counts_of
+    from hyperpaint.workflows.rendering import counts_of
 
     settings = {"bands": bands, "columns": traced.sizes["cross_track"], "seed": seed, "smile_nm": 0.0}
     camera, whole = (Camera.of(SimulationSettings(**settings, bit_depth=bits)) for bits in (BITS, 16))

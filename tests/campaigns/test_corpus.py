@@ -44,7 +44,7 @@ def _wrong(guided: Any, seeds: Path, own: Path, target: Any, inputs: list[bytes]
     own.mkdir()
     path, _ = parsers.placed(parser, seeds, own)[target.seed]
     wrong = []
-    with warnings.catch_warnings(), parsers._limits():
+    with warnings.catch_warnings(), parsers.limits():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", PaintWarning)
         parser.read(path)

@@ -29,8 +29,7 @@ RIGHT = 200
 def said_of(path: Path, whole: bool = False) -> list[str]:
     """Return all findings, or the error that stops the opening; of a ``whole`` run what process says."""
     from hyperpaint.base.errors import PaintError, PaintWarning
-    from hyperpaint.workflows.collect_check import check_collect
-    from hyperpaint.workflows.pipeline import process
+    from hyperpaint.workflows.pipeline import check_collect, process
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", PaintWarning)

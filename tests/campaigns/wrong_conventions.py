@@ -26,7 +26,7 @@ for folder in (ROOT, ROOT / "tests"):  # run as a script: neither is importable 
 def check(flight: Any, made: Any) -> Any:
     """Return the check of a line and its record."""
     import hyperpaint as hp
-    from hyperpaint.geometry.navigation_checks.checking import check_conventions
+    from hyperpaint.geometry.navigation_checking import check_conventions
 
     line, nav, declared = made
     camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)

@@ -21,7 +21,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.io.store import list_groups
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.settings import SimulationSettings
-from hyperpaint.workflows import render_products
+from hyperpaint.workflows import rendering
 
 pytestmark = pytest.mark.slow  # the tracer is compiled
 
@@ -211,14 +211,14 @@ def test_counts_do_not_depend_on_chunks(chunk: int) -> None:
 
     def counts(lines: int) -> xr.Dataset:
         cube = xr.DataArray(values, dims=("along_track", "band", "cross_track")).chunk(along_track=lines)
-        return render_products.counts_of(cube, camera, 5e-3, 7, "noon")
+        return rendering.counts_of(cube, camera, 5e-3, 7, "noon")
 
     made, reference = counts(chunk), counts(1)
     assert made.counts.dtype == made.counts.compute().dtype == np.uint16
     with dask.config.set(scheduler="synchronous"):
         expected = reference.compute()
     xr.testing.assert_identical(made.compute(), expected)
-    other = render_products.counts_of(reference.counts.astype("f4"), camera, 5e-3, 8, "noon")
+    other = rendering.counts_of(reference.counts.astype("f4"), camera, 5e-3, 8, "noon")
     assert not np.array_equal(other.dark_counts, reference.dark_counts)
 
 

@@ -72,7 +72,7 @@ def test_the_second_signal_ends_the_process_at_once(monkeypatch: pytest.MonkeyPa
         finally:
             seen.extend([signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)])
 
-    monkeypatch.setattr("hyperpaint.io.store.verify", stubborn)
+    monkeypatch.setattr("hyperpaint.verify", stubborn)
     assert CliRunner().invoke(main, ["verify", "."]).exit_code == 130
     assert seen == [signal.SIG_DFL, signal.SIG_DFL]
 
@@ -81,7 +81,7 @@ def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt("by somebody else")
 
-    monkeypatch.setattr("hyperpaint.io.store.verify", stop)
+    monkeypatch.setattr("hyperpaint.verify", stop)
     stopped = CliRunner().invoke(main, ["verify", "."])
     assert (stopped.exit_code, stopped.stderr) == (130, "stopped by SIGINT\n")
 
@@ -89,7 +89,7 @@ def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        monkeypatch.setattr("hyperpaint.io.store.verify", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+        monkeypatch.setattr("hyperpaint.verify", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
         assert CliRunner().invoke(main, ["verify", "."]).exit_code != 143
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
     finally:

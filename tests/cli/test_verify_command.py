@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
-from hyperpaint.cli.care_commands import verify
+from hyperpaint.cli.flight_commands import verify
 from hyperpaint.cli.info_command import info
 from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.report import write_report

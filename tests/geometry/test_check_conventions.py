@@ -2,28 +2,42 @@
 
 from __future__ import annotations
 
+import functools
+import tempfile
+from typing import Any
+
 import numpy as np
 import pytest
+import xarray as xr
 from support.wobbly_flights import Flight
-from support.wrong_declarations import DECLARED, cases, flown, right
+from support.wrong_declarations import DECLARED, Made, cases, flown, right
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.geometry.navigation_checks.checking import ConventionCheck, check_conventions
-from hyperpaint.geometry.navigation_checks.picture_motion import row_motion
+from hyperpaint.geometry.navigation_checking import ConventionCheck, check_conventions, row_motion
+from hyperpaint.simulation import simulate_collect
+from hyperpaint.workflows.pipeline import check_collect
 
 pytest.importorskip("pyproj")
 
 
-def check(flight: Flight, made: tuple) -> ConventionCheck:
+@functools.cache
+def flight_of(seed: int, lines: int = 600) -> tuple[Flight, xr.Dataset, xr.Dataset]:
+    """Return a flight, its line and its record."""
+    flight = flown(seed, lines=lines)
+    return flight, flight.line(), flight.navigation()
+
+
+def check(flight: Flight, made: Made, **options: Any) -> ConventionCheck:
     line, nav, declared = made
     camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
-    return check_conventions(line, nav, convention=declared, camera=camera, ground=flight.ground)
+    given = {"convention": declared, "camera": camera, "ground": flight.ground} | options
+    return check_conventions(line, nav, **given)
 
 
 @pytest.mark.slow
 def test_twelve_wrong_declarations() -> None:
-    flight = flown(1, lines=1200)
+    flight, *_ = flight_of(1, 900)
     named, undecided, beside = [], [], []
     for name, (field, make) in cases(flight).items():
         found = check(flight, make())
@@ -38,89 +52,75 @@ def test_twelve_wrong_declarations() -> None:
 @pytest.mark.parametrize("seed", [201, 202, 203, 204])
 @pytest.mark.slow
 def test_nothing_is_named_of_a_right_declaration(seed: int) -> None:
-    flight = flown(seed, lines=1000)
-    assert check(flight, right(flight)).wrong == ()
+    flight, line, nav = flight_of(seed)
+    assert check(flight, (line, nav, DECLARED)).wrong == ()
 
 
 @pytest.mark.slow
-def test_the_suggestion_is_what_was_flown() -> None:
-    flight = flown(3, lines=1000)
-    line, nav, _ = right(flight)
+def test_signs_of_roll_and_pitch_and_a_platform_that_flies_nose_up() -> None:
+    flight, line, nav = flight_of(3, 800)
     upside = check(flight, (line, nav.assign(roll=-nav["roll"]), DECLARED))
     assert upside.suggested == DECLARED.replace(roll_positive="right_wing_up")
     assert "right_wing_up" in upside.table()
     assert upside["roll_positive"].verdict == "wrong"
-
-
-@pytest.mark.parametrize("mean_pitch", [1.5, 2.5])
-def test_a_platform_that_flies_nose_up(mean_pitch: float) -> None:
+    both = check(flight, (line, nav.assign(roll=-nav["roll"], pitch=-nav["pitch"]), DECLARED))
+    assert set(both.wrong) == {"roll_positive", "pitch_positive"}
     # such a pitch in radians looks past the horizon: the last meanings tried are left out
-    flight = flown(3, lines=600)
-    line, nav, declared = right(flight)
-    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
-    found = check_conventions(
-        line, nav.assign(pitch=nav["pitch"] + mean_pitch), convention=declared, camera=camera,
-        ground=flight.ground, boresight=(0.0, -mean_pitch, 0.0),
-    )  # fmt: skip
-    assert found.wrong == ()
-    assert found["roll_positive"].verdict == "right"
+    for mean_pitch in (1.5, 2.5):
+        nose_up = nav.assign(pitch=nav["pitch"] + mean_pitch)
+        found = check(flight, (line, nose_up, DECLARED), boresight=(0.0, -mean_pitch, 0.0))
+        assert found.wrong == ()
+        assert found["roll_positive"].verdict == "right"
 
 
-@pytest.mark.slow
-def test_two_at_once() -> None:
-    flight = flown(3, lines=1000)
-    line, nav, _ = right(flight)
-    found = check(flight, (line, nav.assign(roll=-nav["roll"], pitch=-nav["pitch"]), DECLARED))
-    assert set(found.wrong) == {"roll_positive", "pitch_positive"}
-
-
-def test_a_platform_that_does_not_turn_tells_nothing() -> None:
-    flight = Flight(seed=4, wobble="none", lines=400, attitude_noise=0.0)
-    found = check(flight, right(flight))
+def test_a_calm_platform_and_a_picture_of_noise_tell_nothing() -> None:
+    still = Flight(seed=4, wobble="none", lines=400, attitude_noise=0.0)
+    found = check(still, right(still))
     assert found.wrong == ()
     assert {"roll_positive", "pitch_positive", "heading_positive"} <= set(found.undecided)
-
-
-def test_a_picture_of_nothing_tells_nothing() -> None:
-    flight = Flight(seed=4, lines=400)
-    line, nav, declared = right(flight)
-    rng = np.random.default_rng(0)
-    line["counts"] = line.counts.copy(data=rng.integers(900, 1100, line.counts.shape).astype(np.uint16))
-    assert check(flight, (line, nav, declared)).wrong == ()
+    flight, line, nav = flight_of(5)
+    noise = np.random.default_rng(0).integers(900, 1100, line.counts.shape).astype(np.uint16)
+    assert check(flight, (line.assign(counts=line.counts.copy(data=noise)), nav, DECLARED)).wrong == ()
 
 
 @pytest.mark.slow
-def test_what_is_not_declared_is_said_to_be_so() -> None:
-    flight = flown(5, lines=600)
-    line, nav, _ = right(flight)
+def test_what_is_not_declared_and_what_units_contradict() -> None:
+    flight, line, nav = flight_of(5)
     found = check(flight, (line, nav, hp.Convention()))
     assert {"stamp_reference", "column_order"} <= set(found.undecided)
     assert found["column_order"].likely == "left_to_right"
-
-
-def test_units_of_the_variables_contradict() -> None:
-    flight = flown(5, lines=600)
-    line, nav, declared = right(flight)
-    for name in ("roll", "pitch", "heading"):
-        nav[name].attrs["units"] = "radian"
-    assert "angle_unit" in check(flight, (line, nav, declared)).wrong
+    radian = nav.assign({n: nav[n].assign_attrs(units="radian") for n in ("roll", "pitch", "heading")})
+    assert "angle_unit" in check(flight, (line, radian, DECLARED)).wrong
 
 
 def test_what_is_missing_is_named() -> None:
     flight = Flight(lines=100)
     line, nav, declared = right(flight)
-    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
-    with pytest.raises(SchemaError, match="ground-height-missing"):
-        check_conventions(line, nav, convention=declared, camera=camera)
-    with pytest.raises(SchemaError, match=r"roll.*variable-missing"):
-        check_conventions(
-            line, nav.drop_vars("roll"), convention=declared, camera=camera, ground=flight.ground
-        )
-    with pytest.raises(SchemaError, match=r"picture.*picture-missing"):
-        check(flight, (line.drop_vars("counts"), nav, declared))
     late = line.assign_coords(time=line.time + np.timedelta64(1, "h"))
-    with pytest.raises(SchemaError, match="motion-not-seen"):
-        check(flight, (late, nav, declared))
+    for made, options, match in (
+        ((line, nav, declared), {"ground": None}, "ground-height-missing"),
+        ((line, nav.drop_vars("roll"), declared), {}, r"roll.*variable-missing"),
+        ((line.drop_vars("counts"), nav, declared), {}, r"picture.*picture-missing"),
+        ((late, nav, declared), {}, "motion-not-seen"),
+    ):
+        with pytest.raises(SchemaError, match=match):
+            check(flight, made, **options)
+
+
+@pytest.mark.slow
+def test_a_collect_with_a_wrong_sign_or_height_is_named_by_check() -> None:
+    size = {"lines": 400, "bands": 4, "columns": 256, "swath": 2.56 * 0.8, "truth": False}
+    with tempfile.TemporaryDirectory() as folder:
+        collect = simulate_collect(folder, scene="checkerboard", wobble="rough", **size)
+        text = collect.read_text()
+        for old, new, found in (
+            ("", "", ()),
+            ("ground = 160.0\n", "", ()),
+            ("right_wing_down", "right_wing_up", ("navigation-convention",)),
+            ("ground = 160.0", "ground = 199.0", ("navigation-convention",)),
+        ):
+            collect.write_text(text.replace(old, new))
+            assert tuple(finding.kind.name for finding in check_collect(collect)) == found
 
 
 def test_shifts_of_rows_are_measured_to_a_tenth_of_a_pixel() -> None:

@@ -11,7 +11,7 @@ from support.wrong_declarations import DECLARED
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, TimeError
-from hyperpaint.geometry.navigation_checks.clock_offsets import ClockOffset, estimate_clock_offset
+from hyperpaint.geometry.navigation_checking import ClockOffset, estimate_clock_offset, navigation_findings
 
 pytest.importorskip("pyproj")
 
@@ -100,6 +100,17 @@ def test_clouds_in_the_record_and_in_the_picture(seed: int, offset: float) -> No
     assert found.method == "irradiance"
     assert abs(found.offset_s - offset) < 4 * found.uncertainty_s
     assert found.uncertainty_s < 1.0
+
+
+@pytest.mark.parametrize(("offset", "names"), [(1.6, ["raw_0"]), (0.3, [])])
+def test_an_offset_of_the_irradiance_record_is_a_finding(offset: float, names: list[str]) -> None:
+    line, record = lit(offset, 0.5, 1)
+    lines = {"short": line.isel(along_track=slice(0, 50)), "raw_0": xr.merge([line, record])}
+    found = navigation_findings(lines)
+    assert [name for name, _ in found] == names
+    for _, finding in found:
+        assert (finding.field, finding.verdict) == ("irradiance clock", "wrong")
+        assert float(finding.likely.removesuffix(" s")) == pytest.approx(offset, abs=0.5)
 
 
 def test_flat_light_is_refused() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.geometry.georeference.attitude_rotations import angles_of, quaternions
 from hyperpaint.geometry.georeference.geodesy import crs_of, is_in_metres
+from hyperpaint.geometry.georeference.poses import angles_of, quaternions
 
 pytest.importorskip("pyproj")
 

@@ -22,7 +22,7 @@ from support.hidden_ground import (
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.geometry.orthorectification.indexing import hidden_between
+from hyperpaint.geometry.orthorectification.tiling import hidden_between
 
 DIMS = ("along_track", "cross_track")
 

@@ -331,40 +331,32 @@ def test_other_navigation_than_the_line_knows() -> None:
 
 def test_what_cannot_be_is_said_at_once() -> None:
     line = flown(4, 5)
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.locate(line, boresight=(1, 2), lever_arm=(np.nan, 0, 0), clock_offset_s=np.inf)  # type: ignore[arg-type]
-    assert refused.value.codes == ("type-wrong", "type-wrong", "argument-missing", "not-finite")
     bare = line.assign_attrs()
     bare.attrs = {}
-    with pytest.raises(SchemaError, match="convention-missing"):
-        hp.geometry.locate(bare, ground=0.0, camera=CAMERA)
-    with pytest.raises(SchemaError, match="column-order-missing"):
-        hp.geometry.locate(bare, ground=0.0, camera=CAMERA, convention=Convention())
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.locate(
-            line, ground=0.0, camera=hp.geometry.PinholeCamera(4, field_of_view=9.0, edges="outer")
-        )
-    assert refused.value.codes == ("length-mismatch",) * 2
-    with pytest.raises(SchemaError, match="camera-missing"):
-        hp.geometry.locate(line, ground=0.0)
     wrong = line.drop_vars("roll").copy(deep=True)
     wrong["pitch"].attrs["units"] = "radian"
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.locate(wrong, ground=0.0, camera=CAMERA)
-    assert refused.value.codes == ("variable-missing", "units-conflict")
-    with pytest.raises(SchemaError, match="crs-unknown"):
-        hp.geometry.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:nothing")
-    with pytest.raises(SchemaError, match="crs-unusable"):
-        hp.geometry.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:4326")
     lost = line.copy(deep=True)
     lost["roll"][:] = np.nan
-    with pytest.raises(SchemaError, match="pose-missing"):
-        hp.geometry.locate(lost, ground=0.0, camera=CAMERA)
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        hp.geometry.locate(line, ground=0.0, camera=CAMERA, interpolation="quintic")  # type: ignore[arg-type]
+    four = hp.geometry.PinholeCamera(4, field_of_view=9.0, edges="outer")
     record = recorded(line).isel(navigation_time=[0, 2, 1, 3])
-    with pytest.raises(TimeError, match="time-backwards"):
-        hp.geometry.locate(line, navigation=record, ground=0.0, camera=CAMERA)
+    numbers: dict[str, Any] = {"boresight": (1, 2), "lever_arm": (np.nan, 0, 0), "clock_offset_s": np.inf}
+    level_ground: dict[str, Any] = {"ground": 0.0, "camera": CAMERA}
+    for refused, options, error, codes in (
+        (line, numbers, SchemaError, ("type-wrong", "type-wrong", "argument-missing", "not-finite")),
+        (bare, level_ground, SchemaError, ("convention-missing",)),
+        (bare, {**level_ground, "convention": Convention()}, SchemaError, ("column-order-missing",)),
+        (line, {**level_ground, "camera": four}, SchemaError, ("length-mismatch",) * 2),
+        (line, {"ground": 0.0}, SchemaError, ("camera-missing",)),
+        (wrong, level_ground, SchemaError, ("variable-missing", "units-conflict")),
+        (line, {**level_ground, "crs": "EPSG:nothing"}, SchemaError, ("crs-unknown",)),
+        (line, {**level_ground, "crs": "EPSG:4326"}, SchemaError, ("crs-unusable",)),
+        (lost, level_ground, SchemaError, ("pose-missing",)),
+        (line, {**level_ground, "interpolation": "quintic"}, SchemaError, ("choice-unknown",)),
+        (line, {**level_ground, "navigation": record}, TimeError, ("time-backwards",)),
+    ):
+        with pytest.raises(error) as caught:
+            hp.geometry.locate(refused, **options)
+        assert caught.value.codes == codes
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from support.geocentric_rays import START
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, TimeError
-from hyperpaint.geometry.georeference.attitude_rotations import angles_of, matrices, quaternions, slerp
+from hyperpaint.geometry.georeference.poses import angles_of, matrices, quaternions, slerp
 
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
 CANONICAL = Convention()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from campaigns.faults.whole_files import prepare, sixs_text
+from campaigns.faults.seed_files import prepare, sixs_text
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError, PaintWarning
@@ -23,7 +23,7 @@ from hyperpaint.io.envi.envi_header import read_header
 from hyperpaint.io.flightline.headwall import exposure_seconds, read_frame_index, read_settings
 from hyperpaint.io.navigation.navigation_opening import open_navigation
 from hyperpaint.io.navigation.navigation_records import read_gps_time, read_imu_gps
-from hyperpaint.io.spectrometers.asd_text import read_asd_text
+from hyperpaint.io.spectrometers.asd import read_asd_text
 
 _NMEA = [
     "GPZDA,120000.00,20,07,2021,00,00",

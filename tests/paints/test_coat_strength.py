@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.light.sky_functions import clear_sky_shares, function_shapes, relative_radiance, sunward_gain
+from hyperpaint.light.sky_functions import (
+    clear_sky_shares,
+    function_shapes,
+    radiance_towards_sun,
+    relative_radiance,
+    sunward_gain,
+)
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.paints.signatures.coat_strength import ClearSkyLight, strength_of
+from hyperpaint.paints.signatures.extraction import strength_of
 
 NM = np.linspace(420.0, 980.0, 60)
 
@@ -32,22 +38,19 @@ def pixels(
     return seen + noise * rng.standard_normal(seen.shape)
 
 
-def light(sun: float) -> ClearSkyLight:
-    return ClearSkyLight.clear(NM, diffuse_fraction(NM, sun), sun)
-
-
 @pytest.mark.parametrize("sun", [35.0, 50.0, 60.0])
 @pytest.mark.parametrize("strength", [0.6, 1.0, 1.4])
 def test_black_panels_tell_their_coat(sun: float, strength: float) -> None:
     body = 0.012 + 0.008 * (NM - 420.0) / 560.0
-    answers = [strength_of(pixels(body, strength, sun, seed=seed), light(sun)) for seed in range(16)]
+    split = diffuse_fraction(NM, sun)
+    answers = [strength_of(pixels(body, strength, sun, seed=seed), NM, split, sun) for seed in range(16)]
     assert {reason for _, _, reason in answers} == {""}
     strengths, u = (np.array([answer[part] for answer in answers]) for part in (0, 1))
     assert u.max() < 0.3
     assert np.mean(np.abs(strengths - strength) < 2.0 * u) > 0.85  # 95 %, of sixteen
     assert abs(strengths.mean() - strength) < 0.1 * strength
     # where a coat is not what its index says, less is left of it than by the index
-    sky = 0.04 * diffuse_fraction(NM, sun) * light(sun).above
+    sky = 0.04 * split * radiance_towards_sun(NM, sun, 0.0)
     seen = pixels(body, strength, sun).mean(axis=0)
     left = [np.abs(seen - amount * sky - body).mean() for amount in (np.mean(strengths), 1.0)]
     assert strength == 1.0 or left[0] < 0.6 * left[1]
@@ -66,7 +69,7 @@ def test_what_cannot_be_told_is_refused_with_a_reason() -> None:
         ),
     }  # fmt: skip
     for text, (members, sun) in cases.items():
-        strength, u, reason = strength_of(members, light(sun))
+        strength, u, reason = strength_of(members, NM, diffuse_fraction(NM, sun), sun)
         assert np.isnan(strength)
         assert np.isnan(u)
         assert text in reason

@@ -14,7 +14,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, UnitsError
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.paint_search import _one_spectrum
-from hyperpaint.validation.agreement import statistics_of
+from hyperpaint.validation.comparing import statistics_of
 
 RED = "Synthetic Signal Red"
 
@@ -81,8 +81,7 @@ def test_limits_leave_out(paints: xr.Dataset) -> None:
     assert 0 < near.sizes["signature"] < 10
     assert float(near.colour_difference.max()) <= 10.0
     alike = hp.paints.search_library(paints, like=RED, maximum_angle=0.1, limit=3, name="*red")
-    assert names(alike)[0] == RED
-    assert float(alike.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
+    assert (names(alike)[0], float(alike.spectral_angle[0])) == (RED, pytest.approx(0.0, abs=1e-7))
     assert alike.spectral_angle.attrs["units"] == "rad"
     assert hp.paints.search_library(paints, name="no such paint").sizes["signature"] == 0
 
@@ -126,8 +125,7 @@ def test_bad_bands_and_missing_values_do_not_count(paints: xr.Dataset) -> None:
     spoilt.reflectance[7] = np.nan
     spoilt = spoilt.assign_coords(good=("band", good))
     found = hp.paints.search_library(spoilt, like=paints.isel(signature=5), colour="red")
-    assert names(found)[0] == RED
-    assert float(found.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
+    assert (names(found)[0], float(found.spectral_angle[0])) == (RED, pytest.approx(0.0, abs=1e-7))
     assert np.isinf(found.spectral_angle[-1])
     assert np.isinf(found.colour_difference[-1])
 
@@ -187,8 +185,7 @@ def test_holes_of_a_spectrum_are_not_bridged(paints: xr.Dataset) -> None:
         whole[[*range(40), *range(200, 272)]],
     ):
         alike = hp.paints.search_library(paints, like=hole, limit=1)
-        assert names(alike) == [RED]
-        assert float(alike.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
+        assert (names(alike), float(alike.spectral_angle[0])) == ([RED], pytest.approx(0.0, abs=1e-7))
     # but a lost sample is what interpolation is for, and so are coarser detectors
     sparse = whole.where(np.arange(272) % 9 != 4)[[*range(150), *range(150, 272, 6)]]
     assert np.isfinite(_one_spectrum(paints, sparse, paints.wavelength.values)).mean() > 0.95
@@ -198,8 +195,7 @@ def test_wavelengths_of_a_spectrum_have_units(paints: xr.Dataset) -> None:
     nm = paints.wavelength.values
     like = paints.reflectance[5].assign_coords(wavelength=("band", nm / 1000.0, {"units": "um"}))
     found = hp.paints.search_library(paints, like=like, limit=1)
-    assert names(found) == [RED]
-    assert float(found.spectral_angle[0]) == pytest.approx(0.0, abs=1e-5)
+    assert (names(found), float(found.spectral_angle[0])) == ([RED], pytest.approx(0.0, abs=1e-5))
     like.wavelength.attrs["units"] = "K"
     with pytest.raises(UnitsError):
         hp.paints.search_library(paints, like=like)

@@ -25,8 +25,7 @@ def test_excluded_flags_are_the_users_choice() -> None:
     line = made()
     everything = extract_signatures(line, TWO, exclude=0)
     assert (everything.n_excluded == 0).all()
-    assert everything.quality.values.tolist() == [64 | 32] * 2
-    assert everything.attrs["exclude"] == "none"
+    assert (everything.quality.values.tolist(), everything.attrs["exclude"]) == ([64 | 32] * 2, "none")
     strict = extract_signatures(line, TWO, exclude=Quality.GLINT | Quality.LOW_SUN)
     assert (strict.n < extract_signatures(line, TWO).n).all()
     assert strict.attrs["exclude"] == "low_sun glint"
@@ -245,8 +244,7 @@ def test_properties_that_are_no_names_stay_in_the_region() -> None:
         "band": 1,
     }
     library = extract_signatures(made(), Region("a", TWO[0].polygon, properties=odd))
-    assert library["nested"].item() == '{"a": [1]}'
-    assert library["ok"].item() == "true"
+    assert (library["nested"].item(), library["ok"].item()) == ('{"a": [1]}', "true")
     assert library["big"].item() == str(2**70)
     assert not {"a b", "x/y", "__hidden", "band"} & set(library.variables)
     assert library["n"].item() > 3

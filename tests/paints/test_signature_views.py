@@ -156,13 +156,13 @@ def test_look_angles_come_with_the_calibration(tmp_path: Path) -> None:
 def test_traced_rays_come_from_there() -> None:
     from hyperpaint.simulation.rendering.platforms import pushbroom
     from hyperpaint.simulation.rendering.scene import plane
-    from hyperpaint.workflows.render_products import _look_angle, pose_of
+    from hyperpaint.workflows.rendering import look_angle_of, pose_of
 
     flight = pushbroom(16, 24, altitude=20.0, ground_sample=0.6, line_spacing=0.3, heading=30.0, wobble=5.0)
     traced = hp.simulation.trace(plane(200.0), flight, ["noon"], samples=64).compute()
     cube = (("along_track", "band", "cross_track"), np.full((16, 2, 24), 0.3, "f4"), {"units": "1"})
     line = xr.Dataset(
-        {"reflectance": cube, "look_angle": _look_angle(flight)},
+        {"reflectance": cube, "look_angle": look_angle_of(flight)},
         {"wavelength": ("band", [500.0, 600.0], {"units": "nm"}), **pose_of(flight)},
     )
     region = Region("left", [(1, 4), (3, 4), (3, 6), (1, 6)])

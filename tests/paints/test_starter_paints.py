@@ -15,7 +15,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.dirsig import open_emissivity
 from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.plot_spectra import library_overview
-from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, spectrum_of
+from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, paint_spec, spectrum_of
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +27,7 @@ def test_its_form(paints: xr.Dataset) -> None:
     assert dict(paints.member_reflectance.sizes) == {"signature": 40, "member": 24, "band": 272}
     assert (paints.wavelength.values[[0, -1]] == [400.0, 1000.0]).all()
     for name in ("reflectance", "member_reflectance", "specular_reflectance", "reflectance_sd"):
-        assert paints[name].dtype == np.float32
-        assert paints[name].attrs["units"] == "1"
+        assert (paints[name].dtype, paints[name].attrs["units"]) == (np.float32, "1")
         assert ((paints[name] >= 0.0) & (paints[name] <= 1.0)).all(), name
     assert paints.reflectance.attrs["mirror_reflection"] == "excluded"
     assert (paints.reflectance + paints.specular_reflectance <= 1.0).all()
@@ -43,18 +42,20 @@ def test_everything_is_named_synthetic(paints: xr.Dataset) -> None:
     assert "none of them measured" in paints.attrs["title"]
 
 
-def test_bodies_are_those_of_the_simulator(paints: xr.Dataset) -> None:
+def test_paints_are_those_of_the_simulator(paints: xr.Dataset) -> None:
     nm = paints.wavelength.values
-    solid = np.flatnonzero(paints.finish == "solid")
     assert {"solid", "metallic", "pearl"} == set(paints.finish.values)
-    for number in solid:
-        name = json.loads(paints.parents.values[number])[0]
-        np.testing.assert_allclose(paints.reflectance[number], spectrum_of(name)(nm), rtol=1e-6)
-        np.testing.assert_allclose(paints.specular_reflectance[number], 0.04, rtol=1e-6)
-    # half of a silver's light meets flakes: the other half is its body
-    np.testing.assert_allclose(paints.reflectance[1], 0.5 * spectrum_of("silver")(nm), rtol=1e-6)
-    mirrored = 0.04 + 0.96**2 * 0.5 * spectrum_of("aluminium")(nm)
-    np.testing.assert_allclose(paints.specular_reflectance[1], mirrored, rtol=1e-6)
+    for number, text in enumerate(paints.parents.values):
+        spec = paint_spec(json.loads(text)[0])
+        share = 0.0 if spec.flakes is None else spec.flakes.share
+        metal = 0.0 if spec.flakes is None else spectrum_of(spec.flakes.spectrum)(nm)
+        body = (1.0 - share) * spectrum_of(spec.name)(nm)
+        np.testing.assert_allclose(paints.reflectance[number], body, rtol=1e-6)
+        np.testing.assert_allclose(
+            paints.specular_reflectance[number], 0.04 + 0.96**2 * share * metal, rtol=1e-6
+        )
+        assert paints.roughness[number] == spec.coat.roughness
+        assert (paints.finish[number], paints.colour[number]) == (spec.finish, spec.colour)
 
 
 def test_same_call_same_bits_and_another_seed_other_members(paints: xr.Dataset) -> None:

@@ -17,9 +17,8 @@ from support.strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
 from hyperpaint.pictures import explorer_state
-from hyperpaint.pictures.drawn_regions import corners_at
 from hyperpaint.pictures.explorer import Explorer
-from hyperpaint.pictures.explorer_state import INFRARED, Explored, Spectrum
+from hyperpaint.pictures.explorer_state import INFRARED, Explored, Spectrum, corners_at
 
 BEGIN = hp.Regions((hp.Region("roof", [(1, 2), (4, 2), (4, 9)], properties={"colour": "red"}),))
 PLACES = st.floats(-5.0, 30.0)

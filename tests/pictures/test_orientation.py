@@ -13,7 +13,7 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.figure import Figure
 
-from hyperpaint.pictures.orientation import orientation_of, show_picture
+from hyperpaint.pictures.figures import orientation_of, show_picture
 
 LINES, COLUMNS = 40, 20
 

@@ -15,7 +15,7 @@ from support.refusals import refusal
 
 from hyperpaint import calibrate
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
-from hyperpaint.calibration.views import fitted_lines
+from hyperpaint.calibration.calibration_dataset import fitted_lines
 from hyperpaint.cli.program import main
 from hyperpaint.pictures.figures import check_picture
 from hyperpaint.pictures.plot_calibration import calibration_report

@@ -20,7 +20,7 @@ from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.radiometry import plan_cache
+from hyperpaint.radiometry import planning
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.radiometry.pixel_reading import pixels
 from hyperpaint.simulation import simulate_line
@@ -37,9 +37,9 @@ SELECTIONS: list[dict[str, Any]] = [
 
 
 @pytest.fixture(autouse=True)
-def cache(monkeypatch: pytest.MonkeyPatch) -> plan_cache.PlanCache:
-    fresh = plan_cache.PlanCache()
-    monkeypatch.setattr("hyperpaint.radiometry.plan_cache.PLANS", fresh)
+def cache(monkeypatch: pytest.MonkeyPatch) -> planning.PlanCache:
+    fresh = planning.PlanCache()
+    monkeypatch.setattr("hyperpaint.radiometry.planning.PLANS", fresh)
     monkeypatch.setattr("hyperpaint.radiometry.pixel_reading.PLANS", fresh)
     return fresh
 
@@ -189,7 +189,7 @@ def test_a_second_look_makes_no_second_plan(plans: list[Any]) -> None:
         assert len(plans) == 2
 
 
-def test_a_plan_at_hand_changes_no_name(cache: plan_cache.PlanCache) -> None:
+def test_a_plan_at_hand_changes_no_name(cache: planning.PlanCache) -> None:
     line = lazily(smiling())
     cubes = []
     for number in range(3):
@@ -268,22 +268,22 @@ def test_a_store_that_is_written_anew_counts(tmp_path: Path) -> None:
         np.testing.assert_array_equal(after, line.paint.reflectance().reflectance[5, :, 5].values)
 
 
-def test_few_plans_are_held_and_no_cube(cache: plan_cache.PlanCache) -> None:
+def test_few_plans_are_held_and_no_cube(cache: planning.PlanCache) -> None:
     line = lazily(smiling())
     cube = weakref.ref(line.counts.data)
-    for number in range(plan_cache.MAX_PLANS + 3):
+    for number in range(planning.MAX_PLANS + 3):
         pixels(line.assign_attrs(title=str(number)), 0, 0)
-    assert len(cache._entries) == plan_cache.MAX_PLANS
-    assert sum(entry.nbytes for entry in cache._entries) < plan_cache.MAX_BYTES
+    assert len(cache._entries) == planning.MAX_PLANS
+    assert sum(entry.nbytes for entry in cache._entries) < planning.MAX_BYTES
     del line
     gc.collect()
     assert cube() is None
 
 
 def test_a_plan_that_is_too_large_is_not_held(
-    cache: plan_cache.PlanCache, monkeypatch: pytest.MonkeyPatch, plans: list[Any]
+    cache: planning.PlanCache, monkeypatch: pytest.MonkeyPatch, plans: list[Any]
 ) -> None:
-    monkeypatch.setattr(plan_cache, "MAX_BYTES", 10_000)
+    monkeypatch.setattr(planning, "MAX_BYTES", 10_000)
     line = lazily(smiling())
     expected = line.paint.reflectance().reflectance[5, :, 5].values
     for _ in range(2):

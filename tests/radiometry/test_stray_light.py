@@ -14,7 +14,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry import mean_uncertainty
 from hyperpaint.radiometry.stray_light import inverse_of, stray_light_of
 from hyperpaint.simulation import simulate_line, simulate_sweep
-from hyperpaint.simulation.optics import stray_light_wings
+from hyperpaint.simulation.camera import stray_light_wings
 
 # exact signals, which no converter rounds
 pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")

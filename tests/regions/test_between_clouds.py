@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.regions.proposals.between_clouds import FreeSun, doubt_about_clouds, sunny_lines
+from hyperpaint.regions.proposals.candidates import Picture, doubt_about_clouds, sunny_lines
 from hyperpaint.surroundings.model import SHADED
 
 NM = np.linspace(405.0, 995.0, 24)
@@ -56,12 +56,12 @@ def test_sun__is_free_far_from_the_edges_of_clouds() -> None:
     line, model = seen(dark=(30.0, 90.0))
     sun = sunny_lines(line, model, None, 30.0)
     assert sun is not None
-    assert sun.fraction == pytest.approx(CLEAR)
-    assert np.flatnonzero(sun.lines).tolist() == list(range(20))
+    lines, fraction = sun
+    assert (fraction, np.flatnonzero(lines).tolist()) == (pytest.approx(CLEAR), list(range(20)))
     line["irradiance"][7] = np.nan
-    assert sunny_lines(line, model, None, 30.0).lines.sum() == 20
+    assert sunny_lines(line, model, None, 30.0)[0].sum() == 20
     thin = line.assign(irradiance=line["irradiance"].clip(0.75))
-    assert not sunny_lines(thin, model, None, 30.0).lines.any()
+    assert not sunny_lines(thin, model, None, 30.0)[0].any()
     model.attrs["sky_states"] = "clear"
     assert sunny_lines(line, model, None, 30.0) is None
 
@@ -75,16 +75,14 @@ def test_shadow_beside_a_car__shows_a_cloud(fraction: float, word: str) -> None:
     line, model = seen(fraction)
     channels = line["reflectance"].values.transpose(0, 2, 1)[:, :, : model.channel_wavelength.size]
     window = np.s_[10:15, 35:40]
-    sun = FreeSun(np.ones(LINES, bool), CLEAR)
-    doubt = doubt_about_clouds(window, channels, model, sun)
+    picture = Picture(model, channels, {}, 30.0, sun=(np.ones(LINES, bool), CLEAR))
+    doubt = doubt_about_clouds(window, picture)
     assert word in doubt
     assert bool(doubt) == bool(word)
-    lit = replace(model, state=np.zeros_like(model.state))
-    assert "no shadow beside" in doubt_about_clouds(window, channels, lit, sun)
-    assert "no irradiance record" in doubt_about_clouds(
-        window, channels, model, sun._replace(lines=~sun.lines)
-    )
     # the side of a car that is turned away from the sun is no shadow on the ground
-    side = replace(model, ground=np.zeros_like(model.ground))
-    assert "no shadow beside" in doubt_about_clouds(window, channels, side, sun)
-    assert doubt_about_clouds(window, channels, model, None) == ""
+    for changed in ({"state": np.zeros_like(model.state)}, {"ground": np.zeros_like(model.ground)}):
+        without = replace(picture, model=replace(model, **changed))
+        assert "no shadow beside" in doubt_about_clouds(window, without)
+    covered = replace(picture, sun=(np.zeros(LINES, bool), CLEAR))
+    assert "no irradiance record" in doubt_about_clouds(window, covered)
+    assert doubt_about_clouds(window, replace(picture, sun=None)) == ""

@@ -10,15 +10,7 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece
-from hyperpaint.regions.proposals.cars import (
-    Difference,
-    Level,
-    Verdict,
-    change_with_lean,
-    difference_of,
-    direct_share,
-    judge_finish,
-)
+from hyperpaint.regions.proposals.cars import Level, Verdict, change_with_lean, difference_of, judge_finish
 from hyperpaint.surroundings import SceneModel
 
 Floats = npt.NDArray[np.float64]
@@ -52,10 +44,12 @@ def picture_of(model: SceneModel, zenith: float, flakes: float) -> tuple[Picture
     return Picture(model, seen.astype(np.float32), {}, zenith), relative
 
 
-def stated(model: SceneModel, zenith: float, level: Level, difference: Difference | None, colour: Any) -> str:
+def stated(
+    model: SceneModel, zenith: float, level: Level, difference: tuple[float, float] | None, colour: Any
+) -> str:
     measures = Measures(np.ones((8, 8), bool), np.asarray(colour, np.float64), {}, pixels=64)
-    verdict = Verdict("roof")
-    judge_finish(verdict, measures, Picture(model, np.empty(0), {}, zenith), level, difference)
+    verdict = Verdict(Piece(0, (0, 0), measures.usable), measures, "roof")
+    judge_finish(verdict, Picture(model, np.empty(0), {}, zenith), level, difference)
     assert (verdict.finish == "unknown") == (not verdict.reasons)
     return verdict.finish
 
@@ -66,8 +60,8 @@ def test_difference__has_the_flat_share_of_flakes(models: dict[float, SceneModel
     picture, relative = picture_of(models[45.0], 45.0, flakes)
     difference = difference_of(Piece(0, (0, 0), np.ones(relative.shape, bool)), picture, relative)
     assert difference is not None
-    assert difference.flat_share == pytest.approx(flakes, abs=0.02)
-    assert 0.1 < difference.contrast < 0.4
+    assert difference[0] == pytest.approx(flakes, abs=0.02)
+    assert 0.1 < difference[1] < 0.4
 
 
 def test_difference__needs_pixels(models: dict[float, SceneModel]) -> None:
@@ -110,17 +104,17 @@ def test_finish__is_stated_where_there_is_evidence(
 ) -> None:
     """Expected: by change with lean over a solid paint's, and by the colour of the change."""
     model = models[zenith]
-    solid = direct_share(Picture(model, np.empty(0), {}, zenith)) * change_with_lean(zenith)
-    level = Level(0.01, along * solid, across * solid)
+    solid = Picture(model, np.empty(0), {}, zenith).direct_share * change_with_lean(zenith)
+    level = Level(1.0, 0.01, along * solid, across * solid)
     colour = np.where(model.channel_wavelength > 600.0, 0.5, 0.06) if coloured else np.full(24, 0.3)
-    assert stated(model, zenith, level, Difference(flat_share, 0.3), colour) == expected
+    assert stated(model, zenith, level, (flat_share, 0.3), colour) == expected
 
 
 def test_finish__of_a_dark_roof_or_under_clouds_is_unknown(models: dict[float, SceneModel]) -> None:
     """Expected: nothing is stated of 0.02, nor where the sky is all the light there is."""
     from dataclasses import replace
 
-    level = Level(0.01, 9.0, 9.0)
+    level = Level(1.0, 0.01, 9.0, 9.0)
     assert stated(models[45.0], 45.0, level, None, np.full(24, 0.02)) == "unknown"
     covered = replace(models[45.0], diffuse_fraction=np.ones_like(models[45.0].diffuse_fraction))
     assert stated(covered, 45.0, level, None, np.full(24, 0.3)) == "unknown"

@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hyperpaint.regions.proposals.cars import Levelled, Place, level_light, level_place
-from hyperpaint.regions.proposals.footprints import Footprint
-from hyperpaint.regions.proposals.roofs import Roof
+from hyperpaint.regions.proposals.cars import Level, Place, level_light, level_place
+from hyperpaint.regions.proposals.footprints import Footprint, Roof, find_roof
 
 Floats = npt.NDArray[np.float64]
 AXIS = np.array([0.0, 1.0])
@@ -55,11 +54,7 @@ def crowned(sun: Sun, flakes: float = 0.0, shape: tuple[int, int] = (40, 80)) ->
     return light(normal) / light(np.array([0.0, 0.0, 1.0]))
 
 
-def lean_change(level: Levelled) -> float:
-    return float(np.hypot(level.along_change, level.across_change))
-
-
-def level_of(brightness: Floats, place: Place = PLACE) -> Levelled:
+def level_of(brightness: Floats, place: Place = PLACE) -> Level:
     level = level_light(brightness, np.ones(brightness.shape, bool), place, AXIS)
     assert level is not None
     return level
@@ -82,14 +77,14 @@ def test_level__is_that_of_the_level_place(sun: Sun, flakes: float) -> None:
 @pytest.mark.parametrize("azimuth", [0.0, 35.0, 90.0])
 def test_change_with_lean__is_the_tangent_of_a_solid_paint(zenith: float, azimuth: float) -> None:
     """Rationale: d ln(cos) = tan(zenith) towards the sun. Expected: that, whatever the azimuth, to 2 %."""
-    change = lean_change(level_of(crowned(Sun(zenith, azimuth))))
+    change = level_of(crowned(Sun(zenith, azimuth))).lean_change
     assert change == pytest.approx(np.tan(np.radians(zenith)), rel=0.02)
 
 
 def test_change_with_lean__is_more_of_flakes() -> None:
     """Expected: more than three times that of a solid paint at 20 degrees from the mirror direction."""
     sun = Sun(40.0, 90.0)
-    assert lean_change(level_of(crowned(sun, 0.7))) > 3.0 * lean_change(level_of(crowned(sun)))
+    assert level_of(crowned(sun, 0.7)).lean_change > 3.0 * level_of(crowned(sun)).lean_change
 
 
 def test_glint__is_left_out() -> None:
@@ -161,8 +156,7 @@ def test_axis__is_halfway_between_edges(middle: float, slope: float) -> None:
     """Rationale: windows tell pixels, and shading moves an edge. Expected: 0.3 of one."""
     footprint, roof = roofed(middle, 13.0, slope)
     place = level_place(footprint, roof)
-    assert place.line == pytest.approx(middle, abs=0.3)
-    assert place.column == pytest.approx(45.0)
+    assert (place.line, place.column) == (pytest.approx(middle, abs=0.3), pytest.approx(45.0))
     assert place.half_width == pytest.approx(13.5, abs=0.5)
 
 
@@ -171,3 +165,47 @@ def test_axis__is_less_sure_without_edges() -> None:
     footprint, roof = roofed(30.0, 13.0, 0.02)
     endless = level_place(footprint._replace(brightness=np.ones((60, 90))), roof)
     assert (endless.line, endless.across_sd) == (31.0, pytest.approx(1.7 / np.sqrt(3.0)))
+
+
+# --- which section is a roof -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("windows", "beside", "width", "is_roof"),
+    [
+        (((40, 50), (61, 70)), 0, 40, False),  # a roof is longer than 12 % of its car
+        (((40, 50), (63, 72)), 0, 40, True),
+        (((0, 10), (29, 39)), 19, 40, False),  # than 20 % without a bonnet before its windscreen
+        (((0, 10), (31, 41)), 21, 40, True),
+        (((0, 25), (55, 65)), 4, 40, False),  # with side windows along 15 % of it
+        (((0, 25), (55, 65)), 5, 40, True),
+        (((11, 21),), 0, 40, False),  # the roof of a van is at most 78 % of it
+        (((11, 23),), 0, 40, True),
+        (((30, 46),), 0, 40, False),  # and at least 55 %
+        (((30, 44),), 0, 40, True),
+        (((9, 24),), 0, 40, False),  # a bonnet has 10 % at least
+        (((20, 41),), 0, 40, False),  # and a windscreen 20 % at most
+        (((20, 39),), 0, 40, True),
+        (((35, 55),), 21, 40, False),  # a section that is longer than a bonnet has side windows along half
+        (((35, 55),), 24, 40, True),
+        (((50, 70),), 17, 40, False),  # any other along 60 %
+        (((50, 70),), 19, 40, True),
+        (((20, 39),), 0, 60, False),  # cars are 1.7 to 3.3 times as long as wide
+        (((20, 39),), 0, 58, True),
+        (((20, 39),), 0, 30, False),
+        (((20, 39),), 0, 31, True),
+    ],
+)
+def test_roofs__are_told_by_proportions(
+    windows: tuple[tuple[int, int], ...], beside: int, width: int, is_roof: bool
+) -> None:
+    """Expected: a roof on one side of every threshold, none on the other; side windows begin the section."""
+    level = np.full((width, 100), 0.5)
+    for first, last in windows:
+        level[6 : width - 6, first:last] = 0.02
+    section = windows[0][1]
+    level[3:6, section : section + beside] = level[width - 6 : width - 3, section : section + beside] = 0.02
+    area = np.ones(level.shape, bool)
+    centre = np.array([0.5 * (width - 1), 49.5])
+    car = Footprint((0, 0), level > 0.1, area, level / 0.5, AXIS, centre, 100.0, float(width), False)
+    assert isinstance(find_roof(car, level), Roof) is is_roof

@@ -18,10 +18,9 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
-from hyperpaint.regions.proposals.candidates import Measures, Picture
+from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece, lean_to_sun
 from hyperpaint.regions.proposals.cars import Level, Verdict, judge_level
 from hyperpaint.regions.proposals.footprints import hull_of
-from hyperpaint.regions.proposals.leans import lean_to_sun
 from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.surroundings.corrections import remove_mirrored_sky
 
@@ -82,6 +81,19 @@ def propose(line: xr.Dataset, **options: Any) -> Any:
     return hp.regions.propose_regions(line, sun_zenith=ZENITH, **options)
 
 
+@pytest.fixture(scope="module")
+def car() -> tuple[xr.Dataset, Any]:
+    """Return asphalt with one red car, and the proposals of it."""
+    line = drawn()
+    return line, propose(line, flightline="raw_0")
+
+
+def roof_of(level: float) -> Verdict:
+    """Return a roof of 64 pixels without a verdict."""
+    piece = Piece(0, (0, 0), np.ones((8, 8), bool))
+    return Verdict(piece, Measures(piece.inside, np.full(24, level), {}, pixels=64), "roof")
+
+
 # --- outlines of pixels ------------------------------------------------------------------------------------
 
 
@@ -122,45 +134,35 @@ def test_footprint__is_the_convex_hull(seed: int) -> None:
 # --- a car drawn by hand -----------------------------------------------------------------------------------
 
 
-def test_proposals__are_the_roof_with_reasons() -> None:
+def test_proposals__are_the_roof_with_reasons(car: tuple[xr.Dataset, Any]) -> None:
     """Rationale: of bonnet, roof and boot only the roof is level for sure.
 
-    Expected: one region between both windows, three pixels from their edges, with the paint's spectrum.
+    Expected: one region between both windows, three pixels from their edges, with the paint's spectrum; its
+    signature has the region's pixels.
     """
-    line = drawn()
-    found = propose(line)
-    assert len(found) == 1
+    line, found = car
     (region,) = found
     along, across = pixels_of(found, line)[0]
     assert across.min() >= 60 + 2
     assert across.max() <= 88 - 3
-    assert region.properties["kind"] == "roof"
-    assert region.properties["rank"] == 1
+    assert (region.properties["kind"], region.properties["rank"]) == ("roof", 1)
     assert 0 < region.properties["score"] <= 1
     assert any("windows end it on both sides" in text for text in region.properties["reasons"])
     seen = remove_mirrored_sky(line, sun_zenith=ZENITH)["reflectance"].values[along, :, across]
     assert np.abs(np.median(seen, axis=0) - RED).max() < 0.01
     assert "score" in found.table()
+    unnamed = replace(found, regions=(replace(region, flightline=""),))
+    assert int(hp.extract_signatures(line, unnamed)["n"][0]) == region.properties["pixels"]
 
 
-def test_refusals__say_why() -> None:
-    """Rationale: a bonnet ends at one window and may lean.
+def test_refusals__say_why_and_name_scenery_last(car: tuple[xr.Dataset, Any]) -> None:
+    """Rationale: a bonnet may lean, and a dark car may be taken for a window: neither may vanish.
 
-    Expected: it is among the refused, with the lean or the better part of the car as a reason.
+    Expected: all refused have reasons, among them the lean or the better part of the car; windows come last.
     """
-    found = propose(drawn())
-    told = [" ".join(region.properties["refused"]) for region in found.refused]
-    assert told
+    told = [" ".join(region.properties["refused"]) for region in car[1].refused]
     assert all(told)
     assert any("lean" in text or "same car" in text for text in told)
-
-
-def test_refusals__name_what_looks_like_scenery_last() -> None:
-    """Rationale: a dark car may be taken for a window, and must not vanish without a word.
-
-    Expected: windows are among the refused, after the parts of cars.
-    """
-    told = [" ".join(region.properties["refused"]) for region in propose(drawn()).refused]
     scenery = ["as dark as" in text for text in told]
     assert any(scenery)
     assert scenery == sorted(scenery)
@@ -273,11 +275,9 @@ def test_flakes__make_levels_uncertain() -> None:
     """
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
     picture = Picture(model, np.empty(0), {}, 45.0)
-    measures = Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
-    solid = float(1.0 - model.diffuse_fraction.mean())
-    verdicts = [Verdict("roof") for _ in range(3)]
+    verdicts = [roof_of(0.3) for _ in range(3)]
     for verdict, times in zip(verdicts, (1.0, 4.0, 8.0), strict=True):
-        judge_level(verdict, measures, picture, 0.5, Level(along_change=times * solid))
+        judge_level(verdict, picture, 0.5, Level(along_change=times * picture.direct_share))
     assert verdicts[1].level_sd > 1.3 * verdicts[0].level_sd
     assert not verdicts[0].objections
     assert not verdicts[1].objections
@@ -298,9 +298,8 @@ def test_haze__makes_dark_levels_uncertain() -> None:
     for sky, model in zip(("clear", "hazy", "covered"), models, strict=True):
         mirrored = 0.04 * float((model.diffuse_fraction * model.zenith_radiance).mean())
         for level in (0.08, 0.7):
-            measures = Measures(np.ones((8, 8), bool), np.full(24, level + mirrored), {}, pixels=64)
-            verdict = verdicts[sky, level] = Verdict("roof")
-            judge_level(verdict, measures, Picture(model, np.empty(0), {}, 45.0), 0.5, Level(0.01, 0.9))
+            verdict = verdicts[sky, level] = roof_of(level + mirrored)
+            judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), 0.5, Level(1.0, 0.01, 0.9))
     refused = [key for key, verdict in verdicts.items() if verdict.objections]
     assert refused == [("hazy", 0.08)]
     assert "mirrored" in verdicts["hazy", 0.08].objections[0]
@@ -310,8 +309,8 @@ def test_haze__makes_dark_levels_uncertain() -> None:
 def test_level_that_is_not_known__is_refused() -> None:
     """Rationale: a comparison with NaN is False. Expected: an objection, and no region of a level of NaN."""
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
-    verdict, measures = Verdict("roof"), Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
-    judge_level(verdict, measures, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level())
+    verdict = roof_of(0.3)
+    judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level())
     assert verdict.objections
 
 
@@ -381,71 +380,60 @@ def test_cars_of_one_colour_side_by_side__give_a_region_each() -> None:
 
 
 @pytest.mark.slow
-def test_proposals__are_the_same_on_a_cluster() -> None:
+def test_proposals__are_the_same_on_a_cluster(car: tuple[xr.Dataset, Any]) -> None:
     """Rationale: layers come off workers in any order. Expected: the digest of a run without them."""
     distributed = pytest.importorskip("distributed")
-    line = drawn()
+    line, whole = car
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": ":0"}
     with (
         distributed.LocalCluster(silence_logs=logging.CRITICAL, **options) as local,
         distributed.Client(local),
     ):
-        made = propose(line.chunk({"along_track": 13}))
-    assert made.digest == propose(line).digest
-    assert made.refused.digest == propose(line).refused.digest
+        made = propose(line.chunk({"along_track": 13}), flightline="raw_0")
+    assert (made.digest, made.refused.digest) == (whole.digest, whole.refused.digest)
 
 
-def test_proposals__do_not_depend_on_chunks() -> None:
+def test_proposals__do_not_depend_on_chunks(car: tuple[xr.Dataset, Any]) -> None:
     """Rationale: a survey, then pointwise layers, then rules on whole arrays.
 
-    Expected: equal digests for five chunkings.
+    Expected: equal digests for five chunkings, the last through the accessor.
     """
-    line = drawn()
-    chunkings: list[Any] = [
-        {}, {"along_track": 32}, {"along_track": 7}, {"along_track": 70, "band": 5}, {"cross_track": 11},
-    ]  # fmt: skip
-    digests = {propose(line.chunk(chunks) if chunks else line).digest for chunks in chunkings}
-    assert len(digests) == 1
-    assert line.paint.propose_regions(sun_zenith=ZENITH).digest in digests
+    line, whole = car
+    for chunks in ({"along_track": 32}, {"along_track": 7}, {"along_track": 70, "band": 5}):
+        assert propose(line.chunk(chunks), flightline="raw_0").digest == whole.digest
+    lazy = line.chunk(cross_track=11)
+    assert lazy.paint.propose_regions(sun_zenith=ZENITH, flightline="raw_0").digest == whole.digest
 
 
-def test_proposals__on_a_crop_have_the_numbers_of_the_line() -> None:
-    line = drawn()
+def test_proposals__on_a_crop_have_the_numbers_of_the_line(car: tuple[xr.Dataset, Any]) -> None:
+    line, found = car
     numbered = line.assign_coords(
         along_track=np.arange(line.sizes["along_track"]) + 1000,
         cross_track=np.arange(line.sizes["cross_track"]) + 50,
     )
-    for bare, moved in zip(propose(line), propose(numbered), strict=True):
-        np.testing.assert_array_equal(moved.polygon, np.add(bare.polygon, [50, 1000]))
-    assert all((region.polygon >= [49, 999]).all() for region in propose(numbered).refused)
+    moved = propose(numbered)
+    for bare, other in zip(found, moved, strict=True):
+        np.testing.assert_array_equal(other.polygon, np.add(bare.polygon, [50, 1000]))
+    assert all((region.polygon >= [49, 999]).all() for region in moved.refused)
 
 
-def test_proposals__go_into_a_file_and_back(tmp_path: Any) -> None:
+def test_proposals__go_into_a_file_and_back(car: tuple[xr.Dataset, Any], tmp_path: Any) -> None:
     """Rationale: people edit proposals. Expected: GeoJSON as any regions, what is refused stays out of it."""
-    found = propose(drawn(), flightline="raw_0")
+    found = car[1]
     path = hp.write_regions(found, tmp_path / "cars.geojson")
     again = hp.read_regions(path)
-    assert again.names == found.names
-    assert len(json.loads(path.read_text())["features"]) == len(found)
+    assert (again.names, len(json.loads(path.read_text())["features"])) == (found.names, len(found))
     assert again[0].flightline == "raw_0"
 
 
-def test_signatures__of_proposals() -> None:
-    """Expected: one paint, whose flags and pixels are those of the region."""
-    line = drawn()
-    found = propose(line)
-    paints = hp.extract_signatures(line, found)
-    assert int(paints["n"][0]) == found[0].properties["pixels"]
-
-
-def test_flags_that_a_region_names__are_those_left_out() -> None:
+def test_flags_that_a_region_names__are_those_left_out(car: tuple[xr.Dataset, Any]) -> None:
     """Rationale: a proposed roof was judged by its brightness, and flags of glint on it are no news.
 
     Expected: its pixels under a flag it does not name count; under one it names, none is left; flags that
     there are not are refused by name.
     """
-    line = drawn()
-    (region,) = propose(line)
+    line, found = car
+    region = replace(found[0], flightline="")
     glint = xr.full_like(line["reflectance"][:, 0], int(hp.Quality.GLINT), np.uint16)
     flagged = line.assign(quality=glint)
     paints = hp.extract_signatures(flagged, hp.Regions((region,)))
@@ -457,9 +445,9 @@ def test_flags_that_a_region_names__are_those_left_out() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"erode": -1}, {"min_pixels": 0}, {"most": 0}, {"glint": float("nan")}])
-def test_limits_that_cannot_be__are_refused(wrong: dict[str, Any]) -> None:
+def test_limits_that_cannot_be__are_refused(car: tuple[xr.Dataset, Any], wrong: dict[str, Any]) -> None:
     with pytest.raises(SchemaError, match="value-out-of-range"):
-        propose(drawn(), **wrong)
+        propose(car[0], **wrong)
 
 
 def test_command__needs_no_regions() -> None:

@@ -13,7 +13,7 @@ from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.regions import Region, Regions, geojson, read_regions, regions_from, write_regions
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
-FILES = settings(max_examples=60)
+FILES = settings(max_examples=40)
 
 plain = st.recursive(
     st.none()
@@ -44,8 +44,7 @@ def test_files_come_back_as_they_went(region: Region, crs: str | None, tmp_path:
     before = Regions((region,), "sensor" if crs is None else "map", crs)
     first = write_regions(before, tmp_path / "a.geojson", overwrite=True)
     after = read_regions(first)
-    assert after == before
-    assert after.digest == before.digest
+    assert (after, after.digest) == (before, before.digest)
     assert after[0].polygon.tobytes() == region.polygon.tobytes()
     second = write_regions(after, tmp_path / "b.geojson", overwrite=True)
     assert first.read_bytes() == second.read_bytes()
@@ -85,8 +84,7 @@ def test_other_peoples_files(tmp_path: Path) -> None:
     }
     (tmp_path / "r.json").write_text("\ufeff" + json.dumps(document), encoding="utf-8")
     found = read_regions(tmp_path / "r.json")
-    assert found.coordinates == "sensor"
-    assert found[0].polygon.tolist() == [[1, 1], [5, 1], [5, 5]]
+    assert (found.coordinates, found[0].polygon.tolist()) == ("sensor", [[1, 1], [5, 1], [5, 5]])
     assert found[0].properties == {"fid": None}
     old = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32618"}}
     assert regions_from({**document, "crs": old}).coordinates == "map"
@@ -154,6 +152,7 @@ HOSTILE: dict[str, Any] = {
     "listed coordinates": {**collection(), "coordinates": ["sensor"]},
     "two kinds": {**collection(), "coordinates": "sensor", "crs": "EPSG:4326"},
     "a nameless crs": {**collection(), "crs": {"type": "name"}},
+    "a crs of nothing": {**collection(), "crs": {"type": "name", "properties": {"name": None}}},
     "a number for a crs": {**collection(), "crs": 4326},
 }  # fmt: skip
 

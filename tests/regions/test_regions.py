@@ -14,8 +14,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.regions import Region, Regions, pixels, pixels_in_regions, pixels_of, region_mask
-from hyperpaint.regions.pixels_in_regions import renumbered
-from hyperpaint.regions.polygons import contains
+from hyperpaint.regions.pixels_in_regions import contains, renumbered
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
 
@@ -154,8 +153,7 @@ def line(lines: int = 12, columns: int = 9, **variables: Any) -> xr.Dataset:
 def test_pixels_are_columns_and_lines() -> None:
     along, across = pixels(Region("a", [(2, 5), (4.9, 5), (4.9, 6), (2, 6)]), line())
     assert along.dtype == across.dtype == np.int64
-    assert along.tolist() == [5, 5, 5, 6, 6, 6]
-    assert across.tolist() == [2, 3, 4, 2, 3, 4]
+    assert (along.tolist(), across.tolist()) == ([5, 5, 5, 6, 6, 6], [2, 3, 4, 2, 3, 4])
 
 
 def test_a_region_beyond_the_line_keeps_what_is_in_it() -> None:
@@ -176,8 +174,7 @@ def test_blocks_of_pixels_change_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_mask_names_the_regions() -> None:
     both = Regions((Region("red car", [(0, 0), (2, 0), (2, 1)]), Region("b", [(2, 0), (5, 0), (5, 3)])))
     mask = region_mask(both, line())
-    assert mask.dims == ("along_track", "cross_track")
-    assert mask.dtype == np.int16
+    assert (mask.dims, mask.dtype) == (("along_track", "cross_track"), np.int16)
     assert mask.attrs["flag_meanings"] == "none red_car b"
     assert mask.values[0, :7].tolist() == [0, 0, 1, 1, 1, 1, -1]
 
@@ -210,8 +207,7 @@ def test_pixels_of_a_map(monkeypatch: pytest.MonkeyPatch) -> None:
     grid = grid.assign_coords(x=100.0 + 0.5 * np.arange(6), y=50.0 - 0.5 * np.arange(8))
     region = Region("a", [(101, 48.9), (101.6, 48.9), (101.6, 50), (101, 50)])
     along, across = pixels(region, grid, coordinates="map")
-    assert sorted(set(along.tolist())) == [0, 1, 2]
-    assert sorted(set(across.tolist())) == [2, 3]
+    assert (sorted(set(along.tolist())), sorted(set(across.tolist()))) == ([0, 1, 2], [2, 3])
 
 
 def test_degrees_are_not_metres() -> None:
@@ -247,8 +243,7 @@ def test_region_is_closed_once_and_cannot_be_changed() -> None:
     region = Region(
         "a", given_ring, holes=([(2, 2), (3, 2), (3, 3)],), properties={"year": 2019, "tags": ["x"]}
     )
-    assert region.polygon.shape == (4, 2)
-    assert region.polygon.dtype == np.float64
+    assert (region.polygon.shape, region.polygon.dtype) == ((4, 2), np.float64)
     with pytest.raises(ValueError, match="read-only"):
         region.polygon[0, 0] = 9
     assert region == Region("a", SQUARE, region.holes, properties={"year": 2019, "tags": ["x"]})
@@ -275,11 +270,8 @@ def test_everything_wrong_with_a_region_is_told() -> None:
 
 def test_regions_are_a_sequence() -> None:
     three = Regions(tuple(Region(name, SQUARE, flightline=name) for name in "abc"), "map", "EPSG:32618")
-    assert len(three) == 3
-    assert three[1].name == "b"
-    assert three[1:].names == ("b", "c")
-    assert three[1:].crs == "EPSG:32618"
-    assert three.flightlines == ("a", "b", "c")
+    assert (len(three), three[1].name, three[1:].names) == (3, "b", ("b", "c"))
+    assert (three[1:].crs, three.flightlines) == ("EPSG:32618", ("a", "b", "c"))
     with pytest.raises(SchemaError, match="region-name-duplicate"):
         Regions((Region("a", SQUARE), Region("a", SQUARE)))
     with pytest.raises(SchemaError, match="option-conflict"):

@@ -20,7 +20,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.schema import Quality
 from hyperpaint.cli.program import main
-from hyperpaint.report.pages import page_part, plain_text
+from hyperpaint.report.summaries import page_part, plain_text
 
 pytest.importorskip("matplotlib")
 

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import hyperpaint as hp
 from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
-from hyperpaint.simulation.checkerboard_flight import Checkerboard, CheckerboardFlight
+from hyperpaint.simulation.flight import Checkerboard, CheckerboardFlight
 from hyperpaint.simulation.settings import PIXEL_ANGLE_RAD
 
 
@@ -100,7 +100,7 @@ def test_files_hold_what_was_flown(tmp_path: Path) -> None:
     assert abs(log["navigation_time"] - sbet["navigation_time"]).max() <= np.timedelta64(1, "us")
     start = np.datetime64("2021-07-20T17:10:00", "ns")
     seconds = (log["navigation_time"].values - start) / np.timedelta64(1, "s")
-    pose = flight().pose(seconds)
+    pose = flight().trajectory.pose(seconds)
     np.testing.assert_allclose(np.diff(seconds), 0.005)
     for name, within in (("latitude", 1e-9), ("roll", 1e-6), ("heading", 1e-6), ("altitude", 1e-4)):
         np.testing.assert_allclose(log[name], pose[name], atol=within, rtol=0)

@@ -12,9 +12,8 @@ from dask.base import tokenize
 from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
-from support.refusals import refusal
 
-from hyperpaint.base.errors import MissingExtraError, SchemaError, UnitsError
+from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.simulation.atmosphere import Sky, spectral_grid
 from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.sky_models import Haze, relative_air_mass
@@ -52,12 +51,6 @@ class TestAtmosphere:
         for part in ("sun_zenith=90.0", "sun_azimuth=inf", "overcast_share=2.0"):
             assert part in str(caught.value)
 
-    @pytest.mark.parametrize("grid", [[], [500.0], [[1.0, 2.0]], [500.0, 500.0], [-1.0, 5.0], [1.0, np.inf]])
-    def test_grids_that_are_none(self, grid: list[float]) -> None:
-        same = np.zeros_like(np.asarray(grid, dtype=float))
-        with pytest.raises(SchemaError, match="wavelength"):
-            Atmosphere(grid, same, same, same, same, 30.0, 0.0)
-
     def test_it_travels(self) -> None:
         noon = preset_atmosphere("noon")
         back = pickle.loads(pickle.dumps(noon))
@@ -83,13 +76,6 @@ class TestAtmosphere:
         dataset = Atmosphere.clear(50.0, wavelength=GRID).to_dataset()
         milliwatts = dataset.assign(sun=(dataset.sun * 1000.0).assign_attrs(units="mW m-2 nm-1"))
         assert_allclose(Atmosphere.from_dataset(milliwatts).sun, dataset.sun, rtol=1e-12)
-        with pytest.raises(UnitsError, match="'sky'"):
-            Atmosphere.from_dataset(dataset.assign(sky=dataset.sky.assign_attrs(units="W m-2 sr-1 nm-1")))
-        with refusal(SchemaError, "variable-missing", "'sun'", "'sun_zenith'"):
-            Atmosphere.from_dataset(dataset.drop_vars(["sun", "sun_zenith"]))
-        for text in ("{", "[1]", '{"fog": 1}', '{"visibility": "far"}'):
-            with pytest.raises(SchemaError, match="metadata-damaged"):
-                Atmosphere.from_dataset(dataset.assign_attrs(haze=text))
 
 
 class TestClearSky:
@@ -103,8 +89,7 @@ class TestClearSky:
     def test_sky_itself_is_as_it_was(self) -> None:
         plain = Sky(25.0).irradiance(GRID)
         given_mass = Sky(25.0, airmass=1.0 / np.cos(np.radians(25.0))).irradiance(GRID)
-        assert (plain[0] == given_mass[0]).all()
-        assert (plain[1] == given_mass[1]).all()
+        np.testing.assert_array_equal(plain, given_mass)
 
     @pytest.mark.parametrize(
         ("zenith", "mass"), [(0.0, 1.0), (60.0, 1.9943), (75.0, 3.8131), (85.0, 10.306), (90.0, 37.92)]
@@ -123,16 +108,6 @@ class TestClearSky:
         assert depths[1] < 0.8 * depths[0]
         assert 0.2 < depths[0] < 0.6
         assert np.diff(noon.wavelength).max() < 0.051
-
-    @pytest.mark.parametrize("grid", [[], [500.0], [500.0, 400.0], [-1.0, 5.0], [400.0, np.nan]])
-    def test_there_is_no_such_grid(self, grid: list[float]) -> None:
-        with pytest.raises(SchemaError, match="wavelength"):
-            Atmosphere.clear(30.0, wavelength=grid)
-
-    @pytest.mark.parametrize("zenith", [-1.0, 89.5, 95.0, np.nan])
-    def test_there_is_no_such_sun(self, zenith: float) -> None:
-        with pytest.raises(SchemaError, match="sun_zenith"):
-            Atmosphere.clear(zenith, wavelength=GRID)
 
     def test_noon_is_within_published_clear_skies(self) -> None:
         noon = preset_atmosphere("noon")
@@ -172,11 +147,6 @@ class TestSpectrl2:
         # our sky has no multiple scattering and no ground, theirs loses more to absorption at low sun
         found, expected = (total(x.sky, x.wavelength) for x in (ours, theirs))
         assert found == pytest.approx(expected, rel=0.30)
-
-    def test_beyond_its_range(self) -> None:
-        pytest.importorskip("pvlib")
-        with refusal(SchemaError, "value-out-of-range", "SPECTRL2"):
-            Atmosphere.spectrl2(30.0, wavelength=[200.0, 500.0])
 
     def test_without_pvlib(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "pvlib", None)
@@ -237,13 +207,7 @@ class TestPresets:
         level = sunset.sun * sunset.sun_cosine
         assert level[blue] < 0.4 * sunset.sky[blue]
         assert level[red] > 1.5 * sunset.sky[red]
-
-    def test_they_are_made_once(self) -> None:
-        assert preset_atmosphere("noon") is preset_atmosphere("noon")
-
-    def test_others_are_unknown(self) -> None:
-        with pytest.raises(SchemaError, match="choice-unknown"):
-            preset_atmosphere("midnight")
+        assert preset_atmosphere("noon") is noon  # made once
 
 
 class TestHaze:
@@ -299,8 +263,7 @@ class TestHaze:
 
     def test_no_haze_no_path(self) -> None:
         made = Atmosphere.clear(30.0, wavelength=GRID, haze=None)
-        assert (made.extinction == 0.0).all()
-        assert (made.path_radiance == 0.0).all()
+        assert not np.any([made.extinction, made.path_radiance])
 
     def test_all_problems_at_once(self) -> None:
         with pytest.raises(SchemaError) as caught:

@@ -7,13 +7,11 @@ import pytest
 from support.traced_scenes import FEW_BANDS, flat_light
 
 import hyperpaint as hp
-from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.materials import Coat, Material, hemispherical_reflectance
+from hyperpaint.simulation.rendering.materials import Material, hemispherical_reflectance
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import Scene, plane
-from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-from hyperpaint.simulation.rendering.weathering import LEAF_INDEX, leaf_optics
+from hyperpaint.simulation.rendering.scene_spectra import LEAF_INDEX, leaf_optics, spectrum_of
 
 NM = np.arange(400.0, 1001.0, 25.0)
 REFLECTED, PASSED = 0.45, 0.40
@@ -87,11 +85,6 @@ def test_a_plate_that_takes_nothing_over_white_ground_gives_all_back() -> None:
         traced = hp.simulation.trace(scene, flight, [(40.0, 150.0)], samples=64, depth=16)
         seen = hp.simulation.relight(traced, FEW_BANDS, spectra=nothing_lost, atmosphere=light).reflectance
         np.testing.assert_allclose(seen.mean(), expected, rtol=0.02)
-
-
-def test_only_thin_surfaces_without_a_coat_pass_light() -> None:
-    with pytest.raises(SchemaError, match="option-conflict"):
-        Material("leaf", "leaf", "leaf", Coat(), transmittance="leaf_through")
 
 
 def test_leaves_of_a_real_car_park_shine_through() -> None:

@@ -22,9 +22,8 @@ from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
-from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
-from hyperpaint.simulation.rendering.primitives import box
-from hyperpaint.simulation.rendering.scene import Scene, plane
+from hyperpaint.simulation.rendering.platforms import Platform, matrices
+from hyperpaint.simulation.rendering.scene import Scene, box, plane
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra oracles)"
@@ -38,13 +37,15 @@ sys.path.insert(0, sys.argv[1])
 import mitsuba, numpy
 mitsuba.set_variant("scalar_spectral")
 from oracles.mitsuba_scenes import to_mitsuba
-with open("scene.pickle", "rb") as file:
-    arguments, options = pickle.load(file)
-described = to_mitsuba(*arguments, "meshes", **options)
-numpy.save("image.npy", mitsuba.render(mitsuba.load_dict(described), seed=1))
+with open("scenes.pickle", "rb") as file:
+    scenes = pickle.load(file)
+images = {}
+for name, (arguments, options) in scenes.items():
+    described = to_mitsuba(*arguments, "meshes of " + name, **options)
+    images[name] = numpy.array(mitsuba.render(mitsuba.load_dict(described), seed=1))
+numpy.savez("images.npz", **images)
 """
-
-Images = Callable[..., tuple[np.ndarray, np.ndarray]]
+DEPTH = 4
 
 
 def light(sun: float = 1.0, zenith: float = 50.0) -> Atmosphere:
@@ -55,7 +56,7 @@ def light(sun: float = 1.0, zenith: float = 50.0) -> Atmosphere:
     return Atmosphere(wavelength, sun * (1.0 + 0.3 * slope), 0.5 - 0.3 * slope, none, none, zenith, 240.0)
 
 
-def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int, depth: int) -> np.ndarray:
+def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int) -> np.ndarray:
     """Return radiance (strip, column, band) of a frame.
 
     Every strip of rows is the view of a camera that stands still for some lines of other random numbers.
@@ -64,110 +65,98 @@ def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int, 
     across = np.linspace(-half, half, camera.columns + 1)
     along = np.linspace(half, -half, STRIPS + 1) * camera.rows / camera.columns
     origin = np.broadcast_to(np.array(camera.position), (LINES, 2, 3))
-    down = np.broadcast_to(matrices(quaternions(0.0, 0.0, 0.0)), (LINES, 2, 3, 3))
+    down = np.broadcast_to(matrices(0.0, 0.0, 0.0), (LINES, 2, 3, 3))
+    options = {"samples": samples, "depth": DEPTH, "slots": 256, "chunk_lines": 1, "sun_radius": 0.0}
     strips = []
     for strip in range(STRIPS):
         still = Platform(origin, down, across, along[[strip + 1, strip]], np.arange(LINES))
-        traced = hp.simulation.trace(
-            scene,
-            still,
-            [sky],
-            samples=samples,
-            depth=depth,
-            seed=strip,
-            slots=256,
-            chunk_lines=1,
-            sun_radius=0.0,
-        )
+        traced = hp.simulation.trace(scene, still, [sky], seed=strip, **options)
         made = hp.simulation.relight(traced, BANDS, atmosphere=sky, truth=False).radiance.mean("along_track")
         strips.append(made.transpose("cross_track", "band").values)
     return np.stack(strips).astype(np.float64)
 
 
-@pytest.fixture
-def images(tmp_path: Path) -> Images:
-    """Return a function that renders a scene with both, ours first, shape (strip, column, band)."""
-
-    def rendered(
-        scene: Scene, sky: Atmosphere, camera: FrameCamera, *, samples: int = 1024, depth: int = 4
-    ) -> tuple[np.ndarray, np.ndarray]:
-        options = {"wavelength": BANDS.wavelength, "fwhm": 6.0, "camera": camera, "depth": depth}
-        with (tmp_path / "scene.pickle").open("wb") as file:
-            pickle.dump(((scene, sky), options | {"samples": 4096}), file)
-        command = [sys.executable, "-c", WORKER, str(Path(__file__).parents[1])]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
-        assert done.returncode == 0, done.stderr
-        theirs = np.load(tmp_path / "image.npy").astype(np.float64)
-        theirs = theirs.reshape(STRIPS, -1, *theirs.shape[1:]).mean(axis=1)
-        return our_image(scene, sky, camera, samples, depth), theirs
-
-    return rendered
-
-
-def assert_equal_means(ours: np.ndarray, theirs: np.ndarray, tolerance: float = 0.002) -> None:
-    assert ours.shape == theirs.shape
-    ratio = ours.mean(axis=(0, 1)) / theirs.mean(axis=(0, 1))
-    np.testing.assert_allclose(ratio, 1.0, atol=tolerance)
-
-
 GREY = Material("grey", "panel_20", "panel")
 GROUND = Material("ground", "concrete", "concrete")
 WALL = Material("red wall", "brick", "wall")
+ADJACENCY = Scene.join(
+    [
+        plane(200.0, GROUND),
+        plane(3.0, GREY, centre=(0.0, 0.0, 0.01), instance="panel"),
+        box((0.2, 4.0, 2.0), WALL, centre=(1.0, 0.5, 0.0), instance="wall"),
+    ],
+    "adjacency",
+)
+BESIDE = FrameCamera((0, 0, 10), field_of_view=25.0, rows=32, columns=32)
+ABOVE = FrameCamera((0.0, 5.0, 15.0), (0.0, 5.0, 0.0), field_of_view=50.0, rows=32, columns=32)
 
 
-def test_a_lambert_plane(images: Images) -> None:
-    ours, theirs = images(plane(200.0, GREY), light(), FrameCamera((0, 0, 10), rows=16, columns=16))
+def car_park_with(coat: Coat | None) -> Scene:
+    """Return a car park with another coat on its paints and panes, and none elsewhere."""
+    # Mitsuba's sky is below the horizon as well: the ground goes on until none of it is seen
+    country = plane(2e4, GROUND, centre=(0.0, 0.0, -0.02), instance="country")
+    park = Scene.join([car_park(length=10.0, width=16.0, neighbours=(), seed=1), country])
+    materials = (
+        replace(one, coat=coat if one.kind in ("paint", "glass") else None, flakes=None)
+        for one in park.materials
+    )
+    return replace(park, materials=tuple(materials))
+
+
+#: By name: how to make scene and light, camera, and samples of ours and of Mitsuba. Lit from a whole sky, a
+#: plane has no noise. Mitsuba's mirrors never show the sun, which is a point: smooth coats see the sky alone.
+SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int, int]] = {
+    "plane": (lambda: (plane(200.0, GREY), light()), FrameCamera((0, 0, 10), rows=16, columns=16), 64, 2048),
+    "adjacency": (lambda: (ADJACENCY, light()), BESIDE, 1024, 4096),
+    "lambert park": (lambda: (car_park_with(None), light()), ABOVE, 1024, 4096),
+    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 4096, 4096),
+}
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return every scene by both renderers, ours first, shape (strip, column, band)."""
+    folder = tmp_path_factory.mktemp("mitsuba")
+    made = {name: make() for name, (make, *_) in SCENES.items()}
+    jobs = {}
+    for name, (_, camera, _, samples) in SCENES.items():
+        options = {"wavelength": BANDS.wavelength, "fwhm": 6.0, "camera": camera, "depth": DEPTH}
+        jobs[name] = made[name], options | {"samples": samples}
+    (folder / "scenes.pickle").write_bytes(pickle.dumps(jobs))
+    command = [sys.executable, "-c", WORKER, str(Path(__file__).parents[1])]
+    with subprocess.Popen(
+        command, cwd=folder, stderr=subprocess.PIPE, text=True
+    ) as process:  # meanwhile ours
+        ours = {
+            name: our_image(*made[name], camera, samples) for name, (_, camera, samples, _) in SCENES.items()
+        }
+        _, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    with np.load(folder / "images.npz") as file:
+        theirs = {name: image.astype(np.float64) for name, image in file.items()}
+    return {
+        name: (ours[name], image.reshape(STRIPS, -1, *image.shape[1:]).mean(axis=1))
+        for name, image in theirs.items()
+    }
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_means_of_bands_agree(images: dict[str, tuple[np.ndarray, np.ndarray]], name: str) -> None:
+    ours, theirs = images[name]
+    assert ours.shape == theirs.shape
+    np.testing.assert_allclose(ours.mean(axis=(0, 1)) / theirs.mean(axis=(0, 1)), 1.0, atol=0.002)
+
+
+def test_pixels_agree(images: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    ours, _ = images["plane"]
     sky = light()
     known = 0.2 * np.interp(BANDS.wavelength, sky.wavelength, sky.irradiance) / np.pi
     np.testing.assert_allclose(ours, np.broadcast_to(known, ours.shape), rtol=1e-5)
-    assert_equal_means(ours, theirs)
-
-
-def test_a_red_wall_beside_a_grey_panel(images: Images) -> None:
-    scene = Scene.join(
-        [
-            plane(200.0, GROUND),
-            plane(3.0, GREY, centre=(0.0, 0.0, 0.01), instance="panel"),
-            box((0.2, 4.0, 2.0), WALL, centre=(1.0, 0.5, 0.0), instance="wall"),
-        ],
-        "adjacency",
-    )
-    ours, theirs = images(scene, light(), FrameCamera((0, 0, 10), field_of_view=25.0, rows=32, columns=32))
-    assert_equal_means(ours, theirs)
+    ours, theirs = images["adjacency"]
     # shadow and reddening lie where they should: rows and columns agree too, and neither is turned about
     for axis in (0, 1):
         np.testing.assert_allclose(ours.mean(axis=axis), theirs.mean(axis=axis), rtol=0.04)
         flipped = np.flip(theirs.mean(axis=axis), axis=0)
         assert np.abs(ours.mean(axis=axis) / flipped - 1.0).max() > 0.2
-
-
-#: Mitsuba's sky is below the horizon as well: the ground goes on until none of it is seen.
-PARK = Scene.join(
-    [
-        car_park(length=10.0, width=16.0, neighbours=(), seed=1),
-        plane(2e4, GROUND, centre=(0.0, 0.0, -0.02), instance="country"),
-    ]
-)
-ABOVE = FrameCamera((0.0, 5.0, 15.0), (0.0, 5.0, 0.0), field_of_view=50.0, rows=32, columns=32)
-
-
-def coated(scene: Scene, coat: Coat | None) -> Scene:
-    """Return the scene with another coat on its paints and panes, and none elsewhere."""
-    materials = (
-        replace(one, coat=coat if one.kind in ("paint", "glass") else None, flakes=None)
-        for one in scene.materials
-    )
-    return replace(scene, materials=tuple(materials))
-
-
-def test_a_car_park_of_lambert_surfaces(images: Images) -> None:
-    ours, theirs = images(coated(PARK, None), light(), ABOVE)
-    assert_equal_means(ours, theirs)
+    ours, theirs = images["lambert park"]
     assert abs(np.median(ours / theirs) - 1.0) < 0.002
-
-
-@pytest.mark.parametrize("depth", [1, 4])
-def test_a_car_park_of_smooth_coats_under_the_sky(images: Images, depth: int) -> None:
-    # Mitsuba's mirrors never show the sun, which is a point: the sky alone
-    ours, theirs = images(coated(PARK, Coat(1.5, 0.0)), light(sun=0.0), ABOVE, samples=4096, depth=depth)
-    assert_equal_means(ours, theirs)

@@ -24,7 +24,7 @@ from hyperpaint.simulation.rendering.appearance import gloss_units
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, base_albedo
-from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
+from hyperpaint.simulation.rendering.platforms import Platform, matrices
 from hyperpaint.simulation.rendering.scene import Scene, plane
 from hyperpaint.simulation.rendering.scene_record import sun_vectors
 
@@ -152,7 +152,7 @@ def our_image(scene: Scene, sky: Atmosphere, samples: int, depth: int, window: W
     """Return radiance (row, column, band) of a window (first row and column, size), north up."""
     half = np.tan(np.radians(FIELD_DEG / 2))
     edges = np.linspace(-half, half, PIXELS + 1)
-    down = np.broadcast_to(matrices(quaternions(0.0, 0.0, 0.0)), (1, 2, 3, 3))
+    down = np.broadcast_to(matrices(0.0, 0.0, 0.0), (1, 2, 3, 3))
     origin = np.broadcast_to(np.array([0.0, 0.0, HEIGHT]), (1, 2, 3))
     bands = BandSet(NM, np.array(2.0))
     spectra = {name: ([400.0, 900.0], [level] * 2) for name, level in (("paint", PAINT), ("ground", GROUND))}
@@ -169,11 +169,11 @@ def our_image(scene: Scene, sky: Atmosphere, samples: int, depth: int, window: W
     return np.array(rows, np.float64)
 
 
-def their_image(
-    scene: Scene, sky: Atmosphere, surface: dict[str, Any], folder: Path, samples: int, depth: int,
-    window: Window = WHOLE,
-) -> np.ndarray:  # fmt: skip
-    """Return what Mitsuba makes of the same triangles, (row, column, band)."""
+def both_images(
+    scene: Scene, sky: Atmosphere, surface: dict[str, Any], folder: Path, samples: tuple[int, int],
+    depth: int, window: Window = WHOLE,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Return our image and what Mitsuba makes of the same triangles meanwhile, (row, column, band)."""
     from oracles.mitsuba_scenes import write_mesh
 
     for number, material in enumerate(scene.materials):
@@ -181,18 +181,18 @@ def their_image(
     (towards,) = sun_vectors([(ZENITH, AZIMUTH)])
     said = {
         "towards": towards.tolist(), "sun": at_bands(sky, sky.sun).tolist(), "radius": SUN_RADIUS_DEG,
-        "height": HEIGHT,
-        "field": FIELD_DEG, "pixels": PIXELS, "samples": samples, "depth": depth,
+        "height": HEIGHT, "field": FIELD_DEG, "pixels": PIXELS, "samples": samples[1], "depth": depth,
         "first": window[0], "size": window[1],
         "surfaces": {"paint": surface, "ground": {"type": "diffuse", "reflectance": GROUND}},
     }  # fmt: skip
     np.save(folder / "sky.npy", environment(sky))
     (folder / "scene.json").write_text(json.dumps(said))
-    done = subprocess.run(
-        [sys.executable, "-c", WORKER], cwd=folder, capture_output=True, text=True, timeout=500, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return np.load(folder / "image.npy").astype(np.float64)
+    command = [sys.executable, "-c", WORKER]
+    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
+        ours = our_image(scene, sky, samples[0], depth, window)
+        _, errors = process.communicate(timeout=500)
+    assert process.returncode == 0, errors
+    return ours, np.load(folder / "image.npy").astype(np.float64)
 
 
 def plastic(coat: Coat, **more: Any) -> dict[str, Any]:
@@ -218,8 +218,8 @@ def assert_same_means(ours: np.ndarray, theirs: np.ndarray, tolerance: float) ->
 @pytest.mark.parametrize("name", SKIES)
 def test_a_solid_bonnet(name: str, tmp_path: Path) -> None:
     scene, sky = bonnet(None), SKIES[name]()
-    ours = our_image(scene, sky, 256, 3)
-    theirs = their_image(scene, sky, {"type": "diffuse", "reflectance": PAINT}, tmp_path, 1024, 3)
+    diffuse = {"type": "diffuse", "reflectance": PAINT}
+    ours, theirs = both_images(scene, sky, diffuse, tmp_path, (256, 1024), 3)
     assert_same_means(ours, theirs, 0.01)
     panel = on_panel()
     assert_same_means(ours[panel], theirs[panel], 0.005)
@@ -237,9 +237,7 @@ def around_the_glint(image: np.ndarray, size: int) -> Window:
 def test_a_coated_bonnet(name: str, tmp_path: Path) -> None:
     """The sky in the coat, the paint below; of the glint next."""
     coat, sky = Coat(1.5, 0.0, 0.0), SKIES[name]()
-    scene = bonnet(coat)
-    ours = our_image(scene, sky, 512, 3)
-    theirs = their_image(scene, sky, plastic(coat), tmp_path, 2048, 3)
+    ours, theirs = both_images(bonnet(coat), sky, plastic(coat), tmp_path, (512, 2048), 3)
     (top, left), size = around_the_glint(ours, 7)
     rest = np.ones(ours.shape[:2], bool)
     rest[top : top + size, left : left + size] = False  # Mitsuba's mirrors meet the sun by chance alone
@@ -253,8 +251,8 @@ def test_the_glint_of_a_coat_of_80_units(tmp_path: Path) -> None:
     scene = bonnet(coat)
     rough = plastic(coat, type="roughplastic", distribution="ggx", alpha=coat.roughness)
     window = around_the_glint(our_image(scene, sky, 64, 1), 3)
-    ours = our_image(scene, sky, 16384, 1, window)
-    theirs = their_image(scene, sky, rough, tmp_path, 2**20, 1, window)  # fewer leave more than 3 % of noise
+    samples = 16384, 2**20  # fewer leave more than 3 % of noise
+    ours, theirs = both_images(scene, sky, rough, tmp_path, samples, 1, window)
     assert (theirs[1, 1] == theirs.max(axis=(0, 1))).all()
     assert (theirs[1, 1] > 20 * np.median(theirs)).all()
     np.testing.assert_allclose(ours[1, 1] / theirs[1, 1], 1.0, atol=0.03)

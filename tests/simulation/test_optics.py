@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line, simulate_sweep
-from hyperpaint.simulation.camera import Camera
-from hyperpaint.simulation.collect import _create_flight
-from hyperpaint.simulation.optics import (
+from hyperpaint.simulation.camera import (
+    Camera,
     Optics,
     OpticsSettings,
     keystone,
     point_spread,
     stray_light_wings,
 )
-from hyperpaint.workflows import render_products
+from hyperpaint.simulation.collect import flight_of
+from hyperpaint.workflows import rendering
 from hyperpaint.workflows.scene_files import example_scene, read_scene_file
 
 Floats = NDArray[np.float64]
@@ -179,7 +179,7 @@ def test_counts_are_those_of_the_blurred_scene() -> None:
 @pytest.mark.parametrize("scene", ["plan", "checkerboard", pytest.param("rendered", marks=pytest.mark.slow)])
 def test_lines_do_not_depend_on_how_they_are_grouped(scene: str) -> None:
     size = {"lines": 23, "bands": 5, "columns": 12, "samples": 2, "scene": scene, "seed": 3}
-    flight = _create_flight(SimulationSettings(**size, **EVERYTHING))
+    flight = flight_of(SimulationSettings(**size, fleet="solid", neighbours=False, **EVERYTHING))
     whole = flight.lines(0, 23)
     memory = None
     for first, last in itertools.pairwise((0, 1, 8, 10, 23)):
@@ -204,9 +204,7 @@ def test_files_do_not_depend_on_how_lines_are_grouped(tmp_path: Path) -> None:
 
 def test_memory_does_not_grow_with_the_flight() -> None:
     def peak(lines: int) -> int:
-        flight = _create_flight(
-            SimulationSettings(lines=lines, bands=20, columns=64, scene="plan", **EVERYTHING)
-        )
+        flight = flight_of(SimulationSettings(lines=lines, bands=20, columns=64, scene="plan", **EVERYTHING))
         flight.lines(0, 32)
         tracemalloc.start()
         memory = None
@@ -248,7 +246,7 @@ def test_counts_of_a_render_do_not_depend_on_chunks(noise: bool) -> None:
     cube = xr.DataArray(values, dims=("along_track", "band", "cross_track"))
 
     def counts(lines: int) -> Any:
-        return render_products.counts_of(
+        return rendering.counts_of(
             cube.chunk(along_track=lines), camera, 5e-3, 7, "noon", noise=noise
         ).counts.values
 

@@ -7,14 +7,19 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.simulation.rendering.base_coats import Pigments, aluminium
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import plane
-from hyperpaint.simulation.rendering.scene_spectra import fleet_names, paint_spec, spectrum_of
+from hyperpaint.simulation.rendering.scene_spectra import (
+    Pigments,
+    aluminium,
+    fleet_names,
+    paint_spec,
+    spectrum_of,
+)
 from hyperpaint.simulation.transport.surfaces import lobes_at, surfaces_of, turned_part
 
 COAT, SHARE, LOBE = Coat(waviness=0.0), 0.5, 0.3

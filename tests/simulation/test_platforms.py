@@ -1,4 +1,4 @@
-"""Platforms: where rays start and where they look, against geometry done by hand and by scipy."""
+"""Platforms: where rays start and look, how drones move, and the ellipsoid, against scipy and PROJ."""
 
 from __future__ import annotations
 
@@ -6,14 +6,26 @@ import math
 from typing import Any
 
 import numpy as np
+import pyproj
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 from support.refusals import refusal
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.rendering.platform_geometry import Platform
-from hyperpaint.simulation.rendering.platforms import platform_from_poses, pushbroom
+from hyperpaint.simulation import SimulationSettings
+from hyperpaint.simulation.rendering.platforms import (
+    LocalFrame,
+    Platform,
+    Trajectory,
+    TransverseMercator,
+    geocentric,
+    geodetic,
+    north_east_down,
+    platform_from_poses,
+    pushbroom,
+)
+from hyperpaint.simulation.settings import ORIGIN
 
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 ANGLE = st.floats(-80.0, 80.0)
@@ -184,3 +196,157 @@ def test_platforms_of_wrong_arrays_are_refused() -> None:
         Platform(**(given | {"column_edges": good.column_edges[::-1]}))
     with pytest.raises(SchemaError, match="type-wrong"):
         Platform(**(given | {"time": good.time.astype(float)}))
+
+
+# --- the motion of a drone ----------------------------------------------------------------------------------
+
+SECONDS = np.arange(0.0, 600.0, 0.01)
+
+
+def flown(**effects: object) -> Trajectory:
+    settings = SimulationSettings.of({"scene": "checkerboard", **effects})
+    return Trajectory.of(settings, LocalFrame(*ORIGIN), 1.14, 15.24)
+
+
+@pytest.mark.parametrize(
+    ("wobble", "tilt", "heading", "fastest"),
+    [("calm", 0.15, 1.1, (2.2, 2.8, 12.0)), ("rough", 0.42, 3.1, (6.0, 8.0, 34.0))],
+)
+def test_wobble_is_that_of_drones(
+    wobble: str, tilt: float, heading: float, fastest: tuple[float, float, float]
+) -> None:
+    """Expected: spreads and highest rates [degree, degree s-1] of ``georeference_reliability.md`` 1.2."""
+    path = flown(wobble=wobble, seed=3)
+    pose = path.pose(SECONDS)
+    yaw = (pose["heading"] + 180.0) % 360.0 - 180.0
+    assert pose["roll"].std() == pytest.approx(tilt, rel=0.1)
+    assert pose["pitch"].std() == pytest.approx(tilt, rel=0.1)
+    assert yaw.std() == pytest.approx(heading, rel=0.1)
+    for angle, most in zip((pose["roll"], pose["pitch"], yaw), fastest, strict=True):
+        assert np.abs(np.gradient(angle, 0.01)).max() == pytest.approx(most, rel=0.35)
+    # which crosses north, and is written from 0 to 360
+    assert pose["heading"].min() >= 0.0
+    assert pose["heading"].max() < 360.0
+    assert np.abs(np.diff(pose["heading"])).max() > 350.0
+    assert max(np.abs(pose["roll"]).max(), np.abs(pose["pitch"]).max()) < path.steepest
+    assert np.abs(yaw).max() < path.max_yaw
+
+
+def test_seeds_wobble_differently_and_again_the_same() -> None:
+    rolls = [flown(wobble="calm", seed=seed).pose(SECONDS)["roll"] for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(rolls[0], rolls[1])
+    assert np.abs(np.corrcoef(rolls[0], rolls[2])[0, 1]) < 0.2
+
+
+def test_without_wobble_it_flies_straight() -> None:
+    pose = flown(wobble="none", course=63.0).pose(SECONDS)
+    assert not pose["roll"].any()
+    assert not pose["pitch"].any()
+    assert (pose["heading"] == 63.0).all()
+    assert (pose["altitude"] == 160.0 + 15.24).all()
+    azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(
+        pose["longitude"][0], pose["latitude"][0], pose["longitude"][-1], pose["latitude"][-1]
+    )
+    assert azimuth == pytest.approx(63.0, abs=1e-3)
+    assert distance == pytest.approx(1.14 * SECONDS[-1], rel=1e-4)
+
+
+def test_camera_is_where_pose_and_mounting_put_it() -> None:
+    """Expected: by scipy's rotations and PROJ's geodesy, lever arm and boresight as rotations."""
+    path = flown(
+        wobble="rough", course=300.0, boresight=(0.4, -0.6, 0.8), lever_arm=(0.05, -0.02, 0.12), seed=5
+    )
+    seconds = np.array([0.0, 3.0, 50.0])
+    pose, (origin, rotation) = path.pose(seconds), path.camera(seconds)
+    to_scene = pyproj.Transformer.from_pipeline(
+        "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84 "
+        f"+step +proj=topocentric +ellps=WGS84 +lon_0={ORIGIN[1]} +lat_0={ORIGIN[0]} +h_0={ORIGIN[2]}"
+    )
+    place = np.stack(to_scene.transform(pose["longitude"], pose["latitude"], pose["altitude"]), axis=-1)
+    body = Rotation.from_euler("ZYX", np.stack([pose[n] for n in ("heading", "pitch", "roll")], -1), True)
+    camera = body * Rotation.from_euler("ZYX", [0.8, -0.6, 0.4], degrees=True)
+    swap = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    # the vertical there is not that of the origin: 57 m are 5e-4 degrees
+    np.testing.assert_allclose(rotation, swap @ camera.as_matrix(), atol=2e-5)
+    np.testing.assert_allclose(origin, place + body.apply([0.05, -0.02, 0.12]) @ swap.T, atol=1e-5)
+
+
+def test_motions_and_mountings_that_cannot_be_flown() -> None:
+    with pytest.raises(SchemaError) as caught:
+        SimulationSettings(
+            wobble="wild", boresight=(1.0, 2.0), lever_arm=(0.0, 0.0, 9.0), swath=0.0, course=999.0
+        )
+    for text in ("wobble='wild'", "boresight=(1.0, 2.0)", "lever_arm=", "swath=0.0", "course=999.0"):
+        assert text in str(caught.value)
+    with pytest.raises(SchemaError) as caught:
+        SimulationSettings(scene="plan", course=10.0, swath=5.0, navigation_rate=300)
+    for text in ("course=10.0", "swath=5.0", "navigation_rate=300"):
+        assert text in str(caught.value)
+
+
+# --- the ellipsoid and the map ------------------------------------------------------------------------------
+
+RNG = np.random.default_rng(8)
+LATITUDE = RNG.uniform(0.0, 83.0, 500)
+LONGITUDE = -75.0 + RNG.uniform(-3.0, 3.0, 500)
+HEIGHT = RNG.uniform(-100.0, 5000.0, 500)
+
+
+def transformed(source: str, target: str, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+    made = pyproj.Transformer.from_crs(source, target, always_xy=True).transform(*values)
+    return tuple(np.asarray(part) for part in made)
+
+
+def test_geocentric_and_back() -> None:
+    expected = np.stack(transformed("EPSG:4979", "EPSG:4978", LONGITUDE, LATITUDE, HEIGHT), axis=-1)
+    np.testing.assert_allclose(geocentric(LATITUDE, LONGITUDE, HEIGHT), expected, atol=1e-8, rtol=0)
+    latitude, longitude, height = geodetic(expected)
+    assert np.abs(latitude - LATITUDE).max() < 1e-11  # degree: a micrometre
+    assert np.abs(longitude - LONGITUDE).max() < 1e-12
+    assert np.abs(height - HEIGHT).max() < 1e-7
+
+
+@pytest.mark.parametrize("zone", [1, 18, 31, 60])
+def test_map_is_that_of_utm(zone: int) -> None:
+    plane = TransverseMercator(zone)
+    longitude = LONGITUDE + 6.0 * (zone - 18)
+    east, north = plane.project(LATITUDE, longitude)
+    x, y = transformed("EPSG:4326", plane.crs, longitude, LATITUDE)
+    assert np.abs(east - x).max() < 1e-7
+    assert np.abs(north - y).max() < 1e-7
+
+
+def test_zone_of_a_place() -> None:
+    zones = [TransverseMercator.of(43.0, longitude).zone for longitude in (-180.0, -77.7, 0.0, 179.9)]
+    assert zones == [1, 18, 31, 60]
+    with pytest.raises(ValueError, match="-20"):
+        TransverseMercator.of(-20.0, 0.0)
+
+
+def test_local_frame_is_that_of_proj() -> None:
+    frame = LocalFrame(43.0845, -77.6749, 160.0)
+    latitude, longitude = 43.0845 + RNG.normal(0, 0.01, 50), -77.6749 + RNG.normal(0, 0.01, 50)
+    height = RNG.uniform(100.0, 300.0, 50)
+    pipeline = pyproj.Transformer.from_pipeline(
+        "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84 "
+        "+step +proj=topocentric +ellps=WGS84 +lon_0=-77.6749 +lat_0=43.0845 +h_0=160"
+    )
+    expected = np.stack(pipeline.transform(longitude, latitude, height), axis=-1)
+    made = frame.local(latitude, longitude, height)
+    np.testing.assert_allclose(made, expected, atol=1e-7, rtol=0)
+    back = frame.geodetic(made)
+    for value, wanted, within in zip(back, (latitude, longitude, height), (1e-11, 1e-11, 1e-7), strict=True):
+        np.testing.assert_allclose(value, wanted, atol=within, rtol=0)
+
+
+def test_directions_are_those_of_small_steps() -> None:
+    """Expected: a metre north, east and down of a place, by its coordinates, is a column of the rotation."""
+    here = geocentric(43.0, -77.0, 160.0)
+    turned = north_east_down(43.0, -77.0)
+    step = 1e-6
+    for axis, moved in enumerate(
+        (geocentric(43.0 + step, -77.0, 160.0), geocentric(43.0, -77.0 + step, 160.0), None)
+    ):
+        way = (geocentric(43.0, -77.0, 159.0) if moved is None else moved) - here
+        np.testing.assert_allclose(turned[:, axis], way / np.linalg.norm(way), atol=2e-7)
+    np.testing.assert_allclose(turned.T @ turned, np.eye(3), atol=1e-15)

@@ -13,7 +13,7 @@ import hyperpaint as hp
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import plane
-from hyperpaint.simulation.transport.texturing import Grain, member_rows
+from hyperpaint.simulation.transport.mixing import Grain, member_rows
 
 LIGHT = flat_light()
 NM = np.linspace(390.0, 1010.0, 63)

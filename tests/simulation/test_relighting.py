@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,10 @@ from hyperpaint.simulation.camera import smile
 from hyperpaint.simulation.rendering import tracing as tracing_module
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.lighting import SHARES
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
 from hyperpaint.simulation.rendering.painting import factor_spectra
 from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.relighting import SHARES
 from hyperpaint.simulation.rendering.scene import plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import paint_spec, spectrum_of
@@ -317,32 +317,17 @@ def test_variables_are_those_of_the_table_before_and_after(traced: xr.Dataset, n
 # --- laziness, chunks, stores
 
 
-@pytest.fixture(scope="module")
-def client() -> Any:
-    """Two workers in other processes."""
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
-        ) as cluster,
-        distributed.Client(cluster, set_as_default=False) as made,
-    ):
-        yield made
-
-
-@pytest.mark.parametrize("scheduler", ["synchronous", "threads", "cluster"])
-@pytest.mark.parametrize("chunk_lines", [1, 7, 24])
 @pytest.mark.slow
-def test_the_same_bits_whatever_the_chunks(client: Any, chunk_lines: int, scheduler: str) -> None:
+def test_the_same_bits_whatever_the_chunks(scheduler_of_lines: Callable[[int], Any]) -> None:
     bands = BandSet(FEW_BANDS.wavelength, FEW_BANDS.fwhm, "gaussian", smile(16, 0.6))
     light = Atmosphere.clear(*SUN)
     variation = np.random.default_rng(0).uniform(0.5, 1.0, (2, 24))
     with dask.config.set(scheduler="synchronous"):
         whole = tracing().paint.relight(bands, atmosphere=light, variation=variation).compute()
-    where: Any = client.as_current() if scheduler == "cluster" else dask.config.set(scheduler=scheduler)
-    with where:
+    for chunk_lines in (1, 7, 24):
         made = tracing(chunk_lines=chunk_lines).paint.relight(bands, atmosphere=light, variation=variation)
-        xr.testing.assert_identical(made.compute(), whole)
+        with scheduler_of_lines(chunk_lines):
+            xr.testing.assert_identical(made.compute(), whole)
 
 
 def test_chunks_that_split_lines_are_put_together(traced: xr.Dataset) -> None:
@@ -392,7 +377,7 @@ def test_a_stored_scene_is_relit_without_tracing(
 
 
 def test_radiance_alone_costs_no_truth(traced: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hyperpaint.simulation.rendering.lighting import Lighting
+    from hyperpaint.simulation.rendering.relighting import Lighting
 
     def refuse(*_: Any) -> None:
         msg = "truth was computed"

@@ -150,7 +150,7 @@ def test_what_was_not_traced_is_said() -> None:
 
 def test_a_shadow_has_a_penumbra() -> None:
     """The edge of a wall's shadow is as wide as the sun's disc throws it."""
-    from hyperpaint.simulation.rendering.primitives import box
+    from hyperpaint.simulation.rendering.scene import box
 
     wall = box((40.0, 0.2, 10.0), Material("wall", "brick", "wall"), centre=(0.0, 0.0, 0.0))
     scene = Scene.join([plane(200.0), wall])

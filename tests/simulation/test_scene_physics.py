@@ -14,9 +14,8 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance, measured_factor
-from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
-from hyperpaint.simulation.rendering.primitives import box
-from hyperpaint.simulation.rendering.scene import Scene, plane
+from hyperpaint.simulation.rendering.platforms import Platform, matrices
+from hyperpaint.simulation.rendering.scene import Scene, box, plane
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
 BANDS = BandSet(np.array([450.0, 550.0, 650.0, 850.0]), np.array(6.0))
@@ -42,7 +41,7 @@ def looking(
     """Return a camera that stands still north of a point, and sees it from a zenith angle [degree]."""
     angle = np.radians(zenith)
     place = np.array(at) + distance * np.array([0.0, np.sin(angle), np.cos(angle)])
-    turned = matrices(quaternions(0.0, -zenith, 0.0))  # nose down: the view goes back to the south
+    turned = matrices(0.0, -zenith, 0.0)  # nose down: the view goes back to the south
     edges = ifov * (np.arange(columns + 1) - 0.5 * columns)
     return Platform(
         np.broadcast_to(place, (lines, 2, 3)),

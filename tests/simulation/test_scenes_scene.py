@@ -10,8 +10,19 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
-from hyperpaint.simulation.rendering.primitives import box, cuboid, polygon, put_together, smoothed, tube
-from hyperpaint.simulation.rendering.scene import PARTS, Factor, Instance, Scene, plane
+from hyperpaint.simulation.rendering.scene import (
+    PARTS,
+    Factor,
+    Instance,
+    Scene,
+    box,
+    cuboid,
+    plane,
+    polygon,
+    put_together,
+    smoothed,
+    tube,
+)
 
 GREY = Material("grey", "panel_20", "panel")
 RED = Material("red", "red", "paint", Coat(), Flakes(0.3))
@@ -137,12 +148,7 @@ def test_joining_merges_equal_materials_and_keeps_what_each_triangle_is() -> Non
     )
 
 
-def test_joining_refuses_names_that_mean_two_things() -> None:
-    other = Material("grey", "panel_50", "panel")
-    with pytest.raises(SchemaError, match="name-duplicate"):
-        Scene.join([plane(1.0, GREY), plane(1.0, other, instance="b")])
-    with pytest.raises(SchemaError, match=r"box.*name-duplicate"):
-        Scene.join([box((1, 1, 1), GREY), box((1, 1, 1), GREY)])
+def test_joining_keeps_the_names_of_instances() -> None:
     twice = Scene.join([box((1, 1, 1), GREY, instance=name) for name in ("a_box", "b_box")])
     assert [one.name for one in twice.instances] == ["a_box", "b_box"]
 
@@ -158,11 +164,6 @@ def test_moving_turns_clockwise_about_the_vertical() -> None:
     np.testing.assert_allclose(east.vertices[1], [11, 0, 0], atol=1e-12)
     np.testing.assert_allclose(east.normals[1], [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(north.moved((0, 0, 0), heading=45).vertices[1], [0.5**0.5, 0.5**0.5, 0])
-
-
-def test_from_arrays_needs_to_know_which_material() -> None:
-    with pytest.raises(SchemaError, match="argument-missing"):
-        Scene.from_arrays(TRIANGLE, [[0, 1, 2]], [GREY, RED])
 
 
 def outward(scene: Scene) -> np.ndarray:

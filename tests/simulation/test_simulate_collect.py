@@ -17,8 +17,8 @@ from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.camera import convolve_gaussian
+from hyperpaint.simulation.flight import PlanFlight
 from hyperpaint.simulation.paint_spectra import MATERIALS
-from hyperpaint.simulation.plan_flight import PlanFlight
 
 SMALL: dict[str, Any] = {"scene": "plan", "lines": 70, "bands": 12, "columns": 10, "seed": 7}
 SECOND = np.timedelta64(1, "s")
@@ -302,7 +302,7 @@ def test_radiance_is_the_weighted_irradiance_over_pi() -> None:
     made = flight.lines(0, 1)  # seen at t = 0, where both factors are one
     index = list(MATERIALS).index("green")
     column = slice(index * 32, (index + 1) * 32)
-    table = flight._reflected[:, :, column].sum(axis=0) / flight._incident.sum(axis=0)
+    table = flight._reflected[:, :, column].sum(axis=0) / flight.incident.sum(axis=0)
     np.testing.assert_allclose(table, by_hand, rtol=1e-12)
     assert made.counts.dtype == np.float32
 

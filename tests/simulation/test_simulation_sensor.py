@@ -12,9 +12,9 @@ from hyperpaint.simulation.camera import (
     convolve_gaussian,
     expected_counts,
     filled_etendue,
-    line_shape,
     smile,
 )
+from hyperpaint.simulation.rendering.camera_bands import line_shape
 from hyperpaint.simulation.settings import SHAPES
 
 K = np.sqrt(np.pi / (4 * np.log(2)))
@@ -92,8 +92,9 @@ def test_smile_moves_the_response_of_a_column() -> None:
     shift = smile(5, 0.8)
     np.testing.assert_allclose(shift, [0.8, 0.2, 0.0, 0.2, 0.8])
     imager = Imager(
-        np.array([500.0, 510.0]), shift, 6.0, "gaussian", lambda nm: np.ones_like(nm), np.ones((2, 5))
-    )
+        wavelength=np.array([500.0, 510.0]), wavelength_shift=shift, fwhm=6.0, shape="gaussian",
+        responsivity=np.ones_like, element_factor=np.ones((2, 5)),
+    )  # fmt: skip
     grid = spectral_grid(450.0, 560.0)
     moments = imager.integrals(np.stack([np.ones_like(grid), grid]), grid)
     np.testing.assert_allclose(moments[1] / moments[0], imager.wavelength[:, None] + shift, atol=1e-9)
@@ -102,12 +103,15 @@ def test_smile_moves_the_response_of_a_column() -> None:
 def test_integrals_agree_with_each_response() -> None:
     rng = np.random.default_rng(3)
     factor = 1 + 0.1 * rng.random((3, 21))
-    imager = Imager(np.array([500.0, 503.0, 506.0]), smile(21, 1.3), 4.0, "slit", lambda nm: nm**2, factor)
+    imager = Imager(
+        wavelength=np.array([500.0, 503.0, 506.0]), wavelength_shift=smile(21, 1.3), fwhm=4.0, shape="slit",
+        responsivity=np.square, element_factor=factor,
+    )  # fmt: skip
     grid = spectral_grid(480.0, 530.0)
     spectra = rng.random((2, len(grid)))
     made = imager.integrals(spectra, grid)
     for band in range(3):
-        response = imager._common_response(band, grid, imager.wavelength_shift) * factor[band]
+        response = imager.response(band, grid, imager.wavelength_shift) * factor[band]
         np.testing.assert_allclose(made[:, band], spectra @ response * 0.05, rtol=1e-9)
 
 

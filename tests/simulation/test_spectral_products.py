@@ -15,10 +15,10 @@ from support.traced_scenes import seen_by
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.camera import Camera, nominal_responsivity
 from hyperpaint.simulation.paint_spectra import CAR_PAINTS, reflectance
-from hyperpaint.simulation.rendering import lighting
+from hyperpaint.simulation.rendering import relighting
 from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet, cell_means
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.lighting import ProductTable
+from hyperpaint.simulation.rendering.relighting import ProductTable
 from hyperpaint.simulation.settings import SimulationSettings
 from hyperpaint.simulation.transport.path_codes import (
     PathCodes,
@@ -203,7 +203,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
     assert len(pickle.dumps(table)) == empty
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(table)).rows(codes), rows)
     # and what does not fit is made again each time
-    monkeypatch.setattr(lighting, "_MAX_CACHE_BYTES", 100 * 272 * 4)
+    monkeypatch.setattr(relighting, "_MAX_CACHE_BYTES", 100 * 272 * 4)
     small = pickle.loads(pickle.dumps(table))
     for start in range(0, codes.size, 30):
         part = codes[start : start + 30]

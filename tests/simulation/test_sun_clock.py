@@ -10,8 +10,14 @@ import pytest
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.sun import solar_position
 from hyperpaint.simulation.collect import simulate_collect
-from hyperpaint.simulation.settings import NEAR_SUNSET, ORIGIN, SimulationSettings
-from hyperpaint.simulation.sun_clock import DEFAULT_START, sun_at, when_sun_stands
+from hyperpaint.simulation.settings import (
+    DEFAULT_START,
+    NEAR_SUNSET,
+    ORIGIN,
+    SimulationSettings,
+    sun_at,
+    when_sun_stands,
+)
 
 PLACE = ORIGIN[:2]
 

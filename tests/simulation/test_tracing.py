@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
 import pickle
 import time as clock
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +44,12 @@ def whole() -> xr.Dataset:
 
 
 def test_slots_grow_with_sources_and_samples() -> None:
-    one = TraceSettings.of([SUN]).slot_count
-    assert one == TraceSettings.of([SUN], samples=256).slot_count / 2 == 96
-    assert TraceSettings.of([SUN], clear=False).slot_count == one / 2
-    assert TraceSettings.of([SUN, LOW_SUN], overcast=True).slot_count == 2 * one
-    assert TraceSettings.of([SUN], samples=1).slot_count == 16
-    assert TraceSettings.of([SUN], slots=5).slot_count == 5
+    one = TraceSettings([SUN]).slot_count
+    assert one == TraceSettings([SUN], samples=256).slot_count / 2 == 96
+    assert TraceSettings([SUN], clear=False).slot_count == one / 2
+    assert TraceSettings([SUN, LOW_SUN], overcast=True).slot_count == 2 * one
+    assert TraceSettings([SUN], samples=1).slot_count == 16
+    assert TraceSettings([SUN], slots=5).slot_count == 5
 
 
 def test_variables_are_those_of_the_table_before_and_after(whole: xr.Dataset, no_compute: Any) -> None:
@@ -70,28 +70,13 @@ def test_variables_are_those_of_the_table_before_and_after(whole: xr.Dataset, no
     assert set(whole.coords) == {"time", "sun_zenith", "sun_azimuth"}
 
 
-@pytest.mark.parametrize("scheduler", ["synchronous", "threads", "cluster"])
 @pytest.mark.parametrize("chunk_lines", [1, 7, 24])
 @pytest.mark.slow
 def test_the_same_bits_whatever_the_chunks(
-    whole: xr.Dataset, client: Any, chunk_lines: int, scheduler: str
+    whole: xr.Dataset, scheduler_of_lines: Callable[[int], Any], chunk_lines: int
 ) -> None:
-    where: Any = client.as_current() if scheduler == "cluster" else dask.config.set(scheduler=scheduler)
-    with where:
+    with scheduler_of_lines(chunk_lines):
         xr.testing.assert_identical(traced(chunk_lines).compute(), whole)
-
-
-@pytest.fixture(scope="module")
-def client() -> Any:
-    """Two workers in other processes."""
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
-        ) as cluster,
-        distributed.Client(cluster, set_as_default=False) as made,
-    ):
-        yield made
 
 
 def test_another_seed_another_draw(whole: xr.Dataset) -> None:
@@ -99,7 +84,7 @@ def test_another_seed_another_draw(whole: xr.Dataset) -> None:
 
 
 def test_a_block_is_what_the_dataset_holds(whole: xr.Dataset) -> None:
-    settings = TraceSettings.of([SUN, LOW_SUN], **SETTINGS)
+    settings = TraceSettings([SUN, LOW_SUN], **SETTINGS)
     prepared = tracing.prepare_scene(two_cars(), settings)
     block = tracing.trace_block(prepared, flight(), 5, 9)
     np.testing.assert_array_equal(block.weight, whole.transport_weight.values[5:9])
@@ -162,7 +147,7 @@ def test_labels_say_what_is_seen(whole: xr.Dataset) -> None:
     scene = two_cars()
     record, settings = SceneRecord.from_attrs(whole.attrs)
     assert record == SceneRecord.of(scene)
-    assert settings == TraceSettings.of([SUN, LOW_SUN], **SETTINGS)
+    assert settings == TraceSettings([SUN, LOW_SUN], **SETTINGS)
     names = [instance["name"] for instance in json.loads(whole.attrs["instances"])]
     assert names == [instance.name for instance in scene.instances]
     cars = {names[number] for number in np.unique(whole.car_id) if number >= 0}

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.simulation.plan_flight import PlanFlight
+from hyperpaint.simulation.flight import PlanFlight
 from hyperpaint.simulation.settings import SimulationSettings
 from hyperpaint.simulation.stores import line_dataset
 
@@ -74,7 +74,7 @@ class _OverPanels(PlanFlight):
             share = np.where(dark, np.linspace(0.0, 1.0, dark.size), 1.0)
             rho = laid.level * laid.reflectance * laid.pattern[row] * share + 0.05 * (1.0 - share)
             direct, diffuse = (
-                factor * part[:, laid.across] for factor, part in zip(factors, self._incident, strict=True)
+                factor * part[:, laid.across] for factor, part in zip(factors, self.incident, strict=True)
             )
             ground = 0.2 * (1.0 - view) * (direct + diffuse)
             seen[:, laid.across] = rho * (sun * direct + view * diffuse + ground)

@@ -17,7 +17,7 @@ from hyperpaint.kernels.arguments import (
     rounding,
     without_empty_arrays,
 )
-from hyperpaint.kernels.bit_rounding import round_row
+from hyperpaint.kernels.linear_counts import round_row
 from hyperpaint.kernels.radiometry import calibrate_slab
 
 NO_MODEL = DetectorModel(

@@ -7,14 +7,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.simulation.camera import line_shape
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.rendering.camera_bands import BandSet, line_shape
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, measured_factor
-from hyperpaint.simulation.rendering.platform_geometry import Platform
-from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.simulation.rendering.primitives import box
-from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
+from hyperpaint.simulation.rendering.platforms import Platform, pushbroom
+from hyperpaint.simulation.rendering.scene import Instance, Scene, box, plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
@@ -125,3 +122,19 @@ def seen_by(bands: BandSet, grid: np.ndarray, spectrum: np.ndarray, shift: float
             response = response * bands.responsivity(grid)
         made.append((response * spectrum).sum() / response.sum())
     return np.array(made)
+
+
+SERIES_NM = np.arange(400.0, 1001.0, 5.0)
+
+
+def irradiance_series(samples: int = 3, units: str = "W m-2 nm-1") -> xr.Dataset:
+    """Return an irradiance series every 10 s, of levels 1, 2, ..."""
+    level = (1.0 + np.arange(samples))[:, None] * np.ones(SERIES_NM.size)
+    times = np.datetime64("2020-06-21T17:00:00", "ns") + 10_000_000_000 * np.arange(samples)
+    return xr.Dataset(
+        {"irradiance": (("irradiance_time", "irradiance_wavelength"), level.astype("f4"), {"units": units})},
+        {
+            "irradiance_time": times,
+            "irradiance_wavelength": ("irradiance_wavelength", SERIES_NM, {"units": "nm"}),
+        },
+    )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+
 import numba
 import numpy as np
 
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
-from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings, Sources
-from hyperpaint.simulation.transport.paths import trace_lines
+from hyperpaint.simulation.transport.paths import Block, Rays, Settings, Sources, trace_lines
 from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 
 #: False where the tests run as plain Python, some hundred times slower.
@@ -49,19 +50,16 @@ def box(x: float, y: float, half: float, height: float) -> tuple[np.ndarray, np.
 
 def materials(*coats: tuple[float, float] | None, flakes: float = 0.0, flake_alpha: float = 0.35) -> Surfaces:
     """Return surfaces: None for Lambert, else index and alpha of the coat; factors in the same order."""
-    count = len(coats)
-    index = np.array([coat[0] if coat else 0.0 for coat in coats])
+    return Surfaces(*(part.copy() for part in _materials(coats, flakes, flake_alpha)))
+
+
+@functools.cache
+def _materials(coats: tuple[tuple[float, float] | None, ...], flakes: float, flake_alpha: float) -> Surfaces:
+    # the tables of a coat take long without compilation
+    count, (index, alpha) = len(coats), np.array([coat or (0.0, 0.0) for coat in coats]).T
     flake_factor = np.arange(count, 2 * count) if flakes else np.full(count, -1)
-    return surfaces_of(
-        index,
-        np.array([coat[1] if coat else 0.0 for coat in coats]),
-        np.zeros(count),
-        np.full(count, flakes),
-        np.full(count, flake_alpha),
-        np.arange(count, dtype=np.int32),
-        flake_factor.astype(np.int32),
-        np.full(count, -1, np.int32),
-    )
+    shares, alphas = np.full(count, flakes), np.full(count, flake_alpha)
+    return surfaces_of(index, alpha, np.zeros(count), shares, alphas, np.arange(count), flake_factor)
 
 
 def sun(zenith: float, azimuth: float = 90.0) -> np.ndarray:

@@ -77,8 +77,7 @@ def test_uncertainties_are_divided_by_the_same_light() -> None:
     light = (0.6 * (1 - SKY) + SKY)[None, :, None]
     for name, array in u.items():
         assert made[name].chunks is not None
-        assert made[name].dtype == np.float32
-        assert made[name].attrs == array.attrs
+        assert (made[name].dtype, made[name].attrs) == (np.float32, array.attrs)
         np.testing.assert_allclose(made[name].values, array.values / light, rtol=1e-5)
 
 
@@ -149,8 +148,7 @@ def test_a_library_corrected_is_that_of_a_line_corrected() -> None:
         early = hp.extract_signatures(correct(seen), region)
         late = correct(hp.extract_signatures(seen, region))
         for name in ("reflectance", "reflectance_sd", "reflectance_quantiles", "member_reflectance"):
-            assert late[name].dims == early[name].dims
-            assert late[name].dtype == np.float32
+            assert (late[name].dims, late[name].dtype) == (early[name].dims, np.float32)
             np.testing.assert_allclose(late[name], early[name], rtol=2e-5, atol=1e-7, err_msg=name)
         assert late.attrs["corrections"] == early.attrs["corrections"] != "none"
         for library in (early, late):

@@ -9,9 +9,9 @@ from support.analytic_scenes import smooth_edge
 
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings.full_light import Light, senders_of, solve
+from hyperpaint.surroundings.light_split import mirrored_radiances
 from hyperpaint.surroundings.model import LIT, SHADED
 from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
-from hyperpaint.surroundings.sun_and_sky import mirrored_radiances
 from hyperpaint.surroundings.surveying import match_shade, of_shadows, shaded_pixels
 
 NM = np.linspace(412.0, 988.0, 24)
@@ -118,8 +118,7 @@ def test_no_material_is_mixed_where_parts_of_one_car_meet() -> None:
     body = np.arange(3, dtype=np.int32)
     distance = edge_distance(segments, body, np.array([0, 0, 2], np.int32))
     assert distance.dtype == np.uint8
-    assert distance[0].tolist()[:12] == [12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1]
-    assert distance[4, 6] == 0
+    assert (distance[0].tolist()[:12], distance[4, 6]) == ([12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1], 0)
     assert edge_distance(segments, body, body)[0, 5:7].tolist() == [1, 1]
 
 

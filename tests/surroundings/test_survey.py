@@ -15,9 +15,9 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings.full_light import Light, Matches
+from hyperpaint.surroundings.light_split import measured_fraction, mirrored_radiances, shadow_side_of
 from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
 from hyperpaint.surroundings.segments import divide, touching
-from hyperpaint.surroundings.sun_and_sky import measured_fraction, mirrored_radiances, shadow_side_of
 from hyperpaint.surroundings.surveying import (
     channel_noise,
     channel_numbers,
@@ -120,8 +120,7 @@ def test_channels_that_most_pixels_lack_are_left_out() -> None:
     channels[..., 1] = np.nan
     channels[0, 0] = np.nan
     left, numbers = without_unknown(channels, np.array([0, 0, 1, -1, 2]))
-    assert left.shape == (4, 5, 2)
-    assert numbers.tolist() == [0, 0, -1, -1, 1]
+    assert (left.shape, numbers.tolist()) == ((4, 5, 2), [0, 0, -1, -1, 1])
     channels[:] = np.nan
     assert without_unknown(channels, np.arange(3))[0].shape == (4, 5, 3)
 
@@ -195,8 +194,7 @@ def test_segments_split_where_materials_meet() -> None:
     assert segments.size.tolist() == [24 * 12, 24 * 18]
     assert not segments.sure[3, 3]
     pairs = touching(segments.number, 2)
-    assert pairs.one.tolist() == [0, 1]
-    assert pairs.length.tolist() == [24, 24]
+    assert (pairs.one.tolist(), pairs.length.tolist()) == ([0, 1], [24, 24])
     assert pairs.sides.tolist() == [[0, 0, 24, 0], [0, 0, 0, 24]]
 
 
@@ -229,7 +227,7 @@ def test_the_side_of_shadows_from_sun_and_heading() -> None:
 
 def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
     pytest.importorskip("pvlib")
-    from hyperpaint.surroundings.sun_and_sky import diffuse_from_clear_sky
+    from hyperpaint.surroundings.light_split import diffuse_from_clear_sky
 
     ours, theirs = (diffuse_from_clear_sky(source, NM, 30.0) for source in ("model", "pvlib"))
     np.testing.assert_allclose(ours, theirs, rtol=0.15, atol=0.01)

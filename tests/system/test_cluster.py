@@ -314,7 +314,7 @@ def _end_soon() -> None:
 def test_cluster_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hyperpaint.simulation import simulate_collect
 
-    monkeypatch.setattr("hyperpaint.workflows.pipeline.WORKERS_WAIT", 0.2)
+    monkeypatch.setattr("hyperpaint.workflows.products.WORKERS_WAIT", 0.2)
     collect = simulate_collect(tmp_path / "raw", scene="plan", lines=8, bands=24, columns=4, truth=False)
     with (
         cluster(0, processes=False) as client,
@@ -331,9 +331,7 @@ def test_campaign_of_killed_workers(tmp_path: Path) -> None:
     made = importlib.import_module("campaigns.faults.outcome").Outcome("workers killed")
     (tmp_path / "run").mkdir()
     with faults.Cluster() as killed:
-        work = faults.storing(tmp_path)
-        work.seconds = 4.0
-        faults.run_kills(0, killed, work, tmp_path / "run", made)
+        faults.run_kills(0, tmp_path / "run", killed, faults.storing(tmp_path, 4.0), made)
     assert made.good, made.wrong
     assert made.count == faults.kills_in(0) == 4
     assert sum(map(faults.kills_in, range(faults.RUNS))) == 100

@@ -13,8 +13,7 @@ from hyperpaint.paints import starter_library
 from hyperpaint.regions import Region, Regions
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.simulation.rendering.primitives import box
-from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
+from hyperpaint.simulation.rendering.scene import Instance, Scene, box, plane
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.workflows.dirsig_export import export_dirsig_scene, named_libraries
+from hyperpaint.workflows.rendering import export_dirsig_scene, named_libraries
 
 NM = np.linspace(400.0, 1000.0, 31)
 SCENE = """

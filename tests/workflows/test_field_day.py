@@ -15,8 +15,10 @@ from click.testing import CliRunner
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
+from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.maps.geotiff import read_geotiff_header
-from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, run_field_day
+from hyperpaint.workflows import field_day
+from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day
 
 pytestmark = pytest.mark.slow
 
@@ -112,20 +114,39 @@ def test_products_are_known_by_content(day: FieldDay, folder: Path) -> None:
     assert states == ["unchanged", "failed"]
 
 
-def test_sizes_and_times_of_an_earlier_version_are_no_reason_to_refuse(day: FieldDay, folder: Path) -> None:
+def test_a_step_is_done_again_after_its_product_or_the_form_of_its_record_was_lost(
+    day: FieldDay, folder: Path
+) -> None:
+    """Sizes and times, which earlier versions recorded, are no reason to refuse."""
+    (day.out / "agreement.csv").unlink()
     record = json.loads((day.out / RECORD).read_text())
-    record["validate"]["products"] = {"agreement.csv": "0" * 64}
+    record["dirsig"]["products"] = {"dirsig": "0" * 64}
     (day.out / RECORD).write_text(json.dumps(record))
     again = run_field_day(folder / "collect.toml", skip=["report"])
-    assert [each.state for each in again.outcomes if each.step == "validate"] == ["done"]
-
-
-def test_a_step_that_lost_its_product_is_done_again(day: FieldDay, folder: Path) -> None:
-    (day.out / "agreement.csv").unlink()
-    again = run_field_day(folder / "collect.toml", skip=["report"])
     states = {outcome.step: outcome.state for outcome in again.outcomes}
-    assert states["validate"] == "done"
-    assert states["signatures"] == states["map"] == states["dirsig"] == "unchanged"
+    assert states["validate"] == states["dirsig"] == "done"
+    assert states["signatures"] == states["map"] == "unchanged"
+
+
+def test_a_new_product_is_one_declaration(
+    day: FieldDay, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The engine decides whether it is current, protects files of other programs, and reports it."""
+    shutil.copytree(folder, tmp_path / "new")
+
+    def count_paints(run: FieldDayRun) -> str:
+        publish_file(run.out / "count.txt", str(hp.open_library(run.library).sizes).encode(), overwrite=True)
+        return "counted"
+
+    monkeypatch.setitem(field_day.STEPS, "count", Step("count.txt", count_paints, ("library",), ("library",)))
+    states, others = [], [name for name in STEPS if name not in ("process", "count")]
+    for content in (None, None, "of another program"):
+        if content is not None:
+            (tmp_path / "new" / "products" / "count.txt").write_text(content)
+        count = run_field_day(tmp_path / "new", skip=others).outcomes[-1]
+        states.append((count.step, count.state))
+    assert states == [("count", "done"), ("count", "unchanged"), ("count", "failed")]
+    assert run_field_day(tmp_path / "new", skip=others, overwrite=True).outcomes[-1].text == "counted"
 
 
 def test_what_a_collect_does_not_have_is_said(day: FieldDay, folder: Path, tmp_path: Path) -> None:
@@ -240,7 +261,7 @@ def test_a_step_that_fails_does_not_end_the_day(
     (day.out / "raw_0.tif").unlink()
     (day.out / "agreement.csv").unlink()
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.workflows.library_files.validate_files", refuse)
+        patch.setattr("hyperpaint.workflows.field_day.validate_files", refuse)
         again = CliRunner().invoke(main, ["run", str(folder), "--skip", "report"])
     assert again.exit_code == 2
     assert "validate    failed" in again.output
@@ -291,7 +312,7 @@ def test_paints_of_an_earlier_run_do_not_stand_for_those_that_failed(
         raise hp.SchemaError("no region holds a pixel")
 
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.workflows.library_files.write_signatures", refuse)
+        patch.setattr("hyperpaint.workflows.field_day.write_signatures", refuse)
         again = run_field_day(folder, specular_sky=True, skip=["map", "report"])
     states = {one.step: one.state for one in again.outcomes}
     assert day.passed is not None

@@ -12,8 +12,12 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.workflows.collect_template import unknown_keys, write_collect_toml
-from hyperpaint.workflows.field_folder import _surveyed_heights, find_field_files
+from hyperpaint.workflows.field_folder import (
+    _surveyed_heights,
+    find_field_files,
+    unknown_keys,
+    write_collect_toml,
+)
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,8 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.simulation.rendering.scene_spectra import paint_spec
-from hyperpaint.workflows import paint_closure
-from hyperpaint.workflows.demonstration import compare
-from hyperpaint.workflows.paint_closure import compare_paints, signature_problems, signature_table
+from hyperpaint.workflows import demonstration
+from hyperpaint.workflows.demonstration import compare, compare_paints, signature_problems, signature_table
 
 pytestmark = pytest.mark.slow
 
@@ -71,7 +70,7 @@ def test_field_spectra_and_scene_show_the_same_paints(folder: Path) -> None:
 def test_a_wrong_chain_shows_in_the_signatures(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(paint_closure, "_MIN_PIXELS", 20)
+    monkeypatch.setattr(demonstration, "_MIN_PIXELS", 20)
     right = compare(folder / "lot.zarr", folder / "truth.zarr")
     for name in ("raw_0", "raw_60"):
         line = xr.open_zarr(folder / "lot.zarr", group=f"flightlines/{name}").load().drop_encoding()

@@ -16,10 +16,9 @@ from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.paints import starter_library
 from hyperpaint.simulation.rendering.camera_bands import BandSet
-from hyperpaint.simulation.rendering.given_spectra import by_name
-from hyperpaint.simulation.rendering.painting import factor_spectra
+from hyperpaint.simulation.rendering.painting import by_name, factor_spectra
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
-from hyperpaint.workflows.render_libraries import read_paints, read_spectra, spectra_digest
+from hyperpaint.workflows.scene_files import read_paints, read_spectra, spectra_digest
 
 BANDS = BandSet(np.linspace(420.0, 980.0, 29), np.array(6.0))
 NAMES = ["red, matt", "Türkis", "white"]

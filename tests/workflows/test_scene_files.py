@@ -13,8 +13,13 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
-from hyperpaint.workflows.scene_files import SceneFile, example_scene, read_scene_file
-from hyperpaint.workflows.scene_parts import build_parts, chosen_atmospheres
+from hyperpaint.workflows.scene_files import (
+    SceneFile,
+    build_parts,
+    chosen_atmospheres,
+    example_scene,
+    read_scene_file,
+)
 
 SMALL = """\
 [scene]

@@ -15,9 +15,8 @@ from support.tiny_collects import tiny_collect
 import hyperpaint as hp
 from hyperpaint.io.files import reading
 from hyperpaint.io.files.reading import sampled_digest
-from hyperpaint.workflows.input_comparison import compare_inputs
-from hyperpaint.workflows.pipeline import run
-from hyperpaint.workflows.store_inputs import finishing_command, paths_in
+from hyperpaint.workflows.pipeline import compare_inputs, run
+from hyperpaint.workflows.products import finishing_command, paths_in
 
 LINES = ("flightlines/raw_0", "flightlines/raw_1")
 
@@ -103,7 +102,7 @@ def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pyte
 def test_other_numerics_are_said_and_computed_on_request(
     collect: Path, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("workflows.store_inputs", "workflows.pipeline", "io.store.manifest"):
+    for module in ("workflows.pipeline", "workflows.products", "io.store.manifest"):
         monkeypatch.setattr(f"hyperpaint.{module}.NUMERICS_VERSION", 7)
     report = hp.verify(store)
     assert report.ok
@@ -175,7 +174,7 @@ def test_inputs_are_compared_whole(
     assert (report.collect, report.blocks, report.problems) == (collect, 2, ())
     assert "all unchanged" in str(report)
     # what no sample shows
-    monkeypatch.setattr("hyperpaint.workflows.store_inputs.sampled_digest", lambda _: "same")
+    monkeypatch.setattr("hyperpaint.workflows.pipeline.sampled_digest", lambda _: "same")
     run(collect, store, to="radiance", overwrite=True)
     assert compare_inputs(store).problems == ()
     cube = collect.with_name("raw_1")

@@ -232,7 +232,7 @@ def polynomials(
         # map coordinates and heights of points around the cameras
         geocentric = _transformer(GEODETIC, _GEOCENTRIC)
         origin = np.stack(geocentric.transform(lon, lat, alt), axis=-1)
-        points = origin[:, None] + (_OFFSETS * distance[:, None, None]) @ _east_north_up(lat, lon)
+        points = origin[:, None] + (_OFFSETS * distance[:, None, None]) @ east_north_up(lat, lon)
         lon, lat, height = geocentric.transform(*np.moveaxis(points, -1, 0), direction="INVERSE")
         x, y, *_ = _transformer(GEODETIC, crs).transform(lon, lat, height)
         if _crs(crs).is_geographic:
@@ -242,7 +242,7 @@ def polynomials(
     return coefficients[0], coefficients[1], coefficients[2]
 
 
-def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
+def east_north_up(latitude: Floats, longitude: Floats) -> Floats:
     phi, lam = np.radians(latitude), np.radians(longitude)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
     rows = [

@@ -23,9 +23,8 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.geometry.georeference.locating import is_located, locate
 from hyperpaint.geometry.orthorectification.grids import NORTH, MapGrid, Survey, covering, survey_lines
-from hyperpaint.geometry.orthorectification.indexing import needed_slabs
 from hyperpaint.geometry.orthorectification.mapping import line_chunks, orthorectify
-from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, tile_windows
+from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, needed_slabs, tile_windows
 
 _MAX_GRID_OFFSET_CELLS = 1e-3  # largest offset between two grids that are taken as equal
 _WAVELENGTH_TOLERANCE_NM = 1e-6

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -45,8 +45,7 @@ class Rules:
 RULES = Rules()
 
 
-@dataclass(frozen=True)
-class _Picture:
+class _Picture(NamedTuple):
     corner: tuple[int, int]
     image: Floats  #: (row, col); NaN where nothing is shown
     fields: Floats  #: (field, row, col): of `_FIELDS`
@@ -287,11 +286,8 @@ def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
 
 def _fields_at(picture: _Picture, cell: Array) -> Floats:
     # Interpolate the fields at a fractional row and column; NaN beyond the picture.
-    position = cell - picture.corner
-    low = np.floor(position).astype(int)
-    if (low < 0).any() or (low + 1 >= picture.image.shape).any():
-        return np.full(len(_FIELDS), np.nan)
-    (y, x), (row, col) = position - low, low
-    neighbours = picture.fields[:, row : row + 2, col : col + 2]
-    weights = np.array([[(1 - y) * (1 - x), (1 - y) * x], [y * (1 - x), y * x]])
-    return np.asarray((neighbours * weights).sum(axis=(1, 2)))
+    from scipy.ndimage import map_coordinates
+
+    position = (cell - picture.corner)[:, None]
+    values = [map_coordinates(values, position, order=1, cval=np.nan)[0] for values in picture.fields]
+    return np.array(values)

@@ -32,8 +32,7 @@ from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.io.store.computing import client_in_force
 
 from .grids import NORTH, check_cells, covering, direction_of_flight, survey_lines
-from .indexing import RULES, Plan, needed_slabs
-from .tiling import Tiles, in_memory, in_slabs, mapped, prepared, tile_windows
+from .tiling import RULES, Plan, Tiles, in_memory, in_slabs, mapped, needed_slabs, prepared, tile_windows
 
 _GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")
@@ -316,7 +315,13 @@ def _dataset(
     for name in ("glt_line", "glt_sample", "nearest_line", "nearest_sample", "hits", "gap"):
         cells = tiles.gap if name == "gap" else tiles.part(name.removeprefix("glt_"), dtype_of(name))
         if name in _AXES:
-            cells = _with_line_numbers(cells, line, _AXES[name])
+            # Positions become the line or column numbers of the line, which a crop keeps. Numbers that are
+            # not integers >= 0, such as those of averaged lines, identify no pixel: then positions remain.
+            numbers = numbers_of(line, _AXES[name])
+            is_integer = np.isfinite(numbers).all() and (numbers == np.round(numbers)).all()
+            is_number = is_integer and numbers.min() >= 0.0 and numbers.max() <= np.iinfo(np.int32).max
+            if is_number and not np.array_equal(numbers, np.arange(numbers.size)):
+                cells = cells.map_blocks(_numbers_at, numbers, dtype=cells.dtype)
         attrs_of_index = {"empty_value": -1} if name.startswith("nearest") else {}
         cell_array = xr.DataArray(cells, dims=("y", "x"))
         variables[name] = label(cell_array, name, grid_mapping="spatial_ref", **attrs_of_index)
@@ -326,17 +331,6 @@ def _dataset(
         if line[name].dims == (BAND,) and any(BAND in array.dims for array in variables.values())
     }
     return xr.Dataset(variables, coords=band_coordinates).assign_coords(_coordinates(tiles, crs, line))
-
-
-def _with_line_numbers(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
-    # Convert positions to the line or column numbers of the line, which a crop keeps. Numbers that are not
-    # integers >= 0, such as those of averaged lines, identify no pixel: then positions are returned.
-    numbers = numbers_of(line, dim)
-    default_numbers = np.arange(numbers.size)
-    is_integer = np.isfinite(numbers).all() and (numbers == np.round(numbers)).all() and numbers.min() >= 0.0
-    if not is_integer or numbers.max() > np.iinfo(np.int32).max or np.array_equal(numbers, default_numbers):
-        return positions
-    return positions.map_blocks(_numbers_at, numbers, dtype=positions.dtype)
 
 
 def _numbers_at(positions: Array, numbers: Array) -> Array:

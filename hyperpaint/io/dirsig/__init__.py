@@ -6,10 +6,18 @@ A paint library, or a scene of triangles with paint libraries, is written as a f
 
 from __future__ import annotations
 
+from .dirsig_files import (
+    Curve,
+    Emissivity,
+    Material,
+    Section,
+    materials_text,
+    open_emissivity,
+    read_emissivity,
+    read_materials,
+)
 from .dirsig_scene import write_dirsig_scene
 from .dirsig_writing import write_dirsig
-from .emissivity_files import Curve, Emissivity, open_emissivity, read_emissivity
-from .material_list import Material, Section, materials_text, read_materials
 
 __all__ = [
     "Curve",

@@ -8,32 +8,33 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
-from xml.sax.saxutils import escape, quoteattr
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
 from hyperpaint.base.units import takes_quantities
 
+from .dirsig_files import Material, Section, material_ids, materials_text, plain_name, read_emissivity
 from .dirsig_writing import (
     EMISSIVITY,
     FORMAT,
     MARKER,
     REFLECTANCE,
+    TEXTS,
     export_folder,
+    material_section,
     paint_records,
+    summary_of,
     write_spectra,
+    write_texts,
 )
-from .emissivity_files import read_emissivity
-from .instructions import material_section
-from .material_list import Material, Section, material_ids, materials_text, plain_name
 from .paint_curves import GAPS, Axis, Choices, coat_of
 
 #: Default of the largest number of curves of a population.
@@ -60,7 +61,7 @@ class _Surface(NamedTuple):
 @takes_quantities(wavelength_range="nm")
 @documented(overwrite="own overwrite")
 def write_dirsig_scene(
-    scene: Triangles,
+    scene: Any,
     folder: str | os.PathLike[str],
     paints: xr.Dataset | Sequence[xr.Dataset],
     *,
@@ -84,7 +85,9 @@ def write_dirsig_scene(
     Parameters
     ----------
     scene
-        A scene of `hyperpaint.simulation`: ``vertices`` [m], ``faces``, ``materials`` ...
+        A scene of `hyperpaint.simulation`, or an object with its ``name``; ``vertices`` (vertex, 3) [m], x
+        east, y north, z up, and their ``normals`` (vertex, 3), zero for flat faces; ``faces`` (face, 3),
+        ``face_material`` and ``face_instance`` (face,), indices of its ``materials`` and ``instances``.
     folder
     paints
         A paint library, or several; a spectrum is taken from the first with its name. ``reflectance``
@@ -147,31 +150,27 @@ def write_dirsig_scene(
     """
     libraries = list(paints) if isinstance(paints, Sequence) else [paints]
     problems = Problems("no DIRSIG scene can be written", SchemaError)
-    if not isinstance(max_curves, int) or max_curves < 1:
-        problems.add(
-            f"max_curves={max_curves!r}", expected="a whole number above 0", code="value-out-of-range"
-        )
-    if not is_number(texture_m) or not 1e-3 <= texture_m <= 1e4:
-        problems.add(f"texture_m={texture_m!r}", expected="0.001 to 10000 m", code="value-out-of-range")
-    position = np.asarray(origin, np.float64)
-    if (
-        position.shape != (3,)
-        or not np.isfinite(position).all()
-        or not (abs(position[:2]) <= [90.0, 360.0]).all()
+    place = np.asarray(origin, np.float64)
+    is_place = place.shape == (3,) and np.isfinite(place).all() and (abs(place[:2]) <= [90.0, 360.0]).all()
+    for is_right, found, expected in (
+        (
+            isinstance(max_curves, int) and max_curves >= 1,
+            f"max_curves={max_curves!r}",
+            "a whole number above 0",
+        ),
+        (is_number(texture_m) and 1e-3 <= texture_m <= 1e4, f"texture_m={texture_m!r}", "0.001 to 10000 m"),
+        (is_place, f"origin={origin!r}", "latitude and longitude [degree] and height [m]"),
     ):
-        problems.add(
-            f"origin={origin!r}",
-            expected="latitude and longitude [degree] and height [m]",
-            code="value-out-of-range",
-        )
+        if not is_right:
+            problems.add(found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
     surfaces, face_surface = _surfaces(scene, dict(repaint or {}), with_roughness=coat_brdf)
     surfaces_of = _by_library(libraries, surfaces)
     choices = Choices("centre", wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
-    stem = material_ids([scene.name or "scene"])[0]
     title = scene.name or "scene"
+    stem = material_ids([title])[0]
     with export_folder(folder, overwrite=overwrite, inside=_FOLDERS) as build:
         records = _write_materials(
             build / "materials",
@@ -182,15 +181,39 @@ def write_dirsig_scene(
             coat_brdf=coat_brdf,
             progress=progress,
         )
-        by_surface = {record.pop("surface"): record for record in records}
-        ordered = [by_surface[number] for number in range(len(surfaces))]
-        counts = np.bincount(face_surface, minlength=len(surfaces))
-        for record, count in zip(ordered, counts.tolist(), strict=True):
-            record["faces"] = count
-        attrs = _attrs(scene, ordered, origin, texture_m)
-        _write_pictures(build, ordered, attrs["window_nm"])
-        _write_geometry(build / "geometry", scene, stem, ordered, face_surface, texture_m)
-        entries = (
+        records.sort(key=lambda record: record["surface"])
+        for record in records:
+            record["faces"] = int((face_surface == record.pop("surface")).sum())
+        attrs = _attrs(scene, records, origin, texture_m)
+        low, high = attrs["window_nm"]
+        grid = np.linspace(low, high, 301)
+        for record in records:
+            record["texture"] = ""
+            if record["curves"] > 1:
+                # mean reflectance of every curve over the window
+                curves = read_emissivity(build / "materials" / record["emissivity_file"]).curves
+                levels = (np.interp(grid, one.wavelength * 1000.0, one.emissivity).mean() for one in curves)
+                picture = texture_picture(np.array([float(1.0 - level) for level in levels]), record["id"])
+                if picture is not None:
+                    record["texture"] = f"{record['id']}.pgm"
+                    head = f"P5\n{picture.shape[1]} {picture.shape[0]}\n255\n".encode()
+                    (build / "maps" / record["texture"]).write_bytes(head + picture.tobytes())
+        with open(build / f"geometry/objects/{stem}.obj", "w", encoding="ascii", newline="\n") as file:
+            identifiers = [record["id"] for record in records]
+            for line in obj_lines(scene, identifiers, face_surface, f"{stem}.mtl", texture_m):
+                file.write(line + "\n")
+        width = max(2, *(len(record["id"]) for record in records))
+        content = {"title": title, "stem": stem, "paints": records, "about": attrs, "width": width}
+        marker = {"format": FORMAT, "version": 1, **attrs, "paints": records}
+        simulation = [{"scene_list": [{"inputs": f"./{stem}.scene"}], "plugin_list": []}]
+        templates = {
+            f"{stem}.scene": "scene.scene.j2",
+            f"geometry/lists/{stem}.glist": "scene.glist.j2",
+            f"geometry/objects/{stem}.mtl": "scene.mtl.j2",
+            "README.txt": "scene_readme.txt.j2",
+        }
+        texts = {name: TEXTS.get_template(template).render(content) for name, template in templates.items()}
+        texts[f"materials/{stem}.mat"] = materials_text(
             material_section(
                 record,
                 surface="ShellTarget" if record["fit_file"] else "ClassicEmissivity",
@@ -198,19 +221,15 @@ def write_dirsig_scene(
                 thermal=None,
                 double_sided=True,
             )
-            for record in ordered
+            for record in records
         )
-        window = attrs["window_nm"]
-        texts = {
-            f"materials/{stem}.mat": materials_text(entries),
-            f"{stem}.scene": scene_text(title, stem, ordered, origin, attrs["features"], window),
-            f"{stem}.jsim": simulation_text(stem),
-            "README.txt": scene_readme_text(title, stem, ordered, attrs),
-            MARKER: json.dumps({"format": FORMAT, "version": 1, **attrs, "paints": ordered}, indent=1) + "\n",
-        }
-        for name, text in texts.items():
-            (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
-    return _summary(ordered, {"name": title, **attrs, "folder": os.fspath(folder)})
+        # users add atmosphere and platform to the simulation
+        texts[f"{stem}.jsim"] = json.dumps(simulation, indent=4) + "\n"
+        texts[MARKER] = json.dumps(marker, indent=1) + "\n"
+        write_texts(build, texts)
+    numbers = dict.fromkeys(("curves", "complete", "thinned", "faces", "interpolated"), np.int64)
+    attrs = {"name": title, **attrs, "folder": os.fspath(folder)}
+    return summary_of(records, "DIRSIG scene", attrs, **numbers, texture=object)
 
 
 _FOLDERS = (
@@ -224,7 +243,7 @@ _FOLDERS = (
 
 
 def _surfaces(
-    scene: Triangles, repaint: dict[str, str], *, with_roughness: bool
+    scene: Any, repaint: dict[str, str], *, with_roughness: bool
 ) -> tuple[list[_Surface], NDArray[np.int64]]:
     # Distinct surfaces, and the index of the surface of every face (face,)
     problems = Problems("the scene cannot be painted", SchemaError)
@@ -338,7 +357,7 @@ def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Da
 
 
 def _attrs(
-    scene: Triangles, records: Sequence[Mapping[str, Any]], origin: Sequence[float], texture_m: float
+    scene: Any, records: Sequence[Mapping[str, Any]], origin: Sequence[float], texture_m: float
 ) -> dict[str, Any]:
     low = max(record["wavelength"][0] for record in records)
     high = min(record["wavelength"][1] for record in records)
@@ -371,105 +390,14 @@ def _attrs(
     }
 
 
-def _write_pictures(build: Path, records: Sequence[dict[str, Any]], window: Sequence[float]) -> None:
-    grid = np.linspace(window[0], window[1], 301)
-    for record in records:
-        record["texture"] = ""
-        if record["curves"] < 2:
-            continue
-        # mean reflectance of every curve over the window
-        curves = read_emissivity(build / "materials" / record["emissivity_file"]).curves
-        means = [
-            float(1.0 - np.interp(grid, curve.wavelength * 1000.0, curve.emissivity).mean())
-            for curve in curves
-        ]
-        picture = texture_picture(np.array(means), record["id"])
-        if picture is not None:
-            record["texture"] = f"{record['id']}.pgm"
-            head = f"P5\n{picture.shape[1]} {picture.shape[0]}\n255\n".encode()
-            (build / "maps" / record["texture"]).write_bytes(head + picture.tobytes())
-
-
-def _write_geometry(
-    build: Path,
-    scene: Triangles,
-    stem: str,
-    records: Sequence[Mapping[str, Any]],
-    face_surface: NDArray[np.int64],
-    texture_m: float,
-) -> None:
-    identifiers = [record["id"] for record in records]
-    with open(build / "objects" / f"{stem}.obj", "w", encoding="ascii", newline="\n") as file:
-        for line in obj_lines(scene, identifiers, face_surface, f"{stem}.mtl", texture_m):
-            file.write(line + "\n")
-    (build / "objects" / f"{stem}.mtl").write_text(material_colours_text(records), encoding="ascii")
-    (build / "lists" / f"{stem}.glist").write_text(
-        geometry_list_text(f"objects/{stem}.obj"), encoding="ascii"
-    )
-
-
-def _summary(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]) -> xr.Dataset:
-    def column(key: str, dtype: Any) -> tuple[str, Array]:
-        return SIGNATURE, np.array([record[key] for record in records], dtype)
-
-    values: dict[str, Any] = {
-        key: column(key, np.int64) for key in ("curves", "complete", "thinned", "faces", "interpolated")
-    }
-    values |= {
-        "specular_fraction": column("specular_fraction", np.float64),
-        "texture": column("texture", object),
-    }
-    coords = {SIGNATURE: column("paint", object), "material_id": column("id", object)}
-    return xr.Dataset(values, coords, {"title": "DIRSIG scene", **attrs})
-
-
-# --- texts of a DIRSIG scene: geometry, scene, simulation, texture pictures, README ------------------------
-
-
 #: Side of a texture's picture [pixel].
 PICTURE_PX = 128
 
 _GRAIN_PX = 3.0  # standard deviation of the Gaussian blur of the noise in a picture
 
 
-class Triangles(Protocol):
-    """Attributes of `hyperpaint.simulation.rendering.scene.Scene` that are read."""
-
-    @property
-    def name(self) -> str:
-        """Name of the scene."""
-
-    @property
-    def vertices(self) -> Floats:
-        """Shape (vertex, 3) [m]: x east, y north, z up."""
-
-    @property
-    def faces(self) -> NDArray[np.int64]:
-        """Vertices of every triangle (face, 3)."""
-
-    @property
-    def normals(self) -> Floats:
-        """Normals at the vertices (vertex, 3), zero for flat faces."""
-
-    @property
-    def face_material(self) -> NDArray[np.int32]:
-        """Index of the material of every triangle (face,)."""
-
-    @property
-    def face_instance(self) -> NDArray[np.int32]:
-        """Index of the instance of every triangle (face,)."""
-
-    @property
-    def materials(self) -> Sequence[Any]:
-        """Materials with ``name``, ``spectrum``, ``kind``, and ``coat`` (with its ``index``), or None."""
-
-    @property
-    def instances(self) -> Sequence[Any]:
-        """Instances with a ``name``."""
-
-
 def obj_lines(
-    scene: Triangles, material_id: Sequence[str], face_id: NDArray[np.int64], library: str, texture_m: float
+    scene: Any, material_id: Sequence[str], face_id: NDArray[np.int64], library: str, texture_m: float
 ) -> Iterator[str]:
     """Yield the lines of a scene as Wavefront OBJ, one object per instance.
 
@@ -503,30 +431,6 @@ def obj_lines(
         pairs = zip(vertices[face], textures[face], strict=True)
         # the normal of a vertex has the number of the vertex
         yield "f " + " ".join(f"{a}/{b}/{a}" if smooth[face] else f"{a}/{b}" for a, b in pairs)
-
-
-def material_colours_text(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return an ``.mtl`` file: the colours of the materials, for programs that display the geometry."""
-    rows = []
-    for record in records:
-        red, green, blue = record["editor_color"]
-        rows += [f"newmtl {record['id']}", f"Kd {red:.3f} {green:.3f} {blue:.3f}", ""]
-    return "\n".join(rows)
-
-
-def geometry_list_text(geometry: str) -> str:
-    """Return a geometry list of one OBJ file that names materials by their IDs."""
-    return f"""<geometrylist enabled="true">
-
-  <object>
-    <basegeometry>
-      <obj><filename>{escape(geometry)}</filename></obj>
-    </basegeometry>
-    <staticinstance/>
-  </object>
-
-</geometrylist>
-"""
 
 
 def texture_picture(means: Array, name: str) -> NDArray[np.uint8] | None:
@@ -604,7 +508,12 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
     tilt = np.linspace(0.0, min(8.0 * sigma, np.pi / 4.0), 4001)
     shadow = np.degrees(tilt) / _SMOOTH_DEG
     shadow = (1.0 + shadow * np.exp(-2.0 * shadow)) / (1.0 + shadow)
-    lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * _fresnel(tilt, index) / normal
+    # reflectance for unpolarised light
+    cos_air, cos_coat = np.cos(tilt), np.sqrt(1.0 - (np.sin(tilt) / index) ** 2)
+    s_wave = (cos_air - index * cos_coat) / (cos_air + index * cos_coat)
+    p_wave = (index * cos_air - cos_coat) / (index * cos_air + cos_coat)
+    fresnel = 0.5 * (s_wave**2 + p_wave**2)
+    lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * fresnel / normal
     flux = float(np.trapezoid(2.0 * np.pi * lobe * 2.0 * np.sin(2.0 * tilt), tilt))
     number = max(2, int(np.ceil((wavelength[-1] - wavelength[0]) / _FIT_STEP_NM)) + 1)
     blocks = []
@@ -625,210 +534,3 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
         rows = "".join(f"    {key} = {value:.6g}\n" for key, value in values.items())
         blocks.append(f"FIT_PARAMS {{\n{rows}}}\n")
     return "".join(blocks)
-
-
-def _fresnel(angle: Array, index: float) -> Array:
-    # Reflectance for unpolarised light at an angle from the normal [rad]
-    cos_air, cos_coat = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
-    s_wave = (cos_air - index * cos_coat) / (cos_air + index * cos_coat)
-    p_wave = (index * cos_air - cos_coat) / (index * cos_air + cos_coat)
-    return np.asarray(0.5 * (s_wave**2 + p_wave**2))
-
-
-_ORIGIN = ("latitude", "longitude", "altitude")
-
-
-def scene_text(
-    title: str,
-    stem: str,
-    records: Sequence[Mapping[str, Any]],
-    origin: Sequence[float],
-    features: str,
-    window: tuple[float, float],
-) -> str:
-    """Return a ``.scene`` file.
-
-    ``origin``: latitude, longitude [degree], height [m]; ``features``: spectral ranges that all materials
-    cover; ``window``: wavelengths of the textures' pictures [nm]. A texture map is written for every record
-    with a ``texture``.
-    """
-    location = "".join(
-        f"      <{key}>{value:.10f}</{key}>\n" for key, value in zip(_ORIGIN, origin, strict=True)
-    )
-    maps = "".join(_texture_map(record, window) for record in records if record.get("texture"))
-    return f"""<classicscene name={quoteattr(title)}>
-
-  <metadata>
-    <entry>
-      <name>Description</name>
-      <value>{escape(title)}, written by hyperpaint</value>
-    </entry>
-  </metadata>
-
-  <sceneorigin>
-    <location frame="geodetic">
-{location}    </location>
-  </sceneorigin>
-
-  <properties features="{features}" mingsd="0" maxgsd="0"/>
-
-  <odbdirectory>$SCENE_DIR/geometry</odbdirectory>
-  <gdbdirectory>$SCENE_DIR/geometry</gdbdirectory>
-  <geometrylist enabled="true">
-    <geometrylistinclude name={quoteattr(title)} enabled="true">lists/{stem}.glist</geometrylistinclude>
-  </geometrylist>
-
-  <matfilename>$SCENE_DIR/materials/{stem}.mat</matfilename>
-  <emsdirectory>$SCENE_DIR/materials/</emsdirectory>
-
-  <mapdirectory>$SCENE_DIR/maps</mapdirectory>
-  <maplist>
-{maps}  </maplist>
-</classicscene>
-"""
-
-
-def _texture_map(record: Mapping[str, Any], window: tuple[float, float]) -> str:
-    low, high = (f"{nm / 1000.0:.4g}" for nm in window)
-    return f"""    <texturemap name={quoteattr("population of " + record["name"])} enabled="true">
-      <matidlist>
-        <matid>{record["id"]}</matid>
-      </matidlist>
-      <projector origin="cartesian" flipx="false" flipy="false" extendx="mirror" extendy="mirror" >
-        <uvprojector/>
-      </projector>
-      <bandlist>
-        <band>
-          <bandpass>
-            <min>{low}</min>
-            <max>{high}</max>
-          </bandpass>
-          <image>
-            <filename>{record["texture"]}</filename>
-          </image>
-        </band>
-      </bandlist>
-    </texturemap>
-"""
-
-
-def simulation_text(stem: str) -> str:
-    """Return a ``.jsim`` file of the scene, to which users add atmosphere and platform."""
-    return json.dumps([{"scene_list": [{"inputs": f"./{stem}.scene"}], "plugin_list": []}], indent=4) + "\n"
-
-
-def scene_readme_text(
-    title: str, stem: str, records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]
-) -> str:
-    """Return the README: the files, how to run them, and which constructs were checked."""
-    (low, high), (window_start, window_end) = attrs["coverage_nm"], attrs["window_nm"]
-    north, east, height = attrs["origin"]
-    return f"""{title}: a scene for DIRSIG
-{"=" * (len(title) + 20)}
-
-Written by hyperpaint. Materials cover {low:g} to {high:g} nm in common: features "{attrs["features"]}".
-
-Files
------
-{stem}.scene
-    the scene: origin, directories, texture maps
-{stem}.jsim
-    a simulation of it, to be completed
-geometry/lists/{stem}.glist
-    the geometry list
-geometry/objects/{stem}.obj, {stem}.mtl
-    {attrs["faces"]} triangles in metres, x east, y north, z up; usemtl names IDs of materials;
-    colours for other programs
-materials/{stem}.mat
-    {len(records)} materials
-materials/emissivity/<ID>.ems, materials/reflectance/<ID>.txt
-    their curves, and the centre of each
-materials/brdf/<ID>.fit
-    the coats, where they are a BRDF
-maps/<ID>.pgm
-    a picture of every population of several curves
-paints.json
-    names, ranges and counts
-
-Running it
-----------
-1. scene2hdf {stem}.scene
-2. Put a platform and an atmosphere into the "plugin_list" of {stem}.jsim, such as
-   {{"name": "BasicAtmosphere", "inputs": {{"atmosphere_filename": "./my.atm"}}}}, and run dirsig5 with it.
-   The sensor's bands must lie inside the range above.
-3. The origin is latitude {north:g}, longitude {east:g}, height {height:g} m: change it in {stem}.scene.
-
-Populations
------------
-A material of several curves has a texture map. Its picture holds every curve equally often, as far as its
-256 levels tell them apart, and repeats, mirrored, every {attrs["texture_m"]:g} m. DIRSIG gives a pixel the
-curve whose mean over {window_start:g} to {window_end:g} nm has the standard score of the pixel's brightness.
-
-Clear coats
------------
-{attrs["coat_advice"]}
-Flakes are not in these files.
-
-Checked against
----------------
-{_CHECKED}
-Not checked
------------
-{_UNCHECKED}
-Materials
----------
-{_materials(records)}
-"""
-
-
-_CHECKED = """\
-construct                                          manual page, or file of a real scene
-.scene: classicscene, sceneorigin, properties,     docs/new/scene.html; tahoe.scene [1]
-  directories, matfilename, geometrylistinclude
-texturemap: matidlist, projector, uvprojector,     docs/new/maps.html; tahoe.scene [1]
-  bandlist, bandpass [micrometre], image, .pgm
-how a texture chooses curves (standard scores)     docs/manual/propertymapping-tutorial.html
-.glist: geometrylist, object, basegeometry, obj,   docs/new/glist.html; terrain.glist [1]
-  filename, staticinstance
-.jsim: scene_list, plugin_list                     docs/new/jsim.html
-scene2hdf                                          docs/new/scene2hdf.html
-.mat: MATERIAL_ENTRY, Classic, ClassicEmissivity,  docs/new/mat.html; tahoe.mat [1]; anadirsig.mat [2]
-  FILENAME, SPECULAR_FRACTION
-.ems: CURVE_BEGIN, several curves                  docs/new/ems.html; ideal_mat_1.ems [2]
-which models vary with wavelength                  docs/new/surface_props.html
-OBJ: usemtl names IDs, vt, vn, triangles           docs/new/obj.html; dirsig.blogspot.com/2010/10 (using
-                                                     OBJ for scene geometry); demo VertexNormals2
-ShellTarget: EMISSIVITY_FILE, BRDF_FIT_FILE;       two readers of RIT's own files: scene_coverage.py [1], and
-  FIT_PARAMS, LAMBDA [micrometre], N, K, DHR,        the car example of an fVDB toolbox, which renders the
-  BIAS, SIGMA [rad], TAU, OMEGA [degree], RHO_D,     demo VertexNormals2 (loader.py, radiometry.py, after
-  RHO_V                                              Westlund and Meyer 2002)
-Generic solver and its keys                        hypersonic.mat [1]
-
-Pages are those of https://dirsig.cis.rit.edu, docs/manual of http://www.dirsig.org.
-[1] RIT's Lake Tahoe scene, as kept in github.com/KevinKearney/protoDIRSIG, config_repo and
-manifold_config_repo. [2] github.com/Rendered-ai/dirsig-channel.
-"""
-
-_UNCHECKED = """\
-* DIRSIG itself has not run these files.
-* That SPECULAR_FRACTION is the specular share of reflectance: taken from its name.
-* Shell Target: no .mat or .fit with it was at hand, only programs that read them, which say nothing of other
-  keys it may need (demo Brdf1 speaks of an interpolation "method"), nor whether DHR is of the whole surface,
-  as here, or of its first term alone.
-* Other coats: the Ward BRDF is the same at all wavelengths (surface_props.html) and would take the paint its
-  colour; no keys of PriestGermer were seen.
-* Words of properties/features other than vis, nir, swir, sources, exoatm; what mingsd and maxgsd of 0 mean.
-* Temperatures: there is no thermal solver, so that only reflected light means anything.
-"""
-
-
-def _materials(records: Sequence[Mapping[str, Any]]) -> str:
-    width = max(2, *(len(record["id"]) for record in records))
-    head = f"{'ID':<{width}}  {'range [nm]':>17}  curves  complete  thinned  specular  texture"
-    rows = [
-        f"{record['id']:<{width}}  {record['wavelength'][0]:8.2f} {record['wavelength'][1]:8.2f}  "
-        f"{record['curves']:6d}  {record['complete']:8d}  {record['thinned']:7d}  "
-        f"{record['specular_fraction']:8.4f}  {record.get('texture') or 'no'}"
-        for record in records
-    ]
-    return "\n".join([head, *rows])

@@ -10,11 +10,12 @@ import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape, quoteattr
 
+import jinja2
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
 from hyperpaint.base.facts import documented, is_number, one_of
 from hyperpaint.base.input_files import read_limited
@@ -22,23 +23,18 @@ from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_folder
 
-from .emissivity_files import CURVE_BEGIN, ColumnText, emissivity_head
-from .instructions import THERMAL, glist_text, material_section, readme_text
-from .material_list import Material, material_ids, material_names, materials_text, read_materials
-from .paint_curves import (
-    CURVES,
-    GAPS,
-    MAX_NM,
-    MIN_NM,
-    Axis,
-    Choices,
-    Coat,
-    PaintCurves,
-    PaintProblemError,
-    blocks_of,
-    coat_of,
-    curves_of,
+from .dirsig_files import (
+    CURVE_BEGIN,
+    ColumnText,
+    Material,
+    Section,
+    emissivity_head,
+    material_ids,
+    material_names,
+    materials_text,
+    read_materials,
 )
+from .paint_curves import CURVES, GAPS, MAX_NM, MIN_NM, Axis, Choices, Coat, blocks_of, coat_of, curves_of
 
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
@@ -53,6 +49,15 @@ _EXPORT_NAME = re.compile(
 
 _MAX_BYTES = 256 * 2**20
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
+
+#: Texts of exports, templates of this folder; ``escaped`` and ``quoted`` are for XML.
+TEXTS = jinja2.Environment(
+    loader=jinja2.PackageLoader("hyperpaint", "io/dirsig"),
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    keep_trailing_newline=True,
+)
+TEXTS.filters |= {"escaped": escape, "quoted": quoteattr}
 
 
 @contextlib.contextmanager
@@ -74,22 +79,22 @@ def export_folder(
             mend="write to a folder and copy it",
             code="folder-is-url",
         )
-    with published_folder(Path(os.path.abspath(folder)), overwrite=overwrite, foreign=_foreign) as build:
+
+    def foreign(existing: Path) -> str:
+        # Description of files that no export contains, empty for an export
+        try:
+            document = json.loads(read_limited(existing / MARKER, _MAX_BYTES, "an export"))
+        except (FormatError, ValueError, RecursionError):
+            document = None
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            return "other files"
+        names = sorted(path.name for path in existing.iterdir() if not _EXPORT_NAME.fullmatch(path.name))
+        return f"{names[0]}, which no export has" if names else ""
+
+    with published_folder(Path(os.path.abspath(folder)), overwrite=overwrite, foreign=foreign) as build:
         for name in inside:
             (build / name).mkdir(parents=True)
         yield build
-
-
-def _foreign(folder: Path) -> str:
-    # Description of files that no export contains, empty for an export
-    try:
-        document = json.loads(read_limited(folder / MARKER, _MAX_BYTES, "an export"))
-    except (FormatError, ValueError, RecursionError):
-        document = None
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        return "other files"
-    foreign = sorted(path.name for path in folder.iterdir() if not _EXPORT_NAME.fullmatch(path.name))
-    return f"{foreign[0]}, which no export has" if foreign else ""
 
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")
@@ -98,6 +103,50 @@ _MAX_SHOWN = 20
 _CURVES_AT_ONCE = 64
 
 _RGB = (640.0, 550.0, 460.0)  # [nm]
+
+#: Parameters of DIRSIG's temperature solver Therm; its keys are in capitals.
+THERMAL = (
+    "specific_heat",
+    "mass_density",
+    "thermal_conductivity",
+    "solar_absorption",
+    "thermal_emissivity",
+    "exposed_area",
+    "thickness",
+)
+#: Settings of the radiometry solvers, as in files of DIRSIG's distribution.
+_SOLVERS = {
+    "Classic": (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),),
+    "Generic": (
+        ("INITIAL_SAMPLE_COUNT", "100"),
+        ("SAMPLE_DECAY_RATE", "2"),
+        ("MAX_BOUNCES", "3"),
+        ("MU_SAMPLES", "10"),
+        ("PHI_SAMPLES", "20"),
+        ("MIN_QUAD_SAMPLES", "1"),
+    ),
+}
+#: Properties of the surface models: section, then keys with the items of a paint's record.
+_PROPERTIES = {
+    "ClassicEmissivity": (
+        "EMISSIVITY_PROP",
+        (("FILENAME", "emissivity_file"), ("SPECULAR_FRACTION", "specular_fraction")),
+    ),
+    "SimpleReflectance": ("REFLECTANCE_PROP", (("TXT_FILENAME", "reflectance_file"),)),
+    "ShellTarget": (
+        "REFLECTANCE_PROP",
+        (("EMISSIVITY_FILE", "emissivity_file"), ("BRDF_FIT_FILE", "fit_file")),
+    ),
+}
+#: Changes of spectra that are warned of: item of a paint's record, and its description.
+_CHANGES = (
+    ("clipped", "samples outside 0 to 1 were clipped"),
+    ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
+    ("left_out", "members without a value at an end of the range were left out"),
+    ("is_centre", "paints have no member with values at both ends: their centre is written"),
+    ("interpolated", "samples in gaps of curves were interpolated"),
+    ("centre_interpolated", "samples in gaps of centres were interpolated"),
+)
 
 
 @takes_quantities(wavelength_range="nm")
@@ -226,88 +275,169 @@ def write_dirsig(
     curves = curves or ("members" if CURVES["members"] in library.variables else "centre")
     # dims and units are checked on the library without its paints, so that no values are read
     empty = library.isel({SIGNATURE: slice(0)}) if SIGNATURE in library.dims else library
-    names = {"reflectance", "wavelength", CURVES.get(curves, "reflectance")} & {*map(str, library.variables)}
+    names = {CURVES.get(curves, "reflectance")} & {*map(str, library.variables)}
     require(empty, sorted(names | {"reflectance", "wavelength"}), "DIRSIG materials", LIBRARY_VARIABLES)
-    if one_of(curves, CURVES, "curves", problems=problems):
-        name = CURVES[curves]
-        if name not in library.variables:
-            problems.add(
-                f"curves={curves!r} needs {name}, which the library lacks",
-                mend="pass curves='centre'",
-                code="variable-missing",
-            )
-        elif library[name].dtype.kind not in "fiu" or library["reflectance"].dtype.kind not in "fiu":
-            problems.add(f"{name} is {library[name].dtype}", expected="numbers", code="type-wrong")
-    if not library.sizes[SIGNATURE]:
-        problems.add("the library has no paints", code="empty-input")
-    if wavelength_range is not None and not _is_range(wavelength_range):
-        problems.add(
-            f"wavelength_range={wavelength_range!r}",
-            expected="two wavelengths such as (400, 1000) [nm]",
-            code="value-out-of-range",
-        )
+    one_of(curves, CURVES, "curves", problems=problems)
     one_of(GAPS[0] if gaps is None else gaps, GAPS, "gaps", problems=problems)
     one_of(surface, SURFACES, "surface", problems=problems)
-    if surface == "SimpleReflectance" and specular != 0.0:
-        problems.add(
+    name = CURVES.get(curves, "reflectance")
+    kinds = {library[key].dtype.kind for key in ("reflectance", name) if key in library.variables}
+    limits = [] if wavelength_range is None else np.ravel(np.asarray(wavelength_range, object)).tolist()
+    is_range = len(limits) == 2 and all(map(is_number, limits)) and MIN_NM <= limits[0] < limits[1] <= MAX_NM
+    parameters = {} if thermal is None else dict(thermal)
+    for is_wrong, found, expected, mend, code in (
+        (
+            name not in library.variables,
+            f"curves={curves!r} needs {name}, which the library lacks",
+            "",
+            "pass curves='centre'",
+            "variable-missing",
+        ),
+        (
+            not kinds <= set("fiu"),
+            f"{name} is {library[name].dtype if name in library.variables else ''}",
+            "numbers",
+            "",
+            "type-wrong",
+        ),
+        (not library.sizes[SIGNATURE], "the library has no paints", "", "", "empty-input"),
+        (
+            wavelength_range is not None and not is_range,
+            f"wavelength_range={wavelength_range!r}",
+            "two wavelengths such as (400, 1000) [nm]",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            surface == "SimpleReflectance" and specular != 0.0,
             "SimpleReflectance has no specular term",
-            mend="leave specular out, or use ClassicEmissivity",
-            code="option-conflict",
-        )
-    if not (rad_solver.isascii() and rad_solver.isalnum()):
-        problems.add(
-            f"rad_solver={rad_solver!r}", expected="a name such as 'Classic'", code="value-out-of-range"
-        )
-    if thermal is not None and (set(thermal) != set(THERMAL) or not all(map(is_number, thermal.values()))):
-        problems.add(
-            f"thermal={dict(thermal)!r}",
-            expected=f"numbers for all of {', '.join(THERMAL)}",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
-    if max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1):
-        raise SchemaError(
+            "",
+            "leave specular out, or use ClassicEmissivity",
+            "option-conflict",
+        ),
+        (
+            not (rad_solver.isascii() and rad_solver.isalnum()),
+            f"rad_solver={rad_solver!r}",
+            "a name such as 'Classic'",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            thermal is not None
+            and (set(thermal) != set(THERMAL) or not all(map(is_number, parameters.values()))),
+            f"thermal={parameters!r}",
+            f"numbers for all of {', '.join(THERMAL)}",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1),
             f"max_curves={max_curves!r}",
-            expected="a whole number above 0, or None",
-            code="value-out-of-range",
-        )
+            "a whole number above 0, or None",
+            "",
+            "value-out-of-range",
+        ),
+    ):
+        if is_wrong:
+            problems.add(found, expected=expected, mend=mend, code=code)
+    problems.raise_if_any()
     coat = coat_of(library, specular)
     axis = Axis(library)
     choices = Choices(curves, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
     records = paint_records(library, () if scene_materials is None else read_materials(scene_materials))
     with export_folder(folder, overwrite=overwrite) as build:
         write_spectra(library, build, axis, choices, coat, records, progress)
-        entries = (
-            material_section(
-                record, surface=surface, rad_solver=rad_solver, thermal=thermal, double_sided=double_sided
-            )
-            for record in records
-        )
         attrs = {**coat.attrs, "surface": surface, "curves_of": curves}
         for name in ("title", "source", "provenance", "references", "license"):
             if name in library.attrs:
                 attrs[f"library_{name}"] = str(library.attrs[name])
-        # by this file `_foreign` recognises an export
-        marker = {"format": FORMAT, "version": 1, **attrs, "paints": records}
-        texts = {
-            "materials.mat": materials_text(entries),
-            "paints.glist": glist_text(records),
-            "README.txt": readme_text(records, attrs),
-            MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
-        }
-        for name, text in texts.items():
-            # a name may contain half a surrogate pair, which UTF-8 cannot encode
-            (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
-    _warn(records, gaps_chosen=gaps is not None)
-    return _summary(records, {**attrs, "folder": os.fspath(folder)})
+        content = {"paints": records, "about": attrs, "width": max(2, *(len(r["id"]) for r in records))}
+        write_texts(
+            build,
+            {
+                "materials.mat": materials_text(
+                    material_section(
+                        record,
+                        surface=surface,
+                        rad_solver=rad_solver,
+                        thermal=thermal,
+                        double_sided=double_sided,
+                    )
+                    for record in records
+                ),
+                "paints.glist": TEXTS.get_template("paints.glist.j2").render(content),
+                "README.txt": TEXTS.get_template("paints_readme.txt.j2").render(content),
+                # by this file an export is recognised
+                MARKER: json.dumps(
+                    {"format": FORMAT, "version": 1, **attrs, "paints": records}, indent=1, ensure_ascii=False
+                )
+                + "\n",
+            },
+        )
+    messages = []
+    for key, change in _CHANGES:
+        counts = [int(record[key]) for record in records]
+        if any(counts) and not (gaps is not None and "interpolated" in key):
+            paints = f"in {sum(map(bool, counts))} of {len(records)} paints"
+            messages.append(f"{sum(counts)} {change} ({paints})")
+    if messages:
+        warnings.warn(
+            PaintWarning(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", code="spectra-changed"),
+            stacklevel=2,
+        )
+    numbers = ("curves", "complete", "clipped", "centre_clipped", "interpolated", "centre_interpolated")
+    summary = summary_of(
+        records,
+        "DIRSIG materials",
+        {**attrs, "folder": os.fspath(folder)},
+        **dict.fromkeys((*numbers, "left_out", "thinned", "bands"), np.int64),
+        **dict.fromkeys(("emissivity_file", "reflectance_file", "extrapolated"), object),
+    )
+    ranges = np.array([record["wavelength"] for record in records])
+    return summary.assign(range=((SIGNATURE, "end"), ranges, {"units": "nm"})).assign_coords(
+        end=["low", "high"]
+    )
 
 
-def _is_range(value: Any) -> bool:
-    try:
-        low, high = value
-    except (TypeError, ValueError):
-        return False
-    return is_number(low) and is_number(high) and MIN_NM <= low < high <= MAX_NM
+def write_texts(build: Path, texts: Mapping[str, str]) -> None:
+    # Write texts by their names; half a surrogate pair in a name, which UTF-8 lacks, is escaped.
+    for name, text in texts.items():
+        (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
+
+
+def material_section(
+    record: Mapping[str, Any],
+    *,
+    surface: str,
+    rad_solver: str,
+    thermal: Mapping[str, float] | None,
+    double_sided: bool,
+) -> Section:
+    """Return the entry of one paint in a material list.
+
+    ``record``: record of the paint in ``paints.json``; ``surface``: ``ClassicEmissivity``,
+    ``SimpleReflectance``, or ``ShellTarget`` with a ``fit_file``; ``rad_solver``: name of the radiometry
+    solver; ``thermal``: values of `THERMAL`, None if temperature is not computed; ``double_sided``: whether
+    the back of a facet has the paint, too.
+    """
+    name, keys = _PROPERTIES[surface]
+    items = ((key, record[item]) for key, item in keys)
+    properties = tuple((key, value if isinstance(value, str) else f"{value:g}") for key, value in items)
+    values = tuple((key.upper(), f"{float(value):.6g}") for key, value in (thermal or {}).items())
+    return Section(
+        "MATERIAL_ENTRY",
+        (
+            ("ID", record["id"]),
+            ("NAME", record["name"]),
+            ("EDITOR_COLOR", ", ".join(f"{value:.3g}" for value in record["editor_color"])),
+            ("DOUBLE_SIDED", "TRUE" if double_sided else "FALSE"),
+            ("RAD_SOLVER_NAME", rad_solver),
+            Section("RAD_SOLVER", _SOLVERS.get(rad_solver, ())),
+            ("TEMP_SOLVER_NAME", "Therm" if thermal else "Null"),
+            Section("TEMP_SOLVER", values),
+            Section("SURFACE_PROPERTIES", ((f"{name}_NAME", surface), Section(name, properties))),
+        ),
+    )
 
 
 def paint_records(library: xr.Dataset, used: Collection[Material]) -> list[dict[str, Any]]:
@@ -315,14 +445,15 @@ def paint_records(library: xr.Dataset, used: Collection[Material]) -> list[dict[
 
     ``used``: materials whose IDs and names are not given to paints.
     """
-    names = [str(name) for name in library[SIGNATURE].values] if SIGNATURE in library.variables else []
-    names = names or [f"paint {number}" for number in range(1, library.sizes[SIGNATURE] + 1)]
+    numbered = [f"paint {number}" for number in range(1, library.sizes[SIGNATURE] + 1)]
+    names = list(map(str, library[SIGNATURE].values)) if SIGNATURE in library.variables else numbered
     tokens = material_ids(names, [material.id for material in used])
     plain = material_names(names, [material.name for material in used])
-    about = [
-        name for name, column in library.coords.items() if column.dims == (SIGNATURE,) and name != SIGNATURE
-    ]
-    texts = {str(name): [str(value) for value in library[name].values] for name in sorted(about, key=str)}
+    about = {
+        str(name): list(map(str, library[name].values))
+        for name in sorted(library.coords, key=str)
+        if library[name].dims == (SIGNATURE,) and name != SIGNATURE
+    }
     return [
         {
             "paint": names[number],
@@ -330,7 +461,7 @@ def paint_records(library: xr.Dataset, used: Collection[Material]) -> list[dict[
             "name": plain[number],
             "emissivity_file": f"{EMISSIVITY}/{tokens[number]}.ems",
             "reflectance_file": f"{REFLECTANCE}/{tokens[number]}.txt",
-            "about": {name: values[number] for name, values in texts.items() if values[number]},
+            "about": {name: values[number] for name, values in about.items() if values[number]},
         }
         for number in range(len(names))
     ]
@@ -345,132 +476,65 @@ def write_spectra(
     records: list[dict[str, Any]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write the files of all paints and complete their records; after a fault, only check further paints."""
+    # Write the files of all paints and complete their records; after a fault, only check further paints.
     problems: list[Problem] = []
     formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
     for paints, values in blocks_of(library, choices):
         for number, record in enumerate(records[paints]):
-            centre, curves = values["centre"][number], values["curves"][number]
+            body, curves = values["centre"][number], values["curves"][number]
             try:
-                spectra = curves_of(axis, centre, curves, choices)
-            except PaintProblemError as error:
+                wavelength, centre, curves, items = curves_of(axis, body, curves, choices)
+            except SchemaError as error:
                 problems.append(error.about(repr(record["paint"])).problem)
+                continue
+            if problems:
                 continue
             mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
             fraction = coat.fraction(
-                np.where(axis.good, centre[axis.order], np.nan),
-                None if mirror is None else mirror[axis.order],
+                np.where(axis.good, body[axis.order], np.nan), None if mirror is None else mirror[axis.order]
             )
-            if not problems:
-                key = spectra.wavelength.tobytes()
-                if key not in formats:
-                    formats.clear()  # successive paints share wavelengths; older formats are dropped
-                    formats[key] = ColumnText(spectra.wavelength, CURVE_BEGIN), ColumnText(spectra.wavelength)
-                record |= _write_paint(spectra, fraction, build, record, *formats[key])
+            key = wavelength.tobytes()
+            if key not in formats:
+                formats.clear()  # successive paints share wavelengths; older formats are dropped
+                formats[key] = ColumnText(wavelength, CURVE_BEGIN), ColumnText(wavelength)
+            curve_text, plain_text = formats[key]
+            with open(build / record["emissivity_file"], "wb") as file:
+                file.write(emissivity_head(len(curves)))
+                for start in range(0, len(curves), _CURVES_AT_ONCE):
+                    total = curves[start : start + _CURVES_AT_ONCE] / (1.0 - fraction)
+                    items["clipped"] += int(((total < 0.0) | (total > 1.0)).sum())
+                    file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
+            items["centre_clipped"] = int(((centre < 0.0) | (centre > 1.0)).sum())
+            centre = np.clip(centre, 0.0, 1.0)
+            (build / record["reflectance_file"]).write_bytes(plain_text.text(centre[np.newaxis]))
+            # red, green and blue for DIRSIG's editor, with gamma; white if the visible range is not covered
+            is_visible = wavelength[0] <= _RGB[2] and wavelength[-1] >= _RGB[0]
+            colour = np.sqrt(np.interp(_RGB, wavelength, centre)) if is_visible else np.ones(3)
+            record |= items | {
+                "specular_fraction": fraction,
+                "editor_color": [round(float(value), 3) for value in colour],
+            }
         if progress is not None:
             progress(paints.stop, len(records))
     if problems:
-        number_more = (
-            [Problem(f"and {len(problems) - _MAX_SHOWN} more paints", code="paint-unwritable")]
-            if problems[_MAX_SHOWN:]
-            else []
-        )
+        further = f"and {len(problems) - _MAX_SHOWN} more paints"
+        more = [Problem(further, code="paint-unwritable")] if problems[_MAX_SHOWN:] else []
         raise SchemaError(
             "paints cannot be written for DIRSIG",
-            problems=problems[:_MAX_SHOWN] + number_more,
+            problems=problems[:_MAX_SHOWN] + more,
             code="paint-unwritable",
         )
 
 
-def _write_paint(
-    spectra: PaintCurves,
-    fraction: float,
-    build: Path,
-    record: Mapping[str, Any],
-    curve_text: ColumnText,
-    plain_text: ColumnText,
-) -> dict[str, Any]:
-    clipped = 0
-    with open(build / record["emissivity_file"], "wb") as file:
-        file.write(emissivity_head(len(spectra.curves)))
-        for start in range(0, len(spectra.curves), _CURVES_AT_ONCE):
-            total = spectra.curves[start : start + _CURVES_AT_ONCE] / (1.0 - fraction)
-            clipped += int(((total < 0.0) | (total > 1.0)).sum())
-            file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
-    outside = int(((spectra.centre < 0.0) | (spectra.centre > 1.0)).sum())
-    centre = np.clip(spectra.centre, 0.0, 1.0)
-    (build / record["reflectance_file"]).write_bytes(plain_text.text(centre[np.newaxis]))
-    return {
-        "wavelength": [float(spectra.wavelength[0]), float(spectra.wavelength[-1])],
-        "measured": list(spectra.measured),
-        "bands": len(spectra.wavelength),
-        "curves": len(spectra.curves),
-        "complete": spectra.complete,
-        "gaps": [round(float(nm), 2) for nm in spectra.gaps],
-        "is_centre": spectra.is_centre,
-        "clipped": clipped,
-        "centre_clipped": outside,
-        "interpolated": spectra.interpolated,
-        "centre_interpolated": spectra.centre_interpolated,
-        "left_out": spectra.left_out,
-        "thinned": spectra.thinned,
-        "extrapolated": spectra.extrapolated,
-        "specular_fraction": fraction,
-        "editor_color": _colour(spectra.wavelength, centre),
+def summary_of(
+    records: Sequence[Mapping[str, Any]], title: str, attrs: Mapping[str, Any], **dtypes: Any
+) -> xr.Dataset:
+    # Return items of the records (signature), by their dtypes, with names, IDs and specular fractions.
+    columns = {
+        key: (SIGNATURE, np.array([record[key] for record in records], dtype))
+        for key, dtype in {**dtypes, "specular_fraction": np.float64, "id": object}.items()
     }
-
-
-def _colour(wavelength: Array, reflectance: Array) -> list[float]:
-    # Red, green and blue for DIRSIG's editor, with gamma; white if the visible range is not covered
-    if wavelength[0] > _RGB[2] or wavelength[-1] < _RGB[0]:
-        return [1.0, 1.0, 1.0]
-    return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
-
-
-def _warn(records: list[dict[str, Any]], *, gaps_chosen: bool) -> None:
-    messages = []
-    for key, change in (
-        ("clipped", "samples outside 0 to 1 were clipped"),
-        ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
-        ("left_out", "members without a value at an end of the range were left out"),
-        ("is_centre", "paints have no member with values at both ends: their centre is written"),
-        ("interpolated", "samples in gaps of curves were interpolated"),
-        ("centre_interpolated", "samples in gaps of centres were interpolated"),
-    ):
-        number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
-        if number and not (gaps_chosen and "interpolated" in key):
-            messages.append(f"{number} {change} (in {paints} of {len(records)} paints)")
-    if messages:
-        warnings.warn(
-            PaintWarning(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", code="spectra-changed"),
-            stacklevel=3,
-        )
-
-
-def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Dataset:
-    def column(key: str, dtype: Any) -> tuple[str, Array]:
-        return SIGNATURE, np.array([record[key] for record in records], dtype)
-
-    counts = (
-        "curves",
-        "complete",
-        "clipped",
-        "centre_clipped",
-        "interpolated",
-        "centre_interpolated",
-        "left_out",
-        "thinned",
-        "bands",
-    )
-    values: dict[str, Any] = {key: column(key, np.int64) for key in counts}
-    values |= {key: column(key, object) for key in ("emissivity_file", "reflectance_file", "extrapolated")}
-    values["specular_fraction"] = column("specular_fraction", np.float64)
-    values["range"] = (
-        (SIGNATURE, "end"),
-        np.array([record["wavelength"] for record in records]),
-        {"units": "nm"},
-    )
     # with pyarrow, pandas cannot store half a surrogate pair
     names = [record["paint"].encode("utf-8", "backslashreplace").decode() for record in records]
-    coords = {SIGNATURE: (SIGNATURE, np.array(names, object)), "material_id": column("id", object)}
-    return xr.Dataset(values, {**coords, "end": ["low", "high"]}, {"title": "DIRSIG materials", **attrs})
+    coords = {SIGNATURE: (SIGNATURE, np.array(names, object)), "material_id": columns.pop("id")}
+    return xr.Dataset(columns, coords, {"title": title, **attrs})

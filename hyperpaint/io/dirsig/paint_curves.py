@@ -12,17 +12,16 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Variable, require
 
-from .emissivity_files import WAVELENGTH_DECIMALS
+from .dirsig_files import WAVELENGTH_DECIMALS
 
 
 @dataclass(frozen=True)
 class Coat:
-    """Treatment of the light mirrored by the clear coat."""
-
+    # Treatment of the light mirrored by the clear coat.
     mirror_reflection: str  # ``included`` in the library's reflectance, or ``excluded``
     is_declared: bool  # Whether the library has this attribute; else it is assumed
     # Specular fraction of DIRSIG's reflectance; ``library``: computed from ``specular_reflectance``
@@ -30,7 +29,7 @@ class Coat:
 
     @property
     def attrs(self) -> dict[str, str]:
-        """Attributes that describe the treatment."""
+        # Attributes that describe the treatment.
         source = "stated by the library" if self.is_declared else "not stated by the library, assumed"
         term = (
             "none: reflectance is diffuse"
@@ -73,28 +72,37 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
         problems.add_error("", error)
     # without a declaration the coat is taken as included, so that it cannot count twice
     mirror = declared or INCLUDED
-    if specular != "library" and (isinstance(specular, str) or not 0.0 <= specular < 1.0):
-        problems.add(
-            f"specular={specular!r}", expected="0 to below 1, or 'library'", code="value-out-of-range"
-        )
-    if specular == "library" and not has_specular:
-        problems.add(
+    is_number = not isinstance(specular, str) and 0.0 <= specular < 1.0
+    for is_wrong, found, expected, mend, option, code in (
+        (
+            specular != "library" and not is_number,
+            f"specular={specular!r}",
+            "0 to below 1, or 'library'",
+            "",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            specular == "library" and not has_specular,
             "specular='library', but the library has no specular_reflectance (signature, band)",
-            code="variable-missing",
-        )
-    elif specular != 0.0 and mirror == INCLUDED:
-        problems.add(
-            (
-                f"specular={specular!r}, but the reflectance includes the mirrored light: the clear "
-                "coat would count twice"
-            ),
-            mend=(
-                "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
-                f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
-            ),
-            option="leave specular out, or give body reflectance (signatures --specular-sky)",
-            code="coat-counted-twice",
-        )
+            "",
+            "",
+            "",
+            "variable-missing",
+        ),
+        (
+            specular != 0.0 and mirror == INCLUDED and (specular != "library" or has_specular),
+            f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat would "
+            "count twice",
+            "",
+            "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
+            f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
+            "leave specular out, or give body reflectance (signatures --specular-sky)",
+            "coat-counted-twice",
+        ),
+    ):
+        if is_wrong:
+            problems.add(found, expected=expected, mend=mend, option=option, code=code)
     problems.raise_if_any()
     return Coat(mirror, declared is not None, specular)
 
@@ -117,37 +125,14 @@ MIN_NM, MAX_NM = 1.0, 1e5
 _BLOCK_BYTES = 8 * 2**20
 
 
-class PaintProblemError(PaintError):
-    """One paint cannot be written."""
-
-
 @dataclass(frozen=True)
 class Choices:
-    """Choices of the caller for the curves."""
-
+    # Choices of the caller for the curves.
     curves: str  # Key of `CURVES`
     wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for the measured range
     extrapolate: bool  # Whether curves are constant beyond the measured range
     gaps: str  # Treatment of bands without values between others: one of `GAPS`
     max_curves: int | None = None  # Maximum number of curves of a paint; None for all
-
-
-@dataclass(frozen=True, eq=False)
-class PaintCurves:
-    """Curves of one paint, as they are written."""
-
-    wavelength: Array  # Ascending (wavelength,) [nm]
-    centre: Array  # Reflectance (wavelength,) [1]
-    curves: Array  # Reflectance of the population (curve, wavelength) [1], complete curves first
-    complete: int  # Number of curves without interpolated samples
-    gaps: Array  # Wavelengths with interpolated samples of curves [nm]
-    measured: tuple[float, float]  # First and last measured wavelength [nm]
-    extrapolated: str  # Ends with an added sample: ``below``, ``above``, ``below and above``, or empty
-    interpolated: int  # Number of interpolated samples of the curves
-    centre_interpolated: int  # Number of interpolated samples of the centre
-    left_out: int  # Number of members that are not written, since they have no value at an end
-    is_centre: bool  # Whether the centre is the only curve, since no member has values at both ends
-    thinned: int = 0  # Number of curves above `max_curves`, which are not written
 
 
 class Axis:
@@ -213,31 +198,52 @@ def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, di
         yield paints, {**blocks, "centre": blocks["reflectance"], "curves": curves}
 
 
-def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> PaintCurves:
-    """Return the curves of one paint, as they are written.
+def curves_of(
+    axis: Axis, centre: Array, curves: Array, choices: Choices
+) -> tuple[Array, Array, Array, dict[str, Any]]:
+    """Return the curves of one paint, as they are written, and their items of its record.
 
     ``centre``, ``curves``: reflectance (band,) and (curve, band) in the library's order of bands; curves
-    without a value are dropped.
+    without a value are dropped. Returns ascending wavelengths (wavelength,) [nm], the centre (wavelength,)
+    [1], the population (curve, wavelength) [1] with complete curves first, and items of the record: the
+    range and the ``measured`` range [nm]; numbers of ``complete`` curves, of ``interpolated`` samples, of
+    members ``left_out`` without a value at an end, of curves ``thinned`` above ``max_curves``; ``gaps`` [nm];
+    ends ``extrapolated``; ``is_centre`` where no member has values at both ends, so that the
+    centre is the only curve.
 
-    Raises `PaintProblemError`: The paint has no values, has gaps although ``choices`` refuse them, or does
-    not cover the wavelength range.
+    Raises `SchemaError`: The paint has no values, has gaps although ``choices`` refuse them, or does not
+    cover the wavelength range.
     """
     centre = np.where(axis.good, centre[axis.order].astype(np.float64), np.nan)
     curves = np.where(axis.good, curves[:, axis.order].astype(np.float64), np.nan)
     curves = curves[np.isfinite(curves).any(axis=1)]
     usable = np.flatnonzero(np.isfinite(centre))
     if usable.size < 2:
-        raise PaintProblemError(
+        raise SchemaError(
             "fewer than two bands have a value", mend="leave the paint out", code="value-missing"
         )
     if not len(curves):  # a paint without members
         curves = centre[np.newaxis]
-    measured_range = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
-    extends_low, extends_high = _extended_ends(measured_range, choices)
-    bands = _bands_of_range(axis.wavelength, usable, choices.wavelength_range)
+    measured = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
+    low, high = choices.wavelength_range or measured
+    below, above = bool(low < measured[0]), bool(high > measured[1])
+    is_outside = low >= measured[1] or high <= measured[0]
+    if is_outside or ((below or above) and not choices.extrapolate):
+        wanted = f"{low:g} to {high:g} nm"
+        advice = "narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends"
+        raise SchemaError(
+            f"measured {measured[0]:g} to {measured[1]:g} nm{', outside ' * is_outside}{wanted * is_outside}",
+            expected="" if is_outside else wanted,
+            mend="" if is_outside else advice,
+            code="wavelength-uncovered",
+        )
+    # usable bands within the range, and the next band beyond each end, so that the range is covered
+    first = max(int(usable[0]), int(np.searchsorted(axis.wavelength, low, "right")) - 1)
+    last = min(int(usable[-1]), int(np.searchsorted(axis.wavelength, high, "left")))
+    bands = slice(first, last + 1)
     wavelength = axis.wavelength[bands]
     if np.median(centre[usable]) > 1.0:
-        raise PaintProblemError(
+        raise SchemaError(
             f"median reflectance {np.median(centre[usable]):g}",
             expected="0 to 1",
             mend="divide percent by 100",
@@ -246,12 +252,18 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     curves = curves[:, bands]
     has_ends = np.isfinite(curves[:, [0, -1]]).all(axis=1)
     missing, centre_missing = ~np.isfinite(curves), ~np.isfinite(centre[bands])
-    if choices.gaps == "refuse":
-        if missing.any():
-            subject = f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have"
-            raise _gap_error(subject, wavelength[missing.any(axis=0)])
-        if centre_missing.any():
-            raise _gap_error("the centre has", wavelength[centre_missing])
+    for subject, is_gap in (
+        (f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have", missing.any(axis=0)),
+        ("the centre has", centre_missing),
+    ):
+        if choices.gaps == "refuse" and is_gap.any():
+            gaps = wavelength[is_gap]
+            examples = ", ".join(f"{nm:.1f}" for nm in gaps[:6]) + (", ..." if gaps.size > 6 else "")
+            raise SchemaError(
+                f"{subject} no value at {examples} nm, inside the range",
+                mend="omit gaps= to interpolate, or pass a wavelength_range without them",
+                code="value-missing",
+            )
     centre = np.interp(wavelength, axis.wavelength[usable], centre[usable])
     if has_ends.any():
         curves, missing = curves[has_ends], missing[has_ends]
@@ -263,22 +275,26 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     else:
         curves, missing, rows = centre[np.newaxis], centre_missing[np.newaxis], np.zeros(1, np.int64)
     thinned, curves, missing = len(curves) - len(rows), curves[rows], missing[rows]
-    low, high = choices.wavelength_range or measured_range
-    padding = (int(extends_low), int(extends_high))
-    return PaintCurves(
-        wavelength=np.concatenate([[low][: padding[0]], wavelength, [high][: padding[1]]]),
-        centre=np.pad(centre, padding, "edge"),
-        curves=np.pad(curves, ((0, 0), padding), "edge"),
-        complete=int((~missing.any(axis=1)).sum()),
-        gaps=wavelength[missing.any(axis=0)],
-        measured=measured_range,
-        extrapolated=" and ".join(["below"] * extends_low + ["above"] * extends_high),
-        interpolated=int(missing.sum()),
-        centre_interpolated=int(centre_missing.sum()),
-        left_out=int((~has_ends).sum()),
-        is_centre=not has_ends.any(),
-        thinned=thinned,
-    )
+    gap_nm = [round(float(nm), 2) for nm in wavelength[missing.any(axis=0)]]
+    padding = (int(below), int(above))
+    wavelength = np.concatenate([[low][: padding[0]], wavelength, [high][: padding[1]]])
+    record = {
+        "wavelength": [float(wavelength[0]), float(wavelength[-1])],
+        "measured": list(measured),
+        "bands": len(wavelength),
+        "curves": len(curves),
+        "complete": int((~missing.any(axis=1)).sum()),
+        "gaps": gap_nm,
+        "is_centre": not has_ends.any(),
+        "clipped": 0,
+        "centre_clipped": 0,
+        "interpolated": int(missing.sum()),
+        "centre_interpolated": int(centre_missing.sum()),
+        "left_out": int((~has_ends).sum()),
+        "thinned": thinned,
+        "extrapolated": " and ".join(["below"] * below + ["above"] * above),
+    }
+    return wavelength, np.pad(centre, padding, "edge"), np.pad(curves, ((0, 0), padding), "edge"), record
 
 
 def thinned_rows(curves: Array, is_filled: Array, max_curves: int | None) -> Array:
@@ -301,43 +317,3 @@ def thinned_rows(curves: Array, is_filled: Array, max_curves: int | None) -> Arr
     # the middle curve of every one of `max_curves` classes with the same number of curves
     chosen = ranked[np.floor((np.arange(max_curves) + 0.5) * len(ranked) / max_curves).astype(np.int64)]
     return chosen[np.argsort(is_filled[chosen], kind="stable")]
-
-
-def _extended_ends(measured_range: tuple[float, float], choices: Choices) -> tuple[bool, bool]:
-    # Whether curves are extrapolated at the low end, and at the high end
-    if choices.wavelength_range is None:
-        return False, False
-    low, high = choices.wavelength_range
-    measured_low, measured_high = measured_range
-    extends_low, extends_high = bool(low < measured_low), bool(high > measured_high)
-    if low >= measured_high or high <= measured_low:
-        raise PaintProblemError(
-            f"measured {measured_low:g} to {measured_high:g} nm, outside {low:g} to {high:g} nm",
-            code="wavelength-uncovered",
-        )
-    if (extends_low or extends_high) and not choices.extrapolate:
-        raise PaintProblemError(
-            f"measured {measured_low:g} to {measured_high:g} nm",
-            expected=f"{low:g} to {high:g} nm",
-            mend="narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends",
-            code="wavelength-uncovered",
-        )
-    return extends_low, extends_high
-
-
-def _bands_of_range(wavelength: Array, usable: Array, limits: tuple[float, float] | None) -> slice:
-    # Usable bands within the limits, and the next band beyond each limit, so that the range is covered
-    start, end = int(usable[0]), int(usable[-1])
-    if limits is not None:
-        start = max(start, int(np.searchsorted(wavelength, limits[0], "right")) - 1)
-        end = min(end, int(np.searchsorted(wavelength, limits[1], "left")))
-    return slice(start, end + 1)
-
-
-def _gap_error(subject: str, wavelength: Array) -> PaintProblemError:
-    examples = ", ".join(f"{nm:.1f}" for nm in wavelength[:6]) + (", ..." if wavelength.size > 6 else "")
-    return PaintProblemError(
-        f"{subject} no value at {examples} nm, inside the range",
-        mend="omit gaps= to interpolate, or pass a wavelength_range without them",
-        code="value-missing",
-    )

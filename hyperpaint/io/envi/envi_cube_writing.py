@@ -33,12 +33,12 @@ from hyperpaint.io.maps.map_grids import (
     storable,
 )
 
-from .envi_grammar import FILE_AXES, braced
+from .envi_header import DTYPES, FILE_AXES, braced
 
 Interleave = Literal["bil", "bip", "bsq"]
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
-_CODES = {"uint8": 1, "int16": 2, "int32": 3, "float32": 4, "float64": 5, "uint16": 12, "uint32": 13}
+_CODES = {np.dtype(name).name: code for code, name in DTYPES.items()}
 _SCALE = 10_000
 _IGNORE = 65_535
 # Size of the pieces in which an array in memory is written [byte].
@@ -160,48 +160,49 @@ def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid
     title = _printable(str(dataset.attrs.get("title") or dataset.attrs.get("source") or "hyperpaint"))
     # readers take the last processing level in a description as the quantity
     quantity_text = f", {name.upper()}" if name in ("radiance", "reflectance") else f", {name}"
-    rows = [
-        "ENVI",
-        f"description = {{{title}{quantity_text}}}",
-        f"samples = {samples}",
-        f"lines = {lines}",
-        f"bands = {bands}",
-        "header offset = 0",
-        "file type = ENVI Standard",
-        f"data type = {_CODES[cube.dtype.name]}",
-        f"interleave = {interleave}",
-        "byte order = 0",
-    ]
-    if units := cube.attrs.get("units"):
-        rows.append(f";Units = {_printable(str(units))}")
-    if is_scaled:
-        rows += [f"reflectance scale factor = {_SCALE}", f"data ignore value = {_IGNORE}"]
-    elif cube.dtype.kind == "f":
-        rows.append("data ignore value = nan")
-    elif "data_ignore_value" in cube.attrs:
-        rows.append(f"data ignore value = {cube.attrs['data_ignore_value']}")
+    units = cube.attrs.get("units")
+    ignore = "nan" if cube.dtype.kind == "f" else cube.attrs.get("data_ignore_value")
+    # keys and values in the order of the header; those of None are left out
+    fields: dict[str, Any] = {
+        "description": f"{{{title}{quantity_text}}}",
+        "samples": samples,
+        "lines": lines,
+        "bands": bands,
+        "header offset": 0,
+        "file type": "ENVI Standard",
+        "data type": _CODES[cube.dtype.name],
+        "interleave": interleave,
+        "byte order": 0,
+        ";Units": _printable(str(units)) if units else None,
+        "reflectance scale factor": _SCALE if is_scaled else None,
+        "data ignore value": _IGNORE if is_scaled else ignore,
+    }
     axis = dataset.variables.get("wavelength")
     if BAND not in dataset[name].dims:
-        rows.append(f"band names = {{{_printable(name)}}}")
+        fields["band names"] = f"{{{_printable(name)}}}"
     elif axis is not None and axis.dims == (BAND,):
-        wavelengths = axis.values.astype(np.float64)
-        if np.isfinite(wavelengths).all():
-            rows += [
-                "wavelength units = Nanometers",
-                f"wavelength = {braced(list(map(repr, wavelengths.tolist())))}",
-            ]
-            if (rgb_bands := nearest_bands(wavelengths, RGB_WAVELENGTHS)) is not None:
-                rows.append(f"default bands = {{{', '.join(str(band + 1) for band in rgb_bands)}}}")
-        for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
-            variable = dataset.variables.get(name)
+        # lists of the bands, where all of their values are finite
+        for key, variable_name, kind in (
+            ("wavelength", "wavelength", np.float64),
+            ("fwhm", "fwhm", np.float64),
+            ("bbl", "good", int),
+        ):
+            variable = dataset.variables.get(variable_name)
             if variable is None or variable.dims != (BAND,):
                 continue
-            if np.isfinite(variable.values.astype(np.float64)).all():
-                numbers = variable.values.astype(int if key == "bbl" else np.float64).tolist()
-                rows.append(f"{key} = {braced(list(map(repr, numbers)))}")
+            values = variable.values.astype(np.float64)
+            if not np.isfinite(values).all():
+                continue
+            if key == "wavelength":
+                fields["wavelength units"] = "Nanometers"
+            fields[key] = braced(list(map(repr, variable.values.astype(kind).tolist())))
+            if key == "wavelength" and (rgb_bands := nearest_bands(values, RGB_WAVELENGTHS)) is not None:
+                fields["default bands"] = f"{{{', '.join(str(band + 1) for band in rgb_bands)}}}"
     if grid is not None:
-        rows += [f"{key} = {{{value}}}" for key, value in envi_map_info(grid).items()]
-    return "\n".join(rows) + "\n"
+        fields |= {key: f"{{{value}}}" for key, value in envi_map_info(grid).items()}
+    return "\n".join(
+        ["ENVI", *(f"{key} = {value}" for key, value in fields.items() if value is not None), ""]
+    )
 
 
 def _printable(text: str) -> str:

@@ -1,14 +1,17 @@
-"""Meaning of the keys of an ENVI header: sizes, types, wavelengths, scale, map position.
+"""ENVI headers: their grammar, and the meaning of keys: sizes, types, wavelengths, scale, map position.
 
-Reading is bounded and linear in the length of the file, and all problems are raised together.
+A header is text: a first line ``ENVI``, then ``key = value`` lines; a value that begins with a brace extends
+to the next closing brace. Lines that begin with a semicolon are comments, in which Headwall cameras store
+their metadata. Reading is bounded and linear in the length of the file, and all problems are raised together.
 """
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,29 +19,23 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError
+from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.input_files import open_input
 from hyperpaint.io.files.reading import decoded_text
-
-from .envi_grammar import FILE_AXES, HeaderFindings, bare, scan, shown
 
 MAX_HEADER_BYTES = 4 * 2**20
 # The header of a library names every spectrum: about 400,000 of them.
 MAX_LIBRARY_HEADER_BYTES = 16 * 2**20
+_MAX_ENTRIES = 10_000
+_MAX_SHOWN = 20
 
-_DTYPES = {
-    "1": "u1",
-    "2": "i2",
-    "3": "i4",
-    "4": "f4",
-    "5": "f8",
-    "6": "c8",
-    "9": "c16",
-    "12": "u2",
-    "13": "u4",
-    "14": "i8",
-    "15": "u8",
-}
+#: Axes of an interleave, slowest first: line, band, sample.
+FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
+#: Types of samples by the code ``data type``.
+DTYPES = {
+    "1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "6": "c8", "9": "c16", "12": "u2", "13": "u4",
+    "14": "i8", "15": "u8",
+}  # fmt: skip
 _BYTE_ORDERS = {"0": "<", "1": ">"}
 
 # nm per unit; ENVI's own words first
@@ -171,60 +168,61 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     >>> header.comments["Exposure (ms)"]
     '5'
     """
-    findings = HeaderFindings(name)
-    scanned = scan(text, findings)
-    if not scanned.fields:
-        findings.raise_if_any()
+    reader = _Reader(name)
+    reader.scan(text)
+    fields = reader.fields
+    if not fields:
+        reader.raise_if_any()
         raise FormatError(f"{name} cannot be used: it holds no 'key = value' line", code="empty-input")
-    reader = _Reader(scanned.fields, findings)
     lines, samples, bands = (reader.integer(key, minimum=1) for key in ("lines", "samples", "bands"))
     offset = reader.integer("header offset", minimum=0, default=0)
     # type and order of the samples
-    code, order = reader.choice("data type", _DTYPES) or "u1", "<"
-    if "byte order" in reader.fields:
+    code, order = reader.choice("data type", DTYPES) or "u1", "<"
+    if "byte order" in fields:
         order = reader.choice("byte order", _BYTE_ORDERS) or "<"
     elif np.dtype(code).itemsize > 1:
-        findings.note(
+        reader.note(
             "no byte order: assumed little-endian; add 'byte order = 0' (big-endian: 1) to the header",
             warn=True,
         )
     interleave = reader.choice("interleave", {name: name for name in FILE_AXES})
     for key in ("major frame offsets", "minor frame offsets"):
-        text = reader.fields.get(key, "")
+        text = fields.get(key, "")
         if set(bare(text)) - set("0, \t\n"):
-            findings.add(
-                f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported"
-            )
-    if reader.fields.get("file compression", "0") != "0":
-        findings.add(
+            reader.add(f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported")
+    if fields.get("file compression", "0") != "0":
+        reader.add(
             "'file compression' is set",
             mend="unpack the data file and set it to 0",
             code="layout-unsupported",
         )
     # bands
-    is_library = "spectral library" in scanned.fields.get("file type", "").lower()
+    is_library = "spectral library" in fields.get("file type", "").lower()
     count, unit = (samples, "samples of a spectral library") if is_library else (bands, "bands")
-    names = _band_names(reader, bands)
+    text = bare(fields.get("band names", "")).rstrip(", \t\n")
+    name_count = text.count(",") + 1
+    names: tuple[str, ...] = ()
+    if text and name_count == bands:
+        names = tuple(name.strip() for name in text.split(","))
+    elif text and name_count > max(1000, 10 * bands):
+        found = f"'band names' has {name_count} names for {bands} bands"
+        reader.add(found, mend="delete the list", code="length-mismatch")
+    elif text:
+        reader.note(f"'band names' has {name_count} names for {bands} bands: names ignored")
     wavelength, fwhm = _spectral_axis(reader, count, unit, names)
     good = reader.numbers("bbl", count, unit)
     if good is not None and not np.isin(good, (0.0, 1.0)).all():
-        findings.add(
-            "'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range"
-        )
+        reader.add("'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range")
     scale = reader.number("reflectance scale factor")
     if scale is not None and not (math.isfinite(scale) and scale > 0):
-        findings.add(
-            f"'reflectance scale factor' is {scale}", expected="a number above 0", code="value-out-of-range"
-        )
+        found = f"'reflectance scale factor' is {scale}"
+        reader.add(found, expected="a number above 0", code="value-out-of-range")
     # integers stay integers: float64 cannot hold all 64-bit integers
-    text = bare(reader.fields.get("data ignore value", ""))
-    ignore: int | float | None
-    if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
-        ignore = int(text)
-    else:
-        ignore = reader.number("data ignore value")
-        if ignore is not None and ignore.is_integer() and abs(ignore) < 2**53:
-            ignore = int(ignore)
+    text = bare(fields.get("data ignore value", ""))
+    is_whole = re.fullmatch(r"[-+]?[0-9]{1,20}", text) is not None
+    ignore: int | float | None = int(text) if is_whole else reader.number("data ignore value")
+    if isinstance(ignore, float) and ignore.is_integer() and abs(ignore) < 2**53:
+        ignore = int(ignore)
     header = EnviHeader(
         lines=lines,
         samples=samples,
@@ -241,52 +239,110 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
         data_gain_values=reader.numbers("data gain values", bands, "bands"),
         data_offset_values=reader.numbers("data offset values", bands, "bands"),
         map_info=_map_info(reader),
-        description=bare(scanned.fields.get("description", "")),
-        fields=scanned.fields,
-        comments=scanned.comments,
-        notes=tuple(findings.notes),
-        warnings=tuple(findings.warnings),
+        description=bare(fields.get("description", "")),
+        fields=fields,
+        comments=reader.comments,
+        notes=tuple(reader.notes),
+        warnings=tuple(reader.warnings),
     )
-    findings.raise_if_any()
+    reader.raise_if_any()
     return header
 
 
-class _Reader:
-    # Converts and checks raw values; for a wrong value it notes a problem and returns None.
-    def __init__(self, fields: Mapping[str, str], findings: HeaderFindings) -> None:
-        self.fields = fields
-        self.findings = findings
+class _Reader(Problems):
+    # Keys of a header with their raw values, and the problems, notes and warnings of reading, limited in
+    # number. Conversions note a problem for a wrong value, and return None.
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name} cannot be used", FormatError)
+        self.fields: dict[str, str] = {}  # keys in lower case, in the order of the file
+        self.comments: dict[str, str] = {}
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+
+    def note(self, text: str, *, warn: bool = False) -> None:
+        # Add an assumption or oddity; `warn` if it may make values wrong.
+        if len(self.warnings if warn else self.notes) < _MAX_SHOWN:
+            self.notes.append(text)
+            self.warnings += [text] if warn else []
+
+    def scan(self, text: str) -> None:
+        # Split the text into keys with raw values, and comment pairs.
+        lines = enumerate(io.StringIO(text, newline=None), start=1)
+        _, first = next(lines, (1, ""))
+        if first.split() != ["ENVI"]:
+            self.add(f"first line is {shown(first.rstrip())}", expected="'ENVI'", code="format-unknown")
+            return
+        entries = 0
+        for number, line in lines:
+            line = line.strip()
+            key, equals, value = (part.strip() for part in line.lstrip("; \t").partition("="))
+            if line.startswith(";"):
+                # the first of two values stays: processing steps repeat comments, and the cube stays readable
+                if equals and self.comments.setdefault(key, value) != value:
+                    self.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
+            elif line and not (equals and key):
+                expected = "'key = value' or a comment (;)"
+                self.add(f"line {number} is {shown(line)}", expected=expected, code="text-unreadable")
+            elif line:
+                key = " ".join(key.lower().split())
+                value = self._closed(value, number, key, lines) if value.startswith("{") else value
+                if (before := self.fields.get(key)) == value:
+                    self.note(f"{key!r} is given twice, with the same value")
+                elif before is not None:
+                    self.add(
+                        f"line {number}: {key!r} is given again as {shown(value)}, before as {shown(before)}",
+                        mend="delete the wrong one",
+                        code="key-repeated",
+                    )
+                self.fields.setdefault(key, value)
+            entries += bool(line)
+            if entries > _MAX_ENTRIES or len(self) >= _MAX_SHOWN:
+                found = f"reading stopped at line {number}"
+                self.add(found, mend="check that it is not the data file", code="header-too-long")
+                self.fields.clear()
+                return
+
+    def _closed(self, value: str, number: int, key: str, lines: Iterator[tuple[int, str]]) -> str:
+        # Return a braced value; lines are read until its brace closes.
+        parts, part = [], value
+        while "}" not in part:
+            parts.append(part)
+            _, following = next(lines, (0, None))
+            if following is None:
+                self.add(f"{key!r}: the brace opened on line {number} is never closed", code="brace-open")
+                return "\n".join(parts) + "}"
+            part = following.rstrip()
+        content, _, rest = part.partition("}")
+        if rest.strip():
+            self.note(f"{key!r}: text after its closing brace is ignored: {shown(rest.strip())}")
+        return "\n".join([*parts, content]) + "}"
 
     def integer(self, key: str, *, minimum: int, default: int | None = None) -> int:
         text = self.fields.get(key)
         kind = "a whole number above 0" if minimum else "a whole number, 0 or above"
+        if text is None and default is None:
+            self.add(f"{key!r} is missing", expected=kind, code="key-missing")
         if text is None:
-            if default is None:
-                self.findings.add(f"{key!r} is missing", expected=kind, code="key-missing")
             return default or 0
         if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < minimum:
-            self.findings.add(f"{key!r} is {shown(text)}", expected=kind, code="value-out-of-range")
+            self.add(f"{key!r} is {shown(text)}", expected=kind, code="value-out-of-range")
             return 0
         return int(text)
 
     def choice(self, key: str, allowed: Mapping[str, str]) -> str | None:
         text = self.fields.get(key)
-        if text is not None and text.lower() in allowed:
-            return allowed[text.lower()]
-        stated = "missing" if text is None else shown(text)
-        self.findings.add(
-            f"{key!r} is {stated}", expected=f"one of {', '.join(allowed)}", code="choice-unknown"
-        )
-        return None
+        value = allowed.get((text or "").lower())
+        if value is None:
+            found = f"{key!r} is {'missing' if text is None else shown(text)}"
+            self.add(found, expected=f"one of {', '.join(allowed)}", code="choice-unknown")
+        return value
 
     def number(self, key: str) -> float | None:
-        text = self.fields.get(key)
-        if text is None or not bare(text):
-            return None
+        text = self.fields.get(key, "")
         try:
-            return _to_float(bare(text))
+            return _to_float(bare(text)) if bare(text) else None
         except ValueError:
-            self.findings.add(f"{key!r} is {shown(text)}", expected="one number", code="number-unreadable")
+            self.add(f"{key!r} is {shown(text)}", expected="one number", code="number-unreadable")
             return None
 
     def numbers(self, key: str, count: int, per: str) -> Floats | None:
@@ -297,26 +353,37 @@ class _Reader:
         # counted before it is split: millions of values become objects only for a cube of that size
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
-            self.findings.add(
-                f"{key!r} has {size} values for {count} {per}",
-                expected=f"one for each, or no {key!r} at all",
-                code="length-mismatch",
-            )
+            found, expected = f"{key!r} has {size} values for {count} {per}", "one for each, or no "
+            self.add(found, expected=f"{expected}{key!r} at all", code="length-mismatch")
             return None
         try:
             values = np.array([_to_float(item) for item in _ITEM.findall(text)], dtype=np.float64)
         except ValueError as error:
-            self.findings.add(f"{key!r}: {error}", expected="numbers", code="number-unreadable")
+            self.add(f"{key!r}: {error}", expected="numbers", code="number-unreadable")
             return None
-        if not np.isfinite(values).all():
-            position = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
-            self.findings.add(
-                f"{key!r}: value {position} is {values[position - 1]}",
-                expected="finite numbers",
-                code="not-finite",
-            )
-            return None
-        return values
+        infinite = np.flatnonzero(~np.isfinite(values))
+        if not infinite.size:
+            return values
+        found = f"{key!r}: value {infinite[0] + 1} is {values[infinite[0]]}"
+        self.add(found, expected="finite numbers", code="not-finite")
+        return None
+
+
+def shown(text: str) -> str:
+    """Return text shortened and quoted for messages."""
+    return repr(text if len(text) <= 60 else text[:57] + "...")
+
+
+def bare(text: str) -> str:
+    """Return a raw value without its braces."""
+    return text[1:-1].strip() if text.startswith("{") and text.endswith("}") else text
+
+
+def braced(values: Sequence[str]) -> str:
+    """Return a list in ENVI's form, eight values per line."""
+    return (
+        "{\n " + ",\n ".join(", ".join(values[start : start + 8]) for start in range(0, len(values), 8)) + "}"
+    )
 
 
 def _to_float(text: str) -> float:
@@ -329,112 +396,75 @@ def _to_float(text: str) -> float:
     raise ValueError(f"{shown(text)} is not a number")
 
 
-def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
-    text = bare(reader.fields.get("band names", "")).rstrip(", \t\n")
-    count = text.count(",") + 1
-    if text and count == bands:
-        return tuple(name.strip() for name in text.split(","))
-    if text and count > max(1000, 10 * bands):
-        reader.findings.add(
-            f"'band names' has {count} names for {bands} bands",
-            mend="delete the list",
-            code="length-mismatch",
-        )
-    elif text:
-        reader.findings.note(f"'band names' has {count} names for {bands} bands: names ignored")
-    return ()
-
-
 def _spectral_axis(
     reader: _Reader, count: int, per: str, names: tuple[str, ...]
 ) -> tuple[Floats | None, Floats | None]:
     # Return wavelength and FWHM in nm.
-    wavelength, fwhm = reader.numbers("wavelength", count, per), reader.numbers("fwhm", count, per)
-    text = bare(reader.fields.get("wavelength units", ""))
+    lists = {key: reader.numbers(key, count, per) for key in ("wavelength", "fwhm")}
+    text, has_wavelengths = bare(reader.fields.get("wavelength units", "")), "wavelength" in reader.fields
     unit = text.lower()
-    if wavelength is None and fwhm is None and "wavelength" not in reader.fields:
-        return _wavelength_of_names(names, reader.findings), None
+    is_unknown, factor = unit in _UNKNOWN_UNITS, _NANOMETRES.get(unit, 1.0)
+    if not has_wavelengths and lists["fwhm"] is None:
+        return _wavelength_of_names(names, reader), None
     if unit in _NOT_WAVELENGTHS:
-        reader.findings.note(f"wavelength units are {text!r}: the lists are not read as wavelengths")
+        reader.note(f"wavelength units are {text!r}: the lists are not read as wavelengths")
         return None, None
-    if unit not in _UNKNOWN_UNITS and unit not in _NANOMETRES:
-        reader.findings.add(
+    if not is_unknown and unit not in _NANOMETRES:
+        reader.add(
             f"'wavelength units' is {shown(text)}",
             expected="Nanometers, Micrometers, Angstroms, Millimeters, Centimeters, Meters, Wavenumber, "
             "GHz, MHz, Index or Unknown",
             code="choice-unknown",
         )
         return None, None
-    if wavelength is None and "wavelength" not in reader.fields:
-        wavelength = _wavelength_of_names(names, reader.findings)
-        factor = _NANOMETRES.get(unit, 1.0)
-        if unit in _UNKNOWN_UNITS:
-            reader.findings.note("no wavelength units: 'fwhm' taken as nanometres")
-    else:
-        factor = _nanometres_per_unit(unit, wavelength, reader.findings)
-        if wavelength is not None:
-            wavelength = _in_nanometres(wavelength, factor, "wavelength", reader)
-            if (wavelength <= 0).any():
-                reader.findings.add(
-                    "'wavelength' holds values that are not above 0", code="value-out-of-range"
-                )
-    if fwhm is not None and (fwhm < 0).any():
-        reader.findings.add("'fwhm' holds values below 0", code="value-out-of-range")
-    return wavelength, None if fwhm is None else _in_nanometres(fwhm, factor, "fwhm", reader)
+    if not has_wavelengths:
+        if is_unknown:
+            reader.note("no wavelength units: 'fwhm' taken as nanometres")
+    elif lists["wavelength"] is not None:
+        longest = float(lists["wavelength"].max())
+        is_micrometres = longest < _MAX_MICROMETRES
+        if is_unknown:
+            taken = (
+                "values below 100 taken as micrometres" if is_micrometres else "values taken as nanometres"
+            )
+            reader.note(f"no wavelength units: {taken}")
+            factor = 1e3 if is_micrometres else 1.0
+        elif factor == (1.0 if is_micrometres else 1e3):
+            found = f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: check the unit"
+            reader.note(found, warn=True)
+    nanometres: dict[str, Floats | None] = {}
+    for key, values in lists.items():
+        with np.errstate(over="ignore"):
+            scaled = nanometres[key] = None if values is None else values * factor
+        if values is None or scaled is None:
+            continue
+        if not np.isfinite(scaled).all():
+            found = f"{key!r} holds values up to {values.max():.3g}, which is infinite in nanometres"
+            reader.add(found, code="not-finite")
+        is_wrong, limit = (values < 0, "below 0") if key == "fwhm" else (values <= 0, "that are not above 0")
+        if is_wrong.any():
+            reader.add(f"{key!r} holds values {limit}", code="value-out-of-range")
+    if not has_wavelengths:
+        nanometres["wavelength"] = _wavelength_of_names(names, reader)
+    return nanometres["wavelength"], nanometres["fwhm"]
 
 
-def _in_nanometres(values: Floats, factor: float, name: str, reader: _Reader) -> Floats:
-    with np.errstate(over="ignore"):
-        nanometres: Floats = values * factor
-    if not np.isfinite(nanometres).all():
-        reader.findings.add(
-            f"{name!r} holds values up to {values.max():.3g}, which is infinite in nanometres",
-            code="not-finite",
-        )
-    return nanometres
-
-
-def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: HeaderFindings) -> float:
-    if wavelength is None or wavelength.size == 0:
-        return _NANOMETRES.get(unit, 1.0)
-    longest = float(wavelength.max())
-    is_micrometres = longest < _MAX_MICROMETRES
-    if unit in _UNKNOWN_UNITS:
-        assumption = (
-            "values below 100 taken as micrometres" if is_micrometres else "values taken as nanometres"
-        )
-        findings.note(f"no wavelength units: {assumption}")
-        return 1e3 if is_micrometres else 1.0
-    factor = _NANOMETRES[unit]
-    if (factor == 1.0 and is_micrometres) or (factor == 1e3 and not is_micrometres):
-        findings.note(
-            f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: check the unit",
-            warn=True,
-        )
-    return factor
-
-
-def _wavelength_of_names(names: tuple[str, ...], findings: HeaderFindings) -> Floats | None:
+def _wavelength_of_names(names: tuple[str, ...], reader: _Reader) -> Floats | None:
     # Return the wavelengths that GDAL writes into band names, such as ``399.356 nm``.
-    centres = []
-    for name in names:
-        match = _NAMED_WAVELENGTH.search(name[:200])
-        if match is None or float(match[1]) <= 0:
-            return None
-        centres.append(float(match[1]) * _NANOMETRES[match[2].lower()])
-    if not centres:
+    matches = [_NAMED_WAVELENGTH.search(name[:200]) for name in names]
+    centres = [float(match[1]) * _NANOMETRES[match[2].lower()] for match in matches if match is not None]
+    if not centres or len(centres) < len(names) or min(centres) <= 0:
         return None
-    findings.note("no wavelength list: wavelengths taken from the band names")
+    reader.note("no wavelength list: wavelengths taken from the band names")
     return np.array(centres, dtype=np.float64)
 
 
 def _map_info(reader: _Reader) -> MapInfo | None:
     text = bare(reader.fields.get("map info", ""))
-    if not text:
-        return None
     items = [item.strip() for item in text[:10_000].split(",")]
     if items[0].lower() == "arbitrary":
-        reader.findings.note("map info is 'Arbitrary': taken as sensor geometry")
+        reader.note("map info is 'Arbitrary': taken as sensor geometry")
+    if not text or items[0].lower() == "arbitrary":
         return None
     options = dict(item.lower().split("=", 1) for item in items if "=" in item)
     entries = [item for item in items if "=" not in item]
@@ -442,7 +472,7 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         column, row, x, y, width, height = map(_to_float, [*entries[1:7], *[""] * (7 - len(entries))])
         rotation = _to_float(options.get("rotation", "0").strip())
     except ValueError as error:
-        reader.findings.add(
+        reader.add(
             f"'map info' is {shown(text)} ({error})",
             expected="projection, reference column and row, x, y, pixel width and height, then zone, datum, "
             "units=..., rotation=...",
@@ -450,11 +480,8 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         )
         return None
     if not all(map(math.isfinite, (column, row, x, y, width, height, rotation))) or min(width, height) <= 0:
-        reader.findings.add(
-            f"'map info' is {shown(text)}",
-            expected="finite numbers and sizes above 0",
-            code="value-out-of-range",
-        )
+        expected = "finite numbers and sizes above 0"
+        reader.add(f"'map info' is {shown(text)}", expected=expected, code="value-out-of-range")
         return None
     return MapInfo(
         projection=entries[0],

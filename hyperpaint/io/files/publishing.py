@@ -35,7 +35,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from hyperpaint.base.errors import PaintError, Problems, StoreError
+from hyperpaint.base.errors import PaintError, Problem, Problems, StoreError
 from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.disk import flush_group
@@ -64,26 +64,41 @@ def check_place(
     allowed suffixes, any by default; the file may not be inside ``store``.
     """
     problems = Problems(f"{product} cannot be written to {path}", error)
-    if kinds and path.suffix.lower() not in kinds:
-        expected = "one of " + ", ".join(kinds) if len(kinds) > 2 else " or ".join(kinds)
-        problems.add(f"the name ends in {path.suffix!r}", expected=expected, code="suffix-unknown")
     with _errors_of(path):
         _recover(path)
-    if store is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
-        problems.add("the path is in the store itself", mend="choose another path", code="path-inside-store")
-    elif path.is_dir():
-        problems.add(
-            "the path is a folder", mend=f"name a file in it, such as {example}", code="path-is-folder"
-        )
-    elif path.exists() and not overwrite:
-        problems.add(
-            "the file exists",
-            mend="pass overwrite=True to replace it",
-            option="pass --overwrite to replace it",
-            code="file-exists",
-        )
-    if not path.absolute().parent.is_dir():
-        problems.add(f"there is no folder {path.absolute().parent}", code="folder-missing")
+    folder = path.absolute().parent
+    is_inside = store is not None and store.resolve() in (path.resolve(), *path.resolve().parents)
+    checks = (
+        (
+            kinds and path.suffix.lower() not in kinds,
+            Problem(
+                f"the name ends in {path.suffix!r}",
+                expected="one of " + ", ".join(kinds) if len(kinds) > 2 else " or ".join(kinds),
+                code="suffix-unknown",
+            ),
+        ),
+        (
+            is_inside,
+            Problem("the path is in the store itself", mend="choose another path", code="path-inside-store"),
+        ),
+        (
+            path.is_dir() and not is_inside,
+            Problem(
+                "the path is a folder", mend=f"name a file in it, such as {example}", code="path-is-folder"
+            ),
+        ),
+        (
+            path.exists() and not (overwrite or is_inside or path.is_dir()),
+            Problem(
+                "the file exists",
+                mend="pass overwrite=True to replace it",
+                option="pass --overwrite to replace it",
+                code="file-exists",
+            ),
+        ),
+        (not folder.is_dir(), Problem(f"there is no folder {folder}", code="folder-missing")),
+    )
+    problems.extend(problem for is_wrong, problem in checks if is_wrong)
     problems.raise_if_any()
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError
+from hyperpaint.base.errors import FormatError, PaintError, Problem
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input, read_limited
 
 # Longest text line [byte]: tables of spectra have about 12 bytes per cell.
@@ -24,6 +24,21 @@ MAX_LINE_BYTES = 2**20
 
 # Largest netCDF file that is loaded, by the size of its variables [byte].
 MAX_NETCDF_BYTES = 2**30
+
+
+def refuse(subject: str, *checks: tuple[object, Problem], error: type[PaintError] = FormatError) -> None:
+    """Raise the problem of the first check whose condition is true, with the subject before its message.
+
+    Examples
+    --------
+    >>> refuse("red.sig", (False, Problem("2 rows")), (True, Problem("no rows", code="table-missing")))
+    Traceback (most recent call last):
+    hyperpaint.base.errors.FormatError: red.sig: no rows [table-missing]
+    """
+    for is_wrong, problem in checks:
+        if is_wrong:
+            expected, mend, code = problem.expected, problem.mend, problem.code
+            raise error(f"{subject}: {problem.found}", expected=expected, mend=mend, code=code)
 
 
 # Maximum number of lines of a text whose rows are bands, points or samples: ten times the longest spectra.

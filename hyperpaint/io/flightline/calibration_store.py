@@ -5,13 +5,14 @@ from __future__ import annotations
 import functools
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
 from hyperpaint.base.facts import one_of
@@ -80,8 +81,46 @@ _SWEEP_RESULTS = (
 )
 #: Variables of tabulated line shapes.
 _TABULATED = ("srf_offset", "srf")
-#: Bounds of absolute values, with their units.
-_MAX_MAGNITUDES = {"wavelength_shift": (100.0, "nm"), "look_angle": (90.0, "degrees")}
+
+
+def _each(names: Iterable[str], *rule: Any) -> dict[str, tuple[Any, ...]]:
+    return dict.fromkeys(names, rule)
+
+
+#: Rule of the values by variable: test of the array, fault, expected, and code of the error.
+_VALUE_RULES: Mapping[str, tuple[Callable[[Floats], Any], str, str, str]] = {
+    **_each(
+        ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"),
+        lambda v: np.isfinite(v).all() and (v > 0).all(),
+        "is not finite and positive everywhere", "", "value-out-of-range",
+    ),
+    **_each(
+        ("wavelength_shift",), lambda v: np.isfinite(v).all() and (np.abs(v) < 100.0).all(),
+        "is not finite and below 100 nm everywhere", "", "value-out-of-range",
+    ),
+    **_each(
+        ("look_angle",), lambda v: np.isfinite(v).all() and (np.abs(v) < 90.0).all(),
+        "is not finite and below 90 degrees everywhere", "", "value-out-of-range",
+    ),
+    **_each(
+        (
+            "radiance_gain_u_random", "radiance_gain_u_systematic", "wavelength_u", "irradiance_u_systematic",
+        ),
+        lambda v: not (v < 0).any(), "has negative values", "a standard uncertainty", "value-out-of-range",
+    ),
+    "read_noise": (
+        lambda v: not np.isinf(v).any() and not (v < 0).any(),  # NaN where unknown
+        "is not finite and at least zero everywhere", "", "value-out-of-range",
+    ),
+    "srf": (
+        lambda v: np.isfinite(v).all() and (v >= 0).all(),
+        "is not finite and at least zero everywhere", "", "value-out-of-range",
+    ),
+    "srf_offset": (
+        lambda v: np.isfinite(v).all() and (np.diff(v) > 0).all(),
+        "does not increase strictly", "", "axis-unordered",
+    ),
+}  # fmt: skip
 
 
 def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
@@ -179,47 +218,24 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         except (SchemaError, UnitsError) as error:
             problems.add_error("", error)
     for name, array in arrays.items():
-        finite = bool(np.isfinite(array.values).all())
-        if name == "radiance_gain":
-            gains = array.values[~np.isnan(array.values)]
-            unusable = int((~np.isfinite(gains) | (gains <= 0)).sum())
-            if not gains.size:
-                problems.add(
-                    "'radiance_gain' is NaN everywhere",
-                    expected="a gain for the elements that are not bad",
-                    code="not-finite",
-                )
-            elif unusable:
-                problems.add(
-                    f"'radiance_gain' is zero, negative or infinite in {unusable} elements",
-                    expected="positive gains, and NaN for bad elements",
-                    code="value-out-of-range",
-                )
-        elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
-            if not (finite and (array.values > 0).all()):
-                problems.add(f"{name!r} is not finite and positive everywhere", code="value-out-of-range")
-        elif name in _MAX_MAGNITUDES:
-            largest, unit = _MAX_MAGNITUDES[name]
-            if not (finite and (np.abs(array.values) < largest).all()):
-                problems.add(
-                    f"{name!r} is not finite and below {largest:g} {unit} everywhere",
-                    code="value-out-of-range",
-                )
-        elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
-            if (array.values < 0).any():
-                problems.add(
-                    f"{name!r} has negative values",
-                    expected="a standard uncertainty",
-                    code="value-out-of-range",
-                )
-        elif name in ("read_noise", "srf"):
-            levels = array.values[~np.isnan(array.values)] if name == "read_noise" else array.values
-            if not (np.isfinite(levels).all() and (levels >= 0).all()):
-                problems.add(
-                    f"{name!r} is not finite and at least zero everywhere", code="value-out-of-range"
-                )
-        elif name == "srf_offset" and not (finite and (np.diff(array.values) > 0).all()):
-            problems.add("'srf_offset' does not increase strictly", code="axis-unordered")
+        test, fault, expected, code = _VALUE_RULES.get(name, (lambda _: True, "", "", ""))
+        if not test(array.values):
+            problems.add(f"{name!r} {fault}", expected=expected, code=code)
+    if "radiance_gain" in arrays:
+        gains = arrays["radiance_gain"].values
+        unusable = int((np.isinf(gains) | (gains <= 0)).sum())
+        if np.isnan(gains).all():
+            problems.add(
+                "'radiance_gain' is NaN everywhere",
+                expected="a gain for the elements that are not bad",
+                code="not-finite",
+            )
+        elif unusable:
+            problems.add(
+                f"'radiance_gain' is zero, negative or infinite in {unusable} elements",
+                expected="positive gains, and NaN for bad elements",
+                code="value-out-of-range",
+            )
     if shape is not None:
         one_of(shape, SRF_SHAPES, "attribute srf_shape", problems=problems)
     sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -65,8 +65,7 @@ class Dark:
         return variables
 
 
-@dataclass(frozen=True)
-class _Reference:
+class _Reference(NamedTuple):
     name: str
     frames: DarkFrames
     time: np.datetime64 | None
@@ -168,31 +167,34 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
 
 def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
     # UTC at the middle of a dark cube; None where unknown
-    if "time" in opened.coords:
-        stamps = opened["time"].values.astype("datetime64[ns]")
-        stamps = stamps[~np.isnat(stamps)]
-        return _midpoint(stamps) if stamps.size else None
-    if path is None:
-        return None
-    index = path.parent / f"frameIndex_{cube_number(path)}.txt"
-    nav = path.parent / "imu_gps.txt"
-    if index.is_file() and nav.is_file():
-        dark_timing = Timing(
-            frame_index=index,
-            nav=nav,
-            stamp=timing.stamp,
-            clock_offset_s=timing.clock_offset_s,
-            time_scale=timing.time_scale,
-            gps_leap_seconds=timing.gps_leap_seconds,
-        )
-        try:
-            times = line_times(path, lines, dark_timing).time
-            return _midpoint(times[~np.isnat(times)])
-        except PaintError as error:
-            warnings.warn(
-                PaintWarning(f"dark {path.name}: time unknown; {error}", code="dark-time-unknown"),
-                stacklevel=2,
+    stamps = (
+        opened["time"].values.astype("datetime64[ns]") if "time" in opened.coords else np.empty(0, "M8[ns]")
+    )
+    if path is not None and "time" not in opened.coords:
+        index = path.parent / f"frameIndex_{cube_number(path)}.txt"
+        nav = path.parent / "imu_gps.txt"
+        if index.is_file() and nav.is_file():
+            dark_timing = Timing(
+                frame_index=index,
+                nav=nav,
+                stamp=timing.stamp,
+                clock_offset_s=timing.clock_offset_s,
+                time_scale=timing.time_scale,
+                gps_leap_seconds=timing.gps_leap_seconds,
             )
+            try:
+                stamps = line_times(path, lines, dark_timing).time
+            except PaintError as error:
+                warnings.warn(
+                    PaintWarning(f"dark {path.name}: time unknown; {error}", code="dark-time-unknown"),
+                    stacklevel=2,
+                )
+    stamps = stamps[~np.isnat(stamps)]
+    if stamps.size:
+        first, last = stamps[[0, -1]].astype(np.int64).tolist()
+        return np.datetime64((first + last) // 2, "ns")
+    if path is None or "time" in opened.coords:
+        return None
     stated = json.loads(opened.attrs.get("envi_header", "{}")).get("acquisition time")
     try:
         return None if stated is None else utc_of(str(stated), "acquisition time")
@@ -200,20 +202,22 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
         return None  # such as a time without a zone
 
 
-def _midpoint(times: NDArray[np.datetime64]) -> np.datetime64:
-    return np.datetime64(int((times[0].astype(np.int64) + times[-1].astype(np.int64)) // 2), "ns")
-
-
 def _combine(references: list[_Reference]) -> Dark:
     # Stack references along time where all times are known, else average them
     long = [ref.frames for ref in references if ref.frames.lines >= _MIN_NOISE_LINES]
+    measured = long or [ref.frames for ref in references if ref.frames.lines > 1]
     noise = variance = None
-    if long:
-        weights = np.array([frames.lines - 1 for frames in long], np.float64)
-        variance = sum(w * frames.variance for w, frames in zip(weights, long, strict=True)) / weights.sum()
-        noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
-    else:
-        variance = _variance_of_few([ref.frames for ref in references])
+    if measured:
+        freedom = np.array([frames.lines - 1 for frames in measured], np.float64)
+        squares = sum(k * frames.variance for k, frames in zip(freedom, measured, strict=True))
+        if long:
+            variance = squares / freedom.sum()
+            noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
+        else:
+            # few lines: shrink the variance of an element to the mean variance, with the weight of
+            # `_MIN_NOISE_LINES` lines
+            pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
+            variance = (squares + _MIN_NOISE_LINES * pooled) / (freedom.sum() + _MIN_NOISE_LINES)
     source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
     times = [ref.time for ref in references if ref.time is not None]
     if len(references) > 1 and len(times) == len(references) == len(set(times)):
@@ -241,18 +245,6 @@ def _combine(references: list[_Reference]) -> Dark:
         source += "; averaged, since their times are unknown"
     u = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
     return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, u)
-
-
-def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None:
-    # Variance of a dark count (band, cross_track) from few lines; None with one line in every reference.
-    # The variance of an element is shrunk to the mean variance, with the weight of `_MIN_NOISE_LINES` lines.
-    with_variance = [frames for frames in references if frames.lines > 1]
-    if not with_variance:
-        return None
-    freedom = np.array([frames.lines - 1 for frames in with_variance], np.float64)
-    squares = sum(k * frames.variance for k, frames in zip(freedom, with_variance, strict=True))
-    pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
-    return np.asarray((squares + _MIN_NOISE_LINES * pooled) / (freedom.sum() + _MIN_NOISE_LINES))
 
 
 def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:

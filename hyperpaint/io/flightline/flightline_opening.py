@@ -247,7 +247,17 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     opened = xr.Dataset()
     is_counts = True
     with findings.step():
-        opened = _open_file(inputs)
+        if isinstance(inputs.cube, Path):
+            opened = open_envi(
+                inputs.cube,
+                keep_whole_lines=inputs.keep_whole_lines,
+                quantity=inputs.quantity,
+                unsaid="counts" if inputs.dark is not None else "values",
+            )
+        else:
+            opened = rename_to_roles(inputs.cube)
+        if "values" in opened and inputs.radiance_units:
+            opened = opened.rename(values="radiance")
         is_counts = "counts" in opened
         cube = _check_cube(opened, inputs)
     exposure: NDArray[np.float64] | None = None
@@ -275,10 +285,26 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
             dark = open_dark(inputs.dark, timing, calibration, cube)
     irradiance: xr.Dataset | None = None
     with findings.step():
-        irradiance = _irradiance(inputs, times)
+        if inputs.irradiance is not None and not isinstance(inputs.irradiance, Unavailable):
+            is_open = isinstance(inputs.irradiance, xr.Dataset)
+            irradiance = inputs.irradiance if is_open else open_irradiance(inputs.irradiance)
+            irradiance = irradiance if times is None else cut_irradiance(irradiance, times.time)
     convention_attrs: dict[str, Any] = {}
     with findings.step():
-        convention_attrs = _convention_attrs(inputs.convention, timing) if timing.nav is not None else {}
+        # the conventions of the navigation, with the names of assumed ones
+        accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
+        unknown, declared = set(inputs.convention) - accepted, inputs.convention
+        if timing.nav is not None and unknown:
+            raise SchemaError(
+                f"convention has {', '.join(sorted(unknown))}",
+                expected=f"some of {', '.join(sorted(accepted))}",
+                mend="pass angles in degree, and stamp= as a separate argument",
+                code="key-unknown",
+            )
+        if timing.nav is not None:
+            convention_attrs = Convention(**{"stamp_reference": timing.stamp, **declared}).to_attrs()
+            assumed = [name for name in ASSUMED if name not in declared]
+            convention_attrs |= {"navigation_assumed": ", ".join(assumed)} if assumed else {}
     saturation: xr.DataArray | None = None
     with findings.step():
         saturation = saturation_of(inputs.saturation_count, inputs.bit_depth, calibration)
@@ -319,19 +345,6 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
 # --- cube --------------------------------------------------------------------------------------------------
 
 
-def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
-    if isinstance(inputs.cube, Path):
-        opened = open_envi(
-            inputs.cube,
-            keep_whole_lines=inputs.keep_whole_lines,
-            quantity=inputs.quantity,
-            unsaid="counts" if inputs.dark is not None else "values",
-        )
-    else:
-        opened = rename_to_roles(inputs.cube)
-    return opened.rename(values="radiance") if "values" in opened and inputs.radiance_units else opened
-
-
 def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
     # Variable ``counts`` or ``radiance`` in sensor geometry, with units
     path = inputs.path
@@ -353,20 +366,15 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
             code="quantity-wrong",
         )
     cube = opened[name]
-    if set(cube.dims) != set(CUBE):
-        raise FormatError(
-            f"{path}: dims {tuple(map(str, cube.dims))}",
-            expected=f"{CUBE} (sensor geometry, not a map)",
-            code="dims-wrong",
-        )
-    if not all(cube.sizes.values()):
-        raise FormatError(f"{path}: an empty cube of sizes {dict(cube.sizes)}", code="empty-input")
-    if name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2):
-        raise FormatError(
-            f"{path}: samples are {cube.dtype}",
-            expected="raw counts: uint16 (ENVI data type 12) or uint8 (1)",
-            code="type-wrong",
-        )
+    for is_wrong, found, expected, code in (
+        (set(cube.dims) != set(CUBE), f"dims {tuple(map(str, cube.dims))}",
+         f"{CUBE} (sensor geometry, not a map)", "dims-wrong"),
+        (not all(cube.sizes.values()), f"an empty cube of sizes {dict(cube.sizes)}", "", "empty-input"),
+        (name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2),
+         f"samples are {cube.dtype}", "raw counts: uint16 (ENVI data type 12) or uint8 (1)", "type-wrong"),
+    ):  # fmt: skip
+        if is_wrong:
+            raise FormatError(f"{path}: {found}", expected=expected, code=code)
     if name == "radiance":
         units = inputs.radiance_units or cube.attrs.get("units")
         if units is None:
@@ -441,30 +449,13 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
     gain = calibration["radiance_gain"]
     if cube is not None and any(cube.sizes[dim] != size for dim, size in gain.sizes.items()):
         raise SchemaError(
-            f"{line} has {_shape(cube.sizes)}, the calibration {_shape(gain.sizes)}",
+            "{} has {} bands x {} columns, the calibration {} bands x {} columns".format(
+                line, *(sizes[dim] for sizes in (cube.sizes, gain.sizes) for dim in (BAND, CROSS_TRACK))
+            ),
             mend="pass the calibration of this camera with the same binning",
             code="grid-mismatch",
         )
     return calibration
-
-
-def _shape(sizes: Mapping[Any, int]) -> str:
-    return f"{sizes[BAND]} bands x {sizes[CROSS_TRACK]} columns"
-
-
-def _convention_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
-    # Attributes of the conventions of the navigation, with the names of assumed ones
-    accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
-    if not set(declared) <= accepted:
-        raise SchemaError(
-            f"convention has {', '.join(sorted(set(declared) - accepted))}",
-            expected=f"some of {', '.join(sorted(accepted))}",
-            mend="pass angles in degree, and stamp= as a separate argument",
-            code="key-unknown",
-        )
-    convention = Convention(**{"stamp_reference": timing.stamp, **declared})
-    assumed = [name for name in ASSUMED if name not in declared]
-    return {**convention.to_attrs(), **({"navigation_assumed": ", ".join(assumed)} if assumed else {})}
 
 
 # --- coordinates -------------------------------------------------------------------------------------------
@@ -504,15 +495,3 @@ def _coordinates(
         name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in line_values.items()
     }
     return coords
-
-
-# --- irradiance --------------------------------------------------------------------------------------------
-
-
-def _irradiance(inputs: FlightlineInputs, times: LineTimes | None) -> xr.Dataset | None:
-    source = inputs.irradiance
-    if source is None or isinstance(source, Unavailable):
-        return None
-    if not isinstance(source, xr.Dataset):
-        source = open_irradiance(source)
-    return source if times is None else cut_irradiance(source, times.time)

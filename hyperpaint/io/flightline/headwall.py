@@ -46,15 +46,6 @@ def read_settings(path: str | Path) -> dict[str, str]:
     return {key.strip(): value.strip() for key, sign, value in pairs if sign and key.strip()}
 
 
-def find_settings(cube: Path) -> Path | None:
-    """Return the settings file beside a cube: ``settings.txt``, or ``<id>_settings.txt`` of ``<id>_raw``."""
-    stem = cube.name.split(".")[0]
-    names = ["settings.txt"]
-    if stem.endswith("_raw"):
-        names.insert(0, f"{stem.removesuffix('_raw')}_settings.txt")
-    return next((cube.parent / name for name in names if (cube.parent / name).is_file()), None)
-
-
 def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
     """Return the exposure [s] from ``Exposure (ms)`` or a similar key; None without such a key.
 
@@ -108,9 +99,14 @@ def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
 
 def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[str, Mapping[str, str]]]:
     """Yield the sources of a cube's exposure: ``settings.txt`` beside it, then the header's comments."""
-    settings = None if cube is None else find_settings(cube)
-    if settings is not None:
-        yield "settings.txt", read_settings(settings)
+    if cube is not None:
+        # ``settings.txt``, or ``<id>_settings.txt`` of ``<id>_raw``
+        stem = cube.name.split(".")[0]
+        names = [f"{stem.removesuffix('_raw')}_settings.txt"] if stem.endswith("_raw") else []
+        files = (cube.parent / name for name in (*names, "settings.txt"))
+        settings = next((file for file in files if file.is_file()), None)
+        if settings is not None:
+            yield "settings.txt", read_settings(settings)
     yield "header comments", json.loads(opened.attrs.get("envi_comments", "{}"))
 
 
@@ -213,10 +209,23 @@ def read_frame_index(path: str | Path) -> FrameIndex:
         check_increasing(stamp, table.rows, f"{path}: column {name!r}")
         return FrameIndex(table.name, frame, stamp, "instrument")
     stamp, whole_seconds = time_of_day(table, name)
-    if whole_seconds and len(stamp) > 1:
-        return FrameIndex(table.name, frame, _fit_stamps(frame, stamp, str(path)), "time of day", fitted=True)
-    check_increasing(stamp, table.rows, f"{path}: column {name!r}")
-    return FrameIndex(table.name, frame, stamp, "time of day")
+    if not whole_seconds or len(stamp) < 2:
+        check_increasing(stamp, table.rows, f"{path}: column {name!r}")
+        return FrameIndex(table.name, frame, stamp, "time of day")
+    # stamps on a straight line over the frame numbers, fitted to whole seconds
+    if len(np.unique(stamp)) < 3:
+        raise TimeError(
+            f"{path}: fewer than three different seconds",
+            mend="pass start_time= and frame_period=",
+            code="frame-rate-unknown",
+        )
+    x = (frame - frame[0]).astype(np.float64)
+    y = (stamp - stamp[0]) + 0.5 * _SECOND_US  # truncation reduces a stamp by half a second on average
+    slope, offset = np.polyfit(x, y, 1)
+    if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND_US:
+        raise TimeError(f"{path}: the whole seconds fit no steady frame rate", code="frame-rate-unknown")
+    fitted: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
+    return FrameIndex(table.name, frame, fitted, "time of day", fitted=True)
 
 
 def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject: str) -> None:
@@ -253,23 +262,6 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
     # a decrease by more than half a day is midnight
     days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -_DAY_US // 2)])
     return micros_of_day + days * _DAY_US, whole_seconds
-
-
-def _fit_stamps(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str) -> NDArray[np.int64]:
-    # Stamps on a straight line over the frame numbers, fitted to whole seconds
-    if len(np.unique(stamp)) < 3:
-        raise TimeError(
-            f"{subject}: fewer than three different seconds",
-            mend="pass start_time= and frame_period=",
-            code="frame-rate-unknown",
-        )
-    x = (frame - frame[0]).astype(np.float64)
-    y = (stamp - stamp[0]) + 0.5 * _SECOND_US  # truncation reduces a stamp by half a second on average
-    slope, offset = np.polyfit(x, y, 1)
-    if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND_US:
-        raise TimeError(f"{subject}: the whole seconds fit no steady frame rate", code="frame-rate-unknown")
-    fitted: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
-    return fitted
 
 
 def cube_number(cube: Path) -> int | None:

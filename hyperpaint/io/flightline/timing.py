@@ -126,7 +126,19 @@ def line_times(
     Warns `PaintWarning`: Lines outside the navigation record; a frame period or exposure that the stamps
     contradict; stamps of whole seconds.
     """
-    _check(timing, float(np.max(exposure_time, initial=0.0)))
+    problems = Problems("the clocks of the flight cannot be used as described", TimeError)
+    one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
+    exposure_s = float(np.max(exposure_time, initial=0.0))
+    if exposure_s > _MAX_EXPOSURE_S:
+        problems.add(
+            f"an exposure of {exposure_s:g} s",
+            expected=f"at most {_MAX_EXPOSURE_S:g} s",
+            code="value-out-of-range",
+        )
+    for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
+        if seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S:
+            problems.add(f"{name} {seconds} s", expected="a positive number", code="value-out-of-range")
+    problems.raise_if_any()
     index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
     nav = read_imu_gps(timing.nav, timing.correction) if isinstance(timing.nav, Path) else timing.nav
     if index is None:
@@ -165,21 +177,6 @@ def line_times(
         pose = nav.dated_by(clock).at(time, timing.max_gap_s)
     dropped = int(frame[-1] - frame[0]) + 1 - int(recorded.sum()) if lines else 0
     return LineTimes(frame, recorded, time, pose, dropped, clock.source)
-
-
-def _check(timing: Timing, exposure_s: float) -> None:
-    problems = Problems("the clocks of the flight cannot be used as described", TimeError)
-    one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
-    if exposure_s > _MAX_EXPOSURE_S:
-        problems.add(
-            f"an exposure of {exposure_s:g} s",
-            expected=f"at most {_MAX_EXPOSURE_S:g} s",
-            code="value-out-of-range",
-        )
-    for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
-        if seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S:
-            problems.add(f"{name} {seconds} s", expected="a positive number", code="value-out-of-range")
-    problems.raise_if_any()
 
 
 def _clock(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from .opening import open_library
+from .library_formats import open_library, write_library
 from .specification import check_library, declare_library
-from .writing import write_library
 
 __all__ = ["check_library", "declare_library", "open_library", "write_library"]

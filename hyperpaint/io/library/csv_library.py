@@ -12,13 +12,14 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats, Floats32
+from hyperpaint.base.arrays import Floats32
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.old_names import NEW_NAMES
@@ -27,20 +28,31 @@ from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import number, numbers, safe_cell, text_of_cell
 
 from .library_spectra import MIN_NM, check_wavelengths
-from .metadata import metadata_path, metadata_text, table_columns
-from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
+from .records import (
+    CENTRE,
+    Key,
+    blocks_of,
+    metadata_path,
+    metadata_text,
+    names_of,
+    restored,
+    spectral_variables,
+    table_columns,
+)
 
 #: Headings of the names; hyperpaint 0.2 and before wrote the second.
 _NAMES = (SIGNATURE, "paint")
 #: Headings of the two columns that identify a spectrum of a paint.
 _KEY_COLUMNS = ["variable", "place"]
+#: Number of a spectrum of a paint, empty for the only one.
+_PLACE = re.compile(r"|[1-9][0-9]{0,8}")
 _MAX_BANDS = 100_000
 _MAX_BYTES = 2**32
 _MAX_SHOWN = 5
 
 
 def is_csv_library(head: str) -> bool:
-    """Return whether a text begins as a paint library: names, then wavelengths, in its first row."""
+    # Return whether a text begins as a paint library: names, then wavelengths, in its first row.
     row, end, _ = head.partition("\n")
     cells = row.strip("\r").split(",")
     nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the head may cut off the last cell
@@ -85,9 +97,9 @@ def write_csv_library(
         metadata_file.write_bytes(metadata.encode())
         with open(table, "w", encoding=coding, newline="") as file:
             file.write(head + "\n")
-            for block in blocks_of(library, variables, progress):
-                for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True):
-                    key = f",{block.variable},{'' if inner < 0 else inner + 1}" if key_columns else ""
+            for variable, *records in blocks_of(library, variables, progress):
+                for paint, inner, values in zip(*records, strict=True):
+                    key = f",{variable},{'' if inner < 0 else inner + 1}" if key_columns else ""
                     file.write(names[paint] + key + properties[paint] + row % tuple(values.tolist()))
 
 
@@ -113,7 +125,19 @@ def read_csv_library(path: Path) -> xr.Dataset:
     first_row = next(cells, [])
     if first_row[:1] == [""]:
         first_row, cells = first_row[1:], _without_index(cells, source)
-    head, wavelength = _head(first_row, source)
+    head_size = len(first_row)
+    while head_size and number(first_row[head_size - 1]) is not None:
+        head_size -= 1
+    head, nm = first_row[:head_size], numbers(first_row[head_size:]) or []
+    is_valid = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
+    if not head or head[0] not in _NAMES or not is_valid or not 0 < len(nm) <= _MAX_BANDS:
+        raise FormatError(
+            f"{source}: the first row is {','.join(first_row)[:60]!r}",
+            expected=f"{SIGNATURE}, distinct column names, and wavelengths",
+            code="header-unreadable",
+        )
+    if head[0] != SIGNATURE:
+        head = [NEW_NAMES.get(name, name) for name in head]
     has_keys = head[1:3] == _KEY_COLUMNS
     first_property = 3 if has_keys else 1
     # every further row is a spectrum
@@ -121,59 +145,49 @@ def read_csv_library(path: Path) -> xr.Dataset:
     columns: dict[str, list[str]] = {text_of_cell(name): [] for name in head[first_property:]}
     keys: list[Key] = []
     rows: list[Floats32] = []
-    row_keys = _RowKeys()
+    # the order of the rows distinguishes paints of the same name: numbers of the paints of a name; and, by
+    # name and variable, the position of the paint of the last row among them, and its number in this paint
+    paints: dict[str, list[int]] = {}
+    last: dict[tuple[str, str], tuple[int, int]] = {}
     for number_of_row, row in enumerate(cells, 2):
-        row[: len(head)] = map(text_of_cell, row[: len(head)])
-        values = _values(row[len(head) :], wavelength.size)
-        key = row_keys.key(*(row[:3] if has_keys else (row[0], CENTRE, ""))) if values is not None else None
+        row[:head_size] = map(text_of_cell, row[:head_size])
+        values = _values(row[head_size:], len(nm))
+        name, variable, place = row[:3] if has_keys and len(row) > 2 else (row[0], CENTRE, "")
+        place = place.removesuffix(".0")  # pandas writes integers as floats where some cells are empty
+        key: Key | None = None
+        if variable == CENTRE and not place:
+            key = (CENTRE, len(names), -1)
+        elif variable.isidentifier() and _PLACE.fullmatch(place):
+            inner = int(place or 0) - 1
+            position, last_inner = last.get((name, variable), (0, -2))
+            position += inner <= last_inner  # the numbers start again: the next paint of that name
+            last[name, variable] = (position, inner)
+            same_name = paints.get(name, [])
+            key = (variable, same_name[position], inner) if position < len(same_name) else None
         if values is None or key is None:
             problems.add(
                 f"row {number_of_row}: {','.join(row)[:60]!r}",
-                expected=f"{', '.join(head)[:60]}, and {wavelength.size} numbers",
+                expected=f"{', '.join(head)[:60]}, and {len(nm)} numbers",
                 code="row-unreadable",
             )
             if len(problems) == _MAX_SHOWN:
                 break
             continue
         if key[0] == CENTRE:
-            names.append(row[0])
+            paints.setdefault(name, []).append(len(names))
+            names.append(name)
             for column, cell in zip(columns.values(), row[first_property:], strict=False):
                 column.append(cell)
         keys.append(key)
         rows.append(values)
     problems.raise_if_any()
+    wavelength = np.array(nm, np.float64)
     check_wavelengths(wavelength, source)
     if not names:
         raise FormatError(
             f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
         )
     return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))], columns)
-
-
-class _RowKeys:
-    # Keys of rows; the order of the rows distinguishes paints of the same name
-    def __init__(self) -> None:
-        self._paints: dict[str, list[int]] = {}  # numbers of the paints of a name
-        self._count = 0
-        # by name and variable: which paint of the name the last row belonged to, and its number in this paint
-        self._last: dict[tuple[str, str], tuple[int, int]] = {}
-
-    def key(self, name: str, variable: str, number: str) -> Key | None:
-        number = number.removesuffix(".0")  # pandas writes integers as floats where some cells are empty
-        if variable == CENTRE and not number:
-            self._paints.setdefault(name, []).append(self._count)
-            self._count += 1
-            return CENTRE, self._count - 1, -1
-        is_valid = number.isascii() and number.isdigit() and 0 < len(number) < 10 and number[0] != "0"
-        if name not in self._paints or not variable.isidentifier() or not (not number or is_valid):
-            return None
-        inner = int(number or 0) - 1
-        position, last_inner = self._last.get((name, variable), (0, -2))
-        if inner <= last_inner:  # the numbers start again: the next paint of that name
-            position += 1
-        self._last[name, variable] = (position, inner)
-        paints = self._paints[name]
-        return (variable, paints[position], inner) if position < len(paints) else None
 
 
 def _cells(path: Path) -> Iterator[list[str]]:
@@ -198,35 +212,15 @@ def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]
         yield row[1:]
 
 
-def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
-    # Column names and wavelengths of the first row
-    head_size = len(row)
-    while head_size and number(row[head_size - 1]) is not None:
-        head_size -= 1
-    head, wavelengths = row[:head_size], numbers(row[head_size:]) or []
-    is_valid = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
-    if not head or head[0] not in _NAMES or not is_valid or not 0 < len(wavelengths) <= _MAX_BANDS:
-        raise FormatError(
-            f"{source}: the first row is {','.join(row)[:60]!r}",
-            expected=f"{SIGNATURE}, distinct column names, and wavelengths",
-            code="header-unreadable",
-        )
-    if head[0] != SIGNATURE:
-        head = [NEW_NAMES.get(name, name) for name in head]
-    return head, np.array(wavelengths, np.float64)
-
-
 def _values(cells: list[str], bands: int) -> Floats32 | None:
     # Numbers of a row; None where a cell is not a number or the count is wrong
     row_numbers = None
-    if len(cells) != bands:
-        return None
     text = "".join(cells)
     if text.isascii() and "_" not in text and len(text) <= 64 * len(cells):
         with contextlib.suppress(ValueError):  # such as an empty cell
             row_numbers = list(map(float, cells))  # several times faster than `numbers`
     row_numbers = row_numbers or numbers(cells)
-    if row_numbers is None:
+    if row_numbers is None or len(cells) != bands:
         return None
     with np.errstate(over="ignore"):
         values = np.array(row_numbers, np.float64).astype(np.float32)

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
@@ -25,14 +24,28 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaEr
 from hyperpaint.base.input_files import open_input, read_limited
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.envi.envi_grammar import bare, braced
-from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
+from hyperpaint.io.envi.envi_header import (
+    MAX_LIBRARY_HEADER_BYTES,
+    EnviHeader,
+    bare,
+    braced,
+    read_header,
+)
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import unique_names
 
 from .library_spectra import OWN_AXES, Spectra, check_wavelengths, library_of, reflectances, text_column
-from .metadata import metadata_path, metadata_text, table_columns
-from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
+from .records import (
+    CENTRE,
+    Key,
+    blocks_of,
+    metadata_path,
+    metadata_text,
+    names_of,
+    restored,
+    spectral_variables,
+    table_columns,
+)
 from .text_spectra import PERCENT, other_quantity
 
 _BLOCK_BYTES = 16 * 2**20
@@ -41,6 +54,15 @@ _TITLE_SCALE = re.compile(r"(?<![A-Za-z])[*x\u00d7]\s*(10{1,6}|1e[+]?[1-9])\b", 
 _WAVELENGTHS = re.compile(r"wave", re.IGNORECASE)
 _BANDWIDTHS = re.compile(r"resolution|bandpass|fwhm", re.IGNORECASE)
 _ERROR_BARS = re.compile(r"\s*error ?bars? to (?:preceding|previous)", re.IGNORECASE)
+
+
+#: Key of a header written by hyperpaint.
+_MARK = "hyperpaint library"
+_BAR = " | "
+_SHORT = {"member_reflectance": "member"}
+_LONG = {short: name for name, short in _SHORT.items()}
+_LABEL = re.compile(r"([A-Za-z_][A-Za-z0-9_]{0,99})(?: ([1-9][0-9]{0,9}))?")
+_FORBIDDEN = str.maketrans({",": ";", "{": "(", "}": ")", "|": "/"})
 
 
 def read_envi_library(
@@ -59,49 +81,90 @@ def read_envi_library(
     header_path, data_path = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     problems = Problems(f"{header_path.name} cannot be used", FormatError)
-    if not header.is_spectral_library:
-        problems.add(
+    stored_bytes, expected_bytes = (
+        data_path.stat().st_size,
+        header.header_offset + header.lines * header.line_bytes,
+    )
+    for is_wrong, found, expected, mend, code in (
+        (
+            not header.is_spectral_library,
             f"file type is {header.fields.get('file type', 'none')!r}",
-            expected="a spectral library",
-            code="format-unknown",
-        )
-    if header.bands != 1:
-        problems.add(
+            "a spectral library",
+            "",
+            "format-unknown",
+        ),
+        (
+            header.bands != 1,
             f"bands is {header.bands}",
-            expected="1 (spectra are lines, their wavelengths samples)",
-            code="dims-wrong",
-        )
-    if header.dtype.kind == "c":
-        problems.add("values are complex", expected="reflectance", code="type-wrong")
-    if any(values is not None for values in (header.data_gain_values, header.data_offset_values)):
-        problems.add(
+            "1 (spectra are lines, their wavelengths samples)",
+            "",
+            "dims-wrong",
+        ),
+        (header.dtype.kind == "c", "values are complex", "reflectance", "", "type-wrong"),
+        (
+            header.data_gain_values is not None or header.data_offset_values is not None,
             "'data gain values' or 'data offset values' are set, which spectral libraries cannot have",
-            code="key-unknown",
-        )
-    stored_bytes, expected = data_path.stat().st_size, header.header_offset + header.lines * header.line_bytes
-    if stored_bytes != expected:
-        problems.add(
+            "",
+            "",
+            "key-unknown",
+        ),
+        (
+            stored_bytes != expected_bytes,
             f"{data_path.name} has {stored_bytes} bytes",
-            expected=(
-                f"{expected} ({header.lines} spectra of {header.samples} values of "
-                f"{header.dtype.itemsize} bytes after {header.header_offset})"
-            ),
-            mend="copy it again",
-            code="file-size",
-        )
+            f"{expected_bytes} ({header.lines} spectra of {header.samples} values of "
+            f"{header.dtype.itemsize} bytes after {header.header_offset})",
+            "copy it again",
+            "file-size",
+        ),
+    ):
+        if is_wrong:
+            problems.add(found, expected=expected, mend=mend, code=code)
     problems.raise_if_any()
     if _MARK not in header.fields:
         return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
     if scale is not None or wavelength is not None or fwhm is not None:
         raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
+    # every record of a library of hyperpaint is named after its paint, variable and index
     source = data_path.name
-    if header.wavelength is None or header.dtype != np.dtype("<f4"):
-        raise FormatError(
-            f"{source}: the header is not a hyperpaint header",
-            mend="write the library again",
-            code="header-unreadable",
-        )
-    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
+    # names are counted before the text is split, so that millions of commas do not fill the memory
+    text = bare(header.fields.get("spectra names", ""))
+    count = text.count(",") + 1
+    records = [name.strip() for name in text.split(",", header.lines)]
+    names = [record for record in records if _BAR not in record]
+    index_of = {name: at for at, name in enumerate(names)}
+    keys: list[Key] = [(CENTRE, index, -1) for index in range(len(names))]
+    unmatched = []
+    for record in records[len(names) :]:
+        paint, _, label = record.partition(_BAR)
+        match = _LABEL.fullmatch(label)
+        if paint in index_of and match is not None:
+            keys.append((_LONG.get(match[1], match[1]), index_of[paint], int(match[2] or 0) - 1))
+        else:
+            unmatched.append(record)
+    for is_wrong, found, code in (
+        (
+            header.wavelength is None or header.dtype != np.dtype("<f4"),
+            "the header is not a hyperpaint header",
+            "header-unreadable",
+        ),
+        (
+            count != header.lines,
+            f"{count} spectra names for {header.lines} spectra",
+            "length-mismatch",
+        ),
+        (
+            len(index_of) != len(names) or records[: len(names)] != names,
+            "the first records are not one record per paint",
+            "record-unmatched",
+        ),
+        (
+            bool(unmatched),
+            f"record {''.join(unmatched[:1])[:80]!r} belongs to no paint",
+            "record-unmatched",
+        ),
+    ):
+        if is_wrong:
+            raise FormatError(f"{source}: {found}", mend="write the library again", code=code)
     axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
     return restored(data_path, names, keys, axes, _records(header, data_path), {})
 
@@ -128,15 +191,36 @@ def _foreign(
     source = path.name
     notes = list(header.notes)
     warned = list(header.warnings)
-    names = _names(header, warned)
+    # names are counted before the text is split, so that millions of commas do not fill the memory
+    text = bare(header.fields.get("spectra names", ""))
+    count = text.rstrip(", \t\n").count(",") + 1 if text else 0
+    names = [f"spectrum {number}" for number in range(1, header.lines + 1)]
+    given_names = [name.strip() for name in text.split(",", header.lines)[: header.lines]]
+    if not text:
+        warned.append("no spectra names: spectra are numbered")
+    elif count > header.lines or len(given_names) < header.lines:
+        warned.append(
+            f"{count} spectra names for {header.lines} spectra (a name with a comma counts as two): "
+            "spectra are numbered"
+        )
+    else:
+        names = [given or number for given, number in zip(given_names, names, strict=True)]
     stored = np.concatenate([block for _, block in _records(header, path)])
     nm = header.wavelength if wavelength is None else wavelength
     width = header.fwhm if fwhm is None else fwhm
-    axes = _axis_records(names, stored, nm)
-    if axes:
+    # leading records that are wavelengths and bandwidths (USGS libraries)
+    axis, axes = stored[0].astype(np.float64), 0
+    if (
+        len(names) > 2
+        and _WAVELENGTHS.match(names[0])
+        and np.isfinite(axis).all()
+        and (axis > 0).all()
+        and (nm is None or any(np.allclose(axis * factor, nm, rtol=1e-3) for factor in (1.0, 1e3)))
+    ):
+        axes = 2 if _BANDWIDTHS.match(names[1]) else 1
         notes.append(f"the first {axes} records are the wavelengths and bandwidths of the spectra")
         factor = 1e3 if np.nanmax(stored[0]) < 100 else 1.0
-        nm = stored[0].astype(np.float64) * factor if nm is None else nm
+        nm = axis * factor if nm is None else nm
         if width is None and axes == 2:
             width = stored[1].astype(np.float64) * factor
     if nm is None:
@@ -151,17 +235,45 @@ def _foreign(
     check_wavelengths(nm, source)
     if warned:
         warnings.warn(PaintWarning(f"{source}: {'; '.join(warned)}", code="header-incomplete"), stacklevel=6)
+    # stored value of a reflectance of one, from the header; the last title is that of the values, the title
+    # of the wavelengths may contain commas
+    header_scale = header.reflectance_scale_factor
+    title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
+    match = _TITLE_SCALE.search(title)
+    title_scale = float(match[1]) if match else 100.0 if PERCENT.search(title) else None
+    if other_quantity(title):
+        raise FormatError(
+            f"{source}: the z plot title is {title.strip()[:60]!r}",
+            expected="reflectance",
+            code="quantity-wrong",
+        )
+    if header_scale is not None and title_scale is not None and header_scale != title_scale:
+        raise FormatError(
+            (
+                f"{source}: 'reflectance scale factor' is {header_scale:g}, but 'z plot titles' has "
+                f"{title.strip()[:60]!r}"
+            ),
+            mend="pass scale=",
+            code="scale-conflict",
+        )
     values = reflectances(
         stored[axes:],
         source,
-        file_scale=_scale(header, source),
+        file_scale=title_scale if header_scale is None else header_scale,
         scale=scale,
         ignore=header.data_ignore_value,
     )
-    spectra, errors = _with_error_bars(names[axes:], values)
-    if errors:
-        bars = len(names) - axes - len(spectra)
-        notes.append(f"{bars} records are error bars of the spectrum before them")
+    # error bars follow their spectrum
+    is_bar = np.array([_ERROR_BARS.match(name) is not None for name in names[axes:]], np.bool_)
+    is_bar[:1] = False
+    is_bar[1:] &= ~is_bar[:-1]
+    spectra, errors = np.flatnonzero(~is_bar), {}
+    if is_bar.any():
+        bars = np.full_like(values, np.nan)
+        bars[np.flatnonzero(is_bar) - 1] = values[is_bar]
+        bars[bars < 0] = np.nan  # from the interpolation of the USGS
+        errors["reflectance_u_random"] = bars[spectra]
+        notes.append(f"{is_bar.sum()} records are error bars of the spectrum before them")
     numbers = spectra + axes
     return Spectra(
         source=source,
@@ -175,81 +287,6 @@ def _foreign(
         columns={"record": numbers, **_classes(path, [names[at] for at in numbers])},
         notes=notes,
     )
-
-
-def _names(header: EnviHeader, warned: list[str]) -> list[str]:
-    text = bare(header.fields.get("spectra names", ""))
-    numbered = [f"spectrum {number}" for number in range(1, header.lines + 1)]
-    if not text:
-        warned.append("no spectra names: spectra are numbered")
-        return numbered
-    # names are counted before the text is split, so that millions of commas do not fill the memory
-    count = text.rstrip(", \t\n").count(",") + 1
-    names = [name.strip() for name in text.split(",", header.lines)[: header.lines]]
-    if count > header.lines or len(names) < header.lines:
-        warned.append(
-            f"{count} spectra names for {header.lines} spectra (a name with a comma counts as two): "
-            "spectra are numbered"
-        )
-        return numbered
-    return [name or number for name, number in zip(names, numbered, strict=True)]
-
-
-def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int:
-    # Number of leading records that are wavelengths and bandwidths (USGS libraries)
-    if len(names) < 3 or not _WAVELENGTHS.match(names[0]):
-        return 0
-    axis = stored[0].astype(np.float64)
-    if not (np.isfinite(axis).all() and (axis > 0).all()):
-        return 0
-    if nm is not None and not any(np.allclose(axis * factor, nm, rtol=1e-3) for factor in (1.0, 1e3)):
-        return 0
-    return 2 if _BANDWIDTHS.match(names[1]) else 1
-
-
-def _with_error_bars(
-    names: Sequence[str], values: npt.NDArray[np.float32]
-) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float32]]]:
-    # Indices of the spectra, and their error bars, from the records after them
-    bars = np.array([_ERROR_BARS.match(name) is not None for name in names], np.bool_)
-    if bars.size:
-        bars[0] = False
-    bars[1:] &= ~bars[:-1]
-    spectra = np.flatnonzero(~bars)
-    if not bars.any():
-        return spectra, {}
-    errors = np.full_like(values, np.nan)
-    errors[np.flatnonzero(bars) - 1] = values[bars]
-    errors[errors < 0] = np.nan  # from the interpolation of the USGS
-    return spectra, {"reflectance_u_random": errors[spectra]}
-
-
-def _scale(header: EnviHeader, source: str) -> float | None:
-    # Stored value of a reflectance of one, from the header
-    factor = header.reflectance_scale_factor
-    # the last title is that of the values; the title of the wavelengths may contain commas
-    title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
-    if other_quantity(title):
-        raise FormatError(
-            f"{source}: the z plot title is {title.strip()[:60]!r}",
-            expected="reflectance",
-            code="quantity-wrong",
-        )
-    title_scale = None
-    if match := _TITLE_SCALE.search(title):
-        title_scale = float(match[1])
-    elif PERCENT.search(title):
-        title_scale = 100.0
-    if factor is not None and title_scale is not None and factor != title_scale:
-        raise FormatError(
-            (
-                f"{source}: 'reflectance scale factor' is {factor:g}, but 'z plot titles' has "
-                f"{title.strip()[:60]!r}"
-            ),
-            mend="pass scale=",
-            code="scale-conflict",
-        )
-    return title_scale if factor is None else factor
 
 
 def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
@@ -277,77 +314,6 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
 # --- our own -----------------------------------------------------------------------------------------------
 
 
-#: Key of a header written by hyperpaint.
-_MARK = "hyperpaint library"
-
-_BAR = " | "
-_SHORT = {"member_reflectance": "member"}
-_LONG = {short: name for name, short in _SHORT.items()}
-_LABEL = re.compile(r"([A-Za-z_][A-Za-z0-9_]{0,99})(?: ([1-9][0-9]{0,9}))?")
-_FORBIDDEN = str.maketrans({",": ";", "{": "(", "}": ")", "|": "/"})
-
-
-def _header_names(names: Sequence[str]) -> list[str]:
-    """Return distinct names without the separators of a header.
-
-    Examples
-    --------
-    >>> _header_names(["red, matt", "blue", "", "blue"])
-    ['red; matt', 'blue', 'unnamed', 'blue (2)']
-    """
-    return unique_names(name.translate(_FORBIDDEN).strip() or "unnamed" for name in names)
-
-
-def _record_name(paint: str, variable: str, inner: int) -> str:
-    """Return the name of a record from its paint, variable and index along the inner dim (-1 for none).
-
-    Examples
-    --------
-    >>> _record_name("red", "reflectance", -1), _record_name("red", "member_reflectance", 2)
-    ('red', 'red | member 3')
-    """
-    if variable == CENTRE:
-        return paint
-    number = "" if inner < 0 else f" {inner + 1}"
-    return f"{paint}{_BAR}{_SHORT.get(variable, variable)}{number}"
-
-
-def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
-    """Return the names of the paints, and the keys of the records.
-
-    text: Names of all records in the header.
-    count: Number of records in the file.
-    Raises FormatError: The number of names is another, or a record belongs to no paint.
-    """
-    if text.count(",") + 1 != count:
-        raise FormatError(
-            f"{source}: {text.count(',') + 1} spectra names for {count} spectra",
-            mend="write the library again",
-            code="length-mismatch",
-        )
-    records = [name.strip() for name in text.split(",")]
-    names = [record for record in records if _BAR not in record]
-    index_of = {name: at for at, name in enumerate(names)}
-    if len(index_of) != len(names) or records[: len(names)] != names:
-        raise FormatError(
-            f"{source}: the first records are not one record per paint",
-            mend="write the library again",
-            code="record-unmatched",
-        )
-    keys: list[Key] = [(CENTRE, index, -1) for index in range(len(names))]
-    for record in records[len(names) :]:
-        paint, _, label = record.partition(_BAR)
-        match = _LABEL.fullmatch(label)
-        if paint not in index_of or match is None:
-            raise FormatError(
-                f"{source}: record {record[:80]!r} belongs to no paint",
-                mend="write the library again",
-                code="record-unmatched",
-            )
-        keys.append((_LONG.get(match[1], match[1]), index_of[paint], int(match[2] or 0) - 1))
-    return names, keys
-
-
 def write_envi_library(
     library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
 ) -> None:
@@ -358,16 +324,21 @@ def write_envi_library(
     """
     data = path.with_suffix(".sli")
     variables = spectral_variables(library)
-    names = _header_names(names_of(library))
+    # distinct names without the separators of a header
+    names = unique_names(name.translate(_FORBIDDEN).strip() or "unnamed" for name in names_of(library))
     metadata = metadata_text(library, variables)
     records: list[str] = []
     targets = [data, metadata_path(data), data.with_suffix(".hdr")]
     with published_files(targets, overwrite=overwrite) as (values_file, metadata_file, header_file):
         with open(values_file, "wb") as file:
-            for block in blocks_of(library, variables, progress):
-                np.asarray(block.values, "<f4").tofile(file)
-                indices = zip(block.paint.tolist(), block.inner.tolist(), strict=True)
-                records += [_record_name(names[paint], block.variable, inner) for paint, inner in indices]
+            for variable, paints, inners, values in blocks_of(library, variables, progress):
+                np.asarray(values, "<f4").tofile(file)
+                # such as "red" and, of its members, "red | member 3"
+                label = "" if variable == CENTRE else f"{_BAR}{_SHORT.get(variable, variable)}"
+                records += [
+                    f"{names[paint]}{label}{f' {inner + 1}' if inner >= 0 else ''}"
+                    for paint, inner in zip(paints.tolist(), inners.tolist(), strict=True)
+                ]
         header_file.write_bytes(_header(library, records))
         metadata_file.write_bytes(metadata.encode())
 

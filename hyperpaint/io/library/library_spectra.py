@@ -48,8 +48,7 @@ _MAX_FILL_VALUE = -1e20
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra of one file with common wavelengths."""
-
+    # Spectra of one file with common wavelengths.
     source: str  # file name
     form: str  # name of the format
     names: Sequence[str]  # of the spectra, as in the file
@@ -97,13 +96,13 @@ def library_of(spectra: Spectra) -> xr.Dataset:
 
 
 def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
-    """Return a library with counts, flags and angles as data variables, not coordinates."""
+    # Return a library with counts, flags and angles as data variables, not coordinates.
     rows = LIBRARY_VARIABLES
     return library.reset_coords([str(n) for n in library.coords if n in rows and not rows[str(n)].coordinate])
 
 
 def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
-    """Return texts as an array of objects, as stores hold them."""
+    # Return texts as an array of objects, as stores hold them.
     column = np.empty(len(texts), object)
     column[:] = list(texts)
     return column

@@ -1,17 +1,22 @@
-"""Spectra of a paint library as records of a file, and back.
+"""Spectra of a paint library as records of a file with metadata beside it, and back.
 
 Every spectrum is one record: first the reflectance of all paints, then their further variables on the bands,
-then their members. The key of a record is its variable, its paint, and its number within the paint.
+then their members. The key of a record is its variable, its paint, and its number within the paint. The
+metadata, ``<data file>.json``, are the library as `xarray.Dataset.to_dict` describes it, without the values
+of its spectra: strict JSON with one variable per line, for readers and version control.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
+import math
+import re
 import unicodedata
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -19,13 +24,14 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats32, Ints, Progress
+from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
+from hyperpaint.base.input_files import read_limited
+from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, quality_attrs
 from hyperpaint.io.files.reading import numbers
 
 from .library_spectra import text_column
-from .metadata import Metadata, metadata_path, read_metadata, table_columns
 
 CENTRE = "reflectance"
 _BLOCK_BYTES = 16 * 2**20
@@ -36,19 +42,42 @@ _ALWAYS_ALLOWED_CELLS, _LARGE_CELLS = 2**22, 2**29
 _CONTROL = ("Cc", "Cs", "Zl", "Zp")
 _MAX_SHOWN = 5
 
+#: Version of the metadata: 2 had one table of variables in place of ``coords`` and ``data_vars``; 1, of
+#: hyperpaint 0.2 and before, had the dimension `paint` too.
+VERSION = 3
+MAX_BYTES = 16 * 2**20
+_MAX_DIMS = 4
+#: Types of JSON values by the kind of the dtype.
+_JSON_TYPES: dict[str, set[type]] = {
+    "U": {str},
+    "M": {str},
+    "b": {bool},
+    "f": {int, float, NoneType},
+    "i": {int},
+    "u": {int},
+}
+_DTYPES = (
+    "bool",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "float32",
+    "float64",
+    "str",
+    "datetime64[ns]",
+)
+_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{9}")
+#: Variables omitted from tables: outlines as JSON, columns of the format, words that read as numbers.
+_NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
+
 #: Variable, number of the paint, and number within the paint, both from 0; the latter is -1 if a paint has
 #: only one spectrum of the variable.
 Key = tuple[str, int, int]
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Some records of one variable."""
-
-    variable: str  #: Name of the variable.
-    paint: Ints  #: (record,): Number of the paint.
-    inner: Ints  #: (record,): Number within the paint, as in `Key`.
-    values: Floats32  #: (record, band), float32, contiguous.
 
 
 # --- from a library ----------------------------------------------------------------------------------------
@@ -60,35 +89,39 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     Raises SchemaError: It is not a paint library: variables are missing, or have other dims or units; all
         are listed.
     """
-    required = dict.fromkeys((SIGNATURE, CENTRE, "wavelength"))
-    required |= {name: None for name in LIBRARY_VARIABLES if name in library.variables}
-    names = [name for name in required if not _is_plain_number(library, name)]
-    variables, faults = schema.find(library, names, LIBRARY_VARIABLES)
+    found = {name: library[name] for name in LIBRARY_VARIABLES if name in library.variables}
+    # a count or a share may lack the attribute units; only spectra must have units
+    plain_numbers = {
+        name
+        for name, array in found.items()
+        if BAND not in array.dims and LIBRARY_VARIABLES[name].units == "1" and "units" not in array.attrs
+    }
+    required = dict.fromkeys((SIGNATURE, CENTRE, "wavelength", *found))
+    variables, faults = schema.find(
+        library, [name for name in required if name not in plain_numbers], LIBRARY_VARIABLES
+    )
     problems = Problems("the library cannot be written", SchemaError)
     problems.extend(faults)
-    for name in variables:
+    for name, array in variables.items():
         dtype = LIBRARY_VARIABLES[name].dtype
         kind = np.dtype("object" if dtype == "str" else dtype).kind
         accepted_kinds = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(kind, kind)
-        if variables[name].dtype.kind not in accepted_kinds:
-            problems.add(f"{name!r} is {variables[name].dtype}", expected=str(dtype), code="type-wrong")
+        if array.dtype.kind not in accepted_kinds:
+            problems.add(f"{name!r} is {array.dtype}", expected=str(dtype), code="type-wrong")
+        if name in ("wavelength", "fwhm", "good") and array.dims != (BAND,):
+            problems.add(f"{name!r} has dims {array.dims}", expected="one value a band", code="dims-wrong")
     if CENTRE in variables and not variables[CENTRE].size:
         problems.add(
             f"reflectance has sizes {dict(variables[CENTRE].sizes)}",
             expected="at least one paint and one band",
             code="empty-input",
         )
-    for key, array in library.variables.items():
-        if {SIGNATURE, BAND} < set(array.dims) and array.dtype.kind == "f" and array.ndim > 3:
+    for key, variable in library.variables.items():
+        if {SIGNATURE, BAND} < set(variable.dims) and variable.dtype.kind == "f" and variable.ndim > 3:
             problems.add(
-                f"{key!r} has dims {array.dims}",
+                f"{key!r} has dims {variable.dims}",
                 expected="at most one dim beside signature and band",
                 code="dims-wrong",
-            )
-    for name in ("wavelength", "fwhm", "good"):
-        if name in variables and variables[name].dims != (BAND,):
-            problems.add(
-                f"{name!r} has dims {variables[name].dims}", expected="one value a band", code="dims-wrong"
             )
     problems.raise_if_any()
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
@@ -98,16 +131,8 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
             mend="drop these bands with .isel",
             code="wavelength-range",
         )
-    return library.assign_coords({n: v for n, v in variables.items() if n in library.coords}).assign(
-        {n: v for n, v in variables.items() if n not in library.coords}
-    )
-
-
-def _is_plain_number(library: xr.Dataset, name: str) -> bool:
-    # Whether a variable is a count or a share without the attribute units; only spectra must have units
-    units = LIBRARY_VARIABLES[name].units
-    is_scalar = name in library.variables and BAND not in library[name].dims
-    return is_scalar and units == "1" and "units" not in library[name].attrs
+    coords = [name for name in variables if name in library.coords]
+    return library.assign_coords({name: variables.pop(name) for name in coords}).assign(variables)
 
 
 def names_of(library: xr.Dataset) -> list[str]:
@@ -145,10 +170,14 @@ def spectral_variables(library: xr.Dataset) -> list[str]:
     return sorted(names, key=lambda name: (name != CENTRE, MEMBER in library[name].dims, name))
 
 
-def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | None = None) -> Iterator[Block]:
+def blocks_of(
+    library: xr.Dataset, names: Sequence[str], progress: Progress | None = None
+) -> Iterator[tuple[str, Ints, Ints, Floats32]]:
     """Yield the records of variables in blocks of some 16 MiB, without the padding after the last member.
 
-    Lazy arrays are computed in chunks of paints. ``progress`` counts the paints of all variables.
+    A block is some records of one variable: its name; numbers of the paint and within the paint (record,), as
+    in `Key`; values (record, band). Lazy arrays are computed in chunks of paints. ``progress`` counts the
+    paints of all variables.
     """
     paints = library.sizes[SIGNATURE]
     for number, name in enumerate(names):
@@ -170,71 +199,215 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
                     # up to the last member that has a value
                     is_stored[:] = np.logical_or.accumulate(has_value[:, ::-1], axis=1)[:, ::-1]
                 paint, number_in_paint = np.nonzero(is_stored)
-                yield Block(name, paint + start, number_in_paint, values[is_stored])
+                yield name, paint + start, number_in_paint, values[is_stored]
             else:
                 paint = np.arange(start, stop)
-                yield Block(name, paint, np.full(stop - start, -1), np.ascontiguousarray(values))
+                yield name, paint, np.full(stop - start, -1), np.ascontiguousarray(values)
             if progress is not None:
                 progress(number * paints + stop, len(names) * paints)
+
+
+def metadata_path(data: Path) -> Path:
+    # Return the path of the metadata of a data file.
+    return data.with_name(data.name + ".json")
+
+
+def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
+    """Return all of a library except the values of its spectra, as JSON.
+
+    Raises SchemaError: Attributes or values cannot be written as JSON; all are listed. Or the text is too
+        large.
+    """
+    problems = Problems("the library's metadata cannot be written", SchemaError)
+    document = {"hyperpaint_library": VERSION, **library.to_dict(data=False)}
+    entries = document["coords"] | document["data_vars"]
+    owners = {"the library": document["attrs"], **{name: entry["attrs"] for name, entry in entries.items()}}
+    for owner, key, value in [(name, *item) for name, attrs in owners.items() for item in attrs.items()]:
+        try:
+            _json(value)
+        except (TypeError, ValueError, RecursionError):
+            problems.add(
+                f"attribute {key!r} of {owner} is {str(value)[:60]!r}",
+                expected="text or numbers",
+                code="type-wrong",
+            )
+    for name in [name for name in entries if name not in spectra]:
+        values = library.variables[name].values
+        dtype = "str" if values.dtype.kind in "OUT" else str(values.dtype)
+        data = values.astype(object)
+        if dtype not in _DTYPES or (dtype == "str" and not all(isinstance(v, str) for v in data.flat)):
+            kinds = sorted({type(value).__name__ for value in data.flat if not isinstance(value, str)})
+            problems.add(
+                f"{name!r} is {values.dtype}{' with values of type ' * bool(kinds)}{', '.join(kinds)}",
+                expected="numbers, booleans, text or datetime64[ns]",
+                code="type-wrong",
+            )
+        elif dtype == "datetime64[ns]":
+            data = np.where(np.isnat(values), "", np.datetime_as_string(values))
+        elif values.dtype.kind == "f":
+            data[np.isnan(values)] = None
+            if np.isinf(values).any():
+                problems.add(
+                    f"{name!r} contains infinity", expected="finite numbers or NaN", code="not-finite"
+                )
+        entries[name] |= {"dtype": dtype, "data": data.tolist()}
+    problems.raise_if_any()
+    # xarray gathers coordinates from sets, whose order differs from run to run
+    parts = {key: dict(sorted(document.pop(key).items())) for key in ("coords", "data_vars")}
+    document["dims"] = dict(sorted(document["dims"].items()))
+    lines = [f"  {_json(key)}: {_json(value)}" for key, value in document.items()]
+    for part, variables in parts.items():
+        rows = ",\n".join(f"    {_json(name)}: {_json(entry)}" for name, entry in variables.items())
+        lines.append(f"  {_json(part)}: {{\n{rows}\n  }}")
+    text = "{\n" + ",\n".join(lines) + "\n}\n"
+    if len(text.encode()) > MAX_BYTES:
+        raise SchemaError(
+            f"the metadata of the library take {len(text.encode())} bytes",
+            expected=f"at most {MAX_BYTES}",
+            mend="drop variables, write fewer paints, or write Zarr",
+            code="file-too-large",
+        )
+    return text
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
+    # Return the variables with one value per paint as texts and numbers, NaN and infinity as None.
+    columns: dict[str, list[Any]] = {}
+    for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
+        array = library.variables[name]
+        # the name of the source file is not written
+        if array.dims != (SIGNATURE,) or name in (SIGNATURE, "file") or not str(name).isidentifier():
+            continue
+        values = array.values
+        if values.dtype.kind == "M":
+            columns[str(name)] = ["" if np.isnat(value) else str(value) for value in values]
+        elif values.dtype.kind in "biufOUT":
+            plain = values.tolist()
+            columns[str(name)] = [None if isinstance(v, float) and not math.isfinite(v) else v for v in plain]
+    return columns
+
+
+def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
+    # Return the variables with one value per paint as cells of a table, without line breaks.
+    return {
+        name: [" ".join(str("" if value is None else value).split()) for value in values]
+        for name, values in paint_columns(library).items()
+        if name.lower() not in _NO_COLUMNS
+    }
 
 
 # --- and back ----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Placement:
-    """Positions of the records of one variable in its array."""
+def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
+    """Read the metadata of a library; spectra are NaN without memory.
 
-    records: Ints  #: (record,): Numbers of the records in the file, ascending.
-    paint: Ints  #: (record,): As in `Block`.
-    inner: Ints  #: (record,): As in `Block`.
-    values: Floats32  #: The array; `put` fills it, NaN elsewhere.
-
-    def put(self, first_record: int, rows: Floats32) -> None:
-        """Store the rows of this variable from a block of consecutive records."""
-        low, high = np.searchsorted(self.records, (first_record, first_record + len(rows)))
-        values = rows[self.records[low:high] - first_record]
-        if self.values.ndim == 2:
-            self.values[self.paint[low:high]] = values
-        else:
-            self.values[self.paint[low:high], self.inner[low:high]] = values
-
-
-def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dict[str, Placement]:
-    """Return the placement of the records of every variable.
-
-    Raises FormatError: Records occur twice or are missing; or few paints have so many members that the
-        arrays would be mostly padding.
+    sizes: Sizes of signature and band in the data file.
+    Raises FormatError: The file is not from `metadata_text`, or belongs to another library; all problems are
+        listed.
     """
-    by_variable: dict[str, Placement] = {}
-    for variable in dict.fromkeys(key[0] for key in keys):
-        records = np.array([k for k, key in enumerate(keys) if key[0] == variable], np.int64)
-        paint = np.array([keys[k][1] for k in records], np.int64)
-        inner = np.array([keys[k][2] for k in records], np.int64)
-        if np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(records):
-            raise FormatError(
-                f"{source}: a record of {variable!r} occurs twice",
-                mend="write the library again",
-                code="record-duplicate",
-            )
-        if len(set((inner < 0).tolist())) > 1 or (inner[0] < 0 and len(records) != paints):
-            raise FormatError(
-                f"{source}: {len(records)} records of {variable!r} for {paints} paints",
-                mend="write the library again",
-                code="length-mismatch",
-            )
-        inner_sizes = () if inner[0] < 0 else (int(inner.max()) + 1,)
-        cells, stored_cells = paints * bands * (inner_sizes or (1,))[0], len(records) * bands
-        # with padding at most 64 times the stored cells, less in large files
-        if cells > max(_ALWAYS_ALLOWED_CELLS, min(64 * stored_cells, _LARGE_CELLS + 8 * stored_cells)):
-            raise FormatError(
-                f"{source}: {len(records)} records of {variable!r} would need {cells} cells",
-                mend="check whether the file is damaged",
-                code="file-too-large",
-            )
-        values = np.full((paints, *inner_sizes, bands), np.nan, np.float32)
-        by_variable[variable] = Placement(records, paint, inner, values)
-    return by_variable
+
+    def refuse(text: str) -> None:
+        raise ValueError(f"{text} is not JSON")
+
+    problems = Problems(f"{path.name} is not the metadata of its library", FormatError)
+    raw = read_limited(path, MAX_BYTES, "metadata of a paint library")
+    about = xr.Dataset()
+    try:
+        document = json.loads(raw.decode("utf-8"), parse_constant=refuse)
+        if document["hyperpaint_library"] not in (1, 2, VERSION):
+            raise ValueError(f"expected version {VERSION}")
+        if document["hyperpaint_library"] == 1:
+            warn_of_old_names(path.name)
+        if document["hyperpaint_library"] < VERSION:
+            document = _upgraded(document, sizes)
+        for part in ("coords", "data_vars"):
+            for name, entry in document[part].items():
+                try:
+                    document[part][name] = _decoded(name, entry)
+                except (LookupError, TypeError, ValueError, OverflowError) as error:
+                    problems.add(f"{name[:60]!r}: {error!s:.100}", code="metadata-damaged")
+        if not len(problems):
+            about = xr.Dataset.from_dict(document).assign_attrs(dict(document["attrs"]))
+            sizes = {dim: size for dim, size in sizes.items() if about.sizes.get(dim, size) != size}
+            if sizes:
+                problems.add(f"sizes {dict(about.sizes)}", expected=str(sizes), code="metadata-damaged")
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        problems.add(
+            f"not readable as JSON of a library ({error!s:.100})",
+            expected=f'an object with "hyperpaint_library": {VERSION}',
+            mend="copy the file again, or write the library again",
+            code="metadata-damaged",
+        )
+    problems.raise_if_any()
+    return about
+
+
+def _upgraded(document: dict[str, Any], sizes: Mapping[str, int]) -> dict[str, Any]:
+    # Metadata of versions 1 and 2 in the form of version 3
+    names = NEW_NAMES if document["hyperpaint_library"] == 1 else {}
+    sizes = {**document["sizes"], **sizes}
+    parts: dict[str, Any] = {"coords": {}, "data_vars": {}}
+    for name, entry in {**document["variables"], **document["spectra"]}.items():
+        dims = [names.get(dim, dim) for dim in entry["dims"]]
+        data = {"data": entry["values"]} if "values" in entry else {"shape": [sizes[dim] for dim in dims]}
+        part = parts["coords" if entry.get("coordinate") is True else "data_vars"]
+        part[names.get(name, name)] = {"dtype": "float32", **entry, "dims": dims, **data}
+    attrs = {
+        key: 2 if key == VERSION_NAME and value == 1 else value for key, value in document["attrs"].items()
+    }
+    return {"attrs": attrs, **parts}
+
+
+def _decoded(name: str, entry: Mapping[str, Any]) -> dict[str, Any]:
+    # A variable for `xarray.Dataset.from_dict`
+    dims, attrs = entry["dims"], dict(entry["attrs"])
+    if len(set(dims)) != len(dims) or len(dims) > _MAX_DIMS or not all(isinstance(dim, str) for dim in dims):
+        raise ValueError("expected distinct dims")
+    if "data" in entry:
+        nested = np.array(entry["data"], object)
+        if nested.ndim != len(dims) or any(isinstance(value, list) for value in nested.flat):
+            raise ValueError("expected nested lists of equal lengths, one level per dim")
+        values = typed_values(nested.ravel().tolist(), entry["dtype"]).reshape(nested.shape)
+    else:
+        if not all(type(size) is int and 0 <= size < 2**31 for size in entry["shape"]):
+            raise ValueError("expected sizes from 0 to 2147483647")
+        values = np.broadcast_to(np.float32(np.nan), entry["shape"])
+    if name == "quality":
+        attrs["flag_masks"] = quality_attrs()["flag_masks"]
+    return {"dims": dims, "attrs": attrs, "data": values}
+
+
+def typed_values(flat: list[Any], dtype: str) -> Array:
+    """Return values from JSON as an array.
+
+    Raises ValueError, OverflowError: A value is of another type, or out of range.
+    """
+    if dtype not in _DTYPES:
+        raise ValueError(f"expected a dtype of {', '.join(_DTYPES)}")
+    kind = np.dtype(dtype).kind
+    # bool is a subclass of int, and no number here
+    if not set(map(type, flat)) <= _JSON_TYPES[kind]:
+        raise ValueError(f"expected only {dtype} values")
+    if dtype == "str":
+        return text_column(flat)
+    if kind == "M":
+        # numpy wraps years outside the range of datetime64[ns] without an error
+        for text in filter(None, flat):
+            if _TIME.fullmatch(text) is None or not 1700 <= int(text[:4]) <= 2261:
+                raise ValueError(
+                    f"{text[:40]!r}, expected a time such as 2024-05-21T11:33:07.000000000, in 1700 to 2261"
+                )
+        return np.array([np.datetime64(text or "NaT", "ns") for text in flat], "datetime64[ns]")
+    with np.errstate(over="ignore"):
+        values: Array = np.array(flat, dtype)
+    if kind == "f" and np.isinf(values).any():
+        raise ValueError("a number is too large")
+    return values
 
 
 def restored(
@@ -247,121 +420,127 @@ def restored(
 ) -> xr.Dataset:
     """Return the library of a file of records, with the metadata beside it.
 
-    names: Names of the paints; keys: keys of the records; axes: see `with_metadata`.
+    names: Names of the paints, keys: keys of the records, axes: wavelengths and further coordinates of the
+        bands in the file of spectra; names in the metadata take precedence.
     rows: Blocks of records with the number of their first record.
     columns: Properties of the paints in the file; those in the metadata take precedence.
     Raises FormatError: Records or metadata are damaged, or belong to different libraries.
     Warns PaintWarning: The metadata are missing, or the columns of the file differ.
     """
-    bands = len(axes["wavelength"])
-    by_variable = placements(keys, len(names), bands, path.name)
+    paints, bands, source = len(names), len(axes["wavelength"]), path.name
+    # numbers of the variable, the paint, and the record within the paint
+    variables = list(dict.fromkeys(key[0] for key in keys))
+    variable_of = np.array([variables.index(key[0]) for key in keys], np.int64)
+    paint_of, inner_of = (np.array([key[at] for key in keys], np.int64) for at in (1, 2))
+    data: dict[str, Floats32] = {}
+    for position, variable in enumerate(variables):
+        paint, inner = paint_of[variable_of == position], inner_of[variable_of == position]
+        members = int(inner.max()) + 1
+        cells, stored_cells = paints * bands * max(members, 1), len(paint) * bands
+        for is_wrong, found, mend, code in (
+            (
+                np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(paint),
+                f"a record of {variable!r} occurs twice",
+                "write the library again",
+                "record-duplicate",
+            ),
+            (
+                (inner < 0).any() and (members > 0 or len(paint) != paints),
+                f"{len(paint)} records of {variable!r} for {paints} paints",
+                "write the library again",
+                "length-mismatch",
+            ),
+            # with padding at most 64 times the stored cells, less in large files
+            (
+                cells > max(_ALWAYS_ALLOWED_CELLS, min(64 * stored_cells, _LARGE_CELLS + 8 * stored_cells)),
+                f"{len(paint)} records of {variable!r} would need {cells} cells",
+                "check whether the file is damaged",
+                "file-too-large",
+            ),
+        ):
+            if is_wrong:
+                raise FormatError(f"{source}: {found}", mend=mend, code=code)
+        data[variable] = np.full((paints, *(() if members == 0 else (members,)), bands), np.nan, np.float32)
     sidecar = metadata_path(path)
-    metadata = read_metadata(sidecar, {SIGNATURE: len(names), BAND: bands}) if sidecar.exists() else None
-    if metadata is None:
-        text = f"{path.name}: {sidecar.name} is missing: names and columns are from the file, without units"
+    about = None
+    if sidecar.exists():
+        about = read_metadata(sidecar, {SIGNATURE: paints, BAND: bands})
+    else:
+        text = f"{source}: {sidecar.name} is missing: names and columns are from the file, without units"
         warnings.warn(PaintWarning(text, code="metadata-missing"), stacklevel=6)
-    for first_record, block in rows:
-        for placement in by_variable.values():
-            placement.put(first_record, block)
-    data = {name: placement.values for name, placement in by_variable.items()}
-    library = with_metadata(data, axes, names, metadata, path.name)
-    stored_columns = {} if metadata is None else table_columns(library)
+    for first, block in rows:
+        records = slice(first, first + len(block))
+        for number, values in enumerate(data.values()):
+            is_here = variable_of[records] == number
+            paint, inner = paint_of[records][is_here], inner_of[records][is_here]
+            values[(paint,) if values.ndim == 2 else (paint, inner)] = block[is_here]
+    library = _with_metadata(data, axes, names, about, source)
+    stored_columns = {} if about is None else table_columns(library)
     if edited := [name for name, cells in columns.items() if list(cells) != stored_columns.get(name, cells)]:
         text = (
-            f"{path.name}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
+            f"{source}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
             "the table"
         )
         warnings.warn(PaintWarning(text, code="metadata-differ"), stacklevel=6)
     # names in the table of variables are excluded: their columns have no units
     reserved = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
     added = {}
-    for name, cells in columns.items():
+    for name, texts in columns.items():
         if name not in reserved:
-            values = numbers(cell or "nan" for cell in cells)
-            is_text = values is None or not any(cells)
-            added[name] = (SIGNATURE, text_column(cells) if is_text else np.array(values))
+            parsed = numbers(cell or "nan" for cell in texts)
+            is_text = parsed is None or not any(texts)
+            added[name] = (SIGNATURE, text_column(texts) if is_text else np.array(parsed))
     return library.assign_coords(added)
 
 
-def with_metadata(
+def _with_metadata(
     data: Mapping[str, Floats32],
     axes: Mapping[str, Any],
     names: Sequence[str],
-    metadata: Metadata | None,
+    about: xr.Dataset | None,
     source: str,
 ) -> xr.Dataset:
-    """Return spectra and their metadata as a library.
-
-    data: Values of the variables (signature, band) or (signature, number, band).
-    axes: Wavelengths and further coordinates of the bands in the file of spectra.
-    names: Names of the paints in the file of spectra; names in the metadata take precedence.
-    metadata: None if it is missing.
-    Raises FormatError: Spectra and metadata belong to different libraries.
-    """
+    # Spectra (signature, band) or (signature, number, band), and their metadata as a library
     rows = LIBRARY_VARIABLES
     problems = Problems(f"{source} and its metadata belong to different libraries", FormatError)
-    library = xr.Dataset()
+    library = xr.Dataset(attrs={"title": "Spectral library", "source": source}) if about is None else about
+    spectra = {}
     for name, values in data.items():
-        dims, attrs = _dims_and_attrs(name, values.ndim, metadata)
+        row = rows.get(name)
+        dims: tuple[Any, ...] = (SIGNATURE, *[f"place_of_{name}"] * (values.ndim - 2), BAND)
+        attrs: Mapping[Any, Any] = {}
+        if name in library.variables:
+            dims, attrs = library[name].dims, library[name].attrs
+        elif row is not None and len(row.dims) == values.ndim:
+            dims, attrs = row.dims, row.attrs
         if len(dims) != values.ndim or dims[0] != SIGNATURE or dims[-1] != BAND:
             problems.add(
                 f"{name!r} has {values.ndim} dims", expected=f"{dims}, as in the metadata", code="dims-wrong"
             )
-            continue
-        if clash := sorted(set(dims) & data.keys()):
-            problems.add(
-                f"{clash[0][:60]!r} is the name of a variable and of a dim of {name!r}", code="name-clash"
-            )
-            continue
-        if values.ndim == 3 and metadata is not None:
+        elif values.ndim == 3:
             # restore the padding of the members, unless it is out of proportion
-            size, members = metadata.sizes.get(dims[1]), values.shape[1]
-            if size is not None and members <= size <= 8 * max(members, 8):
+            members = values.shape[1]
+            size = library.sizes.get(dims[1], members)
+            if members < size <= 8 * max(members, 8):
                 values = np.pad(values, ((0, 0), (0, size - members), (0, 0)), constant_values=np.nan)
-        if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
-            problems.add(
-                f"{name!r} is {values.shape}", expected=str(dict(library.sizes)), code="grid-mismatch"
-            )
-            continue
-        library[name] = (dims, values, attrs)
-    if metadata is not None:
-        for missing in sorted(metadata.spectra.keys() - data.keys()):
-            problems.add(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
-    problems.raise_if_any()
+        spectra[name] = (dims, values, dict(attrs))
+    for missing in [name for name in spectral_variables(library) if name not in data]:
+        problems.add(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
     coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(names), rows[SIGNATURE].attrs)}
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
-    if metadata is None:
-        return library.assign_coords(coords).assign_attrs(title="Spectral library", source=source)
-    for name in sorted(metadata.variables.keys() & library.variables.keys()):
-        problems.add(f"{name[:60]!r} is both among the spectra and in the metadata", code="name-clash")
-    for name, (dims, values, _) in metadata.variables.items():
-        if name in coords and name != SIGNATURE and not np.array_equal(values, coords[name][1]):
+    for name, (_, values, _) in coords.items():
+        known = library.variables.get(name)
+        if name != SIGNATURE and known is not None and not np.array_equal(known.values, values):
             problems.add(
                 f"{name!r} of the file and of the metadata differ",
                 mend="put the files of one library together",
                 code="grid-mismatch",
             )
-        if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
-            problems.add(
-                f"{name[:60]!r} is {values.shape} on {dims}",
-                expected=str(dict(library.sizes)),
-                code="grid-mismatch",
-            )
-        if name in library.dims and dims != (name,):
-            problems.add(f"{name!r} is the name of a dim", expected=f"dims ({name},)", code="dims-wrong")
     problems.raise_if_any()
-    own_coords = {name: coord for name, coord in coords.items() if name not in metadata.variables}
-    library = library.assign(metadata.variables).assign_coords(own_coords)
-    coordinates = sorted(metadata.coordinates & set(map(str, library.variables)))
-    return library.set_coords(coordinates).assign_attrs(metadata.attrs)
-
-
-def _dims_and_attrs(
-    name: str, ndim: int, metadata: Metadata | None
-) -> tuple[tuple[str, ...], dict[str, Any]]:
-    if metadata is not None and name in metadata.spectra:
-        return metadata.spectra[name]
-    row = LIBRARY_VARIABLES.get(name)
-    if row is not None and len(row.dims) == ndim:
-        return row.dims, dict(row.attrs)
-    return (SIGNATURE, BAND) if ndim == 2 else (SIGNATURE, f"place_of_{name}", BAND), {}
+    own_coords = {name: coord for name, coord in coords.items() if name not in library.variables}
+    try:
+        return library.assign(spectra).assign_coords(own_coords)
+    except ValueError as error:  # sizes or dims differ
+        problems.add(f"{error!s:.200}", code="grid-mismatch")
+    problems.raise_if_any()
+    return library

@@ -6,7 +6,7 @@ What a library must say is said, or said to be unknown: a reader who finds nothi
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -133,24 +133,16 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     ['reflectance-range', 'uncertainty']
     """
     if isinstance(library, str | os.PathLike):
-        from .opening import open_library
+        from .library_formats import open_library
 
         source, dataset = os.fspath(library), open_library(library)
     else:
         source, dataset = str(library.attrs.get("source", "the library")), with_new_names(library)
-    findings = list(_structure(dataset))
-    if not findings:  # the other rules need the structure
-        rules: tuple[Callable[[xr.Dataset], Iterator[LibraryFinding]], ...] = (
-            _names,
-            _wavelengths,
-            _reflectances,
-            _spreads,
-            _populations,
-            _geometry,
-            _declarations,
-        )
-        for rule in rules:
-            findings.extend(rule(dataset))
+    findings: list[LibraryFinding] = []
+    for rules in (_structure, _paints, _populations, _declarations):
+        if findings and rules is _paints:
+            break  # the other rules need the structure
+        findings += [LibraryFinding(*row) for is_wrong, *row in rules(dataset) if is_wrong]
     return LibraryReport(source, dataset.sizes.get(SIGNATURE, 0), dataset.sizes.get(BAND, 0), tuple(findings))
 
 
@@ -189,7 +181,7 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
 
 
 def library_terms(library: xr.Dataset) -> dict[str, Any]:
-    """Return the declaration of each term: a list with a word for every paint, a word for all, or None."""
+    # Return the declaration of each term: a list with a word for every paint, a word for all, or None.
     attrs = {**library.attrs, **library[CENTRE].attrs}
     return {
         term.name: list(map(str, library[term.name].values.tolist()))
@@ -201,182 +193,162 @@ def library_terms(library: xr.Dataset) -> dict[str, Any]:
 
 # --- the rules ---------------------------------------------------------------------------------------------
 
+#: Whether a library departs from a rule; the name of the rule, the observed and the expected state.
+_Row = tuple[bool, str, str, str]
 
-def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
+
+def _structure(library: xr.Dataset) -> Iterator[_Row]:
     for name in (CENTRE, "wavelength", SIGNATURE):
         row = LIBRARY_VARIABLES[name]
+        problem = row.dim_problem(library[name]) if name in library.variables else None
+        is_missing = name not in library.variables
+        found = problem.found if problem else f"{name!r} is missing"
         expected = f"a variable {name} ({', '.join(row.dims)})"
-        if name not in library.variables:
-            yield LibraryFinding("structure", f"{name!r} is missing", expected)
-        elif problem := row.dim_problem(library[name]):
-            yield LibraryFinding("structure", problem.found, expected)
-    for key, array in library.variables.items():
-        row_of = LIBRARY_VARIABLES.get(str(key))
-        if (
-            row_of is not None
-            and key not in (CENTRE, "wavelength", SIGNATURE)
-            and row_of.dim_problem(library[key])
-            and array.dims != (SIGNATURE, *row_of.dims)
-        ):
-            yield LibraryFinding(
-                "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
-            )
+        yield is_missing or problem is not None, "structure", found, expected
+    for name, row in LIBRARY_VARIABLES.items():
+        if name in library.variables and name not in (CENTRE, "wavelength", SIGNATURE):
+            dims = library[name].dims
+            is_wrong = row.dim_problem(library[name]) is not None and dims != (SIGNATURE, *row.dims)
+            yield is_wrong, "dims", f"{name} has dims {dims}", " or ".join(map(str, row.allowed_dims))
 
 
-def _names(library: xr.Dataset) -> Iterator[LibraryFinding]:
+def _paints(library: xr.Dataset) -> Iterator[_Row]:
+    # names, bands and reflectance of the paints
     names = library[SIGNATURE].values.tolist()
-    if not names:
-        yield LibraryFinding("paint-names", "there is no paint", "at least one")
-    if invalid := [name for name in names if not isinstance(name, str) or not name.strip()]:
-        yield LibraryFinding(
-            "paint-names", f"{len(invalid)} names are empty or not text", "a text for every paint"
-        )
-    if duplicates := sorted({str(name) for name in names if names.count(name) > 1}):
-        yield LibraryFinding(
-            "paint-names", f"{_listed(duplicates)} occur twice", "a unique name for every paint"
-        )
-
-
-def _wavelengths(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    wavelength = library["wavelength"]
-    values = np.asarray(wavelength.values, np.float64)
-    if wavelength.attrs.get("units") != "nm":
-        yield LibraryFinding("wavelength-units", f"units are {wavelength.attrs.get('units')!r}", "'nm'")
-    low, high = _WAVELENGTH_RANGE_NM
-    if not np.isfinite(values).all() or values.min(initial=low) < low or values.max(initial=high) > high:
-        yield LibraryFinding(
-            "wavelength-range", f"{values.min():g} to {values.max():g}", f"{low:g} to {high:g} nm"
-        )
-    steps = np.diff(values)
-    if not ((steps > 0).all() or (steps < 0).all()):
-        yield LibraryFinding(
+    invalid = [name for name in names if not isinstance(name, str) or not name.strip()]
+    duplicates = sorted({str(name) for name in names if names.count(name) > 1})
+    nm = np.asarray(library["wavelength"].values, np.float64)
+    nm_units, (low_nm, high_nm) = library["wavelength"].attrs.get("units"), _WAVELENGTH_RANGE_NM
+    is_in_range = (
+        np.isfinite(nm).all() and nm.min(initial=low_nm) >= low_nm and nm.max(initial=high_nm) <= high_nm
+    )
+    steps = np.diff(nm)
+    yield from (
+        (not names, "paint-names", "there is no paint", "at least one"),
+        (
+            bool(invalid),
+            "paint-names",
+            f"{len(invalid)} names are empty or not text",
+            "a text for every paint",
+        ),
+        (
+            bool(duplicates),
+            "paint-names",
+            f"{_listed(duplicates)} occur twice",
+            "a unique name for every paint",
+        ),
+        (nm_units != "nm", "wavelength-units", f"units are {nm_units!r}", "'nm'"),
+        (not is_in_range, "wavelength-range", _extremes(nm), f"{low_nm:g} to {high_nm:g} nm"),
+        (
+            not ((steps > 0).all() or (steps < 0).all()),
             "wavelength-order",
             f"{int((steps == 0).sum())} occur twice, or the direction changes",
             "ascending or descending",
-        )
-    if "fwhm" in library.variables:
-        fwhm = np.asarray(library["fwhm"].values, np.float64)
-        if library["fwhm"].attrs.get("units") != "nm" or not (fwhm[np.isfinite(fwhm)] > 0).all():
-            yield LibraryFinding(
-                "fwhm", f"{np.nanmin(fwhm):g} {library['fwhm'].attrs.get('units')}", "positive, in nm"
-            )
-    if "good" in library.variables and library["good"].dtype != bool:
-        yield LibraryFinding("good", f"dtype {library['good'].dtype}", "bool: whether a band is usable")
-
-
-def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    reflectance = library[CENTRE]
-    if reflectance.attrs.get("units") != "1":
-        yield LibraryFinding(
-            "reflectance-units", f"units are {reflectance.attrs.get('units')!r}", "'1', a fraction"
-        )
-    if reflectance.dtype.kind != "f":
-        yield LibraryFinding("reflectance-dtype", str(reflectance.dtype), "float32 or float64")
-        return
-    values = reflectance.transpose(SIGNATURE, BAND).values
-    low, high = _REFLECTANCE_RANGE
-    is_good = (
-        library["good"].values.astype(bool) if "good" in library.variables else np.ones(values.shape[1], bool)
+        ),
     )
-    with np.errstate(invalid="ignore"):
-        outside = ((values < low) | (values > high) | np.isinf(values)) & is_good
-    if outside.any():
-        paints = _paints_of(library, outside.any(axis=1))
-        yield LibraryFinding(
+    if "fwhm" in library.variables:
+        fwhm, units = np.asarray(library["fwhm"].values, np.float64), library["fwhm"].attrs.get("units")
+        is_positive = bool((fwhm[np.isfinite(fwhm)] > 0).all())
+        yield units != "nm" or not is_positive, "fwhm", f"{_extremes(fwhm)} {units}", "positive, in nm"
+    is_good = np.ones(nm.size, bool)
+    if "good" in library.variables:
+        dtype, is_good = library["good"].dtype, library["good"].values.astype(bool)
+        yield dtype.kind != "b", "good", f"dtype {dtype}", "bool: whether a band is usable"
+    reflectance, (low, high) = library[CENTRE], _REFLECTANCE_RANGE
+    units = reflectance.attrs.get("units")
+    yield units != "1", "reflectance-units", f"units are {units!r}", "'1', a fraction"
+    yield reflectance.dtype.kind != "f", "reflectance-dtype", str(reflectance.dtype), "float32 or float64"
+    if reflectance.dtype.kind == "f":
+        values = reflectance.transpose(SIGNATURE, BAND).values
+        with np.errstate(invalid="ignore"):
+            outside = ((values < low) | (values > high) | np.isinf(values)) & is_good
+        empty = ~np.isfinite(values).any(axis=1)
+        outside_paints, empty_paints = (
+            _listed([str(name) for name in library[SIGNATURE].values[mask]])
+            for mask in (outside.any(axis=1), empty)
+        )
+        yield (
+            bool(outside.any()),
             "reflectance-range",
-            f"{_extremes(values[outside])} in {paints}",
+            f"{_extremes(values[outside])} in {outside_paints}",
             f"{low:g} to {high:g} in good bands",
         )
-    if (empty := ~np.isfinite(values).any(axis=1)).any():
-        yield LibraryFinding(
-            "reflectance-empty", f"no value in {_paints_of(library, empty)}", "a value in at least one band"
+        yield (
+            bool(empty.any()),
+            "reflectance-empty",
+            f"no value in {empty_paints}",
+            "a value in at least one band",
         )
 
 
-def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    has_spread = False
-    for name in _SPREADS:
-        if name in library.variables:
-            values = library[name].values
-            has_spread |= bool(np.isfinite(values).any())
-            if (values < 0).any():
-                yield LibraryFinding("uncertainty-sign", f"{name} is negative", "0 or more")
-            if library[name].attrs.get("units") != "1":
-                yield LibraryFinding(
-                    "uncertainty-units", f"{name} has units {library[name].attrs.get('units')!r}", "'1'"
-                )
-    if not has_spread and library.attrs.get("uncertainty") != UNKNOWN:
-        yield LibraryFinding(
-            "uncertainty",
-            "neither spread nor uncertainty",
-            f"reflectance_u_random, reflectance_u_systematic or reflectance_sd, or uncertainty = {UNKNOWN!r}",
-        )
+def _populations(library: xr.Dataset) -> Iterator[_Row]:
+    # uncertainty, members, and the geometry of light and view
+    spreads = {name: library[name] for name in _SPREADS if name in library.variables}
+    for name, spread in spreads.items():
+        units = spread.attrs.get("units")
+        yield bool((spread.values < 0).any()), "uncertainty-sign", f"{name} is negative", "0 or more"
+        yield units != "1", "uncertainty-units", f"{name} has units {units!r}", "'1'"
+    has_spread = any(np.isfinite(spread.values).any() for spread in spreads.values())
+    yield (
+        not has_spread and library.attrs.get("uncertainty") != UNKNOWN,
+        "uncertainty",
+        "neither spread nor uncertainty",
+        f"reflectance_u_random, reflectance_u_systematic or reflectance_sd, or uncertainty = {UNKNOWN!r}",
+    )
     if "reflectance_quantiles" in library.variables and "quantile" in library.variables:
         levels = library["quantile"].values
         values = library["reflectance_quantiles"].transpose(SIGNATURE, "quantile", BAND).values
-        if (np.diff(levels) <= 0).any() or levels.min() < 0 or levels.max() > 1:
-            yield LibraryFinding("quantiles", f"levels {levels.tolist()}", "ascending, from 0 to 1")
-        elif (np.diff(values, axis=1) < 0).any():
-            yield LibraryFinding(
-                "quantiles", "quantiles decrease with their level", "quantiles that increase"
-            )
-
-
-def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    counts: dict[str, Array] = {
-        name: library[name].values for name in ("n", "n_eff") if name in library.variables
-    }
-    if "n" in counts and (counts["n"] < 1).any():
-        yield LibraryFinding("n", f"{counts['n'].min()} pixels", "1 or more")
-    if len(counts) == 2 and (counts["n_eff"] > counts["n"] * (1 + 1e-6)).any():
-        yield LibraryFinding("n", "more independent pixels than pixels", "n_eff at most n")
+        is_wrong = bool((np.diff(levels) <= 0).any() or ((levels < 0) | (levels > 1)).any())
+        is_falling = bool((np.diff(values, axis=1) < 0).any()) and not is_wrong
+        yield is_wrong, "quantiles", f"levels {levels.tolist()}", "ascending, from 0 to 1"
+        yield is_falling, "quantiles", "quantiles decrease with their level", "quantiles that increase"
+    counts = {name: library[name].values for name in ("n", "n_eff") if name in library.variables}
+    if "n" in counts:
+        number = counts["n"]
+        yield bool((number < 1).any()), "n", f"{number.min(initial=1)} pixels", "1 or more"
+        is_more = bool((counts.get("n_eff", 0) > number * (1 + 1e-6)).any())
+        yield is_more, "n", "more independent pixels than pixels", "n_eff at most n"
     if "member_reflectance" in library.variables:
-        members = library["member_reflectance"].transpose(SIGNATURE, "member", BAND)
-        if members.sizes["member"] and not np.isfinite(members.values).any():
-            yield LibraryFinding(
-                "members", "no member has a value", "spectra of single pixels, or no such variable"
-            )
-
-
-def _geometry(library: xr.Dataset) -> Iterator[LibraryFinding]:
+        members = library["member_reflectance"]
+        is_empty = bool(members.sizes["member"]) and not np.isfinite(members.values).any()
+        expected = "spectra of single pixels, or no such variable"
+        yield is_empty, "members", "no member has a value", expected
     for name, (low, high) in _ANGLES_DEG.items():
         if name in library.variables:
-            values = np.asarray(library[name].values, np.float64)
+            values, units = np.asarray(library[name].values, np.float64), library[name].attrs.get("units")
             finite = values[np.isfinite(values)]
-            if library[name].attrs.get("units") != "degree" or ((finite < low) | (finite > high)).any():
-                found = f"{name} {_extremes(finite)} {library[name].attrs.get('units')}"
-                yield LibraryFinding("angles", found, f"{low:g} to {high:g} degree")
-    if "time" in library.variables and library["time"].dtype.kind != "M":
-        yield LibraryFinding("time", f"dtype {library['time'].dtype}", "datetime64[ns], UTC")
+            is_wrong = units != "degree" or bool(((finite < low) | (finite > high)).any())
+            yield is_wrong, "angles", f"{name} {_extremes(finite)} {units}", f"{low:g} to {high:g} degree"
+    if "time" in library.variables:
+        dtype = library["time"].dtype
+        yield dtype.kind != "M", "time", f"dtype {dtype}", "datetime64[ns], UTC"
     if "diffuse_fraction" in library.variables:
         share = library["diffuse_fraction"].values
-        if ((share < 0) | (share > 1)).any():
-            yield LibraryFinding("diffuse-fraction", _extremes(share), "0 to 1")
+        yield bool(((share < 0) | (share > 1)).any()), "diffuse-fraction", _extremes(share), "0 to 1"
 
 
-def _declarations(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    version = library.attrs.get(VERSION_NAME)
-    if version != VERSION or isinstance(version, bool):
-        yield LibraryFinding(
-            "version", f"{VERSION_NAME} is {version!r}", f"{VERSION}; hp.io.declare_library sets it"
-        )
-    title = library.attrs.get("title")
-    if not isinstance(title, str) or not title.strip() or len(title) > _MAX_TEXT_CHARS:
-        yield LibraryFinding("title", f"title is {title!r:.40}", "a text")
+def _declarations(library: xr.Dataset) -> Iterator[_Row]:
+    def is_text(word: Any) -> bool:
+        return isinstance(word, str) and len(word.strip()) > 0 and len(word) <= _MAX_TEXT_CHARS
+
+    version, title = library.attrs.get(VERSION_NAME), library.attrs.get("title")
+    is_version = version == VERSION and not isinstance(version, bool)
+    yield (
+        not is_version,
+        "version",
+        f"{VERSION_NAME} is {version!r}",
+        f"{VERSION}; hp.io.declare_library sets it",
+    )
+    yield not is_text(title), "title", f"title is {title!r:.40}", "a text"
     declared = library_terms(library)
     for term in TERMS:
         words = declared[term.name] if isinstance(declared[term.name], list) else [declared[term.name]]
-        expected = f"one of {', '.join(term.words)}" if term.words else f"a text, or {UNKNOWN!r}"
         invalid = {
-            str(word)
-            for word in words
-            if not (isinstance(word, str) and word.strip() and len(word) <= _MAX_TEXT_CHARS)
-            or (term.words and word not in term.words)
+            str(word) for word in words if not is_text(word) or (term.words and word not in term.words)
         }
-        if declared[term.name] is None:
-            yield LibraryFinding(term.name, "not declared", expected)
-        elif invalid:
-            yield LibraryFinding(term.name, _listed(sorted(invalid)), expected)
+        found = "not declared" if declared[term.name] is None else _listed(sorted(invalid))
+        expected = f"one of {', '.join(term.words)}" if term.words else f"a text, or {UNKNOWN!r}"
+        yield bool(invalid), term.name, found, expected
     # specular component that contradicts a quantity
     contradictions = {
         BODY: INCLUDED,
@@ -389,12 +361,9 @@ def _declarations(library: xr.Dataset) -> Iterator[LibraryFinding]:
     terms = (declared["quantity"], declared["specular_component"])
     size = max(len(words) if isinstance(words, list) else 1 for words in terms)
     lists = (words if isinstance(words, list) else [words] * size for words in terms)
-    for quantity, component in zip(*lists, strict=False):
-        if contradictions.get(str(quantity)) == str(component):
-            yield LibraryFinding(
-                "contradiction", f"{quantity}, specular component {component}", "terms that agree"
-            )
-            break
+    pairs = [pair for pair in zip(*lists, strict=False) if contradictions.get(str(pair[0])) == str(pair[1])]
+    found = "".join(f"{quantity}, specular component {component}" for quantity, component in pairs[:1])
+    yield bool(pairs), "contradiction", found, "terms that agree"
 
 
 def _listed(names: list[str]) -> str:
@@ -402,10 +371,6 @@ def _listed(names: list[str]) -> str:
     return text if len(names) <= _MAX_NAMES else f"{text} and {len(names) - _MAX_NAMES} more"
 
 
-def _paints_of(library: xr.Dataset, mask: Array) -> str:
-    return _listed([str(name) for name in library[SIGNATURE].values[mask]])
-
-
 def _extremes(values: Array) -> str:
-    with np.errstate(invalid="ignore"):
-        return f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}" if values.size else "none"
+    known = values[~np.isnan(values)]
+    return f"{known.min():.4g} to {known.max():.4g}" if known.size else "none"

@@ -1,6 +1,6 @@
-"""Writing of maps as GeoTIFF: all bands, or a picture in true colours.
+"""Writing of maps as GeoTIFF and in other formats of GDAL: all bands, or a picture in true colours.
 
-Windows are written one row of tiles at a time; GDAL then streams the plain file into a cloud-optimised one.
+Windows are written one row of tiles at a time; GDAL then streams the plain file into the final format.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import threading
 import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -22,15 +22,12 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
-from hyperpaint.io.store.stages import in_stages
+from hyperpaint.io.store.computing import in_stages
 
 from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, storable
+from .map_metadata import RASTER_FORMATS, TILE
 from .rasters import TIFF, open_raster
 
-if TYPE_CHECKING:
-    import dask.array as da
-
-_TILE = 256
 # Number of rows from which the brightness range of a picture is computed.
 _SAMPLED_ROWS = 64
 _BLOCK_BYTES = 64 * 2**20
@@ -118,7 +115,7 @@ def draw_geotiff(
     stretch: tuple[float, float] = (2.0, 98.0),
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`."""
+    # Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`.
     with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
         import rasterio
         from rasterio.shutil import copy
@@ -135,30 +132,28 @@ def draw_geotiff(
     array = array.isel({BAND: band_numbers})
     is_picture = isinstance(bands, str) and bands == "rgb"
     stored = _picture(array, stretch) if is_picture else storable(array)
-    names, tags = _descriptions(map, str(array.name), band_numbers)
+    # descriptions and tags of the bands
+    axis = map.variables.get("wavelength")
+    names = [str(array.name)] if len(band_numbers) == 1 else [f"band {band + 1}" for band in band_numbers]
+    tags: list[dict[str, str]] = [{} for _ in band_numbers]
+    if axis is not None and axis.dims == (BAND,) and BAND in map[array.name].dims:
+        nm = axis.values.astype(np.float64)[band_numbers].tolist()
+        names = [f"{value:.6g} nm" for value in nm]
+        tags = [{"wavelength": repr(value), "wavelength_units": "Nanometers"} for value in nm]
+    form = RASTER_FORMATS.get(final_path.suffix.lower(), RASTER_FORMATS[".tif"])
     uncompressed = target.with_name(f"plain-{target.name}") if cog else target
     try:
         with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
             _write(uncompressed, stored, grid, is_picture, names, tags, progress)
             if cog:
-                # nearest for spectra, which must not be mixed
-                resampling = "average" if is_picture else "nearest"
-                options = {"blocksize": _TILE, "bigtiff": "if_safer", "predictor": "yes"}
-                copy(
-                    uncompressed,
-                    target,
-                    driver="COG",
-                    compress="deflate",
-                    overview_resampling=resampling,
-                    **options,
-                )
+                options = form.picture_options if is_picture else form.options
+                copy(uncompressed, target, driver=form.driver, **options)
     except rasterio.errors.RasterioError as error:
         raise unwritable(final_path, error) from error
 
 
 class GeotiffHeader(NamedTuple):
-    """Metadata of a GeoTIFF; ``overviews`` are the reduction factors of its smaller copies."""
-
+    # Metadata of a GeoTIFF; ``overviews`` are the reduction factors of its smaller copies.
     shape: tuple[int, int]
     bands: int
     dtype: str
@@ -235,11 +230,19 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
     complete = sample[np.isfinite(sample).all(axis=-1)]
     # one range for all bands keeps the colours
-    low, high = np.percentile(complete, stretch) if complete.size else (0.0, 1.0)
+    low, high = map(float, np.percentile(complete, stretch) if complete.size else (0.0, 1.0))
+    high = max(high, low + 1e-12)
+
+    def encode(linear: NDArray[Any]) -> NDArray[np.uint8]:
+        is_complete = np.isfinite(linear).all(axis=-1, keepdims=True)
+        share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
+        # IEC 61966-2-1
+        encoded = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
+        return np.where(is_complete, np.round(1.0 + 254.0 * encoded), 0.0).astype(np.uint8)
+
     picture: xr.DataArray = xr.apply_ufunc(
-        _encode,
+        encode,
         array,
-        kwargs={"low": float(low), "high": float(max(high, low + 1e-12))},
         input_core_dims=[[BAND]],
         output_core_dims=[[BAND]],
         dask="parallelized",
@@ -249,48 +252,7 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     return picture
 
 
-def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
-    is_complete = np.isfinite(linear).all(axis=-1, keepdims=True)
-    share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
-    # IEC 61966-2-1
-    encoded_share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-    encoded: NDArray[np.uint8] = np.where(is_complete, np.round(1.0 + 254.0 * encoded_share), 0.0).astype(
-        np.uint8
-    )
-    return encoded
-
-
-def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[str], list[dict[str, str]]]:
-    axis = map.variables.get("wavelength")
-    if axis is None or axis.dims != (BAND,) or BAND not in map[name].dims:
-        return ([name] if len(chosen) == 1 else [f"band {band + 1}" for band in chosen]), [{} for _ in chosen]
-    nm = axis.values.astype(np.float64)[chosen]
-    tags = [{"wavelength": repr(float(value)), "wavelength_units": "Nanometers"} for value in nm]
-    return [f"{value:.6g} nm" for value in nm], tags
-
-
 # --- the file ----------------------------------------------------------------------------------------------
-
-
-class _Target:
-    # Raster to which blocks (y, x, band) are written at their positions, one at a time.
-    def __init__(self, raster: Any, total: int, progress: Callable[[int, int], None] | None) -> None:
-        self.raster, self.total, self.progress, self.done = raster, total, progress, 0
-
-    def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
-        from rasterio.windows import Window
-
-        raster = self.raster
-        row, column, first = (
-            part.indices(size)[0]
-            for part, size in zip(region, (raster.height, raster.width, raster.count), strict=True)
-        )
-        indexes = list(range(first + 1, first + 1 + block.shape[2]))
-        window = Window(column, row, block.shape[1], block.shape[0])
-        raster.write(np.ascontiguousarray(np.moveaxis(block, -1, 0)), indexes=indexes, window=window)
-        self.done += block.size
-        if self.progress is not None:
-            self.progress(self.done, self.total)
 
 
 def _write(
@@ -302,7 +264,9 @@ def _write(
     tags: list[dict[str, str]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
+    import dask.threaded
     import rasterio
+    from rasterio.windows import Window
 
     height, width, count = stored.shape
     a, b, c, d, e, f = grid.transform
@@ -315,37 +279,29 @@ def _write(
         "transform": rasterio.Affine(b, c, a, e, f, d),
         "crs": None if grid.wkt is None else rasterio.crs.CRS.from_wkt(grid.wkt),
         "tiled": True,
-        "blockxsize": _TILE,
-        "blockysize": _TILE,
+        "blockxsize": TILE,
+        "blockysize": TILE,
         "bigtiff": "if_safer",
         "interleave": "pixel" if is_picture else "band",
         "nodata": 0 if is_picture else np.nan if stored.dtype.kind == "f" else None,
         **({"photometric": "rgb"} if is_picture else {}),
     }
-    with rasterio.open(path, "w", **profile) as raster:
-        for number, (name, band_tags) in enumerate(zip(names, tags, strict=True), start=1):
-            raster.set_band_description(number, name)
-            raster.update_tags(number, **band_tags)
-        target = _Target(raster, stored.size, progress)
-        if stored.chunks is not None:
-            _write_in_stages(stored.data, target)
-            return
-        step = max(_TILE, _BLOCK_BYTES // max(1, width * count * stored.dtype.itemsize) // _TILE * _TILE)
-        for first in range(0, height, step):
-            rows = slice(first, min(first + step, height))
-            target[rows, slice(None), slice(None)] = stored[rows].values
-
-
-def _write_in_stages(array: da.Array, target: _Target) -> None:
-    # Write the blocks of a lazy map (y, x, band), one row of tiles after another, in this process.
-    import dask.threaded
-
+    # the blocks of a lazy map (y, x, band), one row of tiles after another, in this process
+    rows = max(TILE, _BLOCK_BYTES // max(1, width * count * stored.dtype.itemsize) // TILE * TILE)
+    array = (stored if stored.chunks is not None else stored.chunk(y=rows)).data
     lock = threading.Lock()  # rasterio datasets are not thread-safe
+    done = 0
 
     def write(block: NDArray[Any], block_info: Any = None) -> NDArray[Any]:
-        rows, columns, bands = (slice(*ends) for ends in block_info[0]["array-location"])
+        nonlocal done
+        (row, _), (column, _), (first, last) = block_info[0]["array-location"]
+        window = Window(column, row, block.shape[1], block.shape[0])
         with lock:
-            target[rows, columns, bands] = block
+            bands = np.ascontiguousarray(np.moveaxis(block, -1, 0))
+            raster.write(bands, indexes=list(range(first + 1, last + 1)), window=window)
+            done += block.size
+            if progress is not None:
+                progress(done, stored.size)
         return np.zeros((1,) * block.ndim, np.uint8)
 
     writes = array.map_blocks(
@@ -358,5 +314,9 @@ def _write_in_stages(array: da.Array, target: _Target) -> None:
     axis = 0 if array.numblocks[0] >= array.numblocks[1] else 1
     stages = {(writes.name, *index): index[axis] for index in np.ndindex(writes.numblocks)}
     graph = dict(writes.__dask_optimize__(writes.__dask_graph__(), list(stages)))
-    for _ in in_stages(dask.threaded.get, graph, stages):
-        pass
+    with rasterio.open(path, "w", **profile) as raster:
+        for number, (name, band_tags) in enumerate(zip(names, tags, strict=True), start=1):
+            raster.set_band_description(number, name)
+            raster.update_tags(number, **band_tags)
+        for _ in in_stages(dask.threaded.get, graph, stages):
+            pass

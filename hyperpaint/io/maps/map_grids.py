@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
@@ -99,19 +99,18 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Grid:
-    """An affine grid: x = a + b column + c row, y = d + e column + f row, at the outer corners of pixels."""
-
+    # An affine grid: x = a + b column + c row, y = d + e column + f row, at the outer corners of pixels.
     transform: Transform  # a, b, c, d, e, f: GDAL's order [map units]
     wkt: str | None  # The reference system; None where it is not known
 
     @property
     def mirrored(self) -> bool:
-        """Whether rows and columns form a mirror image of the ground as seen from above."""
+        # Whether rows and columns form a mirror image of the ground as seen from above.
         _, b, c, _, e, f = self.transform
         return b * f - c * e > 0.0
 
     def flipped(self, rows: int) -> Grid:
-        """Return the grid with the order of its rows reversed."""
+        # Return the grid with the order of its rows reversed.
         a, b, c, d, e, f = self.transform
         return replace(self, transform=(a + rows * c, b, -c, d + rows * f, e, -f))
 
@@ -166,7 +165,7 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
 
 
 def required_grid(dataset: xr.Dataset) -> Grid:
-    """Return the grid of a map; SchemaError where its position is unknown."""
+    # Return the grid of a map; SchemaError where its position is unknown.
     grid = grid_of(dataset)
     if grid is None:
         raise SchemaError(
@@ -181,24 +180,22 @@ def _grid_through_positions(dataset: xr.Dataset, transform: Transform) -> Transf
     # Return the grid through ``east`` and ``north`` of the first row and column.
     # A single row or column gets the step of ``transform``.
     _, b, c, _, e, f = transform
-    size = max(math.hypot(b, e), math.hypot(c, f))
-    numbers: list[float] = []
+    tolerance = _TOLERANCE * max(math.hypot(b, e), math.hypot(c, f)) + _ROUNDING
+    computed: list[float] = []
     for name, by_column, by_row in (("east", b, c), ("north", e, f)):
         plane = dataset[name].transpose("y", "x")
         steps = []
-        for values, step in ((plane[0].values, by_column), (plane[:, 0].values, by_row)):
-            if values.size > 1:
-                step = float(values[-1] - values[0]) / (values.size - 1)
-            even_values = values[0] + step * np.arange(values.size)
-            if not np.abs(values - even_values).max() <= _TOLERANCE * size + _ROUNDING:
+        for values, single in ((plane[0].values, by_column), (plane[:, 0].values, by_row)):
+            step, deviation = _step_and_deviation(values, single)
+            if not deviation <= tolerance:
                 raise SchemaError(
                     f"the position of this map is unknown: {name!r} is not evenly spaced",
                     mend="choose cells at even steps",
                     code="spacing-uneven",
                 )
             steps.append(step)
-        numbers += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
-    a, b, c, d, e, f = numbers
+        computed += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
+    a, b, c, d, e, f = computed
     return a, b, c, d, e, f
 
 
@@ -208,15 +205,20 @@ def _edges_and_steps(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tu
     edges_and_steps = []
     for name, single in zip("xy", steps, strict=True):
         centres = np.asarray(dataset[name].values, np.float64)
-        step = (centres[-1] - centres[0]) / (centres.size - 1) if centres.size > 1 else np.float64(single)
-        even_centres = centres[0] + step * np.arange(centres.size)
-        if step == 0.0 or not np.abs(centres - even_centres).max() <= _TOLERANCE * abs(step) + _ROUNDING:
+        step, deviation = _step_and_deviation(centres, single)
+        if step == 0.0 or not deviation <= _TOLERANCE * abs(step) + _ROUNDING:
             problems.add(
                 f"{name!r} is not evenly spaced", mend="choose cells at even steps", code="spacing-uneven"
             )
-        edges_and_steps.append((float(centres[0] - step / 2.0), float(step)))
+        edges_and_steps.append((float(centres[0] - step / 2.0), step))
     problems.raise_if_any()
     return edges_and_steps
+
+
+def _step_and_deviation(values: NDArray[Any], single: float) -> tuple[float, float]:
+    # Mean step of values, ``single`` for one value, and their largest deviation from even steps
+    step = float(values[-1] - values[0]) / (values.size - 1) if values.size > 1 else float(single)
+    return step, float(np.abs(values - (values[0] + step * np.arange(values.size))).max())
 
 
 def _agree(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
@@ -265,14 +267,23 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     width, height = math.hypot(b, e), math.hypot(c, f)
     problems = Problems("ENVI cannot describe this grid", SchemaError)
     is_rotated = e != 0.0 or c != 0.0
-    if grid.mirrored:
-        problems.add("it is mirrored", mend="reverse its rows", code="grid-mirrored")
-    if abs(b * c + e * f) > 1e-9 * width * height:
-        problems.add("its rows and columns do not cross at right angles", code="grid-sheared")
-    if is_rotated and abs(width - height) > 1e-9 * width:
-        problems.add(
-            f"it is rotated, and its pixels are not square: {width:g} x {height:g}", code="pixels-not-square"
-        )
+    for is_wrong, found, mend, code in (
+        (grid.mirrored, "it is mirrored", "reverse its rows", "grid-mirrored"),
+        (
+            abs(b * c + e * f) > 1e-9 * width * height,
+            "its rows and columns do not cross at right angles",
+            "",
+            "grid-sheared",
+        ),
+        (
+            is_rotated and abs(width - height) > 1e-9 * width,
+            f"it is rotated, and its pixels are not square: {width:g} x {height:g}",
+            "",
+            "pixels-not-square",
+        ),
+    ):
+        if is_wrong:
+            problems.add(found, mend=mend, code=code)
     problems.raise_if_any()
     projection, zone, units, entries = _reference_system(grid.wkt)
     entries_of_map = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]

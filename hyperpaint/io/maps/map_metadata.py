@@ -1,9 +1,9 @@
-"""Metadata of maps for catalogues and other programs: attributes of GeoZarr, and a STAC item."""
+"""Formats of map files, and metadata of maps for other programs: attributes of GeoZarr, a STAC item."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -20,9 +20,31 @@ _CONVENTIONS = (
 )
 
 _STAC_EXTENSIONS = ("projection/v2.0.0", "eo/v2.0.0")
+
+TILE = 256  # [cell]
+
+
+class RasterFormat(NamedTuple):
+    """Format of a map file, which GDAL copies from a plain GeoTIFF."""
+
+    driver: str  # of GDAL
+    media_type: str
+    options: dict[str, Any]  # of GDAL's driver, for all bands
+    picture_options: dict[str, Any]  # for a picture of 8 bits
+
+
+_COG = {"compress": "deflate", "blocksize": TILE, "bigtiff": "if_safer", "predictor": "yes"}
+_GEOTIFF = RasterFormat(
+    "COG",
+    "image/tiff; application=geotiff; profile=cloud-optimized",
+    {**_COG, "overview_resampling": "nearest"},  # spectra must not be mixed
+    {**_COG, "overview_resampling": "average"},
+)
+#: Formats of map files by suffix.
+RASTER_FORMATS = {".tif": _GEOTIFF, ".tiff": _GEOTIFF}
 _MEDIA_TYPES = {
-    ".tif": "image/tiff; application=geotiff; profile=cloud-optimized",
     ".zarr": "application/vnd.zarr; version=3",
+    **{suffix: form.media_type for suffix, form in RASTER_FORMATS.items()},
 }
 
 
@@ -97,6 +119,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     if not times.size:
         raise SchemaError("no cell of this map has a time in line_time", code="time-missing")
     first, last = times.min(), times.max()
+    moments = {"datetime": first + (last - first) // 2, "start_datetime": first, "end_datetime": last}
     ring = [list(corner) for corner in zip(longitude, latitude, strict=True)]
     return {
         "type": "Feature",
@@ -108,9 +131,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
         "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
         "bbox": [min(longitude), min(latitude), max(longitude), max(latitude)],
         "properties": {
-            "datetime": _utc(first + (last - first) // 2),
-            "start_datetime": _utc(first),
-            "end_datetime": _utc(last),
+            **{key: f"{np.datetime_as_string(time, unit='ms')}Z" for key, time in moments.items()},
             "gsd": float(np.hypot(grid.transform[1], grid.transform[4])),
             **_reference_system(grid),
             "proj:shape": shape,
@@ -121,9 +142,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
         "assets": {
             "data": {
                 "href": f"./{path.name}",
-                "type": _MEDIA_TYPES.get(
-                    path.suffix.lower().replace("tiff", "tif"), "application/octet-stream"
-                ),
+                "type": _MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream"),
                 "roles": ["data"],
                 "bands": _bands(dataset),
             }
@@ -171,7 +190,3 @@ def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
         }
         for nm, fwhm in zip(axis.values, widths, strict=True)
     ]
-
-
-def _utc(time: np.datetime64) -> str:
-    return f"{np.datetime_as_string(time, unit='ms')}Z"

@@ -126,22 +126,8 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
     with open_raster(path, "opening a DEM") as raster:
         from rasterio.enums import MaskFlags
 
-        if raster.count != 1:
-            raise FormatError(
-                f"{path}: {raster.count} bands",
-                expected="one of heights",
-                mend="extract that band with gdal_translate -b",
-                code="band-count",
-            )
         a, b, c, d, e, f = tuple(raster.transform)[:6]
-        if b or d or not a or not e:
-            raise FormatError(
-                f"{path}: its rows do not run east, by its transform {(a, b, c, d, e, f)}",
-                expected="north up",
-                mend="gdalwarp in.tif out.tif",
-                code="grid-rotated",
-            )
-        # refuse a raster without a position, or with metadata in files beside it, which are not read
+        # metadata that the raster lacks, and files beside it, which are not read, with that metadata
         full_path = os.path.abspath(path)
         stem = os.path.splitext(full_path)[0]
         is_masked = MaskFlags.per_dataset in raster.mask_flag_enums[0]
@@ -164,42 +150,59 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         ):
             if is_missing[item] and os.path.exists(name):
                 files_by_item.setdefault(item, name)
-        if files_by_item:
-            listed = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
-            srs = (
-                f" -a_srs {os.path.basename(stem)}.prj"
-                if files_by_item.get("a crs", "").endswith(".prj")
-                else ""
-            )
-            raise FormatError(
-                f"{path} is read without other files, which hold part of its metadata: {listed}",
-                mend=f"merge them: gdal_translate{srs} in.tif out.tif",
-                code="file-not-alone",
-            )
+        listed = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
+        has_prj = files_by_item.get("a crs", "").endswith(".prj")
+        srs = f" -a_srs {os.path.basename(stem)}.prj" if has_prj else ""
         missing = [item for item in ("a transform", "a crs") if is_missing[item]]
-        if missing:
-            raise FormatError(
-                f"{path} has no position without {' and '.join(missing)}",
-                mend="set it with gdal_translate -a_srs EPSG:<code> -a_ullr <west north east south>",
-                code="place-unknown",
-            )
-        if not np.isfinite(tuple(raster.transform)).all():
-            raise FormatError(
-                f"{path}: its transform is {tuple(raster.transform)[:6]}",
-                expected="finite numbers",
-                mend="set it with gdal_translate -a_ullr <west north east south>",
-                code="not-finite",
-            )
         block_rows, block_columns = raster.block_shapes[0]
         block_bytes = block_rows * block_columns * np.dtype(raster.dtypes[0]).itemsize
-        if block_bytes > MAX_BLOCK_BYTES:
-            raise FormatError(
-                f"{path}: blocks of {block_rows} x {block_columns} cells, {block_bytes} bytes, read "
-                "completely for each cell",
-                expected=f"at most {MAX_BLOCK_BYTES}",
-                mend="gdal_translate -co TILED=YES in.tif out.tif",
-                code="file-too-large",
-            )
+        for is_wrong, found, expected, mend, code in (
+            (
+                raster.count != 1,
+                f": {raster.count} bands",
+                "one of heights",
+                "extract that band with gdal_translate -b",
+                "band-count",
+            ),
+            (
+                b or d or not a or not e,
+                f": its rows do not run east, by its transform {(a, b, c, d, e, f)}",
+                "north up",
+                "gdalwarp in.tif out.tif",
+                "grid-rotated",
+            ),
+            (
+                bool(files_by_item),
+                f" is read without other files, which hold part of its metadata: {listed}",
+                "",
+                f"merge them: gdal_translate{srs} in.tif out.tif",
+                "file-not-alone",
+            ),
+            (
+                bool(missing),
+                f" has no position without {' and '.join(missing)}",
+                "",
+                "set it with gdal_translate -a_srs EPSG:<code> -a_ullr <west north east south>",
+                "place-unknown",
+            ),
+            (
+                not np.isfinite(tuple(raster.transform)).all(),
+                f": its transform is {tuple(raster.transform)[:6]}",
+                "finite numbers",
+                "set it with gdal_translate -a_ullr <west north east south>",
+                "not-finite",
+            ),
+            (
+                block_bytes > MAX_BLOCK_BYTES,
+                f": blocks of {block_rows} x {block_columns} cells, {block_bytes} bytes, read completely for "
+                "each cell",
+                f"at most {MAX_BLOCK_BYTES}",
+                "gdal_translate -co TILED=YES in.tif out.tif",
+                "file-too-large",
+            ),
+        ):
+            if is_wrong:
+                raise FormatError(f"{path}{found}", expected=expected, mend=mend, code=code)
         rows, columns = (0, raster.height), (0, raster.width)
         if raster.height * raster.width > MAX_WHOLE_CELLS:
             rows, columns = _window(raster, path, around)

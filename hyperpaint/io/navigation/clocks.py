@@ -5,6 +5,7 @@ Only corrections that the caller asks for are applied.
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -102,14 +103,11 @@ def instants(texts: Sequence[str]) -> NDArray[np.datetime64]:
     try:
         return np.array(texts, "datetime64[ns]")
     except ValueError:  # the 31st of a shorter month, the 25th hour
-        return np.array([_instant(text) for text in texts])
-
-
-def _instant(text: str) -> np.datetime64:
-    try:
-        return np.datetime64(text, "ns")
-    except ValueError:
-        return np.datetime64("NaT", "ns")
+        times = np.full(len(texts), np.datetime64("NaT", "ns"))
+        for number, text in enumerate(texts):
+            with contextlib.suppress(ValueError):
+                times[number] = np.datetime64(text, "ns")
+        return times
 
 
 def refuse_backwards(

@@ -7,7 +7,7 @@ import itertools
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -24,10 +24,15 @@ from hyperpaint.io.store import load_group
 from hyperpaint.io.store.reader import is_zarr
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
-from .navigation_csv import read_navigation_csv
-from .navigation_formats import read_eph_att, read_lcf, read_sbet
+from .navigation_formats import (
+    is_nmea,
+    read_eph_att,
+    read_lcf,
+    read_navigation_csv,
+    read_nmea,
+    read_sbet,
+)
 from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
-from .nmea import is_nmea, read_nmea
 
 #: A file's record, its UTC [ns since 1970-01-01], and attributes that describe the conversion to UTC.
 Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
@@ -41,6 +46,7 @@ _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY_NS = 86_400 * NS_PER_S
 #: GPS week in the year 2199; int64 nanoseconds overflow in the 23rd century.
 _MAX_GPS_WEEK = 11_479
+_WEEKDAYS = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")
 _MEANINGS = {
     "latitude": "Latitude of the navigation's reference point, north positive",
     "longitude": "Longitude of the navigation's reference point, east positive",
@@ -190,10 +196,22 @@ def open_navigation(
         values = np.concatenate([record.others[name][0] for record, _, _ in parts])
         variables[name] = (NAVIGATION_TIME, values, dict(attrs))
     time = np.concatenate([utc for _, utc, _ in parts]).astype("datetime64[ns]")
+    record, _, time_attrs = parts[0]
+    declared = set(
+        chosen_convention.__dataclass_fields__ if isinstance(convention, Convention) else convention or ()
+    )
+    assumed = ", ".join(name for name in record.assumed if name not in declared)
     return xr.Dataset(
         variables,
         {NAVIGATION_TIME: (NAVIGATION_TIME, time, {"long_name": "UTC of the navigation record"})},
-        _attributes(parts, chosen_convention, convention),
+        {
+            "source": ", ".join(part[0].name for part in parts),
+            "format": record.format,
+            **record.attrs,
+            **time_attrs,
+            **chosen_convention.to_attrs(),
+            **({"assumed": assumed} if assumed else {}),
+        },
     )
 
 
@@ -290,8 +308,10 @@ def _headwall_record(path: Path, source: TimeSource, gps_time: Path | None) -> P
     needs_date = record.utc is None
     if needs_date and gps_time is not None:
         record = record.dated_by(read_gps_time(gps_time))
-    elif needs_date and None not in (source.midnight, source.clock_offset_s):
-        record = record.dated_at(int(source.midnight or 0))
+    elif needs_date and source.midnight is not None and source.clock_offset_s is not None:
+        # 0 h of the first row's day by the computer's clock, and microseconds since then
+        stamp = record.stamps.get("time of day")
+        record = record if stamp is None else replace(record, utc=source.midnight + stamp * 1000)
     if record.utc is None or not record.utc.size:
         raise TimeError(
             f"{path.name} contains no date",
@@ -333,32 +353,21 @@ class TimeSource:
         Raises TimeError: A week, date, number of leap seconds, time scale or clock offset is invalid.
         """
         problems = Problems("the clock settings of the navigation are invalid", TimeError)
-        week, leap = self.week, self.leap_seconds
-        if week is not None and not (_is_whole(week) and 0 <= week <= _MAX_GPS_WEEK):
-            problems.add(
-                f"week {week!r:.40}",
-                expected="the number of weeks since 1980-01-06, such as 2158",
-                code="value-out-of-range",
-            )
-        if leap is not None and not (_is_whole(leap) and 0 <= leap <= 100):
-            problems.add(
-                f"leap_seconds {leap!r:.40}",
-                expected="GPS minus UTC in whole seconds, such as 18",
-                code="value-out-of-range",
-            )
+        week, leap, offset = self.week, self.leap_seconds, self.clock_offset_s
         if self.time_scale is not None:
             one_of(self.time_scale, ("gps", "utc"), "time_scale", problems=problems)
-        if self.date is not None and self.midnight is None:
-            problems.add(
-                f"date {str(self.date)!r:.40}", expected="a date such as '2024-06-01'", code="time-unreadable"
-            )
-        offset = self.clock_offset_s
-        if offset is not None and not (is_number(offset) and abs(offset) <= 1e9):
-            problems.add(
-                f"clock_offset_s {offset!r:.40}",
-                expected="seconds, -1e9 to 1e9",
-                code="value-out-of-range",
-            )
+        for is_valid, found, expected, code in (
+            (week is None or _is_whole(week, _MAX_GPS_WEEK), f"week {week!r:.40}",
+             "the number of weeks since 1980-01-06, such as 2158", "value-out-of-range"),
+            (leap is None or _is_whole(leap, 100), f"leap_seconds {leap!r:.40}",
+             "GPS minus UTC in whole seconds, such as 18", "value-out-of-range"),
+            (self.date is None or self.midnight is not None, f"date {str(self.date)!r:.40}",
+             "a date such as '2024-06-01'", "time-unreadable"),
+            (offset is None or (is_number(offset) and abs(offset) <= 1e9), f"clock_offset_s {offset!r:.40}",
+             "seconds, -1e9 to 1e9", "value-out-of-range"),
+        ):  # fmt: skip
+            if not is_valid:
+                problems.add(found, expected=expected, code=code)
         problems.raise_if_any()
 
     @property
@@ -373,8 +382,9 @@ class TimeSource:
             return None
 
 
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+def _is_whole(value: Any, maximum: int) -> bool:
+    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return is_integer and 0 <= int(value) <= maximum
 
 
 def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.int64], dict[str, Any]]:
@@ -384,13 +394,41 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
         times before GPS time began.
     Warns PaintWarning: Times beyond the table of leap seconds, ``leap_seconds`` not given.
     """
-    stamp = record.stamp
+    stamp, midnight = record.stamp, source.midnight
+    first_second = int(stamp[0]) // NS_PER_S
     attrs: dict[str, Any] = {}
     if record.counts_from == "week":
-        week, week_source = _week_of(record, source)
+        if source.week is not None:
+            week, week_source = int(source.week), "given"
+        elif midnight is not None:
+            # the week whose first row is nearest to noon of the day, since a date may be local
+            noon = midnight + _DAY_NS // 2 - GPS_EPOCH
+            week = max(0, round((noon - int(stamp[0])) / (WEEK_S * NS_PER_S)))
+            week_source = "from the date given"
+        elif record.week is not None:
+            week, week_source = record.week, f"said by {record.name}"
+        else:
+            raise TimeError(
+                f"{record.name} counts seconds of an unknown GPS week (from {first_second} s: a "
+                f"{_WEEKDAYS[first_second // 86_400 % 7]})",
+                mend="pass week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight",
+                code="gps-week-missing",
+            )
         stamp = stamp + (GPS_EPOCH + week * WEEK_S * NS_PER_S)
         attrs = {"gps_week": week, "gps_week_source": week_source}
-    _refuse_wrong_date(record, int(stamp[0]), source)
+    # a week or date that the stamps contradict
+    problems, first = Problems(f"{record.name} contradicts week or date", TimeError), int(stamp[0])
+    begins = f"it begins at {np.datetime64(first // NS_PER_S, 's')}"
+    stamp_week = (first - GPS_EPOCH) // (WEEK_S * NS_PER_S)
+    if midnight is not None and abs(first - midnight - _DAY_NS // 2) > 1.5 * _DAY_NS:
+        problems.add(
+            f"{begins}, but date is {source.date}",
+            mend="correct date, or open another file",
+            code="date-conflict",
+        )
+    if source.week not in (None, stamp_week) and record.counts_from != "week":
+        problems.add(f"{begins}, in week {stamp_week}, but week is {source.week}", code="gps-week-conflict")
+    problems.raise_if_any()
     scale = source.time_scale or record.time_scale
     leap = record.leap_seconds if source.leap_seconds is None else int(source.leap_seconds)
     correction = ClockCorrection(source.clock_offset_s or 0.0, scale, leap)
@@ -404,46 +442,6 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
         )
     attrs["clock_offset_s"] = float(correction.offset_s)
     return utc, attrs
-
-
-def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
-    # Return the GPS week of the stamps, and its source.
-    if source.week is not None:
-        return int(source.week), "given"
-    if source.midnight is not None:
-        # the week whose first row is nearest to noon of the day, since a date may be local
-        noon = source.midnight + _DAY_NS // 2 - GPS_EPOCH
-        return max(0, round((noon - int(record.stamp[0])) / (WEEK_S * NS_PER_S))), "from the date given"
-    if record.week is not None:
-        return record.week, f"said by {record.name}"
-    first_second = int(record.stamp[0]) // NS_PER_S
-    day = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[
-        first_second // 86_400 % 7
-    ]
-    raise TimeError(
-        f"{record.name} counts seconds of an unknown GPS week (from {first_second} s: a {day})",
-        mend="pass week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight",
-        code="gps-week-missing",
-    )
-
-
-def _refuse_wrong_date(record: PoseRecord, first_stamp: int, source: TimeSource) -> None:
-    problems = Problems(f"{record.name} contradicts week or date", TimeError)
-    first_time = np.datetime64(first_stamp // NS_PER_S, "s")
-    if source.midnight is not None and abs(first_stamp - source.midnight - _DAY_NS // 2) > 1.5 * _DAY_NS:
-        problems.add(
-            f"it begins at {first_time}, but date is {source.date}",
-            mend="correct date, or open another file",
-            code="date-conflict",
-        )
-    if source.week is not None and record.counts_from != "week":
-        stamp_week = (first_stamp - GPS_EPOCH) // (WEEK_S * NS_PER_S)
-        if stamp_week != source.week:
-            problems.add(
-                f"it begins at {first_time}, in week {stamp_week}, but week is {source.week}",
-                code="gps-week-conflict",
-            )
-    problems.raise_if_any()
 
 
 # --- the dataset -------------------------------------------------------------------------------------------
@@ -501,23 +499,3 @@ def _convention(record: PoseRecord, declared: Convention | Mapping[str, Any] | N
             code="units-conflict",
         )
     return chosen
-
-
-def _attributes(
-    parts: Sequence[Part], chosen: Convention, convention: Convention | Mapping[str, Any] | None
-) -> dict[str, Any]:
-    record, _, time_attrs = parts[0]
-    attrs: dict[str, Any] = {
-        "source": ", ".join(part[0].name for part in parts),
-        "format": record.format,
-        **record.attrs,
-        **time_attrs,
-        **chosen.to_attrs(),
-    }
-    declared = (
-        set(chosen.__dataclass_fields__) if isinstance(convention, Convention) else set(convention or ())
-    )
-    assumed = [name for name in record.assumed if name not in declared]
-    if assumed:
-        attrs["assumed"] = ", ".join(assumed)
-    return attrs

@@ -57,7 +57,7 @@ ASSUMED = (
     *("roll_positive", "pitch_positive", "heading_positive", "heading_reference"),
     *("angle_unit", "euler_order", "height_reference"),
 )
-_ATTITUDE = ("roll", "pitch", "heading")
+ANGLES = ("roll", "pitch", "heading")
 _CLOCK_COLUMNS = ("timestamp", "systemtime", "gps_utc")
 _UTC_COLUMN = "gps_utc_date&time"
 
@@ -84,41 +84,31 @@ class PoseRecord:
     attrs: Mapping[str, Any] = field(default_factory=dict)  # further attributes of the dataset
 
 
-def check_poses(values: Mapping[str, NDArray[np.float64]], unit: str, problems: Problems, row: str) -> None:
+def check_poses(
+    values: Mapping[str, NDArray[np.float64]],
+    unit: str,
+    problems: Problems,
+    row: str,
+    rows: NDArray[np.int64],
+) -> None:
     """Note positions and angles that are out of range; NaN is accepted.
 
     values: `POSE`: latitude and longitude [degree], altitude [m].
     unit: Unit of roll, pitch and heading: ``"degree"`` or ``"radian"``.
     problems: Receives the faults.
-    row: Name of a row of the file in messages.
+    row, rows: Name of a row of the file in messages, and the numbers of the rows.
     """
     for name, limit in LIMITS.items():
         # heading minus wander angle may exceed a full turn
-        maximum = 2.0 * np.pi * 1.25 if name in _ATTITUDE and unit == "radian" else limit * 1.25
-        maximum = limit if name not in _ATTITUDE else maximum
+        maximum = limit if name not in ANGLES else 1.25 * (2.0 * np.pi if unit == "radian" else limit)
         with np.errstate(invalid="ignore"):
-            invalid_rows = np.flatnonzero(~(np.abs(values[name]) <= maximum) & ~np.isnan(values[name]))
-        if invalid_rows.size:
-            rows_text = name_rows(invalid_rows + 1, row)
+            is_invalid = ~(np.abs(values[name]) <= maximum) & ~np.isnan(values[name])
+        if is_invalid.any():
             problems.add(
-                f"{name} is {values[name][invalid_rows[0]]:g} in {rows_text}",
+                f"{name} is {values[name][is_invalid][0]:g} in {name_rows(rows[is_invalid], row)}",
                 expected=f"within +-{maximum:.4g}",
                 code="value-out-of-range",
             )
-
-
-def check_seconds(
-    name: str, seconds: NDArray[np.float64], max_seconds: float, problems: Problems, row: str
-) -> None:
-    """Note times that are not finite, negative, or greater than ``max_seconds``."""
-    invalid_rows = np.flatnonzero(~((seconds >= 0.0) & (seconds <= max_seconds)))
-    if invalid_rows.size:
-        problems.add(
-            f"time is {seconds[invalid_rows[0]]:g} s in {name_rows(invalid_rows + 1, row)}",
-            expected=f"0 to {max_seconds:g} s",
-            mend=f"check the format of {name}",
-            code="value-out-of-range",
-        )
 
 
 # --- imu_gps.txt -------------------------------------------------------------------------------------------
@@ -176,14 +166,6 @@ class Navigation:
         check_increasing(stamp, self.rows, f"{self.name}: column 'time'")
         utc = clock.at(stamp).astype(np.int64)
         return replace(self, utc=utc)._of_rows(utc != NAT)
-
-    def dated_at(self, midnight: int) -> Navigation:
-        """Return the record with UTC from the recording computer's time of day.
-
-        midnight: 0 h of the first row's day by the computer's clock [ns since 1970-01-01].
-        """
-        stamp = self.stamps.get("time of day")
-        return self if stamp is None else replace(self, utc=midnight + stamp * 1000)
 
     def _of_rows(self, keep: NDArray[np.bool_]) -> Navigation:
         stamps = {name: stamp[keep] for name, stamp in self.stamps.items()}
@@ -251,7 +233,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     problems.raise_if_any()
     is_unaligned = np.cumsum(values["roll"] != 0.0) == 0
     has_no_position = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
-    for name in _ATTITUDE:
+    for name in ANGLES:
         values[name][is_unaligned] = np.nan
     for name in ("latitude", "longitude", "altitude"):
         values[name][has_no_position] = np.nan
@@ -274,7 +256,12 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
         warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
     if utc is None:
         return record
-    keep = _has_valid_date(utc, next(iter(record.stamps.values()), None), is_unaligned)
+    # the date of an unaligned row must agree with the aligned rows
+    keep: NDArray[np.bool_] = np.not_equal(utc, NAT)
+    is_aligned = keep & ~is_unaligned
+    if record.stamps and is_aligned.any():
+        offset = utc / 1e9 - next(iter(record.stamps.values())) / 1e6
+        keep &= (np.abs(offset - np.median(offset[is_aligned])) < 1.0) | ~is_unaligned
     if not keep.any():
         raise FormatError(f"{path}: no row with a date", code="date-missing")
     return replace(
@@ -338,21 +325,6 @@ def _iso_text(cell: str) -> str:
             return "NaT"
         month = str(_MONTHS.index(month.lower()) + 1)
     return f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
-
-
-def _has_valid_date(
-    utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, is_unaligned: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    # Return which rows have a date; that of an unaligned row must agree with the aligned rows.
-    has_time: NDArray[np.bool_] = np.not_equal(utc, NAT)
-    is_aligned = has_time & ~is_unaligned
-    if stamp is None or not is_aligned.any():
-        return has_time
-    offset = utc / 1e9 - stamp / 1e6
-    has_date: NDArray[np.bool_] = has_time & (
-        (np.abs(offset - np.median(offset[is_aligned])) < 1.0) | ~is_unaligned
-    )
-    return has_date
 
 
 # --- gps_time.txt ------------------------------------------------------------------------------------------

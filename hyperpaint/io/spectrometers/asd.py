@@ -1,31 +1,46 @@
-"""Spectra of ASD field spectrometers, binary or exported as text, as labelled arrays."""
+"""Spectra of ASD field spectrometers as labelled arrays, and the layout of their files.
+
+Binary files (``.asd``, versions 1 to 8) follow "ASD File Format, version 8, revision B" as corrected by
+reading real files to their last byte: little-endian throughout, a fixed header, the spectrum, and from
+version 2 on the white reference and blocks that later versions added. A file has no checksum, so that only
+its structure can be checked: every declared count is compared with the number of bytes not yet read, and the
+last block must end at the file's end.
+
+Text exports of ViewSpec are a table ``Wavelength;name.asd`` whose cells are separated by semicolons, tabs or
+commas, with one column or (exported by rows) one row for each spectrum, with or without a preamble of
+sentences. The preamble may contain the comment field as NUL bytes, a blank first line and undocumented
+sentences. No export contains the quantity, its units, or the UTC offset of the time stamp.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
+import math
 import os
+import re
+import struct
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.errors import FormatError, PaintWarning, Problem, SchemaError, TimeError
 from hyperpaint.base.facts import one_of
-from hyperpaint.base.input_files import head_of
+from hyperpaint.base.input_files import head_of, read_limited
 from hyperpaint.base.schema import VARIABLES, label
+from hyperpaint.io.files.reading import read_limited_text, refuse
 
-from .asd_binary import AsdFile, AsdGps, is_asd, read_asd
-from .asd_text import AsdText, is_asd_text, read_asd_text
-from .irradiance_files import is_irradiance_csv
 from .spectrum_files import (
     QUANTITIES,
     Paths,
+    cell_number,
     check_utc_offset,
     common_quantity,
     find_paths,
@@ -34,17 +49,614 @@ from .spectrum_files import (
     name_spectra,
     ratio,
     require_one_grid,
+    text_lines,
 )
 
 Kind = Literal["binary", "text", "csv", "unknown"]
 
+_TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
+_AGAIN = "copy the file again from the instrument"
+
+
+# --- layout of binary files --------------------------------------------------------------------------------
+
+
+_HEADER_BYTES = 484
+_MAX_BINARY_BYTES = 64 * 2**20  # ten times the size of 65,535 channels with every calibration block
+
+# name and struct format of each header field, in file order;
+# ``saved`` is the PC's local time as a C struct tm; ``averages`` counts dark, reference and sample spectra
+_HEADER = (
+    ("version", "3s"), ("comment", "157s"), ("saved", "9h"), ("program_version", "B"), ("file_version", "B"),
+    ("unused_itime", "B"), ("dark_subtracted", "B"), ("dark_epoch", "i"), ("data_type", "B"),
+    ("reference_epoch", "i"), ("first_wavelength", "f"), ("wavelength_step", "f"), ("data_format", "B"),
+    ("old_averages", "3B"), ("application", "B"), ("channels", "H"), ("application_data", "128s"),
+    ("gps", "56s"), ("integration_ms", "I"), ("fore_optic", "h"), ("dark_correction", "h"),
+    ("calibration_series", "H"), ("instrument_number", "H"), ("display_range", "4f"), ("bits", "H"),
+    ("x_mode", "B"), ("flags", "4B"), ("averages", "3H"), ("instrument", "B"), ("bulb", "I"),
+    ("swir_gains_offsets", "4H"), ("splices", "2f"), ("smart_detector", "27s"), ("spare", "5s"),
+)  # fmt: skip
+_VERSIONS = {b"ASD": 1, b"asd": 1, **{f"as{n}".encode(): n for n in range(2, 9)}}
+_DTYPES: dict[int, np.dtype[Any]] = {0: np.dtype("<f4"), 1: np.dtype("<i4"), 2: np.dtype("<f8")}
+_DATA_TYPES = (
+    "raw", "reflectance", "radiance", "no units", "irradiance", "quality index", "transmittance", "unknown",
+    "absorbance",
+)  # fmt: skip
+_INSTRUMENTS = {
+    1: "PSII", 2: "LSVNIR", 3: "FieldSpec VNIR", 4: "FieldSpec FR", 5: "FieldSpec NIR", 6: "CHEM",
+    7: "LabSpec Pro", 10: "HandHeld",
+}  # fmt: skip
+_DETECTORS = {1: "VNIR", 2: "SWIR1", 4: "SWIR2"}
+# Blocks after the white reference: the version that added each, its name, and its parts: struct formats,
+# "text" for a text after its length, or an OLE SAFEARRAY as the least bytes of an item and the item's parts
+_BLOCKS: tuple[tuple[int, str, tuple[Any, ...]], ...] = (
+    (6, "the classifier block", ("BB", *["text"] * 20, "H", (96, "text", "text", "9di2d"))),
+    (7, "the dependent variables", ("hh", (2, "text"), (4,))),
+    (7, "the calibration blocks", ()),
+    (8, "the audit log", ("i", (2, "text"))),
+    (8, "the signature", ("Bq", *["text"] * 7, "128s")),
+)
+_CALIBRATION_KINDS = ("ABS", "BSE", "LMP", "FO")
+_TRAILER = b"\xff\xfe\xfd"  # appended by newer software when it saves a file again
+_OLE_EPOCH_DAYS = 25569  # 1970-01-01 in days since 1899-12-30
+
+
+class AsdGps(NamedTuple):
+    """Position of the spectrometer by its GPS."""
+
+    latitude: float  # degrees, north positive
+    longitude: float  # degrees, east positive (in the file, west is positive)
+    altitude: float  # metres
+    utc: dt.time  # time of day of the fix; the file has no date of it
+
+
+class AsdCalibration(NamedTuple):
+    """One calibration block of a file.
+
+    By kind: ABS, panel reflectance; BSE, panel reflectance for radiance; LMP, lamp irradiance [W m-2 nm-1];
+    FO, lamp counts.
+    """
+
+    name: str  # name of the calibration file that the block was copied from
+    integration_ms: float  # integration time of the calibration, see `nominal_integration_ms`
+    gains: tuple[int, int]  # SWIR 1 and SWIR 2
+    values: Floats  # (wavelength)
+
+
+@dataclass(frozen=True, eq=False)
+class AsdFile:
+    """Content of one ``.asd`` file; arrays are (wavelength), float64 and read-only."""
+
+    name: str  # file name without its folder
+    version: int  # 1 to 8
+    comment: str  # of the operator on the spectrum
+    description: str  # of the white reference
+    # Local time of the logging PC when it saved the spectrum, in whole seconds, without a zone
+    local_time: dt.datetime
+    # Local time minus UTC [h], derived from the white reference; None without one
+    utc_offset_h: float | None
+    dark_utc: dt.datetime | None  # UTC of the measurement of the dark current
+    # Quantity displayed to the operator: ``raw``, ``reflectance``, ``radiance``, ``irradiance`` ...; it does
+    # not describe ``spectrum``, which is always raw counts
+    data_type: str
+    wavelength: Floats  # nanometres
+    spectrum: Floats  # counts
+    reference: Floats | None  # counts of the white panel; None if it was not measured
+    integration_ms: float  # integration time of the VNIR detector, see `nominal_integration_ms`
+    sample_averages: int  # spectra averaged into this one
+    gains: tuple[int, int]  # SWIR 1 and SWIR 2
+    # Wavelengths [nm] at which VNIR and SWIR 1 end; -1 for a detector that the instrument lacks
+    splices: tuple[float, float]
+    gps: AsdGps | None  # None without a fix
+    calibrations: Mapping[str, AsdCalibration]  # calibration blocks by kind
+    instrument: str  # model and serial number
+    instrument_number: int
+    fore_optic: int  # field of view [degree]; 0 for no optic, 180 or more for a cosine receptor
+    dark_subtracted: bool
+    saturated: frozenset[str]  # detectors flagged as saturated: ``VNIR``, ``SWIR1``, ``SWIR2``
+
+
+def is_asd(head: bytes) -> bool:
+    """Return whether the first bytes of a file are those of a binary ``.asd`` file."""
+    return head[:3] in _VERSIONS and b"\0" in head[:_HEADER_BYTES]
+
+
+def nominal_integration_ms(milliseconds: int) -> float:
+    """Return the integration time for a nominal whole number of milliseconds.
+
+    The file contains 8 or 9 if the instrument integrates for 8.5 ms; longer times (17, 34, 68 ...) are
+    exact.
+
+    Examples
+    --------
+    >>> nominal_integration_ms(9), nominal_integration_ms(136)
+    (8.5, 136.0)
+    """
+    return 8.5 if milliseconds in (8, 9) else float(milliseconds)
+
+
+class Cursor:
+    """Reads a file from front to back and refuses to read past its end."""
+
+    def __init__(self, data: bytes, name: str) -> None:
+        self.data, self.name, self.position = data, name, 0
+
+    @property
+    def remaining(self) -> int:
+        """Number of bytes not read yet."""
+        return len(self.data) - self.position
+
+    @property
+    def at_end(self) -> bool:
+        """Whether nothing, or only the trailer of newer software, remains to be read."""
+        return self.data[self.position :] in (b"", _TRAILER)
+
+    def bytes(self, count: int, part: str) -> bytes:
+        """Read ``count`` bytes; the name of the ``part`` appears in messages."""
+        if count > self.remaining:
+            raise FormatError(
+                f"{self.name}: {part} needs {count} bytes at offset {self.position}, {self.remaining} remain",
+                mend=_AGAIN,
+                code="file-truncated",
+            )
+        self.position += count
+        return self.data[self.position - count : self.position]
+
+    def values(self, fmt: str, part: str) -> tuple[Any, ...]:
+        """Read the values of a struct format, little-endian."""
+        return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), part))
+
+    def text(self, part: str) -> str:
+        """Read a text, which is stored after its length."""
+        (length,) = self.values("H", f"the length of a text in {part}")
+        return _text_of_bytes(self.bytes(length, part))
+
+    def array(self, count: int, dtype: np.dtype[Any], part: str) -> Floats:
+        """Read ``count`` numbers as read-only float64."""
+        raw = np.frombuffer(self.bytes(count * dtype.itemsize, part), dtype)
+        with np.errstate(invalid="ignore"):  # signalling NaN in a damaged file
+            values = raw.astype(np.float64)
+        values.flags.writeable = False
+        return values
+
+    def skip(self, layout: tuple[Any, ...], part: str) -> None:
+        """Read the parts of a block of `_BLOCKS` without keeping them."""
+        for piece in layout:
+            if piece == "text":
+                self.text(part)
+            elif isinstance(piece, str):
+                self.values(piece, part)
+            else:
+                # a SAFEARRAY: its number of dimensions, and count and lower bound of each
+                item_bytes, *items = piece
+                (dims,) = self.values("H", part)
+                refuse(
+                    self.name,
+                    (
+                        dims * 8 > self.remaining or dims > 60,
+                        Problem(f"{part} has an array of {dims} dimensions", code="file-damaged"),
+                    ),
+                )
+                count = math.prod(self.values("Ii", part)[0] for _ in range(dims)) if dims else 0
+                size = f"{part} declares {count} items, which do not fit into the remaining"
+                refuse(
+                    self.name,
+                    (
+                        count * item_bytes > self.remaining,
+                        Problem(f"{size} {self.remaining} bytes", code="file-damaged"),
+                    ),
+                )
+                if not items:
+                    self.bytes(item_bytes * count, part)
+                for _ in range(count if items else 0):
+                    self.skip(tuple(items), part)
+
+
+def read_asd(path: str | os.PathLike[str]) -> AsdFile:
+    """Read one binary ``.asd`` file, of any version, to its last byte.
+
+    path: A file of an ASD FieldSpec, HandHeld or LabSpec; also their calibration files ``.ill``, ``.raw`` and
+        ``.ref``, which have the same layout.
+    Returns AsdFile: Header, spectrum (wavelength), white reference and calibration blocks.
+    Raises FormatError: The file cannot be read, is not an ``.asd`` file, or is truncated, over-long or
+        contradictory.
+    """
+    path = Path(path)
+    data = read_limited(path, _MAX_BINARY_BYTES, "an ASD spectrometer's file")
+    version = _VERSIONS.get(data[:3], 0)
+    refuse(
+        path.name,
+        (
+            version == 0,
+            Problem(f"begins with {data[:3]!r}", expected="one of ASD, as2 to as8", code="format-unknown"),
+        ),
+    )
+    cursor = Cursor(data, path.name)
+    header: dict[str, Any] = {}
+    for name, fmt in _HEADER:
+        values = cursor.values(fmt, f"the header ({name})")
+        header[name] = values[0] if len(values) == 1 else values
+    first, step, channels = header["first_wavelength"], header["wavelength_step"], header["channels"]
+    refuse(
+        path.name,
+        (
+            header["data_format"] not in _DTYPES,
+            Problem(
+                f"data format {header['data_format']}",
+                expected="0 float, 1 integer or 2 double",
+                code="file-damaged",
+            ),
+        ),
+        (
+            header["data_type"] >= len(_DATA_TYPES),
+            Problem(
+                f"data type {header['data_type']}",
+                expected=f"0 to {len(_DATA_TYPES) - 1}",
+                code="file-damaged",
+            ),
+        ),
+        (channels == 0, Problem("the file has no channels", code="empty-input")),
+        (
+            not (0 < first < 1e5 and 0 < step < 1e4),
+            Problem(
+                f"first wavelength {first} nm, step {step} nm",
+                expected="positive numbers",
+                code="file-damaged",
+            ),
+        ),
+    )
+    dtype = _DTYPES[header["data_format"]]
+    spectrum = cursor.array(channels, dtype, "the spectrum")
+    reference, utc_offset_h, description = None, None, ""
+    if version >= 2:
+        flag, ole_days, _ = cursor.values("Hdd", "the head of the white reference")
+        refuse(
+            path.name,
+            (
+                flag not in (0, 0xFFFF),
+                Problem(
+                    f"white reference flag {flag:#06x}", expected="0x0000 or 0xffff", code="file-damaged"
+                ),
+            ),
+        )
+        description = cursor.text("the description of the white reference")
+        # without a white reference, the file contains zeros or an outdated reference here
+        counts = cursor.array(channels, dtype, "the white reference")
+        reference = counts if flag and np.any(counts != 0.0) else None
+        # local time minus UTC [h], a multiple of a quarter of an hour, from the two stamps of the reference
+        if reference is not None and header["reference_epoch"] > 0 and 0 < ole_days < 1e5:
+            seconds = (ole_days - _OLE_EPOCH_DAYS) * 86400.0 - header["reference_epoch"]
+            hours = round(seconds / 900.0) / 4.0
+            is_zone = abs(seconds - hours * 3600.0) < 60.0 and -12.0 <= hours <= 14.0
+            utc_offset_h = hours if is_zone else None
+    calibrations: dict[str, AsdCalibration] = {}
+    for first_version, part, layout in _BLOCKS:
+        if version < first_version or (version == 6 and cursor.at_end):
+            continue
+        cursor.skip(layout, part)
+        if part == "the calibration blocks":
+            calibrations = _calibrations(cursor, channels)
+    surplus = f"{cursor.remaining} bytes follow the last block of a version {version} file"
+    refuse(path.name, (not cursor.at_end, Problem(surplus, code="file-damaged")))
+    second, minute, hour, day, month, year = header["saved"][:6]
+    try:
+        if not (80 <= year < 250 and 0 <= second <= 61):
+            raise ValueError
+        # C's struct tm allows second 60, datetime does not
+        local_time = dt.datetime(year + 1900, month + 1, day, hour, minute) + dt.timedelta(seconds=second)
+    except ValueError as error:
+        raise FormatError(
+            f"{path.name}: time of the spectrum {header['saved'][:6]} is not a date", code="time-unreadable"
+        ) from error
+    wavelength: Floats = first + step * np.arange(channels, dtype=np.float64)
+    wavelength.flags.writeable = False
+    dark_s = header["dark_epoch"]
+    return AsdFile(
+        name=path.name,
+        version=version,
+        comment=_text_of_bytes(header["comment"]),
+        description=description,
+        local_time=local_time,
+        utc_offset_h=utc_offset_h,
+        dark_utc=dt.datetime(1970, 1, 1) + dt.timedelta(seconds=dark_s) if dark_s > 0 else None,
+        data_type=_DATA_TYPES[header["data_type"]],
+        wavelength=wavelength,
+        spectrum=spectrum,
+        reference=reference,
+        integration_ms=nominal_integration_ms(header["integration_ms"]),
+        sample_averages=header["averages"][2],
+        gains=header["swir_gains_offsets"][:2],
+        splices=header["splices"],
+        gps=_gps_fix(path.name, header["gps"]),
+        calibrations=MappingProxyType(calibrations),
+        instrument=_INSTRUMENTS.get(header["instrument"], f"unknown ({header['instrument']})"),
+        instrument_number=header["instrument_number"],
+        fore_optic=header["fore_optic"],
+        dark_subtracted=bool(header["dark_subtracted"]),
+        saturated=frozenset(d for bit, d in _DETECTORS.items() if header["flags"][1] & bit),
+    )
+
+
+def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
+    # Return the calibration blocks by kind: the file has the heads of all, then the values of all.
+    (count,) = cursor.values("B", "the number of calibration blocks")
+    heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
+    numbers = [head[0] for head in heads]
+    found = f"calibration blocks of types {numbers[:8]}"
+    refuse(
+        cursor.name,
+        (not {*numbers} <= {0, 1, 2, 3}, Problem(found, expected="0 to 3", code="file-damaged")),
+        (len({*numbers}) < count, Problem(found, expected="one of each", code="file-damaged")),
+    )
+    calibrations = {}
+    for number, name, milliseconds, *gains in heads:
+        values = cursor.array(
+            channels, np.dtype("<f8"), f"the {_CALIBRATION_KINDS[number]} calibration block"
+        )
+        calibrations[_CALIBRATION_KINDS[number]] = AsdCalibration(
+            _text_of_bytes(name), nominal_integration_ms(milliseconds), (gains[0], gains[1]), values
+        )
+    return calibrations
+
+
+def _gps_fix(name: str, block: bytes) -> AsdGps | None:
+    # Return the position in the GPS block of the header; None if the GPS had no fix.
+    values = struct.unpack("<5dhbbbbbh5sbb", block)
+    _, _, latitude, longitude, altitude, _, _, second, minute, hour = values[:10]
+    if latitude == longitude == altitude == 0.0:
+        return None
+    try:
+        degrees = []
+        for ddmm, limit in ((latitude, 90.0), (longitude, 180.0)):
+            whole, minutes = divmod(abs(ddmm), 100.0)
+            if not (abs(ddmm) <= limit * 100.0 and minutes < 60.0 and abs(altitude) < 1e5):
+                raise ValueError
+            degrees.append(math.copysign(whole + minutes / 60.0, ddmm))
+        # in the file, west is positive
+        return AsdGps(degrees[0], -degrees[1], altitude, dt.time(hour, minute, second))
+    except ValueError as error:
+        raise FormatError(
+            f"{name}: GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}",
+            expected="ddmm.mmmm, dddmm.mmmm and metres",
+            code="file-damaged",
+        ) from error
+
+
+def _text_of_bytes(raw: bytes) -> str:
+    return raw.split(b"\0", 1)[0].decode("latin-1").strip()
+
+
+# --- layout of text exports --------------------------------------------------------------------------------
+
+
+class Export(NamedTuple):
+    """Form of a text of spectra that the software of a spectrometer exports."""
+
+    instrument: str
+    heading: re.Pattern[str]  # of the line of names, from which cells are separated by `_SEPARATORS`
+    # Facts in the sentences above: a pattern of the sentence, and its meaning (None takes the first group)
+    preamble: Mapping[str, tuple[str, Callable[[re.Match[str]], Any]]]
+
+
+def _export_time(match: re.Match[str]) -> dt.datetime:
+    month, day, year, hour, minute, second = (int(match[i]) for i in range(1, 7))
+    if match[7]:
+        hour = hour % 12 + (12 if match[7].upper() == "PM" else 0)
+    # older programs write years since 1900
+    stamp = dt.datetime(year + 1900 if year < 1000 else year, month, day, hour, minute, second)
+    if not 1980 <= stamp.year < 2150:
+        raise ValueError
+    return stamp
+
+
+_NUMBER = r"([-+]?[0-9]+(?:\.[0-9]*)?(?:[Ee][-+]?[0-9]+)?)"
+_SEPARATORS = (";", "\t", ",")
+EXPORTS = (
+    Export(
+        instrument="ASD",
+        heading=re.compile(r'"?wavelengths?"?\s*[;,\t]', re.IGNORECASE),
+        preamble={
+            # local time of the logging PC when it saved the spectrum
+            "local_time": (
+                r"spectrum saved:?\s*(\d{1,2})/(\d{1,2})/(\d{1,4})\s+at\s+(\d{1,2}):(\d\d):(\d\d)\s*([AP]M)?",
+                _export_time,
+            ),
+            "instrument_number": (r"instrument number(?: was|:)\s*(\S{1,40})", lambda match: match[1]),
+            "integration_ms": (
+                r"VNIR integration time\s*:\s*(\d{1,9})(?!\d)",
+                lambda match: nominal_integration_ms(int(match[1])),
+            ),
+            "sample_averages": (
+                r"\b(\d{1,6}|one) samples? per data value",
+                lambda match: 1 if match[1].lower() == "one" else int(match[1]),
+            ),
+            # upper end of the operator's plot, the only hint at the quantity
+            "ymax": (rf"ymax\s*=\s*{_NUMBER}", lambda match: float(match[1])),
+            "splices": (
+                rf"join between VNIR and SWIR1 was {_NUMBER} nm(?s:.){{0,200}}?"
+                rf"SWIR1 and SWIR2 was {_NUMBER} nm",
+                lambda match: (float(match[1]), float(match[2])),
+            ),
+            # whether a cosine receptor was attached, and whether a white reference was measured
+            "cosine_receptor": (
+                r"there was (.{0,80}?) attached",
+                lambda match: "cosine receptor" in match[1].lower(),
+            ),
+            "white_reference": (
+                r"data is (not )?compared to a white reference",
+                lambda match: match[1] is None,
+            ),
+        },
+    ),
+)
+_QUANTITY_BY_YMAX = {1.25: "reflectance", 2.5: "irradiance", 65535.0: "counts"}
+_MAX_TEXT_BYTES = 512 * 2**20
+
+
+class AsdText(NamedTuple):
+    """Content of one text export; arrays are float64 and read-only."""
+
+    name: str  # file name without its folder
+    instrument: str
+    spectra: tuple[str, ...]  # names of the spectra
+    wavelength: Floats  # (wavelength) [nm]
+    values: Floats  # (spectrum, wavelength), in the exported quantity
+    preamble: Mapping[str, Any]  # facts of `Export.preamble`; None where the export does not state them
+
+    @property
+    def likely_quantity(self) -> str | None:
+        """Quantity guessed from the upper end of the operator's plot."""
+        return _QUANTITY_BY_YMAX.get(self.preamble.get("ymax") or 0.0)
+
+
+def _export_at(lines: Sequence[str]) -> tuple[Export, int] | None:
+    # Return the form of an export, and the number of its heading among the lines.
+    return next(((e, i) for i, line in enumerate(lines) for e in EXPORTS if e.heading.match(line)), None)
+
+
+def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
+    r"""Read one text export of ASD spectra.
+
+    path: A file that ViewSpec exported, of any of its variants.
+    Returns AsdText: Spectra (spectrum, wavelength) and the fields of the preamble.
+    Raises FormatError: The file cannot be read, or has no table ``Wavelength``, or its table is damaged.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "sky.txt")
+    >>> _ = path.write_text("Wavelength;sky.asd\n550; 0.89 \n551; 9.1E-01 \n")
+    >>> read_asd_text(path).values
+    array([[0.89, 0.91]])
+    """
+    path = Path(path)
+    name, again = path.name, "export the spectra again"
+    lines = text_lines(read_limited_text(path, _MAX_TEXT_BYTES, "a text export of spectra"))
+    found = _export_at(lines)
+    if found is None:
+        raise FormatError(
+            f"{name}: no line begins with 'Wavelength' and a separator",
+            expected="a text export of ASD spectra",
+            code="format-unknown",
+        )
+    export, start = found
+    # the preamble
+    text = "\n".join(lines[:start])
+    preamble: dict[str, Any] = {}
+    for key, (pattern, meaning) in export.preamble.items():
+        match = re.search(pattern, text, re.IGNORECASE)
+        try:
+            preamble[key] = None if match is None else meaning(match)
+        except ValueError as error:
+            raise FormatError(
+                f"{name}: {match[0] if match else ''!r} is not a date",
+                expected="month/day/year",
+                code="time-unreadable",
+            ) from error
+    # the heading: names of the spectra, or their wavelengths if each row is a spectrum
+    separator = max(_SEPARATORS, key=lines[start].count)
+    names = [cell.strip().strip('"') for cell in lines[start].split(separator)]
+    while names and not names[-1]:  # a separator at the end of the line
+        names.pop()
+    is_spectrum_per_row = all(cell_number(cell) is not None for cell in names[1:])
+    refuse(
+        name,
+        (
+            len(names) < 2,
+            Problem("the table has no column beside 'Wavelength'", mend=again, code="column-missing"),
+        ),
+    )
+    # the rows: lines of another kind, such as ``x2bar``, may precede and follow, but not interrupt them
+    labels: list[str] = []
+    rows: list[list[float | None]] = []
+    is_ended = False
+    for line_number, line in enumerate(lines[start + 1 :], start=2):
+        cells = [cell.strip() for cell in line.rstrip().rstrip(separator).split(separator)]
+        if not (line.strip() and (is_spectrum_per_row or cell_number(cells[0]) is not None)):
+            is_ended = is_ended or bool(labels and line.strip())
+            continue
+        row = [cell_number(cell) for cell in cells[1:]]
+        if len(cells) != len(names) or None in row or is_ended:
+            raise FormatError(
+                f"{name}: line {line_number} of the table holds {line.strip()[:60]!r}",
+                expected=f"{len(names)} cells separated by {separator!r}",
+                mend=again,
+                code="row-unreadable",
+            )
+        labels.append(cells[0])
+        rows.append(row)
+    spectra, nanometres = (labels, names[1:]) if is_spectrum_per_row else (names[1:], labels)
+    wavelength = np.array([cell_number(cell) for cell in nanometres], np.float64)
+    is_ordered = np.all(np.isfinite(wavelength) & (wavelength > 0)) and np.all(np.diff(wavelength) > 0)
+    refuse(
+        name,
+        (not labels, Problem("the table is empty", mend=again, code="table-missing")),
+        (not is_ordered, Problem("the wavelengths do not increase", mend=again, code="wavelength-unordered")),
+    )
+    table = np.array(rows, np.float64)
+    values = np.ascontiguousarray(table if is_spectrum_per_row else table.T)
+    wavelength.flags.writeable = values.flags.writeable = False
+    return AsdText(name, export.instrument, tuple(spectra), wavelength, values, preamble)
+
+
+# --- files of any kind -------------------------------------------------------------------------------------
+
+
+_HEAD_BYTES = 16 * 1024
+
+
+def find_files(paths: Paths) -> list[Path]:
+    """Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
+
+    From a folder, the ``.asd`` files (of old software: ``.000`` and other numbers), or else its text files.
+
+    Raises FormatError: No such file is found.
+    """
+
+    def of_folder(files: list[Path]) -> list[Path]:
+        binaries = [path for path in files if path.suffix.lower() == ".asd" or path.suffix[1:].isdigit()]
+        return binaries or [path for path in files if path.suffix.lower() in _TEXT_SUFFIXES]
+
+    return find_paths(paths, of_folder, ".asd files, text exports or a csv")
+
+
+def sniff(path: Path) -> Kind:
+    """Return the kind of spectra in a file, by its first bytes; ``unknown`` also for a missing file."""
+    head = head_of(path, _HEAD_BYTES)
+    if is_asd(head):
+        return "binary"
+    if _export_at(text_lines(head)) is not None:
+        return "text"
+    # a csv series of irradiance begins with the heading ``time`` below its comments
+    lines = head.decode("utf-8-sig", "replace").splitlines()
+    first = next((line for line in lines if line.strip() and not line.startswith("#")), "")
+    return "csv" if first.split(",")[0].strip().strip('"').lower() == "time" else "unknown"
+
+
+def _read_file(path: Path) -> AsdFile | AsdText:
+    kind = sniff(path)
+    neither = "neither a binary .asd file nor a text export of ASD spectra"
+    is_file, exists = path.is_file(), os.path.lexists(path)
+    if kind not in ("binary", "text"):
+        refuse(
+            path.name,
+            (is_file, Problem(neither, code="format-unknown")),
+            (exists, Problem("a pipe, a device or a broken link", code="file-not-plain")),
+            (True, Problem("no such file", code="file-not-found")),
+        )
+    return read_asd(path) if kind == "binary" else read_asd_text(path)
+
+
+# --- from counts to quantities -----------------------------------------------------------------------------
+
+
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
 #: Kind of the block that a calibration file replaces, by its key in ``calibration``.
 _CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE", "absolute": "ABS"}
-
-_BLOCKS_BY_QUANTITY = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
-_HEAD_BYTES = 16 * 1024
-_TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
+#: Blocks that a quantity needs, and its name in messages.
+_BLOCKS_BY_QUANTITY = {
+    "irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE"), "absolute reflectance": ("ABS",)
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +677,288 @@ class Spectrum:
     path: Path | None = None
     # Name of the white panel whose known reflectance scales the spectrum; empty for relative reflectance
     panel: str = ""
+    instrument: str = "ASD"
+
+
+def read_spectra(
+    files: Sequence[Path],
+    quantity: str | None,
+    *,
+    absolute: bool = False,
+    calibration: Mapping[str, str | os.PathLike[str]] | None = None,
+) -> tuple[list[Spectrum], str]:
+    """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
+
+    Returns spectra : list of Spectrum: In the order of ``files``.
+    Returns quantity : str: Their quantity.
+    Raises FormatError: See `open_asd`.
+    Raises SchemaError: See `open_asd`.
+    """
+    if quantity is not None:
+        one_of(quantity, QUANTITIES, "quantity")
+    # calibration files of the caller, by kind of block
+    calibration = calibration or {}
+    if unknown := sorted(set(calibration) - set(_CALIBRATION_KEYS)):
+        raise SchemaError(
+            f"calibration keys {unknown}",
+            expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
+            code="key-unknown",
+        )
+    calibration_files = for_all(calibration.values(), read_asd)
+    external_files = {
+        _CALIBRATION_KEYS[key]: file for key, file in zip(calibration, calibration_files, strict=True)
+    }
+    contents = for_all(files, _read_file)
+    texts = [content.name for content in contents if isinstance(content, AsdText)]
+    target_quantity = quantity or common_quantity(
+        (
+            _QUANTITY_OF_DATA_TYPE.get(content.data_type)
+            if isinstance(content, AsdFile)
+            else content.likely_quantity,
+            content.name,
+        )
+        for content in contents
+    )
+    if quantity is None and texts:
+        text = (
+            f"text exports do not state their quantity; {target_quantity} is a guess from the range of the "
+            f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}"
+        )
+        warnings.warn(PaintWarning(text, code="quantity-assumed"), stacklevel=2)
+    if absolute and target_quantity != "reflectance":
+        raise SchemaError(
+            f"absolute=True with quantity {target_quantity!r}",
+            expected="reflectance",
+            mend="omit absolute=, or pass quantity='reflectance'",
+            code="option-conflict",
+        )
+
+    def spectra_of(content: AsdFile | AsdText) -> list[Spectrum]:
+        if isinstance(content, AsdFile):
+            return [_spectrum_of(content, target_quantity, external_files, absolute=absolute)]
+        refuse(
+            content.name,
+            (
+                absolute,
+                Problem(
+                    "a text export does not contain the panel's reflectance, which absolute= needs",
+                    mend="open the binary file",
+                    code="option-conflict",
+                ),
+            ),
+        )
+        integration_ms, averages = (
+            content.preamble.get(key) for key in ("integration_ms", "sample_averages")
+        )
+        return [
+            Spectrum(
+                f"{content.name}:{column}" if len(content.spectra) > 1 else content.name,
+                content.wavelength,
+                values,
+                content.preamble.get("local_time"),
+                averaging_s=None if integration_ms is None else integration_ms * 1e-3 * max(averages or 1, 1),
+                instrument=content.instrument,
+            )
+            for column, values in zip(content.spectra, content.values, strict=True)
+        ]
+
+    spectra = [
+        replace(spectrum, path=path)
+        for path, file_spectra in zip(files, for_all(contents, spectra_of), strict=True)
+        for spectrum in file_spectra
+    ]
+    require_one_grid((spectrum.source, spectrum.wavelength) for spectrum in spectra)
+    names_with_dark = [
+        content.name for content in contents if isinstance(content, AsdFile) and not content.dark_subtracted
+    ]
+    if names_with_dark and target_quantity != "counts":
+        text = f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}"
+        warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=2)
+    return mask_undefined(spectra, target_quantity), target_quantity
+
+
+def _spectrum_of(
+    file: AsdFile, quantity: str, external_files: Mapping[str, AsdFile], *, absolute: bool
+) -> Spectrum:
+    # Return the spectrum of a binary file; see the notes of `open_asd` for the formulas. ``external_files``
+    # are calibration files by kind, used instead of the blocks in the file.
+    wavelength, name, reference = file.wavelength, file.name, file.reference
+    purpose = f"absolute {quantity}" if absolute else quantity
+    kinds = _BLOCKS_BY_QUANTITY.get(purpose, ())
+    refuse(
+        name,
+        (
+            quantity == "reflectance" and reference is None,
+            Problem(
+                "no white reference in the file, so no reflectance",
+                mend="pass quantity='counts', or give files saved after the white reference was taken",
+                code="reference-missing",
+            ),
+        ),
+    )
+    # values and integration times [ms] of the calibration, and names of its files
+    blocks = {
+        kind: (block.values, block.integration_ms, block.name) for kind, block in file.calibrations.items()
+    }
+    for kind, other in external_files.items():
+        refuse(
+            name,
+            (
+                kind in kinds and not np.array_equal(other.wavelength, wavelength),
+                Problem(f"wavelengths differ from calibration file {other.name}", code="grid-mismatch"),
+            ),
+        )
+        blocks[kind] = (other.spectrum, other.integration_ms, other.name)
+    missing = [kind for kind in kinds if kind not in blocks]
+    keys = (f"{key!r}: path" for key, kind in _CALIBRATION_KEYS.items() if kind in missing)
+    refuse(
+        name,
+        (
+            missing,
+            Problem(
+                f"no calibration block {' and '.join(missing)} in the file, so no {purpose}",
+                mend=(
+                    f"pass calibration={{{', '.join(keys)}}} with the files of the instrument (.ill, .raw, "
+                    ".ref), or export the spectra as text with the vendor's software"
+                ),
+                code="calibration-missing",
+            ),
+        ),
+    )
+    # saturation flags of the detectors VNIR, SWIR 1 and SWIR 2, whose ends are infinite if they are the last
+    ends = [splice if splice > 0 else np.inf for splice in file.splices]
+    detector = np.searchsorted([ends[0], max(ends)], wavelength)
+    is_saturated = np.array([flag in file.saturated for flag in _DETECTORS.values()])[detector]
+    values, is_used = file.spectrum, np.ones(wavelength.shape, bool)
+    with np.errstate(all="ignore"):  # damaged values; those not finite are reported later
+        if quantity == "reflectance" and reference is not None:
+            values = ratio(file.spectrum, reference)
+            if absolute:
+                values = values * blocks["ABS"][0]
+        elif kinds:
+            lamp_counts, lamp_ms, _ = blocks["FO"]
+            is_used = wavelength <= ends[0]  # the formula is proven for the first detector alone
+            refuse(
+                name,
+                (
+                    file.integration_ms <= 0 or lamp_ms <= 0,
+                    Problem(
+                        f"integration times {file.integration_ms:g} ms, calibration {lamp_ms:g} ms",
+                        expected="positive numbers",
+                        code="value-out-of-range",
+                    ),
+                ),
+                (
+                    not is_used.any(),
+                    Problem(
+                        "all wavelengths lie beyond the first splice",
+                        mend="copy the file again",
+                        code="wavelength-range",
+                    ),
+                ),
+            )
+            per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
+            if quantity == "radiance":
+                per_count = per_count * blocks["BSE"][0] / np.pi
+            values = file.spectrum * per_count
+    return Spectrum(
+        name,
+        wavelength[is_used],
+        values[is_used],
+        file.local_time,
+        file.utc_offset_h,
+        averaging_s=file.integration_ms * 1e-3 * max(file.sample_averages, 1),
+        dark_utc=file.dark_utc,
+        gps=file.gps,
+        saturated=is_saturated[is_used],
+        panel=blocks["ABS"][2] if absolute else "",
+    )
+
+
+def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
+    """Replace saturated and undefined samples, and spectra of only zeros, by NaN, with a warning."""
+    names_by_reason: dict[str, list[str]] = {}
+    masked = []
+    for spectrum in spectra:
+        values, is_counts = spectrum.values, quantity == "counts"
+        is_undefined, nowhere = ~np.isfinite(values), np.zeros(values.shape, bool)
+        # saturated counts are kept: users examine them for saturation
+        faults = {
+            "undefined (not finite)": is_undefined,
+            "zero throughout": nowhere if is_counts or values.any() else ~nowhere,
+            "saturated": nowhere if is_counts or spectrum.saturated is None else spectrum.saturated,
+        }
+        for reason in (reason for reason, is_faulty in faults.items() if is_faulty.any()):
+            names_by_reason.setdefault(reason, []).append(spectrum.source)
+        is_masked = np.logical_or.reduce(list(faults.values()))
+        masked.append(replace(spectrum, values=np.where(is_masked, np.nan, values)))
+    for reason, names in names_by_reason.items():
+        text = (
+            f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
+        )
+        warnings.warn(PaintWarning(text, code="samples-undefined"), stacklevel=2)
+    return masked
+
+
+def utc_offsets(
+    spectra: Sequence[Spectrum], utc_offset_h: float | None, *, one_clock: bool = False
+) -> list[float]:
+    """Return local time minus UTC [h] of each spectrum.
+
+    spectra: With the zone of the logging PC, where the file holds it.
+    utc_offset_h: Given by the user. It takes precedence over the files' offsets; a difference is warned of.
+    one_clock: Whether one PC stamped all spectra. Files without an offset then get that of the other files,
+        which must agree.
+    Raises TimeError: An offset is unknown or impossible, or the offsets of one PC differ.
+    """
+    sources_by_offset: dict[float, list[str]] = {}
+    for spectrum in spectra:
+        if spectrum.utc_offset_h is not None:
+            sources_by_offset.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
+    offsets_text = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in sources_by_offset.items())
+    if utc_offset_h is not None:
+        check_utc_offset(utc_offset_h)
+        if set(sources_by_offset) - {utc_offset_h}:
+            text = f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}"
+            warnings.warn(PaintWarning(text, code="utc-offset-conflict"), stacklevel=2)
+        return [utc_offset_h] * len(spectra)
+    if one_clock and len(sources_by_offset) > 1:
+        raise TimeError(
+            f"UTC offsets differ within one series: {offsets_text}",
+            mend="pass utc_offset_h=",
+            code="utc-offset-conflict",
+        )
+    if one_clock and sources_by_offset:
+        return [next(iter(sources_by_offset))] * len(spectra)
+    without_zone = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
+    if without_zone:
+        raise TimeError(
+            f"the time stamps are local, and {_missing_zone_text(without_zone)}", code="zone-missing"
+        )
+    return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
+
+
+def _missing_zone_text(without_zone: Sequence[Spectrum]) -> str:
+    # The message names a hint at the UTC offset from the GPS time, or from the UTC stamp of the dark current.
+    hint = ""
+    for spectrum in without_zone:
+        local, gps, hour = spectrum.local_time, spectrum.gps, dt.timedelta(hours=1)
+        if local is None or hint:
+            continue
+        if gps is not None:
+            hours = round((local - dt.datetime.combine(local.date(), gps.utc)) / hour)
+            hint = f", perhaps {(hours + 11) % 24 - 11:+d} by the GPS"
+        elif spectrum.dark_utc is not None:
+            hours = (local - spectrum.dark_utc) // hour
+            hint = f", perhaps {hours:+d} by the stamp of the dark current" if -12 <= hours <= 14 else ""
+    files = listed([spectrum.source for spectrum in without_zone])
+    return (
+        "the files contain no UTC offset; pass utc_offset_h= (local time minus UTC in hours)"
+        f"{hint}. Files: {files}"
+    )
+
+
+# --- labelled spectra --------------------------------------------------------------------------------------
 
 
 def open_asd(
@@ -142,6 +1036,7 @@ def open_asd(
     """
     files = find_files(paths)
     spectra, quantity = read_spectra(files, quantity, absolute=absolute, calibration=calibration)
+    # UTC of the spectra whose zone is known
     with_stamp = [s for s in spectra if s.local_time is not None]
     if utc_offset_h is None and (without_zone := [s for s in with_stamp if s.utc_offset_h is None]):
         text = f"local times are NaT, since {_missing_zone_text(without_zone)}"
@@ -155,364 +1050,36 @@ def open_asd(
             times[number] = np.datetime64(spectrum.local_time, "ns") - offset
     order = np.argsort(times, kind="stable")  # NaT last
     spectra = [spectra[i] for i in order]
-    values = xr.DataArray(np.stack([s.values for s in spectra]), dims=("spectrum", "wavelength"))
-    extra = {}
-    if quantity == "reflectance":
-        panels = sorted({spectrum.panel for spectrum in spectra} - {""})
-        extra = (
-            {"reflectance_scale": "absolute", "panel": listed(panels)}
-            if panels
-            else {"reflectance_scale": "relative"}
-        )
-    return xr.Dataset(
-        {quantity: label(values, quantity, **extra)},
-        coords=_coords(spectra, times[order]),
-        attrs={"instrument": "ASD"},
-    )
-
-
-def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> dict[str, Any]:
-    names = name_spectra([(s.path or Path(s.source), _column_or_file_name(s)) for s in spectra])
+    # names: columns of a text export, or else file names; ViewSpec adds endings: paint.asd.txt
+    names = []
+    for spectrum in spectra:
+        name = spectrum.source.rpartition(":")[2]
+        while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):
+            name = name[:-4]
+        names.append((spectrum.path or Path(spectrum.source), name))
     wavelength_attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
     coords: dict[str, Any] = {
-        "spectrum": ("spectrum", np.array(names, object), {"long_name": "Name of the spectrum"}),
+        "spectrum": (
+            "spectrum",
+            np.array(name_spectra(names), object),
+            {"long_name": "Name of the spectrum"},
+        ),
         "wavelength": ("wavelength", spectra[0].wavelength, wavelength_attrs),
-        "time": ("spectrum", times, {"long_name": "UTC at which the spectrum was saved"}),
+        "time": ("spectrum", times[order], {"long_name": "UTC at which the spectrum was saved"}),
         "source": ("spectrum", np.array([s.source for s in spectra], object), {"long_name": "File"}),
     }
     for name in ("latitude", "longitude", "altitude"):
         positions = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
         attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
         coords[name] = ("spectrum", np.array(positions, np.float64), attrs)
-    return coords
-
-
-def _column_or_file_name(spectrum: Spectrum) -> str:
-    # Return the column of a text export, or else the file name, without file endings.
-    name = spectrum.source.rpartition(":")[2]
-    while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):  # ViewSpec adds its ending: paint.asd.txt
-        name = name[:-4]
-    return name
-
-
-def find_files(paths: Paths) -> list[Path]:
-    """Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
-
-    From a folder, the ``.asd`` files (of old software: ``.000`` and other numbers), or else its text files.
-
-    Raises FormatError: No such file is found.
-    """
-
-    def of_folder(files: list[Path]) -> list[Path]:
-        binaries = [path for path in files if path.suffix.lower() == ".asd" or path.suffix[1:].isdigit()]
-        return binaries or [path for path in files if path.suffix.lower() in _TEXT_SUFFIXES]
-
-    return find_paths(paths, of_folder, ".asd files, text exports or a csv")
-
-
-def read_spectra(
-    files: Sequence[Path],
-    quantity: str | None,
-    *,
-    absolute: bool = False,
-    calibration: Mapping[str, str | os.PathLike[str]] | None = None,
-) -> tuple[list[Spectrum], str]:
-    """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
-
-    Returns spectra : list of Spectrum: In the order of ``files``.
-    Returns quantity : str: Their quantity.
-    Raises FormatError: See `open_asd`.
-    Raises SchemaError: See `open_asd`.
-    """
-    if quantity is not None:
-        one_of(quantity, QUANTITIES, "quantity")
-    # calibration files of the caller, by kind of block
-    calibration = calibration or {}
-    if unknown := sorted(set(calibration) - set(_CALIBRATION_KEYS)):
-        raise SchemaError(
-            f"calibration keys {unknown}",
-            expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
-            code="key-unknown",
-        )
-    calibration_files = for_all(calibration.values(), read_asd)
-    external_files = {
-        _CALIBRATION_KEYS[key]: file for key, file in zip(calibration, calibration_files, strict=True)
-    }
-    contents = for_all(files, _read_file)
-    target_quantity = quantity or _common_quantity(contents)
-    if absolute and target_quantity != "reflectance":
-        raise SchemaError(
-            f"absolute=True with quantity {target_quantity!r}",
-            expected="reflectance",
-            mend="omit absolute=, or pass quantity='reflectance'",
-            code="option-conflict",
-        )
-    spectra_by_file = for_all(
-        contents, lambda content: _spectra_of(content, target_quantity, external_files, absolute)
-    )
-    spectra = [
-        replace(spectrum, path=path)
-        for path, file_spectra in zip(files, spectra_by_file, strict=True)
-        for spectrum in file_spectra
-    ]
-    require_one_grid((spectrum.source, spectrum.wavelength) for spectrum in spectra)
-    names_with_dark = [
-        content.name for content in contents if isinstance(content, AsdFile) and not content.dark_subtracted
-    ]
-    if names_with_dark and target_quantity != "counts":
-        text = f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}"
-        warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=2)
-    return mask_undefined(spectra, target_quantity), target_quantity
-
-
-def _read_file(path: Path) -> AsdFile | AsdText:
-    kind = sniff(path)
-    if kind == "binary":
-        return read_asd(path)
-    if kind == "text":
-        return read_asd_text(path)
-    if path.is_file():
-        found, code = "neither a binary .asd file nor a text export of ASD spectra", "format-unknown"
-    elif os.path.lexists(path):
-        found, code = "a pipe, a device or a broken link", "file-not-plain"
-    else:
-        found, code = "no such file", "file-not-found"
-    raise FormatError(f"{path.name}: {found}", code=code)
-
-
-def sniff(path: Path) -> Kind:
-    """Return the kind of spectra in a file, by its first bytes; ``unknown`` also for a missing file."""
-    head = head_of(path, _HEAD_BYTES)
-    if is_asd(head):
-        return "binary"
-    if is_asd_text(head):
-        return "text"
-    return "csv" if is_irradiance_csv(head) else "unknown"
-
-
-def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
-    quantity = common_quantity(
-        (
-            _QUANTITY_OF_DATA_TYPE.get(content.data_type)
-            if isinstance(content, AsdFile)
-            else content.likely_quantity,
-            content.name,
-        )
-        for content in contents
-    )
-    texts = [content.name for content in contents if isinstance(content, AsdText)]
-    if texts:
-        text = (
-            f"text exports do not state their quantity; {quantity} is a guess from the range of the plot. "
-            f"Pass quantity={quantity!r} if it is right. Files: {', '.join(texts)}"
-        )
-        warnings.warn(PaintWarning(text, code="quantity-assumed"), stacklevel=3)
-    return quantity
-
-
-def _spectra_of(
-    content: AsdFile | AsdText, quantity: str, external_files: Mapping[str, AsdFile], absolute: bool
-) -> list[Spectrum]:
-    if isinstance(content, AsdFile):
-        wavelength, values, saturated = _in_quantity(content, quantity, external_files, absolute=absolute)
-        panel = external_files.get("ABS", content.calibrations.get("ABS"))
-        return [
-            Spectrum(
-                content.name,
-                wavelength,
-                values,
-                content.local_time,
-                content.utc_offset_h,
-                averaging_s=content.integration_ms * 1e-3 * max(content.sample_averages, 1),
-                dark_utc=content.dark_utc,
-                gps=content.gps,
-                saturated=saturated,
-                panel=panel.name if absolute and panel is not None else "",
-            )
-        ]
-    if absolute:
-        raise FormatError(
-            f"{content.name}: a text export does not contain the panel's reflectance, which absolute= needs",
-            mend="open the binary file",
-            code="option-conflict",
-        )
-    averaging_s = None
-    if content.integration_ms is not None:
-        averaging_s = content.integration_ms * 1e-3 * max(content.sample_averages or 1, 1)
-    has_several = len(content.spectra) > 1
-    return [
-        Spectrum(
-            f"{content.name}:{column}" if has_several else content.name,
-            content.wavelength,
-            values,
-            content.local_time,
-            averaging_s=averaging_s,
-        )
-        for column, values in zip(content.spectra, content.values, strict=True)
-    ]
-
-
-def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
-    """Replace saturated and undefined samples, and spectra of only zeros, by NaN, with a warning."""
-    reasons: dict[str, list[str]] = {}
-    masked = []
-    for spectrum in spectra:
-        is_undefined = ~np.isfinite(spectrum.values)
-        if is_undefined.any():
-            reasons.setdefault("undefined (not finite)", []).append(spectrum.source)
-        if quantity != "counts" and not spectrum.values.any():
-            reasons.setdefault("zero throughout", []).append(spectrum.source)
-            is_undefined[:] = True
-        # saturated counts are kept: users examine them for saturation
-        if quantity != "counts" and spectrum.saturated is not None and spectrum.saturated.any():
-            reasons.setdefault("saturated", []).append(spectrum.source)
-            is_undefined |= spectrum.saturated
-        masked.append(replace(spectrum, values=np.where(is_undefined, np.nan, spectrum.values)))
-    for reason, names in reasons.items():
-        text = (
-            f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
-        )
-        warnings.warn(PaintWarning(text, code="samples-undefined"), stacklevel=2)
-    return masked
-
-
-def utc_offsets(
-    spectra: Sequence[Spectrum], utc_offset_h: float | None, *, one_clock: bool = False
-) -> list[float]:
-    """Return local time minus UTC [h] of each spectrum.
-
-    spectra: With the zone of the logging PC, where the file holds it.
-    utc_offset_h: Given by the user. It takes precedence over the files' offsets; a difference is warned of.
-    one_clock: Whether one PC stamped all spectra. Files without an offset then get that of the other files,
-        which must agree.
-    Raises TimeError: An offset is unknown or impossible, or the offsets of one PC differ.
-    """
-    sources_by_offset: dict[float, list[str]] = {}
-    for spectrum in spectra:
-        if spectrum.utc_offset_h is not None:
-            sources_by_offset.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
-    offsets_text = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in sources_by_offset.items())
-    if utc_offset_h is not None:
-        check_utc_offset(utc_offset_h)
-        if set(sources_by_offset) - {utc_offset_h}:
-            text = f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}"
-            warnings.warn(PaintWarning(text, code="utc-offset-conflict"), stacklevel=2)
-        return [utc_offset_h] * len(spectra)
-    if one_clock and len(sources_by_offset) > 1:
-        raise TimeError(
-            f"UTC offsets differ within one series: {offsets_text}",
-            mend="pass utc_offset_h=",
-            code="utc-offset-conflict",
-        )
-    if one_clock and sources_by_offset:
-        return [next(iter(sources_by_offset))] * len(spectra)
-    without_zone = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
-    if without_zone:
-        raise TimeError(
-            f"the time stamps are local, and {_missing_zone_text(without_zone)}", code="zone-missing"
-        )
-    return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
-
-
-def _missing_zone_text(without_zone: Sequence[Spectrum]) -> str:
-    hint = next((hint for hint in map(_offset_hint, without_zone) if hint), "")
-    files = listed([spectrum.source for spectrum in without_zone])
-    return (
-        "the files contain no UTC offset; pass utc_offset_h= (local time minus UTC in hours)"
-        f"{hint}. Files: {files}"
-    )
-
-
-def _offset_hint(spectrum: Spectrum) -> str:
-    # Return a hint at the UTC offset from the GPS time, or from the UTC stamp of the dark current.
-    if spectrum.gps is not None and spectrum.local_time is not None:
-        gps_time = dt.datetime.combine(spectrum.local_time.date(), spectrum.gps.utc)
-        hours = round((spectrum.local_time - gps_time) / dt.timedelta(hours=1))
-        return f", perhaps {(hours + 11) % 24 - 11:+d} by the GPS"
-    if spectrum.dark_utc is None or spectrum.local_time is None:
-        return ""
-    hours = (spectrum.local_time - spectrum.dark_utc) // dt.timedelta(hours=1)
-    return f", perhaps {hours:+d} by the stamp of the dark current" if -12 <= hours <= 14 else ""
-
-
-# --- from counts to quantities -----------------------------------------------------------------------------
-
-
-def _in_quantity(
-    file: AsdFile, quantity: str, external_files: Mapping[str, AsdFile], *, absolute: bool = False
-) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
-    """Return the wavelengths, the values in ``quantity``, and where the detector was saturated.
-
-    See the notes of `open_asd` for the formulas; ``external_files`` are calibration files by kind, used
-    instead of the blocks in the file. ``absolute`` multiplies reflectance by the panel's reflectance.
-
-    Raises FormatError: The reference or calibration blocks that the quantity needs are missing.
-    """
-    wavelength, values = file.wavelength, file.spectrum
-    # saturation flags of the detectors VNIR, SWIR 1 and SWIR 2, whose ends are infinite if they are the last
-    ends = [splice if splice > 0 else np.inf for splice in file.splices]
-    detector = np.searchsorted([ends[0], max(ends)], wavelength)
-    is_saturated = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])[detector]
+    extra = {}
     if quantity == "reflectance":
-        if file.reference is None:
-            raise FormatError(
-                f"{file.name}: no white reference in the file, so no reflectance",
-                mend="pass quantity='counts', or give files saved after the white reference was taken",
-                code="reference-missing",
-            )
-        values = ratio(file.spectrum, file.reference)
-        if absolute:
-            with np.errstate(all="ignore"):
-                values = (
-                    values
-                    * _calibration_blocks(file, ("ABS",), "absolute reflectance", external_files)["ABS"][0]
-                )
-    elif quantity in _BLOCKS_BY_QUANTITY:
-        blocks = _calibration_blocks(file, _BLOCKS_BY_QUANTITY[quantity], quantity, external_files)
-        lamp_counts, lamp_ms = blocks["FO"]
-        if file.integration_ms <= 0 or lamp_ms <= 0:
-            raise FormatError(
-                f"{file.name}: integration times {file.integration_ms:g} ms, calibration {lamp_ms:g} ms",
-                expected="positive numbers",
-                code="value-out-of-range",
-            )
-        with np.errstate(all="ignore"):  # damaged values; those not finite are reported later
-            per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
-            if quantity == "radiance":
-                per_count = per_count * blocks["BSE"][0] / np.pi
-            values = file.spectrum * per_count
-        is_vnir = wavelength <= ends[0]
-        if not is_vnir.any():
-            raise FormatError(
-                f"{file.name}: all wavelengths lie beyond the first splice",
-                mend="copy the file again",
-                code="wavelength-range",
-            )
-        return wavelength[is_vnir], values[is_vnir], is_saturated[is_vnir]
-    return wavelength, values, is_saturated
-
-
-def _calibration_blocks(
-    file: AsdFile, kinds: tuple[str, ...], purpose: str, external_files: Mapping[str, AsdFile]
-) -> dict[str, tuple[Floats, float]]:
-    # Return values and integration time [ms] of the calibration blocks, by kind; all of ``kinds`` exist.
-    blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
-    for kind, external_file in external_files.items():
-        if kind in kinds and not np.array_equal(external_file.wavelength, file.wavelength):
-            raise FormatError(
-                f"{file.name}: wavelengths differ from calibration file {external_file.name}",
-                code="grid-mismatch",
-            )
-        blocks[kind] = (external_file.spectrum, external_file.integration_ms)
-    missing = [kind for kind in kinds if kind not in blocks]
-    if missing:
-        keys = [key for key, kind in _CALIBRATION_KEYS.items() if kind in missing]
-        raise FormatError(
-            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {purpose}",
-            mend=(
-                f"pass calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the files of the "
-                "instrument (.ill, .raw, .ref), or export the spectra as text with the vendor's software"
-            ),
-            code="calibration-missing",
-        )
-    return blocks
+        panels = sorted({spectrum.panel for spectrum in spectra} - {""})
+        extra = {"reflectance_scale": "absolute" if panels else "relative"}
+        extra |= {"panel": listed(panels)} if panels else {}
+    values = xr.DataArray(np.stack([s.values for s in spectra]), dims=("spectrum", "wavelength"))
+    return xr.Dataset(
+        {quantity: label(values, quantity, **extra)},
+        coords=coords,
+        attrs={"instrument": listed(sorted({spectrum.instrument for spectrum in spectra}))},
+    )

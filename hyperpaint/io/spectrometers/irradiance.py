@@ -1,39 +1,273 @@
-"""The record of a sky-pointing spectrometer as one series in UTC."""
+"""The record of a sky-pointing spectrometer as one series in UTC: spectra, csv files, Zarr or netCDF."""
 
 from __future__ import annotations
 
 import datetime as dt
+import math
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
-from hyperpaint.base.daylight import DULL_MEDIAN, HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.constants import (
+    DULL_MEDIAN,
+    HIGHEST_MEDIAN,
+    LOWEST_MEDIAN,
+    MID_EXPOSURE_OFFSETS,
+    brightest_median,
+    unit_slip,
+)
+from hyperpaint.base.errors import (
+    FormatError,
+    IncompleteStoreError,
+    PaintWarning,
+    Problem,
+    Problems,
+    SchemaError,
+    TimeError,
+    UnitsError,
+)
 from hyperpaint.base.facts import is_number, one_of
+from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
+from hyperpaint.io.files.reading import (
+    load_netcdf,
+    number,
+    numbered_lines,
+    numbers,
+    read_limited_text,
+    refuse,
+)
+from hyperpaint.io.store import list_groups, load_group
+from hyperpaint.io.store.reader import is_zarr
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
-from .irradiance_files import are_widths, asd_widths, is_store, read_irradiance_csv, stored_series, widths_at
 from .spectrum_files import Paths, check_utc_offset, for_all, listed
 
 Stamp = Literal["start", "mid", "end"]
 
+#: Names of the dims of a series, in order of preference.
+_AXES = ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength"))
 _GAP_INTERVALS = 2.5
 _LINE_MARGIN = np.timedelta64(60, "s")
 #: Wavelengths of sunlight, and resolutions of spectrometers [nm].
 _SUNLIGHT_RANGE_NM, _FWHM_RANGE_NM = (200.0, 2600.0), (0.02, 100.0)
 #: Largest number of sample pairs in a message.
 _MAX_SHOWN = 20
+
+#: Spectral resolution of ASD instruments [nm], as the maker states it for 700 nm and for 1400 to 2100 nm.
+ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
+#: Last wavelength of the silicon detector [nm], of instruments with a further detector and without.
+_ASD_SPLICE_NM, _ASD_VNIR_END_NM = 1000.0, 1100.0
+
+
+# --- csv files ---------------------------------------------------------------------------------------------
+
+
+_MAX_BYTES = 2**29
+#: Largest number of values in a file: three hours of an ASD instrument with one spectrum per second.
+_MAX_VALUES = 24_000_000
+_YEARS = range(1970, 2200)  # datetime64[ns] overflows silently from 2262 on
+
+
+class IrradianceTable(NamedTuple):
+    """Content of one csv file."""
+
+    name: str  # file name without its folder
+    times: tuple[dt.datetime, ...]  # (sample), with a zone where the file gives one
+    lines: tuple[int, ...]  # (sample), line numbers in the file
+    wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
+    values: npt.NDArray[np.float64]  # (sample, wavelength), NaN where a cell is empty
+    units: str | None  # from a comment, or None
+    fwhm_nm: float | None  # from a comment, or None
+
+
+def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
+    r"""Read an irradiance series from comma-separated values.
+
+    The file contains comments ``# units: W m-2 nm-1`` and ``# fwhm_nm: 3`` (both optional), a header of
+    ``time`` and the wavelengths in nanometres, and one row for each sample: an ISO 8601 stamp and the values.
+    Either all stamps have a zone (``2024-05-21T12:00:00.5Z``), or none has.
+
+    Returns IrradianceTable: Values (sample, wavelength), and units and spectral width from the comments.
+    Raises FormatError: The file cannot be read, or its header or a row deviates from this.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "sky.csv")
+    >>> _ = path.write_text("# units: W m-2 nm-1\ntime,550,551\n2024-05-21T12:00:00Z,0.89,0.9\n")
+    >>> table = read_irradiance_csv(path)
+    >>> table.units, table.values
+    ('W m-2 nm-1', array([[0.89, 0.9 ]]))
+    """
+    path = Path(path)
+    name = path.name
+    data = read_limited_text(path, _MAX_BYTES, "an irradiance series (a longer one fits Zarr)")
+    comma_count = data.count(b",")
+    refuse(
+        str(path),
+        (
+            comma_count > _MAX_VALUES,
+            Problem(
+                f"{comma_count} values",
+                expected=f"at most {_MAX_VALUES}",
+                mend="split it into several files, or convert it to Zarr",
+                code="file-too-large",
+            ),
+        ),
+    )
+    text = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").decode("utf-8-sig", errors="replace")
+    del data  # to free memory
+    comments: dict[str, str] = {}
+
+    def cells_by_line() -> Iterator[tuple[int, list[str]]]:
+        # the text is split row by row, to save memory
+        for line_number, line in numbered_lines(text):
+            if line.startswith("#"):
+                key, _, value = line[1:].partition(":")
+                comments[key.strip().lower()] = value.strip()
+            elif line.strip():
+                yield line_number, [cell.strip().strip('"') for cell in line.strip().split(",")]
+
+    rows = cells_by_line()
+    _, header = next(rows, (0, [""]))
+    wavelength = np.array(numbers(header[1:]) or [], np.float64)
+    refuse(
+        name,
+        (
+            header[0].lower() != "time",
+            Problem(
+                "no header 'time,<wavelength>,...'",
+                expected="an irradiance series",
+                code="format-unknown",
+            ),
+        ),
+        (
+            not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)),
+            Problem(
+                f"the header is 'time,{','.join(header[1:])[:60]}'",
+                expected="'time' and increasing positive wavelengths [nm]",
+                code="header-unreadable",
+            ),
+        ),
+    )
+    times, lines = [], []
+    values = np.empty((comma_count // len(wavelength) + 1, len(wavelength)))
+    for index, (line_number, cells) in enumerate(rows):
+        try:
+            time = dt.datetime.fromisoformat(cells[0])
+            if time.year not in _YEARS:
+                raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
+            if len(cells) != len(wavelength) + 1:
+                raise ValueError(f"{len(cells) - 1} values")
+            values[index] = [float(cell) if cell else math.nan for cell in cells[1:]]
+        except (ValueError, OverflowError) as error:
+            raise FormatError(
+                f"{name}: line {line_number} is unreadable ({error})",
+                expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
+                code="row-unreadable",
+            ) from error
+        lines.append(line_number)
+        times.append(time)
+    width_text = comments.get("fwhm_nm")
+    width = None if width_text is None else number(width_text)
+    refuse(
+        name,
+        (
+            not times,
+            Problem("no rows", expected=f"a time and {len(wavelength)} values in each", code="table-missing"),
+        ),
+        (
+            len({time.tzinfo is None for time in times}) > 1,
+            Problem(
+                "some stamps have a zone and some have not",
+                mend="write a zone in all stamps, or in none",
+                code="zone-missing",
+            ),
+        ),
+        (
+            width_text is not None and not (width is not None and width > 0),
+            Problem(
+                f"'# fwhm_nm: {(width_text or '')[:40]}'",
+                expected="a positive number",
+                code="number-unreadable",
+            ),
+        ),
+    )
+    table = values[: len(times)]
+    return IrradianceTable(name, tuple(times), tuple(lines), wavelength, table, comments.get("units"), width)
+
+
+# --- stores ------------------------------------------------------------------------------------------------
+
+
+_NETCDF_SUFFIXES = (".nc", ".nc4", ".h5")
+#: An irradiance product of HYPERNETS (L1A to L1C): dims along time, and names of the variables. The time
+#: counts seconds of UTC from 1970; the width is the full width at half maximum [nm] (hypernets_processor,
+#: variables of its data format).
+_HYPERNETS_DIMS = ("series", "scan")
+_HYPERNETS_TIME, _HYPERNETS_WIDTH, _HYPERNETS_FLAG = "acquisition_time", "bandwidth", "quality_flag"
+_MAX_TIME_S = 7.2e9  # [s since 1970], the year 2198
+
+
+def _stored_series(path: Any) -> xr.Dataset:
+    # Return the dataset with the series: the root of the store, or a collect's group ``irradiance``.
+    try:
+        if is_zarr(path):
+            data = load_group(path, "irradiance" if "irradiance" in list_groups(path) else None)
+        else:
+            data = load_netcdf(input_path(path, "an irradiance series"))
+        return _series_of_hypernets(data)
+    except IncompleteStoreError:
+        raise
+    except Exception as error:  # damaged files make h5py and xarray raise errors of many classes
+        raise FormatError(
+            f"{path}: no readable Zarr or netCDF store ({type(error).__name__}: {error!s:.400})",
+            code="file-unreadable",
+        ) from error
+
+
+def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
+    # Return an irradiance product of HYPERNETS as a series, and other data unchanged.
+    dim = next((name for name in _HYPERNETS_DIMS if name in data.dims), None)
+    if dim is None or not {"irradiance", _HYPERNETS_TIME, "wavelength"} <= set(data.variables):
+        return data
+    stamps = data[_HYPERNETS_TIME].values
+    if stamps.dtype.kind != "M":
+        count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
+        if (np.abs(count) > _MAX_TIME_S).any():
+            raise FormatError(
+                "'acquisition_time' is out of range", expected="seconds from 1970", code="time-unreadable"
+            )
+        is_known = np.isfinite(count)
+        nanoseconds = np.where(is_known, count * 1e9, 0.0).round().astype(np.int64)
+        stamps = np.where(is_known, nanoseconds.astype("datetime64[ns]"), np.datetime64("NaT", "ns"))
+    is_good = ~np.isnat(stamps)
+    if _HYPERNETS_FLAG in data.variables:
+        is_good &= data[_HYPERNETS_FLAG].values == 0
+    if not is_good.all():
+        text = (
+            f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out"
+        )
+        warnings.warn(PaintWarning(text, code="samples-flagged"), stacklevel=2)
+    data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
+    series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
+    series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})
+    if _HYPERNETS_WIDTH in data.variables:
+        series["irradiance_fwhm"] = data[_HYPERNETS_WIDTH].reset_coords(drop=True).assign_attrs(units="nm")
+    return series.sortby("time")
+
+
+# --- the series --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,12 +383,50 @@ def open_irradiance(
     >>> series["irradiance"].values[:, 0]
     array([0.8, 0.9], dtype=float32)
     """
-    _check_arguments(quantity, clock_offset_s, stamp, fwhm_nm, max_gap_s, averaging_s, clock_uncertainty_s)
+    problems = Problems("an irradiance series cannot be opened with these arguments", SchemaError)
+    checks = (
+        (
+            quantity not in (None, "irradiance"),
+            Problem(
+                f"quantity={quantity!r}",
+                expected="'irradiance'",
+                mend="hp.open_asd opens other quantities",
+                code="choice-unknown",
+            ),
+        ),
+        (
+            not is_number(clock_offset_s),
+            Problem(f"clock_offset_s={clock_offset_s}", expected="seconds", code="not-finite"),
+        ),
+        (
+            max_gap_s is not None and not (is_number(max_gap_s) and max_gap_s > 0),
+            Problem(f"max_gap_s={max_gap_s}", expected="a positive number", code="value-out-of-range"),
+        ),
+        (
+            fwhm_nm is not None and not _are_widths(fwhm_nm),
+            Problem(
+                f"fwhm_nm={fwhm_nm}",
+                expected="a positive number, or pairs of increasing wavelength and width [nm]",
+                code="value-out-of-range",
+            ),
+        ),
+        *(
+            (
+                value is not None and not (is_number(value) and value >= 0),
+                Problem(f"{name}={value}", expected="seconds, not negative", code="value-out-of-range"),
+            )
+            for name, value in (("averaging_s", averaging_s), ("clock_uncertainty_s", clock_uncertainty_s))
+        ),
+    )
+    problems.extend(problem for is_wrong, problem in checks if is_wrong)
+    one_of(stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
+    problems.raise_if_any()
+    path = os.fspath(paths) if isinstance(paths, str | os.PathLike) else ""
     if isinstance(paths, xr.Dataset | xr.DataArray):
         series = _from_xarray(paths, utc_offset_h, units)
-    elif is_store(paths):
-        name = os.path.basename(paths) if isinstance(paths, str | os.PathLike) else type(paths).__name__
-        series = _from_xarray(stored_series(paths), utc_offset_h, units, name)
+    elif is_zarr(paths) or path.lower().endswith(_NETCDF_SUFFIXES):
+        name = os.path.basename(path) if path else type(paths).__name__
+        series = _from_xarray(_stored_series(paths), utc_offset_h, units, name)
     else:
         series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
@@ -192,38 +464,14 @@ def open_irradiance(
     return dataset
 
 
-def _check_arguments(
-    quantity: str | None,
-    clock_offset_s: float,
-    stamp: str,
-    fwhm_nm: Any,
-    max_gap_s: float | None,
-    averaging_s: float | None,
-    clock_uncertainty_s: float | None,
-) -> None:
-    problems = Problems("an irradiance series cannot be opened with these arguments", SchemaError)
-    if quantity not in (None, "irradiance"):
-        problems.add(
-            f"quantity={quantity!r}",
-            expected="'irradiance'",
-            mend="hp.open_asd opens other quantities",
-            code="choice-unknown",
-        )
-    if not is_number(clock_offset_s):
-        problems.add(f"clock_offset_s={clock_offset_s}", expected="seconds", code="not-finite")
-    one_of(stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
-    if max_gap_s is not None and not (is_number(max_gap_s) and max_gap_s > 0):
-        problems.add(f"max_gap_s={max_gap_s}", expected="a positive number", code="value-out-of-range")
-    if fwhm_nm is not None and not are_widths(fwhm_nm):
-        problems.add(
-            f"fwhm_nm={fwhm_nm}",
-            expected="a positive number, or pairs of increasing wavelength and width [nm]",
-            code="value-out-of-range",
-        )
-    for name, value in (("averaging_s", averaging_s), ("clock_uncertainty_s", clock_uncertainty_s)):
-        if value is not None and not (is_number(value) and value >= 0):
-            problems.add(f"{name}={value}", expected="seconds, not negative", code="value-out-of-range")
-    problems.raise_if_any()
+def _are_widths(value: Any) -> bool:
+    # Return whether a value is a positive number, or pairs (n, 2) of wavelength and width.
+    try:
+        widths = np.asarray(value, np.float64)
+    except (TypeError, ValueError):  # pairs of unlike lengths
+        return False
+    is_pairs = widths.ndim == 2 and widths.shape[1] == 2 and bool((np.diff(widths[:, 0]) > 0).all())
+    return bool(np.isfinite(widths).all() and (widths > 0).all()) and (widths.ndim == 0 or is_pairs)
 
 
 def _from_files(
@@ -253,14 +501,19 @@ def _from_files(
             mend="pass quantity='irradiance' if they hold it",
             code="quantity-wrong",
         )
-    default_units = VARIABLES["irradiance"].units
-    widths, source = asd_widths(spectra[0].wavelength)
+    default_units, wavelength = VARIABLES["irradiance"].units, spectra[0].wavelength
+    # the widths that are assumed for an ASD instrument, which may have more detectors than the first
+    fwhm: Floats | float = ASD_FWHM_NM
+    source = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
+    if wavelength.max() > _ASD_VNIR_END_NM:
+        fwhm = np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM)
+        source += f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
     assumed = {"irradiance_units_source": f"assumed: {default_units}, the vendor's; text exports do not say"}
     return _from_spectra(
         spectra,
         utc_offset_h,
         units or default_units,
-        fwhm=widths,
+        fwhm=fwhm,
         fwhm_source=source,
         attrs=assumed if units is None and "text" in kinds else {},
     )
@@ -338,71 +591,93 @@ def _from_xarray(
     units: str | None,
     origin: str = "an xarray object",
 ) -> _Series:
-    if isinstance(data, xr.DataArray):
-        data = data.to_dataset(name="irradiance")
-    if "irradiance" not in data.data_vars:
-        raise SchemaError(
-            f"{origin} has no variable 'irradiance', only {[str(name) for name in data.data_vars]}",
-            mend="rename it",
-            code="variable-missing",
-        )
+    data = data.to_dataset(name="irradiance") if isinstance(data, xr.DataArray) else data
+    names = [str(name) for name in data.data_vars]
+    refuse(
+        origin,
+        (
+            "irradiance" not in names,
+            Problem(f"no variable 'irradiance', only {names}", mend="rename it", code="variable-missing"),
+        ),
+        error=SchemaError,
+    )
     array = data["irradiance"]
-    axes = []
-    for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
-        name = next((name for name in names if name in array.dims and name in array.coords), None)
-        if name is None or array.ndim != 2:
-            raise SchemaError(
-                f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}",
+    axes = [next((n for n in names if n in array.dims and n in array.coords), "") for names in _AXES]
+    refuse(
+        origin,
+        (
+            "" in axes or array.ndim != 2,
+            Problem(
+                f"'irradiance' has dims {tuple(map(str, array.dims))}",
                 expected=(
                     f"a time and a wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
                     f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
                 ),
                 code="dims-wrong",
-            )
-        axes.append(array[name])
-    time, wavelength = axes
-    if time.dtype.kind != "M" or time.isnull().any():
-        raise TimeError(
-            f"{origin}: {time.name!r} has dtype {time.dtype}",
-            expected="datetime64 without NaT",
-            code="type-wrong",
-        )
-    array = array.transpose(time.name, wavelength.name)
+            ),
+        ),
+        error=SchemaError,
+    )
+    time, wavelength = (array[name] for name in axes)
+    refuse(
+        origin,
+        (
+            time.dtype.kind != "M" or time.isnull().any(),
+            Problem(
+                f"{time.name!r} has dtype {time.dtype}", expected="datetime64 without NaT", code="type-wrong"
+            ),
+        ),
+        error=TimeError,
+    )
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
+    array = array.transpose(*axes)
     found_units = array.attrs.get("units", units)
-    if found_units is None:
-        raise UnitsError(
-            f"{origin}: 'irradiance' has no units",
-            mend="pass units=, for example 'W m-2 nm-1'",
-            code="units-missing",
-        )
-    if units is not None and conversion_factor(str(found_units), units) != 1.0:
-        raise UnitsError(
-            f"{origin}: units={units!r}, but the data have {found_units!r}",
-            mend="correct one of them",
-            code="units-conflict",
-        )
+    refuse(
+        origin,
+        (
+            found_units is None,
+            Problem(
+                "'irradiance' has no units",
+                mend="pass units=, for example 'W m-2 nm-1'",
+                code="units-missing",
+            ),
+        ),
+        (
+            None not in (units, found_units) and conversion_factor(str(found_units), str(units)) != 1.0,
+            Problem(
+                f"units={units!r}, but the data have {found_units!r}",
+                mend="correct one of them",
+                code="units-conflict",
+            ),
+        ),
+        error=UnitsError,
+    )
     nanometres = convert(wavelength, "nm", str(wavelength.name)).values.astype(np.float64)
-    if not (np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)):
-        raise SchemaError(
-            f"{origin}: {wavelength.name!r} does not increase",
-            mend="sort by it, and remove repeated values",
-            code="wavelength-unordered",
-        )
-    count = array.sizes[time.name]
+    is_ordered = np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)
+    refuse(
+        origin,
+        (
+            not is_ordered,
+            Problem(
+                f"{wavelength.name!r} does not increase",
+                mend="sort by it, and remove repeated values",
+                code="wavelength-unordered",
+            ),
+        ),
+        error=SchemaError,
+    )
     values = array.values.astype(np.float64)
-    sources = [f"sample {i}" for i in range(count)]
+    sources = [f"sample {number}" for number in range(len(values))]
     if np.isinf(values).any():
         spectra = [Spectrum(name, nanometres, row) for name, row in zip(sources, values, strict=True)]
         values = np.stack([spectrum.values for spectrum in mask_undefined(spectra, "irradiance")])
-    fwhm = data.get("irradiance_fwhm")
-    gap, clock = (data.get(f"irradiance_{name}") for name in ("max_gap", "clock_uncertainty"))
+    fwhm, gap, clock = (data.get(f"irradiance_{name}") for name in ("fwhm", "max_gap", "clock_uncertainty"))
     return _Series(
         sources=sources,
         stamps=time.values.astype("datetime64[ns]"),
-        utc_offset_h=[0.0 if utc_offset_h is None else utc_offset_h] * count,
-        averaging_s=np.zeros(count),
+        utc_offset_h=[utc_offset_h or 0.0] * len(values),
+        averaging_s=np.zeros(len(values)),
         wavelength=nanometres,
         values=values,
         units=str(found_units),
@@ -418,19 +693,16 @@ def _refuse_duplicates(
     series: _Series, times: npt.NDArray[np.datetime64], order: npt.NDArray[np.intp]
 ) -> None:
     repeats = np.flatnonzero(np.diff(times[order]) == np.timedelta64(0, "ns"))
-    if not len(repeats):
-        return
     advice = "remove one spectrum of each pair, or write a csv series with finer stamps"
     problems = Problems(f"samples of one series have the same time stamp; {advice}", TimeError)
-    shown_repeats = repeats[:_MAX_SHOWN]
-    for first, second in zip(order[shown_repeats], order[shown_repeats + 1], strict=True):
+    for first, second in zip(order[repeats[:_MAX_SHOWN]], order[repeats[:_MAX_SHOWN] + 1], strict=True):
         is_same_spectrum = np.array_equal(series.values[first], series.values[second], equal_nan=True)
         remark = " (the same spectrum twice)" if is_same_spectrum else ""
         problems.add(
             f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
             code="time-duplicate",
         )
-    if len(repeats) > len(shown_repeats):
+    if len(repeats) > _MAX_SHOWN:
         problems.add(f"... ({len(repeats)} pairs in all)", code="time-duplicate")
     problems.raise_if_any()
 
@@ -442,45 +714,59 @@ def _dataset(
     fwhm_nm: Any,
     max_gap_s: float | None,
 ) -> xr.Dataset:
-    fwhm = series.fwhm if fwhm_nm is None else widths_at(series.wavelength, fwhm_nm)
-    if fwhm is None:
-        raise SchemaError(
-            f"{series.origin} has no spectral resolution", mend="pass fwhm_nm=", code="fwhm-missing"
-        )
+    # the widths: of the caller (a number, or pairs of wavelength and width), or of the data
+    width = np.asarray(series.fwhm if fwhm_nm is None else fwhm_nm, np.float64)
+    if fwhm_nm is not None and width.ndim == 2:
+        width = np.interp(series.wavelength, width[:, 0], width[:, 1])
+    least, most = (width.min(), width.max()) if width.size else (math.nan, math.nan)
+    refuse(
+        series.origin,
+        (
+            fwhm_nm is None and series.fwhm is None,
+            Problem("no spectral resolution", mend="pass fwhm_nm=", code="fwhm-missing"),
+        ),
+        (
+            width.shape not in ((), series.wavelength.shape) or not np.all(width > 0),
+            Problem(
+                "irradiance_fwhm is not positive, or of another shape than the wavelengths",
+                expected="a positive number, or one per wavelength",
+                code="value-out-of-range",
+            ),
+        ),
+        (
+            not _FWHM_RANGE_NM[0] <= least <= most <= _FWHM_RANGE_NM[1],
+            Problem(
+                f"irradiance_fwhm from {least:g} to {most:g} nm",
+                expected=f"{_FWHM_RANGE_NM[0]:g} to {_FWHM_RANGE_NM[1]:g} nm",
+                mend="check whether it is in micrometres or angstroms",
+                code="value-out-of-range",
+            ),
+        ),
+        error=SchemaError,
+    )
     gap_s = series.max_gap_s if max_gap_s is None else max_gap_s
+    refuse(
+        series.origin,
+        (
+            gap_s is None and len(times) < 2,
+            Problem(
+                "a single irradiance sample has no interval", mend="pass max_gap_s=", code="argument-missing"
+            ),
+        ),
+        error=TimeError,
+    )
     if gap_s is None:
-        if len(times) < 2:
-            raise TimeError(
-                f"a single irradiance sample ({series.origin}) has no interval",
-                mend="pass max_gap_s=",
-                code="argument-missing",
-            )
         gap_s = _GAP_INTERVALS * float(np.median(np.diff(times).astype(np.int64))) / 1e9
     dims = (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)
-    width = np.asarray(fwhm, np.float64)
-    if width.shape not in ((), series.wavelength.shape) or not np.all(width > 0):
-        raise SchemaError(
-            f"{series.origin}: irradiance_fwhm is not positive, or of another shape than the wavelengths",
-            expected="a positive number, or one per wavelength",
-            code="value-out-of-range",
-        )
-    if not _FWHM_RANGE_NM[0] <= width.min() <= width.max() <= _FWHM_RANGE_NM[1]:
-        raise SchemaError(
-            f"{series.origin}: irradiance_fwhm from {width.min():g} to {width.max():g} nm",
-            expected=f"{_FWHM_RANGE_NM[0]:g} to {_FWHM_RANGE_NM[1]:g} nm",
-            mend="check whether it is in micrometres or angstroms",
-            code="value-out-of-range",
-        )
+    arrays = {
+        "irradiance": xr.DataArray(values.astype(np.float32), dims=dims),
+        "irradiance_fwhm": xr.DataArray(width, dims=dims[1 : 1 + width.ndim]),
+        "irradiance_max_gap": xr.DataArray(np.float64(gap_s)),
+    }
+    axes = zip(dims, (times, series.wavelength), strict=True)
     return xr.Dataset(
-        {
-            "irradiance": label(xr.DataArray(values.astype(np.float32), dims=dims), "irradiance"),
-            "irradiance_fwhm": label(xr.DataArray(width, dims=dims[1 : 1 + width.ndim]), "irradiance_fwhm"),
-            "irradiance_max_gap": label(xr.DataArray(np.float64(gap_s)), "irradiance_max_gap"),
-        },
-        coords={
-            IRRADIANCE_TIME: (IRRADIANCE_TIME, times, VARIABLES[IRRADIANCE_TIME].attrs),
-            IRRADIANCE_WAVELENGTH: (dims[1], series.wavelength, VARIABLES[IRRADIANCE_WAVELENGTH].attrs),
-        },
+        {name: label(array, name) for name, array in arrays.items()},
+        coords={name: (name, axis, VARIABLES[name].attrs) for name, axis in axes},
         attrs={
             "irradiance_srf_shape": "gaussian",
             **series.attrs,
@@ -499,35 +785,33 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
         wavelengths are outside sunlight.
     Warns PaintWarning: The brightest sample is as dim as before sunrise.
     """
-    if wavelength[-1] < _SUNLIGHT_RANGE_NM[0] or wavelength[0] > _SUNLIGHT_RANGE_NM[1]:
+    first, last = wavelength[0], wavelength[-1]
+    if last < _SUNLIGHT_RANGE_NM[0] or first > _SUNLIGHT_RANGE_NM[1]:
         raise UnitsError(
-            f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g} nm, where there is no sunlight",
+            f"wavelengths from {first:g} to {last:g} nm, where there is no sunlight",
             mend="convert micrometres, angstroms or wavenumbers to nanometres",
             code="wavelength-range",
         )
     brightest = brightest_median(wavelength, values)
-    if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and (slip := unit_slip(brightest)):
-        text = (
-            f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1 at its brightest, {slip}; "
-            "check its units, unless the sun was below the horizon"
-        )
+    slip = unit_slip(brightest)
+    median = f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1"
+    if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and slip:
+        text = f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon"
         warnings.warn(PaintWarning(text, code="irradiance-dim"), stacklevel=4)
-    if np.isnan(brightest) or LOWEST_MEDIAN <= brightest <= HIGHEST_MEDIAN:
-        return
-    direction = (
-        f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"
-        if brightest > HIGHEST_MEDIAN
-        else f"darker than deep twilight (expected at least {LOWEST_MEDIAN:g})"
-    )
-    slip = unit_slip(brightest) or "uW labelled as W?"
-    raise UnitsError(
-        f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}",
-        mend=(
-            f"check for other units ({slip}) or another quantity, such as counts; pass units=, or "
-            "convert the values"
-        ),
-        code="irradiance-implausible",
-    )
+    if brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN:
+        direction = (
+            f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"
+            if brightest > HIGHEST_MEDIAN
+            else f"darker than deep twilight (expected at least {LOWEST_MEDIAN:g})"
+        )
+        raise UnitsError(
+            f"{median}, {direction}",
+            mend=(
+                f"check for other units ({slip or 'uW labelled as W?'}) or another quantity, such as counts; "
+                "pass units=, or convert the values"
+            ),
+            code="irradiance-implausible",
+        )
 
 
 def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> xr.Dataset:
@@ -551,22 +835,21 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
             mend="sort them, and remove repeated ones",
             code="time-unordered",
         )
-    line_times = time[~np.isnat(time)]
-    if (
-        not line_times.size
-        or not stamps.size
-        or stamps[-1] < line_times.min()
-        or stamps[0] > line_times.max()
-    ):
+    lines = np.sort(time[~np.isnat(time)])
+    if not lines.size or not stamps.size or stamps[-1] < lines[0] or stamps[0] > lines[-1]:
+        record, line = (
+            "{} to {} UTC".format(*np.datetime_as_string(times[[0, -1]], "s")) if times.size else ""
+            for times in (stamps, lines)
+        )
         raise TimeError(
             (
-                f"the irradiance record covers {_span(stamps) or 'nothing'}, the flight line was recorded "
-                f"{_span(line_times) or 'at unknown times'}"
+                f"the irradiance record covers {record or 'nothing'}, the flight line was recorded "
+                f"{line or 'at unknown times'}"
             ),
             mend="check utc_offset_h and clock_offset_s",
             code="time-uncovered",
         )
-    first, last = line_times.min(), line_times.max()
+    first, last = lines[0], lines[-1]
     start = min(
         np.searchsorted(stamps, first - _LINE_MARGIN),
         max(np.searchsorted(stamps, first, side="right") - 1, 0),
@@ -577,9 +860,3 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
     cut = cut.assign_coords({IRRADIANCE_TIME: cut[IRRADIANCE_TIME].astype("datetime64[ns]")})
     shape = irradiance.attrs.get("irradiance_srf_shape", "gaussian")
     return cut.drop_encoding().assign_attrs(irradiance_srf_shape=shape)
-
-
-def _span(times: npt.NDArray[np.datetime64]) -> str:
-    return (
-        "{} to {} UTC".format(*np.datetime_as_string([times.min(), times.max()], "s")) if times.size else ""
-    )

@@ -1,4 +1,4 @@
-"""One spectrum in a text file, a wavelength and a value a line; also certificates of white panels."""
+"""Text tables of laboratories: spectra, certificates of white panels, calibrations of FRM4SOC."""
 
 from __future__ import annotations
 
@@ -6,19 +6,24 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import FormatError, Problem, Problems
 from hyperpaint.base.schema import VARIABLES
 from hyperpaint.base.units import conversion_factor, is_unit
-from hyperpaint.io.files.reading import numbers, read_limited_text
+from hyperpaint.io.files.reading import number, numbers, read_limited_text, refuse
 
 _MAX_BYTES = 16 << 20
 _MAX_SHOWN = 5
 _WAVELENGTH_RANGE_NM = (100.0, 100_000.0)  # nm
+
+
+# --- spectra of two columns --------------------------------------------------------------------------------
 
 
 def read_spectrum_csv(
@@ -50,42 +55,49 @@ def _table(
     for line_number, line in enumerate(text.splitlines(), 1):
         content = line.strip().lstrip("\ufeff")
         if not content or content.startswith("#"):
-            if content and not rows:
-                comments.append(content)
+            comments += [content] if content and not rows else []
             continue
         row = numbers(content.replace(",", " ").replace(";", " ").split())
         if row is not None and len(row) == 2:
             rows.append(row)
-        elif rows or line_number > headings:
-            problems.add(
-                f"line {line_number}: {content[:60]!r}",
-                expected="a wavelength [nm] and a value",
-                code="row-unreadable",
-            )
+        elif not rows and line_number <= headings:
+            headings_above.append(content)
+        else:
+            found, expected = f"line {line_number}: {content[:60]!r}", "a wavelength [nm] and a value"
+            problems.add(found, expected=expected, code="row-unreadable")
             if len(problems) == _MAX_SHOWN:
                 problems.raise_if_any()
-        else:
-            headings_above.append(content)
     table = np.array(rows, dtype=np.float64).reshape(-1, 2)
     if has_units:
         headings_above = [*comments, *headings_above]
         table[:, 0] *= _factor(headings_above, 0, path)
     wavelength, values = table.T.copy()
-    if len(rows) < 2:
-        problems.add(f"{len(rows)} lines of numbers", expected="at least two", code="table-missing")
-    elif not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()):
-        problems.add(
-            "wavelengths do not increase from line to line, or a value is not finite",
-            code="wavelength-unordered",
-        )
-    elif not _WAVELENGTH_RANGE_NM[0] <= wavelength[0] <= wavelength[-1] <= _WAVELENGTH_RANGE_NM[1]:
-        problems.add(
-            f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g}",
-            expected="nanometres",
-            code="wavelength-range",
-        )
+    first, last = (wavelength[0], wavelength[-1]) if rows else (0.0, 0.0)
+    checks = (
+        (
+            len(rows) < 2,
+            Problem(f"{len(rows)} lines of numbers", expected="at least two", code="table-missing"),
+        ),
+        (
+            not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()),
+            Problem(
+                "wavelengths do not increase from line to line, or a value is not finite",
+                code="wavelength-unordered",
+            ),
+        ),
+        (
+            not _WAVELENGTH_RANGE_NM[0] <= first <= last <= _WAVELENGTH_RANGE_NM[1],
+            Problem(
+                f"wavelengths from {first:g} to {last:g}", expected="nanometres", code="wavelength-range"
+            ),
+        ),
+    )
+    problems.extend([problem for is_wrong, problem in checks if is_wrong][:1])
     problems.raise_if_any()
     return wavelength, values, headings_above
+
+
+# --- certificates of panels --------------------------------------------------------------------------------
 
 
 _LENGTHS = {
@@ -112,34 +124,46 @@ _UNCERTAINTY_WORDS = re.compile(r"uncert|error|deviation|\bstd\b|\bsd\b")
 def _factor(headings: Sequence[str], column: int, path: Path) -> float:
     # Return the factor from the unit in a column's headings to nm or to a fraction; 1 without a unit.
     base_unit, unit_names = _UNITS[column]
-    units: dict[str, str] = {}
-    for heading in headings:
-        for name in _units_in_heading(heading, column, is_last=heading == headings[-1]):
-            unit = unit_names.get(name.lower())
-            if unit is not None:
-                units[unit] = name
-            elif is_unit(name):
-                raise FormatError(
-                    f"{path}: heading {heading[:60]!r} contains {name!r:.40}",
-                    expected=f"a unit such as {base_unit!r}",
-                    mend="correct the heading",
-                    code="units-unknown",
-                )
-    if len(units) > 1:
-        names = " and ".join(map(repr, units.values()))
-        raise FormatError(
-            f"{path}: headings contain {names} for one column",
-            expected="one unit",
-            mend="correct the headings",
-            code="units-conflict",
-        )
-    percent = next((heading for heading in headings if _PERCENT.search(" ".join(heading.split()))), None)
-    if column == 1 and not units and percent is not None:
-        raise FormatError(
-            f"{path}: {percent[:60]!r} contains percent, but does not state the column",
-            mend=("write [%] or [1] after the name of the values, such as 'wavelength [nm],reflectance [%]'"),
-            code="units-ambiguous",
-        )
+    names = [
+        (heading, name)
+        for heading in headings
+        for name in _units_in_heading(heading, column, is_last=heading == headings[-1])
+    ]
+    units = {unit_names[name.lower()]: name for _, name in names if name.lower() in unit_names}
+    others = (pair for pair in names if pair[1].lower() not in unit_names and is_unit(pair[1]))
+    heading, other = next(others, ("", ""))
+    percent = next((text for text in headings if _PERCENT.search(" ".join(text.split()))), "")
+    refuse(
+        str(path),
+        (
+            other,
+            Problem(
+                f"heading {heading[:60]!r} contains {other!r:.40}",
+                expected=f"a unit such as {base_unit!r}",
+                mend="correct the heading",
+                code="units-unknown",
+            ),
+        ),
+        (
+            len(units) > 1,
+            Problem(
+                f"headings contain {' and '.join(map(repr, units.values()))} for one column",
+                expected="one unit",
+                mend="correct the headings",
+                code="units-conflict",
+            ),
+        ),
+        (
+            column == 1 and not units and percent,
+            Problem(
+                f"{percent[:60]!r} contains percent, but does not state the column",
+                mend=(
+                    "write [%] or [1] after the name of the values, such as 'wavelength [nm],reflectance [%]'"
+                ),
+                code="units-ambiguous",
+            ),
+        ),
+    )
     return conversion_factor(next(iter(units), base_unit), base_unit)
 
 
@@ -231,3 +255,159 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
         name="reflectance",
         attrs={"units": "1", "long_name": "Reflectance factor of the panel", "source": path.name},
     )
+
+
+# --- radiometric calibrations of FRM4SOC -------------------------------------------------------------------
+
+
+_MAX_ROWS = 100_000
+_FIRST_LINES = ("!FRM4SOC_CP", "!RADCAL")
+#: Number of columns of each table, and the coordinate with its column of wavelengths [nm].
+_TABLES = {
+    "LAMPDATA": (4, "lamp_wavelength", 0),
+    "PANELDATA": (4, "panel_wavelength", 0),
+    "CALDATA": (10, "wavelength", 1),
+}
+#: Factor from an expanded uncertainty (k = 2) in percent to a standard uncertainty as a fraction.
+_STANDARD_PER_EXPANDED_PERCENT = 1.0 / 200.0
+#: Variables: table, column, factor to the units, units.
+_COLUMNS: dict[str, tuple[str, Any, float, str]] = {
+    "lamp_irradiance": ("LAMPDATA", 2, 1e-3, "W m-2 nm-1"),
+    "lamp_irradiance_u": ("LAMPDATA", 3, _STANDARD_PER_EXPANDED_PERCENT, "1"),
+    "panel_reflectance": ("PANELDATA", 2, 1.0, "1"),
+    "panel_reflectance_u": ("PANELDATA", 3, _STANDARD_PER_EXPANDED_PERCENT, "1"),
+    "coefficient": ("CALDATA", 2, 1.0, ""),
+    "coefficient_u": ("CALDATA", 3, _STANDARD_PER_EXPANDED_PERCENT, "1"),
+    "dark": ("CALDATA", 4, 1.0, "count"),
+    "counts": ("CALDATA", [6, 8], 1.0, "count"),
+}
+#: Attributes by section of one line: texts, and numbers.
+_TEXTS = {
+    "DEVICE": "device",
+    "CALDATE": "calibration_time",
+    "CALLAB": "laboratory",
+    "LAMP_ID": "lamp",
+    "PANEL_ID": "panel",
+}
+_NUMBERS = {"AMBIENT_TEMP": "ambient_temperature_degC", "DEVICE_TEMP": "device_temperature_degC"}
+
+
+def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
+    r"""Read a radiometric calibration of FRM4SOC: lamp, panel and coefficients of a spectrometer.
+
+    Parameters
+    ----------
+    path
+        Text file that begins with ``!FRM4SOC_CP`` and ``!RADCAL``, with sections ``[LAMPDATA]``,
+        ``[PANELDATA]`` and ``[CALDATA]``, such as ``CP_SAT0385_RADCAL_20220606105303.TXT``.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``lamp_irradiance`` (lamp_wavelength) [W m-2 nm-1] at the lamp's distance; ``panel_reflectance``
+        (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under
+        the lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of
+        the instrument's class, NaN where missing, ``dark`` and two series of ``counts`` (series,
+        wavelength). The first two and the coefficient have a relative standard uncertainty each,
+        ``..._u``, half of the file's value for k = 2. All float64. Attributes: device, time, laboratory,
+        lamp, panel and temperatures.
+
+    Raises
+    ------
+    FormatError
+        The file is of another kind, or sections are missing or damaged; all problems are listed.
+
+    Notes
+    -----
+    .. math:: L = E \rho / \pi
+
+    of a panel of reflectance factor :math:`\rho` for 0 degrees to 45 under the lamp's irradiance :math:`E`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> path = Path(tempfile.mkdtemp(), "radcal.txt")
+    >>> _ = path.write_text('''!FRM4SOC_CP
+    ... !RADCAL
+    ... [DEVICE]
+    ... X1
+    ... [LAMPDATA]
+    ... 400 0 2.0 1.0
+    ... 500 0 4.0 1.0
+    ... [END_OF_LAMPDATA]
+    ... [PANELDATA]
+    ... 400 0 0.99 1.2
+    ... 500 0 0.99 1.2
+    ... [END_OF_PANELDATA]
+    ... [CALDATA]
+    ... 0 0 1024 0 0 0 1024 0 512 0
+    ... 1 400 1e-4 1.5 10 0 900 1 901 1
+    ... 2 410 1e-4 1.5 10 0 950 1 951 1
+    ... [END_OF_CALDATA]
+    ... ''')
+    >>> lamp = read_radcal(path)
+    >>> lamp.panel_radiance.values.round(4), lamp.lamp_irradiance_u.values
+    (array([0.0006, 0.0013]), array([0.005, 0.005]))
+    """
+    path = Path(path)
+    text = read_limited_text(path, _MAX_BYTES, "a radiometric calibration").decode("utf-8", "replace")
+    lines = [line.strip() for line in text.splitlines()]
+    if tuple(lines[:2]) != _FIRST_LINES:
+        raise FormatError(
+            f"{path} begins with {' '.join(lines[:2])[:60]!r}",
+            expected=" and ".join(_FIRST_LINES),
+            code="format-unknown",
+        )
+    # numbered lines by section
+    sections: dict[str, list[tuple[int, str]]] = {}
+    section: list[tuple[int, str]] = []
+    for line_number, line in enumerate(lines, 1):
+        if line.startswith("[") and line.endswith("]"):
+            section = sections.setdefault(line[1:-1].upper(), [])
+        elif line and not line.startswith(("#", "!")):
+            section.append((line_number, line))
+    problems = Problems(f"{path} cannot be used as a radiometric calibration", FormatError)
+    tables: dict[str, Floats] = {}
+    for name, (columns, _, nm_column) in _TABLES.items():
+        rows = sections.get(name, [])
+        if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
+            found, expected = f"[{name}] has {len(rows)} rows", f"at least two up to [END_OF_{name}]"
+            problems.add(found, expected=expected, code="table-missing")
+            continue
+        cells = [numbers(text.split()) for _, text in rows]
+        wrong = (row for row, values in zip(rows, cells, strict=True) if len(values or ()) != columns)
+        if (row := next(wrong, None)) is not None:
+            found, expected = f"line {row[0]}: {row[1][:60]!r}", f"{columns} numbers of [{name}]"
+            problems.add(found, expected=expected, code="row-unreadable")
+            continue
+        table = np.array(cells, np.float64)
+        tables[name] = table[1:] if name == "CALDATA" else table  # whose first row holds integration times
+        if not np.isfinite(table).all() or (np.diff(tables[name][:, nm_column]) <= 0).any():
+            problems.add(
+                f"[{name}] has wavelengths that do not increase, or values that are not finite",
+                code="wavelength-unordered",
+            )
+    problems.raise_if_any()
+    data = xr.Dataset(
+        coords={dim: (dim, tables[name][:, nm], {"units": "nm"}) for name, (_, dim, nm) in _TABLES.items()}
+    )
+    for name, (table_name, column, factor, units) in _COLUMNS.items():
+        dim = _TABLES[table_name][1]
+        values = tables[table_name][:, column].T * factor
+        dims = dim if values.ndim == 1 else ("series", dim)
+        data[name] = (dims, values, {"units": units} if units else {})
+    # missing coefficients are 0
+    has_coefficient = data["coefficient"] > 0
+    for name in ("coefficient", "coefficient_u"):
+        data[name] = data[name].where(has_coefficient)
+    lamp, panel = tables["LAMPDATA"], tables["PANELDATA"]
+    reflectance = np.interp(lamp[:, 0], panel[:, 0], panel[:, 2], np.nan, np.nan)
+    radiance = lamp[:, 2] * 1e-3 * reflectance / np.pi
+    data["panel_radiance"] = ("lamp_wavelength", radiance, {"units": "W m-2 sr-1 nm-1"})
+    texts = {key: sections[name][0][1] for name, key in _TEXTS.items() if sections.get(name)}
+    values_by_key = {
+        key: number(sections[name][0][1]) for name, key in _NUMBERS.items() if sections.get(name)
+    }
+    known = {key: value for key, value in values_by_key.items() if value is not None}
+    return data.assign_attrs(texts | known | {"source": path.name})

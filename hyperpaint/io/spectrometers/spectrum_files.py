@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -12,15 +15,41 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import FormatError, Problem, Problems, TimeError
+from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, TimeError
 from hyperpaint.base.input_files import input_path
-from hyperpaint.io.files.reading import is_pattern, matching_files, unique_names
+from hyperpaint.io.files.reading import decoded_text, is_pattern, matching_files, unique_names
 
 QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 _T = TypeVar("_T")
 _R = TypeVar("_R")
+
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d{1,5})?", re.ASCII)
+# NaN and infinity as programs and Windows' C library print them, in several languages
+_NON_FINITE_SPELLINGS = {
+    **dict.fromkeys(("nan", "-nan", "n.def.", "1.#qnan", "-1.#ind", "1.#ind"), math.nan),
+    **dict.fromkeys(("inf", "infinity", "+unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
+    **dict.fromkeys(("-inf", "-infinity", "-unendlich", "-\N{INFINITY}", "-1.#inf"), -math.inf),
+}
+
+
+def text_lines(data: bytes) -> list[str]:
+    """Return the lines of a text in UTF-8 or latin-1, with any line ends; NULs are left out."""
+    text = decoded_text(data.replace(b"\0", b""))
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def cell_number(text: str) -> float | None:
+    """Return the number of a cell, with a point or a comma; None for other text.
+
+    Examples
+    --------
+    >>> cell_number("-5,1"), cell_number("1.5E-02"), cell_number("1,5,0")
+    (-5.1, 0.015, None)
+    """
+    is_number = _NUMBER.fullmatch(text) is not None
+    return float(text.replace(",", ".")) if is_number else _NON_FINITE_SPELLINGS.get(text.lower())
 
 
 def find_paths(
@@ -194,3 +223,9 @@ def listed(names: Sequence[str], max_names: int = 20) -> str:
     """Return the names as text, shortened to the first ``max_names``."""
     remainder = f" and {len(names) - max_names} more" if len(names) > max_names else ""
     return ", ".join(names[:max_names]) + remainder
+
+
+def warn_of(problem: str, names: Sequence[str], code: str) -> None:
+    """Warn of a problem of the named files, if there are any."""
+    if names:
+        warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)

@@ -1,63 +1,383 @@
-"""Spectra of SVC field spectrometers as labelled arrays."""
+"""Spectra of SVC field spectrometers as labelled arrays, and the layout of their text files (``.sig``).
+
+The first line contains the maker's name. Lines ``key= value`` follow up to ``data=``, then one row for each
+channel: wavelength [nm], the scan of the white reference, the scan of the target, and their ratio in per
+cent, rounded. Numbers follow the locale of the PC that saved the file, in rows and header: a comma may be a
+decimal comma, and only a comma *and a blank* separate the items of a list. `DIALECTS` has one row for each
+way to write such a file.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
 import json
 import math
+import os
 import re
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import VARIABLES, label
+from hyperpaint.io.files.reading import read_limited_text, refuse
 
 from .spectrum_files import (
     QUANTITIES,
     Paths,
+    cell_number,
     check_utc_offset,
     common_quantity,
     find_paths,
     for_all,
-    listed,
     name_spectra,
     ratio,
     require_one_grid,
     same_grids,
-)
-from .svc_layout import (
-    DETECTORS,
-    SvcFile,
-    SvcOverlap,
-    detectors_of,
-    error_bits,
-    items,
-    overlap_of,
-    pair,
-    position_of,
-    read_svc,
+    text_lines,
+    warn_of,
 )
 
 Scan = Literal["reference", "target"]
 Overlap = Literal["keep", "trim"]
 
+#: The two scans of a file, in the order of its columns.
+SCANS = ("reference", "target")
+DETECTORS = ("VNIR", "SWIR1", "SWIR2")
 #: Wavelengths [nm] at which the vendor's software changes detectors by default.
 SVC_JOINS = (990.0, 1900.0)
 
-_SCALE = {
-    "radiance": 1e-6,
-    "irradiance": 1e-6,
-    "counts": 1.0,
-}  # to SI, from the files' 1e-10 W cm-2 [sr-1] nm-1
+_HALF_DIGIT = 0.005  # rounding error of numbers with two decimals
+_NAT = np.datetime64("NaT", "ns")
+_NO_POSITION = (math.nan, math.nan)
+
+
+# --- layout of files ---------------------------------------------------------------------------------------
+
+
+class Dialect(NamedTuple):
+    """Form of a text of two scans, which differs between makers and programs."""
+
+    magic: re.Pattern[bytes]  # first bytes of a file
+    suffix: str = ".sig"
+    assigns: str = "="  # between key and value of a line of the header
+    data: str = "data"  # key of the line before the rows
+    headings: int = 0  # lines of headings between that line and the rows
+    # Keys of the header in lower case that have another name here, such as ``instrument``
+    keys: Mapping[str, str] = {}
+    units: Mapping[str, str] = {}  # quantities by the words of the file that differ from ours
+    # Columns of wavelength [nm], reference, target, and their ratio in per cent
+    columns: tuple[int, int, int, int] = (0, 1, 2, 3)
+    # Factors of values to SI by quantity; the vendor's unit is 1e-10 W cm-2 [sr-1] nm-1
+    scale: Mapping[str, float] = {"radiance": 1e-6, "irradiance": 1e-6, "counts": 1.0}
+
+
+DIALECTS = (
+    # SVC, HR-512i to HR-1024i
+    Dialect(re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.IGNORECASE)),
+)
+SUFFIXES = tuple(dict.fromkeys(dialect.suffix for dialect in DIALECTS))
+
+_MAX_BYTES = 4 * 2**20  # a hundred times the size of usual files
+_MAX_ROWS = 32_768
+_MAX_HEADER_LINES = 1000
+_MAX_DETECTORS = 3
+_CHANNELS = re.compile(r"HR-(\d{3,4})(?!\d)")
+
+
+@dataclass(frozen=True, eq=False)
+class SvcFile:
+    """Content of one ``.sig`` file; arrays are (wavelength), float64, read-only, in file order."""
+
+    name: str  # file name without its folder
+    header: Mapping[str, str]  # values by key (lower case), as text
+    # Quantities of reference and target: ``radiance``, ``counts`` or ``irradiance``
+    units: tuple[str, ...]
+    # Nanometres; they step back where the next detector begins, because detectors overlap
+    wavelength: Floats
+    reference: Floats  # scan of the white reference, in the file's units
+    target: Floats  # scan of the target, in the file's units
+    percent: Floats  # ratio of target and reference in the file, rounded
+    # First row of each detector, found by the steps back in wavelength; the first is 0
+    starts: tuple[int, ...]
+    scale: Mapping[str, float]  # factors of values to SI by quantity
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether a white reference was measured; without one, its column contains only 1, or only 0."""
+        return not (np.all(self.reference == 1.0) or np.all(self.reference == 0.0))
+
+
+def dialect_of(head: bytes) -> Dialect | None:
+    """Return the dialect of a file by its first bytes; None for files of another kind."""
+    return next((dialect for dialect in DIALECTS if dialect.magic.match(head)), None)
+
+
+def read_svc(path: str | os.PathLike[str]) -> SvcFile:
+    r"""Read one ``.sig`` file, of any firmware and locale.
+
+    path: A file that an SVC spectrometer or its software saved.
+    Returns SvcFile: Header and scans (wavelength).
+    Raises FormatError: The file cannot be read, is not a ``.sig`` file, or is truncated, damaged or
+        contradictory.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "paint.sig")
+    >>> text = "/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\ndata= \n"
+    >>> _ = path.write_text(text + "550,1  8000,00  400,00  5,00\n551,5  8000,00  800,00  10,00\n")
+    >>> read_svc(path).target
+    array([400., 800.])
+    """
+    path = Path(path)
+    data = read_limited_text(path, _MAX_BYTES, "an SVC spectrometer's file")
+    if (dialect := dialect_of(data[:200])) is None:
+        ger_hint = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
+        raise FormatError(
+            f"{path.name}: begins with {data[:24]!r}{ger_hint}",
+            expected="'/*** Spectra Vista SIG Data ***/' of an SVC .sig file",
+            code="format-unknown",
+        )
+    lines = text_lines(data)
+    # the header: values by key, up to the line before the rows
+    header: dict[str, str] = {}
+    last_key, first_row = "", 0
+    for line_number, line in enumerate(lines[1 : _MAX_HEADER_LINES + 1], start=2):
+        key, assigns, value = line.partition(dialect.assigns)
+        key, value = " ".join(key.lower().split()), value.strip()
+        if key == dialect.data and assigns and not value:
+            first_row = line_number + dialect.headings
+            break
+        if not assigns:  # a comment may have several lines
+            if last_key and line.strip():
+                header[last_key] += f"\n{line.strip()}"
+            continue
+        last_key = dialect.keys.get(key, key)
+        if header.setdefault(last_key, value) != value:
+            raise FormatError(
+                f"{path.name}: the header has {key!r} twice with different values",
+                mend="copy the file again",
+                code="key-duplicate",
+            )
+    else:
+        raise FormatError(
+            f"{path.name}: no line '{dialect.data}{dialect.assigns}' among the first {_MAX_HEADER_LINES}",
+            mend="copy the file again from the instrument",
+            code="file-truncated",
+        )
+    # the table: numbers in the columns of the dialect
+    size = len(lines) - first_row
+    refuse(
+        path.name,
+        (size > _MAX_ROWS, Problem(f"{size} rows", expected=f"at most {_MAX_ROWS}", code="file-too-large")),
+    )
+    count = max(dialect.columns) + 1
+    rows = [
+        (
+            number,
+            line,
+            [cell_number(cell) for cell in line.replace("n. def.", "n.def.").split(None, count + 1)],
+        )
+        for number, line in enumerate(lines[first_row:], start=first_row + 1)
+        if line.strip()
+    ]
+    for number, line, cells in rows:
+        if len(cells) != count or None in cells:
+            raise FormatError(
+                f"{path.name}: line {number} holds {line.strip()[:60]!r}",
+                expected="four numbers (wavelength, reference, target, percent)",
+                mend="copy the file again",
+                code="row-unreadable",
+            )
+    table = np.array([cells for *_, cells in rows], np.float64).reshape(-1, count).T
+    columns = np.ascontiguousarray(table[list(dialect.columns)])
+    columns.flags.writeable = False
+    wavelength, reference, target, percent = columns
+    # a file with preserved overlap has one row for each channel of its instrument
+    model = _CHANNELS.search(header.get("instrument", ""))
+    is_overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
+    channels = int(model[1]) if model and is_overlap_preserved else 0
+    unit_words = [word.strip().lower() for word in header.get("units", "").split(",")]
+    units = tuple(dialect.units.get(word, word) for word in (unit_words * 2)[: max(len(unit_words), 2)])
+    units_text = repr(header["units"][:60]) if "units" in header else "no line 'units='"
+    # wavelengths step back where the next detector begins
+    starts = (0, *(int(step) + 1 for step in np.flatnonzero(wavelength[1:] <= wavelength[:-1])))
+    again = "copy the file again"
+    refuse(
+        path.name,
+        (
+            len(rows) < 2,
+            Problem(f"{len(rows)} rows", expected="a spectrum", mend=again, code="table-missing"),
+        ),
+        (
+            len(wavelength) < channels,
+            Problem(
+                f"{len(wavelength)} rows",
+                expected=f"the {channels} channels of an HR-{channels} whose overlap is preserved",
+                mend="copy the file again from the instrument",
+                code="file-truncated",
+            ),
+        ),
+        (
+            len(units) != 2 or not set(units) <= set(dialect.scale),
+            Problem(
+                units_text,
+                expected="units= Radiance, Radiance (or Counts, Irradiance)",
+                code="units-unknown",
+            ),
+        ),
+        (
+            not np.all((wavelength > 0.0) & (wavelength < 1e5)),
+            Problem(
+                "wavelengths are not all positive numbers of nanometres",
+                mend=again,
+                code="wavelength-range",
+            ),
+        ),
+        (
+            len(starts) > _MAX_DETECTORS,
+            Problem(
+                f"the wavelengths step back {len(starts) - 1} times",
+                expected=f"at most {_MAX_DETECTORS - 1} times, where detectors overlap",
+                mend=again,
+                code="wavelength-unordered",
+            ),
+        ),
+    )
+    return SvcFile(
+        path.name,
+        MappingProxyType(header),
+        units,
+        wavelength,
+        reference,
+        target,
+        percent,
+        starts,
+        dialect.scale,
+    )
+
+
+# --- meaning of the header ---------------------------------------------------------------------------------
+
+
+_ITEM = re.compile(r",(?=\s|$)")
+_RECORD = re.compile(r"([^\[\]]*)\[([^\[\]]*)\]?")
+_REMOVED = re.compile(r"remove\s*@\s*(\d{3,4})(?:[.,]0)?\s*,\s*(\d{3,4})(?![\d])", re.IGNORECASE)
+_MATCHING = re.compile(r"matching type:\s*([^\]]*)", re.IGNORECASE)
+_ANGLE = re.compile(r"(\d{3,5})[.,](\d{1,8})\s*,?\s*([NSEW])", re.ASCII | re.IGNORECASE)
+_MAX_FACTORS_CHARS = 2000  # leading characters that are parsed
+_BITS = re.compile(r"[0-9]{1,9}")
+
+
+class SvcOverlap(NamedTuple):
+    """Treatment of overlapping detectors, from the header's ``factors``."""
+
+    text: str  # short description: preserved, removed (and where), or unknown
+    # Wavelengths [nm] at which the next detector begins, if channels were removed
+    joins: tuple[float, float] | None
+    # How detectors were matched (``Radiance @ 976 - 1010 / NIR-SWIR On``); ``None`` if they were not, empty
+    # if unknown. Matching multiplies the first detector by a ramp, and fades it into the second up to the end
+    # of this range
+    matching: str
+    # Ratio of VNIR to SWIR1 in the overlap, for reference and target; NaN if unknown
+    factors: tuple[float, float]
+
+
+def items(value: str) -> list[str]:
+    """Return the items of a list in the header; a comma without a blank after it is a decimal comma.
+
+    Examples
+    --------
+    >>> items("1000,0, 40,0, 10,0"), items("                ,                 ")
+    (['1000,0', '40,0', '10,0'], ['', ''])
+    """
+    return [item.strip() for item in _ITEM.split(value)]
+
+
+def pair(header: Mapping[str, str], key: str) -> tuple[str, str]:
+    """Return the texts for reference and target, empty where missing."""
+    entries = items(header.get(key, ""))
+    return (entries[0], entries[1]) if len(entries) == 2 else ("", entries[0] if len(entries) == 1 else "")
+
+
+def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
+    """Return the content of the header's ``factors``.
+
+    Each processing of a file adds a record; the latest comes first.
+
+    Examples
+    --------
+    >>> line = "0.795, 0.848, 1.000 [Overlap: Remove @ 970,1901, Matching Type: None]"
+    >>> overlap_of({"factors": line}).text
+    'removed @ 970, 1901 nm'
+    """
+    factors_text = header.get("factors", "")[:_MAX_FACTORS_CHARS]
+    records = _RECORD.findall(factors_text)
+    numbers, latest = records[0] if records else (factors_text, "")
+    values = [cell_number(item) for item in items(numbers)]
+    first, second = (math.nan if value is None else value for value in (*values, None, None)[:2])
+    removal = _REMOVED.search(latest)
+    joins = (float(removal[1]), float(removal[2])) if removal else None
+    words = {"preserve": "preserved", "remove": "removed", "": "unknown"}
+    text = next(text for word, text in words.items() if word in latest.lower())
+    matchings = [match[1].strip() for _, record in records if (match := _MATCHING.search(record))]
+    applied = [matching for matching in matchings if matching.lower() != "none"]
+    return SvcOverlap(
+        text=text if joins is None else f"removed @ {joins[0]:g}, {joins[1]:g} nm",
+        joins=joins,
+        matching=[*applied, *matchings, ""][0],
+        factors=(first, second),
+    )
+
+
+def error_bits(header: Mapping[str, str]) -> tuple[int, int]:
+    """Return the instrument's error bits of reference and target, -1 where missing."""
+    first, second = (int(text) if _BITS.fullmatch(text) else -1 for text in pair(header, "error"))
+    return first, second
+
+
+def position_of(header: Mapping[str, str], scan: int) -> tuple[float, float] | None:
+    """Return latitude and longitude [degree], north and east positive, NaN without a fix.
+
+    None if the header's texts are not positions.
+
+    scan: 0 for the reference, 1 for the target.
+
+    Examples
+    --------
+    >>> position_of({"latitude": "5230.0000N , 5215.0000S", "longitude": "01332.0665E, 01345.0000W"}, 1)
+    (-52.25, -13.75)
+    """
+    angles = []
+    for key, letters, limit in (("latitude", "NS", 90.0), ("longitude", "EW", 180.0)):
+        entries = items(header.get(key, ""))
+        # old firmware puts a comma before the letter: 11121.2335,W, 11121.2324,W
+        text = entries[scan] if len(entries) == 2 else ""
+        if not text.strip(", "):
+            angles.append(math.nan)
+            continue
+        match = _ANGLE.fullmatch(text)
+        if match is None or match[3].upper() not in letters:
+            return None
+        degrees, minutes = int(match[1]) // 100, int(match[1]) % 100 + float(f"0.{match[2]}")
+        if minutes >= 60.0 or degrees + minutes / 60.0 > limit:
+            return None
+        angles.append((degrees + minutes / 60.0) * (-1.0 if match[3].upper() == letters[1] else 1.0))
+    latitude, longitude = angles
+    has_no_fix = not math.isfinite(latitude + longitude) or latitude == longitude == 0.0
+    return _NO_POSITION if has_no_fix else (latitude, longitude)
+
+
+# --- spectra -----------------------------------------------------------------------------------------------
 
 
 def open_svc(
@@ -163,7 +483,9 @@ def open_svc(
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
     files = find_paths(
-        paths, lambda folder_files: [p for p in folder_files if p.suffix.lower() == ".sig"], ".sig files"
+        paths,
+        lambda folder_files: [path for path in folder_files if path.suffix.lower() in SUFFIXES],
+        f"{' or '.join(SUFFIXES)} files",
     )
     contents = for_all(files, read_svc)
     scan_number = SCANS.index(scan)
@@ -177,120 +499,118 @@ def open_svc(
         )
         for file in contents
     )
-
-    def measure(file_and_path: tuple[SvcFile, Path]) -> SvcMeasurement:
-        return _measurement(*file_and_path, target_quantity, scan_number, joins, trim=overlap == "trim")
-
-    measurements = for_all(zip(contents, files, strict=True), measure)
+    is_trimmed = overlap == "trim"
+    measurements = for_all(
+        contents, lambda file: _measure(file, target_quantity, scan_number, joins, trim=is_trimmed)
+    )
     require_one_grid(
         ((measurement.file.name, measurement.wavelength) for measurement in measurements),
         lambda: _joins_advice(measurements),
     )
-    values = np.stack(
-        [
-            np.where(np.isfinite(measurement.values), measurement.values, np.nan)
-            for measurement in measurements
-        ]
-    )
-    warn_of(
-        "samples that are undefined (not finite) become NaN",
-        [
-            measurement.file.name
-            for measurement, row in zip(measurements, values, strict=True)
-            if np.isnan(row).any()
-        ],
-        "samples-undefined",
-    )
-    coords = {
-        **coords_of_channels(measurements),
-        **coords_of_times(
-            contents,
-            1 if target_quantity == "reflectance" else scan_number,
-            target_quantity,
-            dayfirst,
-            utc_offset_h,
-        ),
-        **coords_of_positions(contents, scan_number),
-        **coords_of_files(measurements, target_quantity),
-    }
-    attrs: dict[str, Any] = {"instrument": "SVC"}
-    if target_quantity != "reflectance":
-        attrs["scan"] = scan
+    values = np.stack([measurement.values for measurement in measurements])
+    values[~np.isfinite(values)] = np.nan
+    undefined = [file.name for file, row in zip(contents, values, strict=True) if np.isnan(row).any()]
+    warn_of("samples that are undefined (not finite) become NaN", undefined, "samples-undefined")
+    is_ratio = target_quantity == "reflectance"
+    # the wavelengths, and the detectors if these are the same in all files
+    wavelength_attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
+    coords: dict[str, Any] = {"wavelength": ("wavelength", measurements[0].wavelength, wavelength_attrs)}
+    detector = measurements[0].detector
+    if detector is not None and all(
+        measurement.detector is not None and np.array_equal(measurement.detector, detector)
+        for measurement in measurements
+    ):
+        names = np.array(DETECTORS, object)[detector]
+        coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
+    coords |= _coords_of_scans(contents, (1, 0) if is_ratio else (scan_number,), dayfirst, utc_offset_h)
+    coords |= _coords_of_files(files, measurements, is_ratio=is_ratio)
+    attrs: dict[str, Any] = {"instrument": "SVC"} | ({} if is_ratio else {"scan": scan})
     trimmed_at = [measurement.trimmed_at for measurement in measurements if measurement.trimmed_at]
     if trimmed_at:
         attrs["overlap_trimmed_at_nm"] = list(trimmed_at[0])
     data = xr.DataArray(values, dims=("spectrum", "wavelength"))
-    extra = {"reflectance_scale": "relative"} if target_quantity == "reflectance" else {}
+    extra = {"reflectance_scale": "relative"} if is_ratio else {}
     return xr.Dataset({target_quantity: label(data, target_quantity, **extra)}, coords=coords, attrs=attrs)
 
 
-def _measurement(
-    file: SvcFile,
-    path: Path,
-    quantity: str,
-    scan_number: int,
-    joins: tuple[float, float] | None,
-    *,
-    trim: bool,
-) -> SvcMeasurement:
-    overlap = overlap_of(file.header)
-    detector = detectors_of(file, overlap.joins)
-    reference_units, target_units = file.units
-    if (quantity == "reflectance" or scan_number == 0) and not file.has_reference:
-        raise FormatError(
-            f"{file.name}: no white reference was taken",
-            mend="pass quantity='radiance'" if quantity == "reflectance" else "pass scan='target'",
-            code="reference-missing",
-        )
-    if quantity != "reflectance":
-        if file.units[scan_number] != quantity:
-            raise FormatError(
-                f"{file.name}: the scan of the {SCANS[scan_number]} is in {file.units[scan_number]}",
+class _Measurement(NamedTuple):
+    # One file in one quantity, on the channels that remain.
+    file: SvcFile
+    overlap: SvcOverlap
+    wavelength: Floats
+    values: Floats
+    detector: npt.NDArray[np.int64] | None
+    trimmed_at: tuple[float, ...]
+
+
+def _measure(
+    file: SvcFile, quantity: str, scan_number: int, joins: tuple[float, float] | None, *, trim: bool
+) -> _Measurement:
+    overlap, is_ratio, units = overlap_of(file.header), quantity == "reflectance", file.units[scan_number]
+    # the scans of a ratio must have the same units and, in counts, the same integration times
+    times = items(file.header.get("integration", ""))
+    half = len(times) // 2
+    are_counts = file.units[1] == "counts"
+    refuse(
+        file.name,
+        (
+            (is_ratio or scan_number == 0) and not file.has_reference,
+            Problem(
+                "no white reference was taken",
+                mend="pass quantity='radiance'" if is_ratio else "pass scan='target'",
+                code="reference-missing",
+            ),
+        ),
+        (
+            not is_ratio and units != quantity,
+            Problem(
+                f"the scan of the {SCANS[scan_number]} is in {units}",
                 expected=quantity,
-                mend=(
-                    f"pass quantity={file.units[scan_number]!r}, or save the file in {quantity} with the "
-                    "vendor's software"
-                ),
+                mend=f"pass quantity={units!r}, or save the file in {quantity} with the vendor's software",
                 code="quantity-wrong",
-            )
-        values = (file.reference, file.target)[scan_number] * _SCALE[quantity]
-    else:
-        # the scans must have the same units and, in counts, the same integration times
-        integration_times = items(file.header.get("integration", ""))
-        if reference_units != target_units:
-            raise FormatError(
-                f"{file.name}: its reference is in {reference_units} and its target in {target_units}",
-                mend=f"pass quantity={target_units!r}",
+            ),
+        ),
+        (
+            is_ratio and file.units[0] != file.units[1],
+            Problem(
+                f"its reference is in {file.units[0]} and its target in {file.units[1]}",
+                mend=f"pass quantity={file.units[1]!r}",
                 code="units-conflict",
-            )
-        if (
-            target_units == "counts"
-            and integration_times[: len(integration_times) // 2]
-            != integration_times[len(integration_times) // 2 :]
-        ):
-            raise FormatError(
-                f"{file.name}: reference and target are counts of different or unknown integration times",
+            ),
+        ),
+        (
+            is_ratio and are_counts and times[:half] != times[half:],
+            Problem(
+                "reference and target are counts of different or unknown integration times",
                 mend="save the file in radiance with the vendor's software, or pass quantity='counts'",
                 code="integration-time-conflict",
-            )
+            ),
+        ),
+    )
+    if is_ratio:
         values = ratio(file.target, file.reference)
+    else:
+        values = (file.reference, file.target)[scan_number] * file.scale[quantity]
     handovers = _handovers(file, joins) if trim else ()
     is_used = _trimmed_channels(file, handovers)
-    if not is_used.any():
-        raise FormatError(
-            f"{file.name}: no channel remains after trimming; detectors are not in order of wavelength",
-            mend="copy the file again",
-            code="wavelength-unordered",
-        )
-    return SvcMeasurement(
-        file=file,
-        path=path,
-        overlap=overlap,
-        wavelength=file.wavelength[is_used],
-        values=values[is_used],
-        detector=None if detector is None else detector[is_used],
-        trimmed_at=handovers,
+    refuse(
+        file.name,
+        (
+            not is_used.any(),
+            Problem(
+                "no channel remains after trimming; detectors are not in order of wavelength",
+                mend="copy the file again",
+                code="wavelength-unordered",
+            ),
+        ),
     )
+    # number of the detector of each channel: by the steps back in wavelength, or by the joins of the header
+    detector = None
+    if len(file.starts) > 1:
+        detector = np.searchsorted(file.starts[1:], np.arange(len(file.wavelength)), side="right")[is_used]
+    elif overlap.joins is not None:
+        detector = np.searchsorted(sorted(overlap.joins), file.wavelength)[is_used]
+    return _Measurement(file, overlap, file.wavelength[is_used], values[is_used], detector, handovers)
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
@@ -301,13 +621,18 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
         # the vendor's software may begin the next detector at its first channel, one step above the join
         low = first - float(np.ptp(file.wavelength[start : start + 2]))
         high = last + float(np.ptp(file.wavelength[max(start - 2, 0) : start]))
-        if joins is not None and not low <= join <= high:
-            raise FormatError(
-                f"{file.name}: the join at {join:g} nm is outside the overlap of detectors",
-                expected=f"{first:g} to {last:g} nm",
-                mend="pass joins= within the overlaps",
-                code="join-outside-overlap",
-            )
+        refuse(
+            file.name,
+            (
+                joins is not None and not low <= join <= high,
+                Problem(
+                    f"the join at {join:g} nm is outside the overlap of detectors",
+                    expected=f"{first:g} to {last:g} nm",
+                    mend="pass joins= within the overlaps",
+                    code="join-outside-overlap",
+                ),
+            ),
+        )
         handovers.append(min(max(join, low), high))
     return tuple(handovers)
 
@@ -321,207 +646,78 @@ def _trimmed_channels(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[
     return is_used
 
 
-def _joins_advice(measurements: Sequence[SvcMeasurement]) -> str:
+def _joins_advice(measurements: Sequence[_Measurement]) -> str:
     # Return the advice to trim, if trimming gives all files the same wavelengths; or an empty text.
-    for joins in sorted(
-        {measurement.overlap.joins for measurement in measurements if measurement.overlap.joins is not None}
-    ):
+    files = [measurement.file for measurement in measurements]
+    overlaps = [measurement.overlap for measurement in measurements]
+    for joins in sorted({overlap.joins for overlap in overlaps if overlap.joins is not None}):
         try:
-            grids = [
-                (
-                    measurement.file.name,
-                    measurement.file.wavelength[
-                        _trimmed_channels(measurement.file, _handovers(measurement.file, joins))
-                    ],
-                )
-                for measurement in measurements
-            ]
+            used = [_trimmed_channels(file, _handovers(file, joins)) for file in files]
         except FormatError:
             continue
+        grids = [(file.name, file.wavelength[is_used]) for file, is_used in zip(files, used, strict=True)]
         if len(same_grids(grids)) == 1:
             return f", or pass overlap='trim', joins=({joins[0]:g}, {joins[1]:g}), which makes them equal"
     return ""
 
 
-# ----------------------------------------------------------------------------------------------------------
-# Coordinates of SVC spectra: channels, times, places, and header fields of their files.
+# --- coordinates -------------------------------------------------------------------------------------------
 
 
-#: The two scans of a file, in the order of its columns.
-SCANS = ("reference", "target")
-
-_HALF_DIGIT = 0.005  # rounding error of numbers with two decimals
-_NAT = np.datetime64("NaT", "ns")
-_NO_POSITION = (math.nan, math.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class SvcMeasurement:
-    """One file in one quantity, on the channels that remain."""
-
-    file: SvcFile
-    path: Path
-    overlap: SvcOverlap
-    wavelength: Floats
-    values: Floats
-    detector: npt.NDArray[np.int64] | None
-    trimmed_at: tuple[float, ...]
-
-    @property
-    def overlap_text(self) -> str:
-        """Treatment of the channels at which detectors overlap."""
-        if self.trimmed_at:
-            return f"trimmed @ {', '.join(f'{join:g}' for join in self.trimmed_at)} nm"
-        return self.overlap.text
-
-
-def coords_of_channels(measurements: Sequence[SvcMeasurement]) -> dict[str, Any]:
-    """Return the coordinate of the wavelengths, and that of the detectors if it is the same in all files."""
-    first = measurements[0]
-    attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
-    coords: dict[str, Any] = {"wavelength": ("wavelength", first.wavelength, attrs)}
-    if first.detector is not None and all(
-        measurement.detector is not None and np.array_equal(measurement.detector, first.detector)
-        for measurement in measurements
-    ):
-        names = np.array(DETECTORS, object)[first.detector]
-        coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
-    return coords
-
-
-def coords_of_times(
-    contents: Sequence[SvcFile],
-    scan_number: int,
-    quantity: str,
-    dayfirst: bool | None,
-    utc_offset_h: float | None,
+def _coords_of_files(
+    paths: Sequence[Path], measurements: Sequence[_Measurement], *, is_ratio: bool
 ) -> dict[str, Any]:
-    """Return the coordinates of UTC of the scans; for reflectance, of target and reference."""
-    stamps = [[read_stamp(text) for text in pair(file.header, "time")] for file in contents]
-    orders = orders_of(
-        (file.header.get("instrument", ""), stamp)
-        for file, stamps_of_file in zip(contents, stamps, strict=True)
-        for stamp in stamps_of_file
-        if stamp is not None
-    )
-    clock = _Clock(orders, dayfirst, utc_offset_h)
-    names = {scan_number: "time"} if quantity != "reflectance" else {0: "reference_time", 1: "time"}
-    coords: dict[str, Any] = {}
-    for scan, name in sorted(names.items(), reverse=True):
-        times = [
-            clock.utc(file, stamps_of_file[scan], scan)
-            for file, stamps_of_file in zip(contents, stamps, strict=True)
-        ]
-        target_name = "white reference" if scan == 0 else "target"
-        coords[name] = _spectrum_coordinate(
-            np.array(times, "datetime64[ns]"), f"UTC of the scan of the {target_name}"
-        )
-    clock.warn()
-    return coords
-
-
-class _Clock:
-    # Converts stamps to UTC, and collects the reasons why stamps become NaT.
-    def __init__(self, orders: Mapping[str, bool], dayfirst: bool | None, utc_offset_h: float | None) -> None:
-        self._orders = orders
-        self._dayfirst = dayfirst
-        self._utc_offset_h = utc_offset_h
-        self._files_by_reason: dict[tuple[str, str], dict[str, None]] = {}
-
-    def _nat_with_reason(self, reason: str, code: str, file: SvcFile) -> np.datetime64:
-        self._files_by_reason.setdefault((reason, code), {})[file.name] = None
-        return _NAT
-
-    def utc(self, file: SvcFile, stamp: LocalStamp | None, scan: int) -> np.datetime64:
-        if stamp is None:
-            return self._nat_with_reason("missing or unreadable times are NaT", "time-unreadable", file)
-        order = self._orders.get(file.header.get("instrument", ""))
-        local = stamp.read(order if self._dayfirst is None and stamp.slashes else self._dayfirst)
-        if local is None:
-            return self._nat_with_reason(
-                "dates of unknown order are NaT; pass dayfirst=", "date-ambiguous", file
-            )
-        gps = None
-        try:
-            gps = read_gps_time(pair(file.header, "gpstime")[scan])
-        except ValueError:
-            self._nat_with_reason("unreadable GPS times are ignored", "gps-time-unreadable", file)
-        utc = utc_of(local, gps, (position_of(file.header, scan) or _NO_POSITION)[1], self._utc_offset_h)
-        if utc is None:
-            return self._nat_with_reason(
-                "local times without GPS time are NaT; pass utc_offset_h=", "zone-missing", file
-            )
-        if (
-            self._utc_offset_h is not None
-            and gps is not None
-            and abs((local - utc).total_seconds() / 3600.0 - self._utc_offset_h) > 0.25
-        ):
-            reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
-            self._nat_with_reason(reason, "utc-offset-conflict", file)
-        return np.datetime64(utc, "ns")
-
-    def warn(self) -> None:
-        for (reason, code), names in self._files_by_reason.items():
-            warn_of(reason, list(names), code)
-
-
-def coords_of_positions(contents: Sequence[SvcFile], scan_number: int) -> dict[str, Any]:
-    """Return coordinates of the scans' GPS positions; ``scan_number`` is 0 for references, 1 for targets."""
-    positions = [position_of(file.header, scan_number) for file in contents]
-    files_unreadable = [
-        file.name for file, position in zip(contents, positions, strict=True) if position is None
-    ]
-    warn_of("unreadable positions are NaN", files_unreadable, "position-unreadable")
-    columns = np.array([position or _NO_POSITION for position in positions], np.float64).T
-    coords: dict[str, Any] = {}
-    for name, column in zip(("latitude", "longitude"), columns, strict=True):
-        attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
-        coords[name] = ("spectrum", column, attrs)
-    return coords
-
-
-def _spectrum_coordinate(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, dict[str, str]]:
-    # Return a coordinate along ``spectrum``; a list contains texts.
-    array = np.array(values, object) if isinstance(values, list) else values
-    return "spectrum", array, {"long_name": meaning, **attrs}
-
-
-def coords_of_files(measurements: Sequence[SvcMeasurement], quantity: str) -> dict[str, Any]:
-    """Return coordinates of the files' names, instruments, overlap treatment, matching and error bits."""
+    # Return the coordinates of the channels, and of the files' names, instruments, overlaps and errors.
     files = [measurement.file for measurement in measurements]
-    names = name_spectra(
-        [
-            (measurement.path, measurement.path.name.removesuffix(measurement.path.suffix))
-            for measurement in measurements
-        ]
-    )
+    overlaps = [measurement.overlap for measurement in measurements]
     errors = np.array([error_bits(file.header) for file in files], np.int64)
-    factors = np.array([measurement.overlap.factors for measurement in measurements], np.float64)
-    overlaps = [measurement.overlap_text for measurement in measurements]
-    matched = np.array([measurement.overlap.matched for measurement in measurements], bool)
-    instruments = [file.header.get("instrument", "") for file in files]
-    factors_texts = [file.header.get("factors", "") for file in files]
-    headers = [json.dumps(dict(file.header), ensure_ascii=False) for file in files]
-    coords: dict[str, Any] = {
-        "spectrum": _spectrum_coordinate(names, "Name of the spectrum"),
-        "source": _spectrum_coordinate([file.name for file in files], "File"),
-        "instrument": _spectrum_coordinate(instruments, "Instrument"),
-        "overlap": _spectrum_coordinate(overlaps, "What became of channels where detectors overlap"),
-        "overlap_matched": _spectrum_coordinate(
-            matched, "Whether values were changed to make detectors meet"
+    factors = np.array([overlap.factors for overlap in overlaps], np.float64)
+    # name: values along the spectra, meaning, units
+    rows: dict[str, tuple[Any, ...]] = {
+        "spectrum": (
+            name_spectra([(path, path.name.removesuffix(path.suffix)) for path in paths]),
+            "Name of the spectrum",
         ),
-        "factors": _spectrum_coordinate(factors_texts, "Matching of the detectors as the file says it"),
-        "header": _spectrum_coordinate(headers, "Header of the file as JSON"),
+        "source": ([file.name for file in files], "File"),
+        "instrument": ([file.header.get("instrument", "") for file in files], "Instrument"),
+        "overlap": (
+            [
+                f"trimmed @ {', '.join(f'{join:g}' for join in measurement.trimmed_at)} nm"
+                if measurement.trimmed_at
+                else measurement.overlap.text
+                for measurement in measurements
+            ],
+            "What became of channels where detectors overlap",
+        ),
+        "overlap_matched": (
+            np.array([overlap.matching.lower() not in ("", "none") for overlap in overlaps], bool),
+            "Whether values were changed to make detectors meet",
+        ),
+        "factors": (
+            [file.header.get("factors", "") for file in files],
+            "Matching of the detectors as the file says it",
+        ),
+        "header": (
+            [json.dumps(dict(file.header), ensure_ascii=False) for file in files],
+            "Header of the file as JSON",
+        ),
     }
     for scan, name in enumerate(SCANS):
         meaning = f"VNIR over SWIR 1 in their overlap, scan of the {name}"
-        coords[f"factor_{name}"] = _spectrum_coordinate(factors[:, scan], meaning, units="1")
+        rows[f"factor_{name}"] = (factors[:, scan], meaning, "1")
         meaning = f"Error bits of the instrument, scan of the {name}; -1 where unknown"
-        coords[f"error_{name}"] = _spectrum_coordinate(errors[:, scan], meaning)
-    if quantity == "reflectance":
+        rows[f"error_{name}"] = (errors[:, scan], meaning)
+    if is_ratio:
         meaning = "Largest distance of the file's own rounded reflectance from the recomputed"
-        coords["column_difference"] = _spectrum_coordinate(_column_differences(files), meaning, units="1")
-    return coords
+        rows["column_difference"] = (_column_differences(files), meaning, "1")
+    return {
+        name: (
+            "spectrum",
+            np.array(values, object) if isinstance(values, list) else values,
+            {"long_name": meaning, **({"units": units[0]} if units else {})},
+        )
+        for name, (values, meaning, *units) in rows.items()
+    }
 
 
 def _column_differences(files: Sequence[SvcFile]) -> Floats:
@@ -537,8 +733,7 @@ def _column_differences(files: Sequence[SvcFile]) -> Floats:
             is_contradictory = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
                 np.isfinite(scan_ratio) & ~np.isfinite(file.percent)
             )
-        if np.isfinite(difference).any():
-            differences[number] = np.nanmax(np.where(np.isfinite(difference), difference, np.nan)) / 100.0
+        differences[number] = max(difference[np.isfinite(difference)], default=np.nan) / 100.0
         if is_contradictory.any():
             contradictory.append(f"{file.name} ({np.count_nonzero(is_contradictory)} channels)")
     warn_of(
@@ -549,10 +744,75 @@ def _column_differences(files: Sequence[SvcFile]) -> Floats:
     return differences
 
 
-def warn_of(problem: str, names: Sequence[str], code: str) -> None:
-    """Warn of a problem of the named files, if there are any."""
-    if names:
-        warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)
+def _coords_of_scans(
+    files: Sequence[SvcFile], scans: Sequence[int], dayfirst: bool | None, utc_offset_h: float | None
+) -> dict[str, Any]:
+    # Return UTC of each of the scans, and the position of the first of them.
+    stamps = [[read_stamp(text) for text in pair(file.header, "time")] for file in files]
+    instruments = [file.header.get("instrument", "") for file in files]
+    orders = orders_of(
+        (instrument, stamp)
+        for instrument, stamps_of_file in zip(instruments, stamps, strict=True)
+        for stamp in stamps_of_file
+        if stamp is not None
+    )
+    files_by_reason: dict[tuple[str, str], dict[str, None]] = {}
+    times = {scan: np.full(len(files), _NAT) for scan in scans}
+    for number, file in enumerate(files):
+        order = orders.get(instruments[number])
+        for scan in scans:
+            stamp, position = stamps[number][scan], position_of(file.header, scan)
+            gps, has_bad_gps = None, False
+            try:
+                gps = read_gps_time(pair(file.header, "gpstime")[scan])
+            except ValueError:
+                has_bad_gps = True
+            # a stamp with slashes takes the order of other files of its instrument
+            local = utc = None
+            if stamp is not None:
+                local = stamp.read(order if dayfirst is None and stamp.slashes else dayfirst)
+            if local is not None:
+                utc = utc_of(local, gps, (position or _NO_POSITION)[1], utc_offset_h)
+            if utc is not None:
+                times[scan][number] = np.datetime64(utc, "ns")
+            is_conflict = (
+                local is not None
+                and utc is not None
+                and not (utc_offset_h is None or gps is None)
+                and abs((local - utc).total_seconds() / 3600.0 - utc_offset_h) > 0.25
+            )
+            reasons = {
+                ("missing or unreadable times are NaT", "time-unreadable"): stamp is None,
+                ("dates of unknown order are NaT; pass dayfirst=", "date-ambiguous"): stamp and not local,
+                ("unreadable GPS times are ignored", "gps-time-unreadable"): local and has_bad_gps,
+                ("local times without GPS time are NaT; pass utc_offset_h=", "zone-missing"): local
+                and not utc,
+                (
+                    f"utc_offset_h={utc_offset_h or 0.0:+g} contradicts GPS time, which is used",
+                    "utc-offset-conflict",
+                ): is_conflict,
+            }
+            for key in (key for key, applies in reasons.items() if applies):
+                files_by_reason.setdefault(key, {})[file.name] = None
+    for (reason, code), names in files_by_reason.items():
+        warn_of(reason, list(names), code)
+    coords: dict[str, Any] = {}
+    for scan in scans:
+        meaning = f"UTC of the scan of the {'white reference' if scan == 0 else 'target'}"
+        name = "time" if scan == scans[0] else "reference_time"
+        coords[name] = ("spectrum", times[scan], {"long_name": meaning})
+    # positions by the GPS
+    positions = [position_of(file.header, scans[0]) for file in files]
+    unreadable = [file.name for file, position in zip(files, positions, strict=True) if position is None]
+    warn_of("unreadable positions are NaN", unreadable, "position-unreadable")
+    columns = np.array([position or _NO_POSITION for position in positions], np.float64).T
+    for name, column in zip(("latitude", "longitude"), columns, strict=True):
+        attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
+        coords[name] = ("spectrum", column, attrs)
+    return coords
+
+
+# --- clocks ------------------------------------------------------------------------------------------------
 
 
 _STAMP = re.compile(
@@ -597,19 +857,12 @@ class LocalStamp:
             return self.month_first is None
         return None if self.slashes else True
 
-    @property
-    def ambiguous(self) -> bool:
-        """Whether the two orders give two dates."""
-        return self.order is None and self.day_first != self.month_first
-
     def read(self, dayfirst: bool | None) -> dt.datetime | None:
         """Return the date in the given or the only possible order; None if it is ambiguous."""
-        if self.day_first is None or self.month_first is None:
+        if None in (self.day_first, self.month_first) or self.day_first == self.month_first:
             return self.day_first or self.month_first
         order = self.order if dayfirst is None else dayfirst
-        if order is None:
-            return None if self.ambiguous else self.day_first
-        return self.day_first if order else self.month_first
+        return None if order is None else self.day_first if order else self.month_first
 
 
 def read_stamp(text: str) -> LocalStamp | None:
@@ -617,7 +870,7 @@ def read_stamp(text: str) -> LocalStamp | None:
 
     Examples
     --------
-    >>> read_stamp("02/08/2024 10:07:36AM").ambiguous
+    >>> read_stamp("02/08/2024 10:07:36AM").read(None) is None  # 2 August or 8 February
     True
     >>> read_stamp("16/10/2024 10:47:58").read(None), read_stamp("11-lug-15 13.08.32").read(None)
     (datetime.datetime(2024, 10, 16, 10, 47, 58), datetime.datetime(2015, 7, 11, 13, 8, 32))
@@ -630,34 +883,26 @@ def read_stamp(text: str) -> LocalStamp | None:
     if len(year) not in (2, 4) or (am_pm is not None and not 1 <= int(hour) <= 12):
         return None
     hours = int(hour) if am_pm is None else int(hour) % 12 + 12 * (am_pm.upper() == "P")
-    clock = (hours, int(minute), int(seconds or 0))
-    month = _month(second)
+
+    def date(month: int | None, day: str | int) -> dt.datetime | None:
+        full_year = int(year) + 2000 if int(year) < 100 else int(year)
+        try:
+            stamp = dt.datetime(full_year, month or 0, int(day), hours, int(minute), int(seconds or 0))
+        except ValueError:
+            return None
+        return stamp if 1990 <= stamp.year < 2200 else None
+
     # the order is certain if the year comes first, or the month is a word
-    if len(first) == 4 or month is None or not second.isdecimal():
-        day = third if len(first) == 4 else first
-        date = None if month is None else _date(int(year), month, int(day), clock)
-        return None if date is None else LocalStamp(date, date, slashes=False)
-    day_first = _date(int(year), month, int(first), clock)
-    month_first = _date(int(year), int(first), month, clock)
+    is_word = not second.isdecimal()
+    if is_word or len(first) == 4:
+        word = second.lower()
+        names = (number for number, prefixes in enumerate(_MONTHS, 1) if word.startswith(prefixes))
+        certain = date(next(names, None) if is_word else int(second), third if len(first) == 4 else first)
+        return None if certain is None else LocalStamp(certain, certain, slashes=False)
+    day_first, month_first = date(int(second), first), date(int(first), second)
     if day_first is None and month_first is None:
         return None
     return LocalStamp(day_first, month_first, slashes=separator == "/")
-
-
-def _month(text: str) -> int | None:
-    # Return the number of a month from its name; a number unchanged, which may be a day.
-    if text.isdecimal():
-        return int(text)
-    word = text.lower()
-    return next((i for i, prefixes in enumerate(_MONTHS, 1) if word.startswith(prefixes)), None)
-
-
-def _date(year: int, month: int, day: int, clock: tuple[int, int, int]) -> dt.datetime | None:
-    try:
-        date = dt.datetime(year + 2000 if year < 100 else year, month, day, *clock)
-    except ValueError:
-        return None
-    return date if 1990 <= date.year < 2200 else None
 
 
 def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:

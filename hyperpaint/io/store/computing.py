@@ -13,7 +13,7 @@ import contextlib
 import sys
 import time
 import traceback
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -23,7 +23,6 @@ from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
 
 from .disk import RUN_AGAIN
-from .stages import in_stages
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -37,7 +36,7 @@ RETRIES = 3
 _SAME_FILES = "; every worker must see the same files, under the same paths"
 _CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
 
-Key = tuple[Any, ...]
+Key = Any  # Of dask: a text, or a tuple of a name and numbers
 Results = Generator[tuple[Key, Any], None, None]
 
 
@@ -186,6 +185,66 @@ def _on_cluster(
         if futures_by_key:
             with contextlib.suppress(Exception):  # the scheduler may be lost
                 client.cancel(list(futures_by_key.values()), force=True)
+
+
+def in_stages(
+    get: Callable[..., Any], graph: Mapping[Key, Any], stage_of: Mapping[Key, int]
+) -> Iterator[tuple[Key, Any]]:
+    """Yield the keys of a graph in ``stage_of`` and their values, stage by stage.
+
+    If one task computes several variables of a map, dask computes the variables one after another, and
+    keeps all slabs of the flight line in memory until the last. Here the tiles of one row (or of one
+    column, if a map is wider than high) are a stage. Results that a later stage needs are passed on, so
+    that every task runs once.
+
+    ``get``: scheduler of dask; ``stage_of``: stages by key.
+
+    Examples
+    --------
+    >>> from operator import add
+    >>> graph = {"slab": 1, "first": (add, "slab", 1), "second": (add, "slab", 2)}
+    >>> import dask
+    >>> dict(in_stages(dask.get, graph, {"first": 0, "second": 1}))
+    {'first': 2, 'second': 3}
+    """
+    if len(set(stage_of.values())) < 2:
+        keys = list(stage_of)
+        yield from zip(keys, get(dict(graph), keys), strict=True)
+        return
+    from dask._task_spec import DataNode
+    from dask.core import get_deps
+
+    dependencies, dependents = get_deps(dict(graph))
+    # first and last stage that needs the value of a key
+    first_stage: dict[Key, int] = {}
+    for target, stage in sorted(stage_of.items(), key=lambda item: item[1]):
+        pending = [target]
+        while pending:
+            key = pending.pop()
+            if key not in first_stage:
+                first_stage[key] = stage
+                pending.extend(dependencies[key])
+    last_stage = {
+        key: max(
+            (first_stage[dependent] for dependent in dependents[key] if dependent in first_stage), default=0
+        )
+        for key in first_stage
+    }
+    by_stage: dict[int, list[Key]] = {}
+    for key, stage in first_stage.items():
+        by_stage.setdefault(stage, []).append(key)
+    carried: dict[Key, Any] = {}
+    for stage in sorted(by_stage):
+        tasks = by_stage[stage]
+        targets = [key for key in tasks if key in stage_of]
+        shared = [key for key in tasks if last_stage[key] > stage]
+        values = get({key: graph[key] for key in tasks} | carried, [*targets, *shared])
+        yield from zip(targets, values, strict=False)
+        carried = {key: node for key, node in carried.items() if last_stage[key] > stage}
+        carried |= {
+            key: DataNode(key, value) for key, value in zip(shared, values[len(targets) :], strict=True)
+        }
+        del values
 
 
 def _cluster_failure(error: BaseException) -> str | None:

@@ -487,40 +487,34 @@ def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
         metadata = array.metadata
         # format 3 has a list of codecs, format 2 a compressor and filters
         codec_names = repr([getattr(metadata, key, None) for key in ("codecs", "compressor", "filters")])
-        if code_codecs := [word for word in CODE_CODECS if word in codec_names.lower()]:
-            problems.add(
-                f"{name}: codec {code_codecs[0]!r}, which runs code in the file",
-                code="codec-runs-code",
-            )
+        code_codec = next((word for word in CODE_CODECS if word in codec_names.lower()), "")
         dtype = np.dtype(array.dtype)
         is_text = dtype.kind in "OT"
-        if is_text and not any(word in str(type(metadata.dtype)) for word in ("VariableLength", "String")):
-            problems.add(
-                f"{name}: data type {metadata.dtype!s:.80}",
-                expected="numbers, times or text",
-                code="type-wrong",
-            )
+        known = not is_text or any(word in str(type(metadata.dtype)) for word in ("VariableLength", "String"))
         # sizes; of shards, zarr reads the inner chunks one by one
         item = TEXT_BYTES if is_text else dtype.itemsize
         limit = MAX_INDEX_BYTES if is_text or "since" in str(array.attrs.get("units")) else MAX_CHUNK_BYTES
-        if math.prod(array.chunks) * item > limit:
-            problems.add(
-                f"{name}: chunks of {array.chunks} {dtype}",
-                expected=f"at most {limit} bytes",
-                code="size-too-large",
-            )
+        for is_wrong, found, expected, code in (
+            (code_codec, f"codec {code_codec!r}, which runs code in the file", "", "codec-runs-code"),
+            (not known, f"data type {metadata.dtype!s:.80}", "numbers, times or text", "type-wrong"),
+            (
+                math.prod(array.chunks) * item > limit,
+                f"chunks of {array.chunks} {dtype}",
+                f"at most {limit} bytes",
+                "size-too-large",
+            ),
+            (array.ndim > 32, f"{array.ndim} dims", "at most 32", "size-too-large"),
+        ):
+            if is_wrong:
+                problems.add(f"{name}: {found}", expected=expected, code=code)
         sizes = zip(array.shape, array.chunks, strict=True)
         chunks += math.prod(-(-size // max(step, 1)) for size, step in sizes)
-        if array.ndim > 32:
-            problems.add(f"{name}: {array.ndim} dims", expected="at most 32", code="size-too-large")
         if array.ndim == 1:
             index_bytes = max(index_bytes, array.shape[0] * max(item, 8))
-    if chunks > MAX_CHUNKS:
-        problems.add(f"{chunks} chunks", expected=f"at most {MAX_CHUNKS}", code="size-too-large")
-    if index_bytes > MAX_INDEX_BYTES:
-        problems.add(
-            f"{index_bytes} bytes of an array with one dim",
-            expected=f"at most {MAX_INDEX_BYTES}",
-            code="size-too-large",
-        )
+    for size, most, unit in (
+        (chunks, MAX_CHUNKS, "chunks"),
+        (index_bytes, MAX_INDEX_BYTES, "bytes of an array with one dim"),
+    ):
+        if size > most:
+            problems.add(f"{size} {unit}", expected=f"at most {most}", code="size-too-large")
     problems.raise_if_any()

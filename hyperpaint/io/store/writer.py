@@ -583,12 +583,22 @@ def _write_arrays(
     Return the files from xarray, of which the metadata of the group are not yet written; and by array the
     crc32c of every chunk, by key.
     """
+    from zarr.storage import MemoryStore
+
     dataset = job.dataset.copy(deep=False)
     dataset.attrs = {**stamped(job.dataset.attrs, "to_store"), CONTENT: job.content}
     variables = {str(name): variable for name, variable in dataset.variables.items()}
     streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
     with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
-        files = _written_by_xarray(dataset, list(streamed), job.codec)
+        # zarr writes metadata, and values of small arrays, in memory: on a disk its threads would write some
+        # hundred small files slowly
+        stored: dict[str, Any] = {}
+        holders = {name: chunks.placeholder(variable) for name, variable in streamed.items()}
+        rest = dataset.drop_vars(list(streamed)).compute()
+        template = layout.with_variables(rest, holders, dataset.coords)[list(dataset.variables)]
+        options: Any = {"mode": "w", "zarr_format": 3, "consolidated": False, "compute": False}
+        template.to_zarr(MemoryStore(stored), encoding=layout.encoding(dataset, job.codec), **options)
+        files = {key: content.to_bytes() for key, content in stored.items()}
         if place.local is not None:
             place.local.mkdir(parents=True, exist_ok=True)
         place.write_files({key: raw for key, raw in files.items() if key != METADATA})
@@ -617,20 +627,6 @@ def _write_arrays(
             keys.sort(key=lambda key: [int(part) for part in key.split("/") if part.isdigit()])  # C order
             sums[name] = {key.removeprefix(prefix): files[key][-4:] for key in keys}
     return files, sums
-
-
-def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, bytes]:
-    # Files of a group, written by zarr in memory: metadata, and values of small arrays.
-    # On a disk, zarr's threads would write some hundred small files slowly.
-    from zarr.storage import MemoryStore
-
-    files: dict[str, Any] = {}
-    holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
-    template = layout.with_variables(dataset.drop_vars(streamed).compute(), holders, dataset.coords)
-    template, encoding = template[list(dataset.variables)], layout.encoding(dataset, codec)
-    options: Any = {"mode": "w", "zarr_format": 3, "consolidated": False, "compute": False}
-    template.to_zarr(MemoryStore(files), encoding=encoding, **options)
-    return {key: content.to_bytes() for key, content in files.items()}
 
 
 def _write_to_store_object(
@@ -724,24 +720,20 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 
     variables = []
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
+        # a value that changes with the variable's content
+        content: Any = None
+        if source_token is None and layout.is_at_hand(variable) and is_named_by_content(variable):
+            # dask's names of text arrays are ambiguous
+            is_text = variable.dtype.kind in "OT" and variable._in_memory
+            content = json.dumps(variable.values.tolist(), default=str) if is_text else variable.data
+        elif source_token is None:
+            # a random text: the content of a lazy array from a file is unknown without reading it, and its
+            # dask name does not change when a Zarr store is rewritten
+            content = variable.values if variable.size == 1 else uuid.uuid4().hex
         form = (str(name), variable.dims, variable.shape, str(variable.dtype), content_attrs(variable.attrs))
-        content = _content(variable) if source_token is None else None
         variables.append((*form, content))
     coords = sorted(map(str, dataset.coords))
     return str(tokenize(FORMAT_VERSION, source_token, variables, coords, content_attrs(dataset.attrs)))
-
-
-def _content(variable: xr.Variable) -> Any:
-    # Value for the token of a variable, which changes with the variable's content
-    if layout.is_at_hand(variable) and is_named_by_content(variable):
-        # dask's names of text arrays are ambiguous
-        is_text = variable.dtype.kind in "OT" and variable._in_memory
-        return json.dumps(variable.values.tolist(), default=str) if is_text else variable.data
-    if variable.size == 1:
-        return variable.values
-    # a random text: the content of a lazy array from a file is unknown without reading it, and its dask name
-    # does not change when a Zarr store is rewritten
-    return uuid.uuid4().hex
 
 
 def pending_groups(

@@ -3,7 +3,6 @@
 A paint library comes in, a library of synthetic paints goes out. For the accessor and workflows.
 """
 
-from .recipes import mix_paints, shade_paints
-from .synthetic_paints import sample_paints
+from .synthetic_paints import mix_paints, sample_paints, shade_paints
 
 __all__ = ["mix_paints", "sample_paints", "shade_paints"]

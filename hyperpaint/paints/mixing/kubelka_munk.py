@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND
@@ -129,7 +129,17 @@ class Coating:
         # values far below 0, where the denominator changes its sign, are too low as well
         low = (layer < MIN_LAYER_REFLECTANCE) | (values < self.mirrored)
         high = ~low & (layer > 1.0)
-        self._refuse_dark(values < self.mirrored, np.isfinite(values), names)
+        problems = Problems("the library's reflectance is lower than its mirrored light", SchemaError)
+        for name, is_dark, has_value in zip(names, values < self.mirrored, np.isfinite(values), strict=True):
+            share = float(is_dark.sum() / max(int(has_value.sum()), 1))
+            if self.mirrored.any() and share > MAX_DARK_SHARE:
+                problems.add(
+                    f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
+                    mend="pass as mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
+                    "times the diffuse fraction), or call remove_mirrored_sky first",
+                    code="paint-too-dark",
+                )
+        problems.raise_if_any()
         if low.any() or high.any():
             finite_count = int(np.isfinite(values).sum())
             msg = (
@@ -145,21 +155,6 @@ class Coating:
         """Return the reflectance of layers from their K/S [1], clipped to 0 to 1; inverse of `ratio`."""
         reflectance = self.interface.outside(thick_layer_reflectance(ratio)) + self.mirrored
         return np.asarray(np.clip(reflectance, 0.0, 1.0))
-
-    def _refuse_dark(self, dark: Bools, is_finite: Any, names: list[str]) -> None:
-        if not self.mirrored.any():
-            return
-        problems = Problems("the library's reflectance is lower than its mirrored light", SchemaError)
-        for name, is_dark, has_value in zip(names, dark, is_finite, strict=True):
-            share = float(is_dark.sum() / max(int(has_value.sum()), 1))
-            if share > MAX_DARK_SHARE:
-                problems.add(
-                    f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
-                    mend="pass as mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
-                    "times the diffuse fraction), or call remove_mirrored_sky first",
-                    code="paint-too-dark",
-                )
-        problems.raise_if_any()
 
 
 def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coating:

@@ -6,9 +6,11 @@ They are reduced in the order of the regions, so that results have the same bits
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,19 +19,49 @@ import xarray as xr
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.mirrored_light import (
+    BODY,
+    EXCLUDED as MIRROR_EXCLUDED,
+    INCLUDED,
+    OUTSIDE,
+    THROUGH_COAT,
+    mirror_reflection,
+)
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Quality, flag_names
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    LIBRARY_VARIABLES,
+    SIGNATURE,
+    Quality,
+    flag_names,
+    numbers_of,
+    quality_attrs,
+)
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX
+from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
+from hyperpaint.light.sky_functions import radiance_towards_sun, sunward_gain
+from hyperpaint.light.sun import solar_position
+from hyperpaint.radiometry.uncertainty.averages import MeanErrors, RegionSums, error_variables
+from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions, pixels_of, regions_from
-from hyperpaint.surroundings.coat_correction import correct_coat
-from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
+from hyperpaint.regions.pixels_in_regions import Pixels
+from hyperpaint.surroundings.corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, correct_coat
 
-from .coat_strength import with_coat_strength
-from .line_sources import RegionPixels, Smoothing, Source, distinct_pixels, lines_of, source_of
+from .line_sources import (
+    RegionPixels,
+    Smoothing,
+    Source,
+    distinct_pixels,
+    lines_of,
+    mean_view,
+    relative_azimuth,
+    source_of,
+)
 from .pixel_gathering import gather
-from .pixel_statistics import CENTRES, excluded_of
-from .signature_library import Draft, paint_library
+from .pixel_statistics import CENTRES, QUANTILES, chosen_members, effective_pixels, excluded_of, summarise
 
 # --- correction of the clear coat for regions of paint -----------------------------------------------------
 
@@ -145,15 +177,11 @@ def aspecular_angle(
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-class Flop(NamedTuple):
-    """Change of reflectance from the dark to the bright end of a body part."""
-
-    spectrum: Floats  #: (band,): Bright end less dark end, over their mean [1]; NaN where unknown.
-    contrast: float  #: The same for the means over all good bands [1].
-
-
-def flop_of(members: Array, good: Array) -> Flop:
+def flop_of(members: Array, good: Array) -> tuple[Floats, float]:
     r"""Return the change of reflectance from the dark to the bright end of a body part.
+
+    The bright end less the dark end, over their mean (band,), NaN where unknown; and the same for the means
+    over all good bands [1].
 
     Parameters
     ----------
@@ -175,7 +203,7 @@ def flop_of(members: Array, good: Array) -> Flop:
     """
     values = members[np.isfinite(members[:, good]).all(axis=1)].astype(np.float64)
     if len(values) < MIN_FLOP_MEMBERS or not good.any():
-        return Flop(np.full(members.shape[1], np.nan), np.nan)
+        return np.full(members.shape[1], np.nan), np.nan
     median = np.median(values[:, good], axis=0)
     order = np.argsort((values[:, good] / np.maximum(median, 1e-6)).mean(axis=1), kind="stable")
     count = max(1, round(FLOP_SHARE * len(values)))
@@ -184,7 +212,7 @@ def flop_of(members: Array, good: Array) -> Flop:
         spectrum = np.where(dark + bright > 0.0, 2.0 * (bright - dark) / (bright + dark), np.nan)
     total = bright[good].mean() + dark[good].mean()
     contrast = 2.0 * float(bright[good].mean() - dark[good].mean()) / total if total > 0.0 else np.nan
-    return Flop(spectrum, contrast)
+    return spectrum, contrast
 
 
 def lean_range(contrast: npt.ArrayLike, sun_zenith: npt.ArrayLike, direct: npt.ArrayLike) -> Floats:
@@ -223,7 +251,7 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
         flop_of(paint_members, good & bands)
         for paint_members, bands in zip(members, band_is_used, strict=True)
     ]
-    contrast = np.array([flop.contrast for flop in flops])
+    contrast = np.array([contrast for _, contrast in flops])
     # without a split all light is assumed to be direct, which gives the smallest lean
     direct = np.ones(len(flops))
     if "diffuse_fraction" in library.variables:
@@ -237,7 +265,7 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
     variables = {
         "aspecular_angle": (SIGNATURE, aspecular_angle(sun_zenith, view_zenith, relative_azimuth)),
         "aspecular_range": (SIGNATURE, 2.0 * lean_range(contrast, sun_zenith, direct)),
-        "flop": ((SIGNATURE, BAND), np.array([flop.spectrum for flop in flops], np.float32)),
+        "flop": ((SIGNATURE, BAND), np.array([spectrum for spectrum, _ in flops], np.float32)),
     }
     return library.assign(
         {
@@ -245,6 +273,156 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
             for name, (dims, values) in variables.items()
         }
     )
+
+
+# --- sky mirrored by a coat relative to its Fresnel reflectance, from the variation of pixels --------------
+
+
+@dataclass(frozen=True)
+class StrengthRules:
+    """Conditions under which the strength of a coat can be measured.
+
+    Attributes
+    ----------
+    min_members
+        Minimum number of member pixels: fewer have no reliable principal component.
+    sun_zenith_deg
+        Minimum and maximum zenith angle of the sun [degree]: under a high sun leans change the light little,
+        under a low sun terms of higher order matter.
+    min_share
+        Minimum share of the pixels' variance in the first component [1]: below, it is noise.
+    max_misfit
+        Maximum part of the component that the fit of its two terms does not explain [1].
+    max_u
+        Maximum standard uncertainty of a reported strength [1].
+    slope_deg
+        Zenith angle of the two directions between which the slope of sky radiance is taken [degree]: twice a
+        usual lean, since a part mirrors the sky at twice its lean.
+    first_order
+        Relative uncertainty of the strength from terms of higher order [1]: from simulated mirroring body
+        parts with leans of 2.5 degrees (tests).
+    """
+
+    min_members: int = 40
+    sun_zenith_deg: tuple[float, float] = (25.0, 70.0)
+    min_share: float = 0.5
+    max_misfit: float = 0.05
+    max_u: float = 0.3
+    slope_deg: float = 4.0
+    first_order: float = 0.1
+
+
+STRENGTH = StrengthRules()
+
+
+def strength_of(
+    members: Floats, wavelength: Floats, diffuse: Floats, sun_zenith: float, removed: float = 0.0
+) -> tuple[float, float, str]:
+    r"""Return a coat's strength [1], its standard uncertainty, and the reason where it cannot be measured.
+
+    Takes ``members`` (member, band): reflectance of single pixels; ``wavelength``, ``diffuse`` (band,): bands
+    [nm], and the diffuse fraction of a clear sky there [1]; ``sun_zenith`` [degree]; ``removed``: reflectance
+    of the coat of a mirrored sky that was subtracted from the members [1].
+
+    Notes
+    -----
+    A pixel of a body part that leans towards the sun by :math:`\beta` gets more direct light, and mirrors the
+    sky :math:`2 \beta` nearer to the sun. To first order its spectrum changes by
+
+    .. math:: \beta \left[ \tan\theta_s (f_{dir} + g f_{dif}) (\bar\rho - k F_0 f_{dif} L_z)
+              + 2 k F_0 f_{dif} L' \right]
+
+    with the zenith radiance :math:`L_z` over the mean of the sky, the slope of radiance towards the sun
+    :math:`L'`, the gain of diffuse light g, and the coat's strength k: 1 where it mirrors as its index
+    predicts. The first principal component of a region's pixels is proportional to this change. Amounts of
+    its two terms are fitted to the component; their quotient is k. Only on a dark body is the mirrored part
+    large enough to be measured.
+    """
+    unknown = (np.nan, np.nan)
+    if len(members) < STRENGTH.min_members:
+        return *unknown, f"{len(members)} pixels, expected {STRENGTH.min_members}"
+    low, high = STRENGTH.sun_zenith_deg
+    if not low <= sun_zenith <= high:
+        return *unknown, f"the sun at {sun_zenith:.0f} degrees, expected {low:g} to {high:g}"
+    # zenith radiance over the mean of the sky, its slope towards the sun, and the gain of diffuse light
+    turn = STRENGTH.slope_deg
+    towards, away, above = (
+        radiance_towards_sun(wavelength, sun_zenith, angle) for angle in (turn, -turn, 0.0)
+    )
+    sky_slope = (towards - away) / (2.0 * np.radians(turn))
+    gain = sunward_gain(wavelength, sun_zenith)
+    members = members + removed * diffuse * above
+    mean = members.mean(axis=0)
+    scores, sizes, directions = np.linalg.svd(members - mean, full_matrices=False)
+    share = float(sizes[0] ** 2 / (sizes**2).sum())
+    if not share >= STRENGTH.min_share:
+        return *unknown, (
+            f"the first principal component has {share:.0%} of the pixels' variance, expected "
+            f"{STRENGTH.min_share:.0%}"
+        )
+    # noise of the component: residuals without it
+    residuals = members - mean - np.outer(scores[:, 0] * sizes[0], directions[0])
+    noise = np.sqrt((residuals**2).sum(axis=0) / max(len(members) - 2, 1)) / sizes[0]
+    noise = np.maximum(noise, 0.2 * np.median(noise) + 1e-9)
+    mirror = NORMAL_REFLECTANCE * diffuse
+    lit = np.tan(np.radians(sun_zenith)) * (1.0 - diffuse + gain * diffuse)
+    terms = np.stack([lit * mean, 2.0 * mirror * sky_slope - lit * mirror * above], axis=1)
+    scaled_terms, target = terms / noise[:, None], directions[0] / noise
+    covariance = np.linalg.inv(scaled_terms.T @ scaled_terms)
+    amounts = covariance @ scaled_terms.T @ target
+    misfit = directions[0] - terms @ amounts
+    unexplained = float((misfit**2).sum())
+    if unexplained > STRENGTH.max_misfit:
+        return *unknown, f"{unexplained:.0%} of the differences are neither lean nor mirrored sky"
+    strength = float(amounts[1] / amounts[0])
+    # misfits are smooth over the bands: some ten values of a spectrum are independent
+    excess = max(1.0, float(np.mean((misfit / noise) ** 2))) * max(1.0, target.size / 10.0)
+    gradient = np.array([-strength, 1.0]) / amounts[0]
+    u = float(np.hypot(np.sqrt(gradient @ covariance @ gradient * excess), STRENGTH.first_order * strength))
+    if not u <= STRENGTH.max_u:
+        return *unknown, f"the body is too bright: the strength would be uncertain by {u:.1f}"
+    return strength, u, ""
+
+
+def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> xr.Dataset:
+    """Return a library with ``coat_strength``, ``coat_strength_u`` and ``coat_strength_reason`` (signature).
+
+    The library holds ``diffuse_fraction``, ``sky_state`` and ``sun_zenith`` of every paint, without a
+    correction of the coat; a subtracted mirrored sky is added again. After a correction of the light the
+    strength cannot be measured.
+    """
+    attrs = library["reflectance"].attrs
+    removed = NORMAL_REFLECTANCE if mirror_reflection(library) == MIRROR_EXCLUDED else 0.0
+    columns: list[tuple[float, float, str]] = []
+    good = library["good"].values.astype(bool)
+    nm = library["wavelength"].values
+    clear = {SKY_STATES.index("clear"), SKY_STATES.index("hazy")}
+    for number in range(library.sizes[SIGNATURE]):
+        paint = library.isel({SIGNATURE: number})
+        members = paint["member_reflectance"].values.astype(np.float64)
+        members = members[np.isfinite(members).any(axis=1)]
+        # bands at the ends of the spectrum may have no values
+        bands = good & (np.isfinite(members).sum(axis=0) > 0.9 * len(members))
+        members = members[:, bands][np.isfinite(members[:, bands]).all(axis=1)]
+        diffuse, sun = paint["diffuse_fraction"].values[bands].astype(np.float64), float(paint["sun_zenith"])
+        sun = sun if sun_zenith is None else sun_zenith  # the argument takes precedence over the clock
+        if changed := [name for name in ("light_corrected", "tilt", "coat_corrected") if name in attrs]:
+            columns.append((np.nan, np.nan, f"the light was corrected before ({changed[0]})"))
+        elif not (np.isfinite(diffuse).all() and np.isfinite(sun)):
+            columns.append((np.nan, np.nan, "the diffuse fraction or the position of the sun is unknown"))
+        elif int(paint["sky_state"]) not in clear:
+            columns.append((np.nan, np.nan, f"the sky is {SKY_STATES[int(paint['sky_state'])]}, not clear"))
+        else:
+            columns.append(strength_of(members, nm[bands], diffuse, min(sun, 89.0), removed))
+    names = ("coat_strength", "coat_strength_u", "coat_strength_reason")
+    variables: dict[str, Any] = {
+        name: (SIGNATURE, np.array(column, object if name.endswith("reason") else np.float64))
+        for name, column in zip(names, zip(*columns, strict=True), strict=True)
+    }
+    result = library.assign(variables).set_coords("coat_strength_reason")
+    for name in names:
+        result[name].attrs = LIBRARY_VARIABLES[name].attrs
+    return result
 
 
 #: Flags of pixels whose reflectance differs from that of the surface.
@@ -407,9 +585,22 @@ def extract_signatures(
     >>> paints["signature"].item(), paints["colour"].item(), paints["n"].item()
     ('grass', 'green', 32)
     """
-    options = _Options(EXCLUDED if exclude is None else exclude, members, centre, min_pixels, seed)
     region_list = regions_from(regions)
-    options.check(region_list)
+    flags = EXCLUDED if exclude is None else exclude
+    problems = Problems("signatures cannot be extracted", SchemaError)
+    if not len(region_list):
+        problems.add("regions= is empty", mend="draw regions, or call propose_regions", code="empty-input")
+    if not isinstance(flags, int) or not 0 <= flags < 2 * max(Quality):
+        problems.add(
+            f"exclude={flags!r:.40}",
+            expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
+            code="choice-unknown",
+        )
+    for name, count, minimum in (("members", members, 0), ("min_pixels", min_pixels, 1)):
+        if count < minimum:
+            problems.add(f"{name}={count}", expected=f"{minimum} or more", code="value-out-of-range")
+    one_of(centre, CENTRES, "centre", problems=problems)
+    problems.raise_if_any()
     for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):
         if value is not None and not (specular_sky or coat):
             raise SchemaError(
@@ -427,19 +618,33 @@ def extract_signatures(
     names = {position: name for name, (_, positions) in lines.items() for position in positions}
     pixels = _pixels_of_regions(region_list, lines, sources)
     rounds = [
-        _Round(name, batch, bands)
+        (name, batch, bands)
         for name, (_, positions) in lines.items()
         for batch, bands in _rounds(sources[name], positions, pixels, all_bands=centre == "geometric_median")
     ]
     if centre == "geometric_median":
         _check_complete(rounds, sources, pixels, region_list)
     drafts = [Draft(sources[names[position]], region_pixels) for position, region_pixels in enumerate(pixels)]
-    excluded = [
-        excluded_of(region, options.exclude) if exclude is None else exclude for region in region_list
-    ]
-    for number, gathering_round in enumerate(rounds):
-        round_progress = part_of(progress, number, len(rounds))
-        _reduce(gathering_round, sources[gathering_round.line], drafts, options, excluded, round_progress)
+    excluded = [excluded_of(region, flags) if exclude is None else exclude for region in region_list]
+    for number, (name, batch, bands) in enumerate(rounds):
+        # gather and reduce the pixels of a round; reading is the first half of the work, reducing the second
+        report, source = part_of(progress, number, len(rounds)), sources[name]
+        along, across = (np.concatenate([drafts[k].cells[axis] for k in batch]) for axis in (0, 1))
+        gathering = None if report is None else partial(_first_half, report)
+        spectra, values = gather(source.cubes, source.planes, along, across, bands, source.small, gathering)
+        line_values = {key: values[key] for key in source.small}
+        start = 0
+        for position in batch:
+            draft = drafts[position]
+            rows = slice(start, start + draft.along.size)
+            start = rows.stop
+            if bands.start == 0:
+                planes = {key: values[key][rows] for key in source.planes}
+                draft.choose(values["present"][rows], planes, line_values, excluded[position], members, seed)
+            if draft.n >= min_pixels:
+                draft.take_bands({key: cube[rows] for key, cube in spectra.items()}, bands, centre)
+            if report is not None:
+                report(along.size + start, 2 * along.size)
     small = _small(region_list, drafts, min_pixels)
     large_enough = [number for number in range(len(region_list)) if number not in small]
     if small and not (drop_small and large_enough):
@@ -452,8 +657,15 @@ def extract_signatures(
             )
         problems.raise_if_any()
     remaining = Regions(tuple(region_list[k] for k in large_enough), region_list.coordinates, region_list.crs)
+    notes = {
+        "exclude": " ".join(flag_names(flags)) or "none",
+        "members": members,
+        "centre": centre,
+        "min_pixels": min_pixels,
+        "seed": seed,
+    }
     library = paint_library(
-        remaining, [drafts[k] for k in large_enough], [names[k] for k in large_enough], sources, options.notes
+        remaining, [drafts[k] for k in large_enough], [names[k] for k in large_enough], sources, notes
     )
     if sun_zenith is not None:  # takes precedence over the clock
         zenith = np.full(library.sizes[SIGNATURE], float(sun_zenith))
@@ -465,73 +677,8 @@ def extract_signatures(
     return library.assign_attrs(left_out=list(small.values())) if small else library
 
 
-@dataclass(frozen=True)
-class _Options:
-    exclude: int
-    members: int
-    centre: str
-    min_pixels: int
-    seed: int
-
-    def check(self, regions: Regions) -> None:
-        problems = Problems("signatures cannot be extracted", SchemaError)
-        if not len(regions):
-            problems.add(
-                "regions= is empty", mend="draw regions, or call propose_regions", code="empty-input"
-            )
-        if not isinstance(self.exclude, int) or not 0 <= self.exclude < 2 * max(Quality):
-            problems.add(
-                f"exclude={self.exclude!r:.40}",
-                expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
-                code="choice-unknown",
-            )
-        for name, value, minimum in (("members", self.members, 0), ("min_pixels", self.min_pixels, 1)):
-            if value < minimum:
-                problems.add(f"{name}={value}", expected=f"{minimum} or more", code="value-out-of-range")
-        one_of(self.centre, CENTRES, "centre", problems=problems)
-        problems.raise_if_any()
-
-    @property
-    def notes(self) -> dict[str, Any]:
-        return {**asdict(self), "exclude": " ".join(flag_names(self.exclude)) or "none"}
-
-
-@dataclass(frozen=True)
-class _Round:
-    # Regions of a flight line, by number, and bands that are gathered together
-    line: str
-    batch: list[int]
-    bands: slice
-
-
-def _reduce(
-    gathering_round: _Round,
-    source: Source,
-    drafts: Sequence[Draft],
-    options: _Options,
-    excluded: Sequence[int],
-    progress: Progress | None,
-) -> None:
-    # Gather and reduce the pixels of a round; `excluded` holds the excluded flags of every draft
-    bands = gathering_round.bands
-    batch = [drafts[position] for position in gathering_round.batch]
-    along, across = (np.concatenate([draft.cells[axis] for draft in batch]) for axis in (0, 1))
-    # reading is the first half of the work, reducing the second
-    gathering = None if progress is None else lambda count, blocks: progress(count, 2 * blocks)
-    spectra, values = gather(source.cubes, source.planes, along, across, bands, source.small, gathering)
-    line_values = {key: values[key] for key in source.small}
-    start = 0
-    for position, draft in zip(gathering_round.batch, batch, strict=True):
-        rows = slice(start, start + draft.along.size)
-        start = rows.stop
-        if bands.start == 0:
-            present = values["present"][rows]
-            planes = {name: values[name][rows] for name in source.planes}
-            draft.choose(present, planes, line_values, excluded[position], options.members, options.seed)
-        if draft.n >= options.min_pixels:
-            draft.take_bands({name: cube[rows] for name, cube in spectra.items()}, bands, options.centre)
-        if progress is not None:
-            progress(along.size + start, 2 * along.size)
+def _first_half(progress: Progress, count: int, blocks: int) -> None:
+    progress(count, 2 * blocks)
 
 
 _DEGREES_WITHOUT_CRS = (
@@ -610,13 +757,15 @@ def _rounds(
 
 
 def _check_complete(
-    rounds: Sequence[_Round], sources: Mapping[str, Source], pixels: Sequence[RegionPixels], regions: Regions
+    rounds: Sequence[tuple[str, list[int], slice]],
+    sources: Mapping[str, Source],
+    pixels: Sequence[RegionPixels],
+    regions: Regions,
 ) -> None:
     # Raise for regions whose bands are divided among rounds
     problems = Problems("the geometric median needs all bands of a region in memory", SchemaError)
-    for gathering_round in rounds:
-        bands, number = gathering_round.bands, gathering_round.batch[0]
-        if bands.start == 0 and bands.stop < sources[gathering_round.line].wavelength.size:
+    for name, (number, *_), bands in rounds:
+        if bands.start == 0 and bands.stop < sources[name].wavelength.size:
             count = pixels[number].size
             problems.add(
                 f"region {regions[number].name!r} has {count} pixels: more than "
@@ -639,3 +788,357 @@ def _small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> dict[i
                 f"{min_pixels} ({flags or 'no flags'})"
             )
     return texts
+
+
+# --- one signature, band by band, and the dataset of all signatures ----------------------------------------
+
+#: Number of good bands, spread over the spectrum, in which the correlation of pixels is computed.
+_CORRELATED_BANDS = 8
+
+_NAT = np.datetime64("NaT", "ns")
+
+UNKNOWN_SKY = -1  #: Number of an unknown state of the sky; see `SKY_STATES`.
+
+
+class Draft:
+    """The signature of one region while it is computed.
+
+    Attributes
+    ----------
+    cells
+        Positions of its pixels in the opened flight line or map.
+    along, across : (pixel,)
+        Positions of its pixels in the flight line.
+    n, excluded
+        Number of pixels that are used, and of excluded pixels.
+    flags
+        Flags of the pixels that are used.
+    share : (flag,)
+        Share of all its pixels with every flag [1].
+    member_position
+        Positions of the members along and across the track; in a flight line by its index coordinates.
+    geometry
+        Mean time, sun, view and light of the pixels, and the age of the irradiance, by variable.
+    spectra
+        ``reflectance``, ``reflectance_sd`` and uncertainties (band,), ``reflectance_quantiles`` (quantile,
+        band) and ``member_reflectance`` (member, band), float64, NaN where unknown.
+    errors
+        Sources of error of the mean, after its last band.
+    """
+
+    def __init__(self, source: Source, pixels: RegionPixels) -> None:
+        bands = source.cubes["reflectance"].sizes[BAND]
+        self.cells = pixels.cells
+        self._is_in_line = pixels.cells is pixels.pixels  # not in a map
+        self.along, self.across = pixels.pixels
+        self._lines = pixels.lines
+        self.n = 0
+        self.excluded = 0
+        self.flags = 0
+        self.share = np.zeros(len(Quality))
+        self.member_position: Pixels = (self.along[:0], self.across[:0])
+        self.geometry: dict[str, Any] = {}
+        self.spectra = {
+            name: np.full(bands, np.nan) for name in ("reflectance", "reflectance_sd", *UNCERTAINTIES)
+        }
+        self.spectra["reflectance_quantiles"] = np.full((len(QUANTILES), bands), np.nan)
+        self._source = source
+        self._is_used = np.zeros(self.along.size, bool)
+        self._value_counts = np.zeros(bands, np.intp)
+        self._members = np.zeros(0, np.intp)
+        good = np.flatnonzero(source.good)
+        positions = np.linspace(0, good.size - 1, min(good.size, _CORRELATED_BANDS)).astype(np.intp)
+        self._correlated_bands = good[positions] if good.size else good
+        self._correlated_values: list[Array] = []
+        self._sums: RegionSums | None = None
+        self.errors: MeanErrors | None = None
+
+    @property
+    def n_eff(self) -> float:
+        """Number of independent pixels among those used."""
+        values = np.concatenate([np.zeros((self.n, 0), np.float32), *self._correlated_values], axis=1)
+        along = self.along[self._is_used]
+        if self._lines is not None and along.size:
+            # pixels of different flight lines are not neighbours: shift the flight lines far from one another
+            flightline = np.unique(self._lines[self._is_used], return_inverse=True)[1]
+            along = along + flightline * (2 * int(np.ptp(along)) + 2)
+        return effective_pixels(values, along, self.across[self._is_used])
+
+    def choose(
+        self,
+        present: Array,
+        planes: Mapping[str, Array],
+        lines: Mapping[str, Array],
+        exclude: int,
+        max_members: int,
+        seed: int,
+    ) -> None:
+        """Choose the pixels that are used and the members, and compute their geometry.
+
+        Takes ``present`` (pixel,): whether a pixel has a value, others are excluded; ``planes``: variables of
+        pixels (pixel,), among them ``quality``, 0 where it is absent; ``lines``: variables of the line
+        (along_track,); ``exclude``: flags of excluded pixels; ``max_members``, ``seed``: see
+        `chosen_members`.
+        """
+        quality = planes.get("quality", np.zeros(self.along.size, np.uint16))
+        self._is_used = (quality & np.uint16(exclude) == 0) & present
+        self.n = int(self._is_used.sum())
+        self.excluded = self.along.size - self.n
+        self.flags = int(np.bitwise_or.reduce(quality[self._is_used], initial=0))
+        self.share = np.array([(quality & np.uint16(flag) != 0).mean() for flag in Quality])
+        along, across = self.along[self._is_used], self.across[self._is_used]
+        if self._source.errors is not None:
+            self._sums = RegionSums(self._source.errors, along, across)
+        self._members = chosen_members(along, across, max_members, seed)
+        self.member_position = along[self._members], across[self._members]
+        if self._is_in_line:
+            numbers = (numbers_of(self._source.line, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
+            rows, columns = (axis.astype(np.int64) for axis in numbers)
+            self.member_position = rows[self.member_position[0]], columns[self.member_position[1]]
+        bands = self._source.cubes["reflectance"].sizes[BAND]
+        self.spectra["member_reflectance"] = np.full((self._members.size, bands), np.nan)
+        line_values = {name: values[self.cells[0][self._is_used]] for name, values in lines.items()}
+        pixel_values = {name: values[self._is_used] for name, values in planes.items()}
+        self.geometry = _sun_geometry({**line_values, **pixel_values})
+        light = self._source.light
+        unknown = np.full(bands, np.nan)
+        self.geometry |= {
+            "diffuse_fraction": unknown,
+            "diffuse_fraction_u": unknown,
+            "sky_state": UNKNOWN_SKY,
+        }
+        self.geometry |= {} if light is None else light.mean(self.cells[0][self._is_used])
+        zenith, azimuth = mean_view(self._source.viewing, pixel_values, line_values, across)
+        self.geometry |= {
+            "view_zenith": zenith,
+            "view_azimuth": azimuth,
+            "relative_azimuth": relative_azimuth(azimuth, self.geometry["sun_azimuth"]),
+        }
+
+    def take_bands(self, cubes: Mapping[str, Array], bands: slice, centre: str) -> None:
+        """Reduce some bands of the region's pixels.
+
+        Takes ``cubes``: reflectance and its uncertainties (pixel, band), by name; ``bands``: slice of these
+        bands in the spectrum; ``centre``: see `summarise`.
+        """
+        values = cubes["reflectance"][self._is_used]
+        summary = summarise(values, centre)
+        has_value = np.isfinite(values)
+        self._value_counts[bands] = has_value.sum(axis=0)
+        self.spectra["reflectance"][bands] = summary.centre
+        self.spectra["reflectance_sd"][bands] = summary.sd
+        self.spectra["reflectance_quantiles"][:, bands] = summary.quantiles
+        self.spectra["member_reflectance"][:, bands] = values[self._members]
+        in_bands = (self._correlated_bands >= bands.start) & (self._correlated_bands < bands.stop)
+        self._correlated_values.append(values[:, self._correlated_bands[in_bands] - bands.start])
+        if self._sums is not None:
+            measured = cubes.get("measured", cubes["reflectance"])[self._is_used]
+            noise = cubes["reflectance_u_random"][self._is_used]
+            for column, band in enumerate(range(*bands.indices(self._value_counts.size))):
+                self._sums.add(band, measured[:, column], noise[:, column])
+            if bands.stop >= self._value_counts.size:
+                self.errors = self._sums.errors(self._source.axis, self._source.filtering)
+                self._sums = None  # frees the memory of the sums
+            return
+        for name in UNCERTAINTIES:
+            if name in cubes and self._source.components[name] != NONE_KNOWN:
+                # random errors: mean square here, divided in `finish` by the number of independent pixels
+                power = 2.0 if name == "reflectance_u_random" else 1.0
+                self.spectra[name][bands] = _mean_of_power(cubes[name][self._is_used], has_value, power)
+
+    def finish(self) -> float:
+        """Compute the uncertainties of the mean; return the number of independent pixels."""
+        n_eff = self.n_eff
+        self._correlated_values = []
+        if self.errors is not None:
+            uncertainties = (self.errors.u_random, self.errors.u_systematic)
+            missing = self._value_counts == 0
+            for name, values in zip(UNCERTAINTIES, uncertainties, strict=True):
+                self.spectra[name] = np.where(missing, np.nan, values)
+            return n_eff
+        # the number of independent pixels in a band is proportional to its number of values
+        n_eff_of_band = np.maximum(1.0, n_eff * self._value_counts / max(self.n, 1))
+        self.spectra["reflectance_u_random"] = np.sqrt(self.spectra["reflectance_u_random"] / n_eff_of_band)
+        return n_eff
+
+
+def _mean_of_power(values: Array, has_reflectance: Array, power: float) -> Array:
+    # Mean of a power (band,) over the pixels with a reflectance; NaN without such pixels
+    means = np.full(values.shape[1], np.nan)
+    # band by band: then the order of the sum is that of the pixels for any number of bands
+    for band, column in enumerate(values.T):
+        finite_values = column[has_reflectance[:, band] & np.isfinite(column)].astype(np.float64)
+        if finite_values.size:
+            means[band] = (finite_values**power).mean()
+    return means
+
+
+def _sun_geometry(variables: Mapping[str, Array]) -> dict[str, Any]:
+    # Mean time, position of the sun and maximum age of the irradiance, from values of pixels (pixel,)
+    times = variables.get("time", np.full(0, _NAT)).astype("datetime64[ns]")
+    times = times[~np.isnat(times)]
+    mean_time = _NAT
+    if times.size:
+        mean_time = times[0] + np.timedelta64(round(float((times - times[0]).astype(np.int64).mean())), "ns")
+    position = [variables.get(name, np.full(0, np.nan)) for name in ("latitude", "longitude")]
+    position = [values[np.isfinite(values)] for values in position]
+    zenith = azimuth = np.nan
+    if times.size and all(values.size for values in position):
+        means = (float(values.mean()) for values in position)
+        zenith, azimuth = map(float, solar_position(mean_time, *means))
+    age = variables.get("irradiance_age", np.full(0, np.nan))
+    age = age[np.isfinite(age)]
+    return {
+        "time": mean_time,
+        "sun_zenith": zenith,
+        "sun_azimuth": azimuth,
+        "irradiance_age": float(age.max()) if age.size else np.nan,
+    }
+
+
+#: Maximum number of properties that become coordinates; the coordinate ``region`` holds all properties.
+MAX_PROPERTIES = 64
+
+
+def paint_library(
+    regions: Regions,
+    drafts: Sequence[Draft],
+    flightlines: Sequence[str],
+    sources: Mapping[str, Source],
+    notes: Mapping[str, Any],
+) -> xr.Dataset:
+    """Return finished signatures as a dataset.
+
+    Takes ``regions``, ``drafts``, ``flightlines``: regions, their signatures and the names of their flight
+    lines, in the same order; ``sources``: the flight lines, by name, with the same bands; ``notes``: settings
+    of the extraction, stored as attributes.
+    """
+    first_source = next(iter(sources.values()))
+    max_members = max(draft.member_position[0].size for draft in drafts)
+    values: dict[str, Any] = {
+        "n_eff": [draft.finish() for draft in drafts],
+        "n": [draft.n for draft in drafts],
+        "n_excluded": [draft.excluded for draft in drafts],
+        "quality": [draft.flags for draft in drafts],
+        "quality_share": [draft.share for draft in drafts],
+    }
+    for name in ("reflectance", "reflectance_sd", "reflectance_quantiles", *UNCERTAINTIES):
+        values[name] = [draft.spectra[name] for draft in drafts]
+    values["member_reflectance"] = [
+        _padded(draft.spectra["member_reflectance"], max_members, np.nan) for draft in drafts
+    ]
+    for axis, name in enumerate(("member_along_track", "member_cross_track")):
+        values[name] = [_padded(draft.member_position[axis], max_members, -1) for draft in drafts]
+    for name in drafts[0].geometry:
+        values[name] = [draft.geometry[name] for draft in drafts]
+    values |= {
+        "signature": list(regions.names),
+        "quantile": list(QUANTILES),
+        "flag": flag_names(),
+        "flightline": list(flightlines),
+        "region": [json.dumps(region.feature(), ensure_ascii=False) for region in regions],
+        "wavelength": first_source.wavelength,
+        "fwhm": first_source.fwhm,
+        "good": np.all([source.good for source in sources.values()], axis=0),
+    }
+    library = xr.Dataset()
+    components = {}
+    for k, name in enumerate(UNCERTAINTIES):
+        texts = [draft.errors.components[k] for draft in drafts if draft.errors is not None]
+        texts += [
+            source.components.get(name, NONE_KNOWN) for source in sources.values() if source.errors is None
+        ]
+        components[name] = {"components": _joined(texts)}
+    for name, row in LIBRARY_VARIABLES.items():
+        if name not in values:  # variables of corrections are added later
+            continue
+        flags = {"quality": quality_attrs, "sky_state": sky_state_attrs}.get(name, dict)()
+        attrs = {**flags, **row.attrs, **components.get(name, {})}
+        # objects are texts of any length
+        array = np.array(values[name], object if row.dtype == "str" else row.dtype)
+        library[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
+    library = library.assign(error_variables([draft.errors for draft in drafts]))
+    library = library.set_coords(
+        [name for name, row in LIBRARY_VARIABLES.items() if row.coordinate and name in library]
+    )
+    properties = {
+        name: ("signature", column, {"long_name": f"Property {name} of the regions"})
+        for name, column in _properties(regions).items()
+    }
+    library = library.assign_coords(properties)
+    # attributes of corrections prevent a second correction
+    corrections = dict.fromkeys(name for source in sources.values() for name in source.corrections)
+    library["reflectance"].attrs |= {
+        "centre": notes["centre"],
+        **_quantity(sources),
+        **{
+            name: _joined(source.corrections.get(name, "none") for source in sources.values())
+            for name in corrections
+        },
+        "geometry": "sun and sky on a level surface, camera above: sun_zenith, view_zenith, "
+        "relative_azimuth, diffuse_fraction of every paint",
+    }
+    files = dict.fromkeys(str(source.line.attrs.get("source", "")) for source in sources.values())
+    library.attrs = {
+        "title": "Paint signatures",
+        "source": ", ".join(text for text in files if text),
+        "flightlines": list(sources),
+        "regions": regions.digest,
+        "coordinates_of_regions": regions.coordinates,
+        "spectral_axis": "nominal wavelengths",
+        "view_geometry": _joined(source.viewing.description for source in sources.values()),
+        "smoothing": _joined(source.smoothing for source in sources.values()),
+        "corrections": _joined(
+            _joined(f"{name}: {text}" for name, text in source.corrections.items()) or "none"
+            for source in sources.values()
+        ),
+        **notes,
+    }
+    return library
+
+
+def _joined(texts: Iterable[str]) -> str:
+    return "; ".join(dict.fromkeys(texts))
+
+
+def _padded(values: Array, size: int, fill: float) -> Array:
+    padded = np.full((size, *values.shape[1:]), fill, values.dtype)
+    padded[: len(values)] = values
+    return padded
+
+
+def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
+    # Attributes that define the reflectance; the line with the most light of the coat in it decides
+    def quantity_of(source: Source) -> str:
+        is_excluded = source.declared.get("mirror_reflection") == MIRROR_EXCLUDED
+        if not (is_excluded or "mirrored_sky_removed" in source.corrections):
+            return OUTSIDE
+        return BODY if "coat_corrected" in source.corrections else THROUGH_COAT
+
+    quantities = {quantity_of(source) for source in sources.values()}
+    quantity = next(candidate for candidate in (OUTSIDE, THROUGH_COAT, BODY) if candidate in quantities)
+    word = INCLUDED if quantity == OUTSIDE else MIRROR_EXCLUDED
+    return {"quantity": quantity, "specular_component": word, "mirror_reflection": word}
+
+
+def _properties(regions: Regions) -> dict[str, Array]:
+    # Columns (signature,) of the properties that can be coordinates: numbers, else text
+    names = dict.fromkeys(name for region in regions for name in region.properties)
+    reserved = {*LIBRARY_VARIABLES, BAND, "member"}
+    usable = [name for name in names if name.isidentifier() and name not in reserved and name[:2] != "__"]
+    return {
+        name: _column([region.properties.get(name) for region in regions]) for name in usable[:MAX_PROPERTIES]
+    }
+
+
+def _column(values: Sequence[Any]) -> Array:
+    present = [value for value in values if value is not None]
+    numbers = [value for value in present if isinstance(value, int | float) and not isinstance(value, bool)]
+    if present and len(numbers) == len(present) and all(abs(value) < 2**53 for value in numbers):
+        if len(present) == len(values) and all(isinstance(value, int) for value in present):
+            return np.array(values, np.int64)
+        return np.array([np.nan if value is None else value for value in values], np.float64)
+    texts = ["" if value is None else value for value in values]
+    return np.array(
+        [text if isinstance(text, str) else json.dumps(text, ensure_ascii=False) for text in texts], object
+    )

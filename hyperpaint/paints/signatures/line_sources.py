@@ -18,9 +18,9 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
 from hyperpaint.geometry.georeference.cameras import directions
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, meridian_convergence
+from hyperpaint.geometry.georeference.poses import matrices, quaternions
 from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import (
@@ -266,9 +266,12 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
     heading = lines.get("heading", np.full(roll.shape, np.nan))
     if convention is None:
         return [roll, pitch, heading]
+    # angle from true north to grid north, clockwise (pixel,) [degree]; None where the map is unknown
     convergence = None
-    if convention.heading_reference == "grid" and {"latitude", "longitude"} <= set(lines):
-        convergence = _convergence(convention, lines)
+    has_place = {"latitude", "longitude"} <= set(lines)
+    if convention.heading_reference == "grid" and has_place and convention.grid_crs is not None:
+        with contextlib.suppress(MissingExtraError, SchemaError):
+            convergence = meridian_convergence(lines["latitude"], lines["longitude"], convention.grid_crs)
     is_known = np.isfinite(heading) & (convention.heading_reference != "grid" or convergence is not None)
     is_known &= convention.heading_reference != "magnetic" or convention.declination is not None
     if not is_known.all():
@@ -280,15 +283,6 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
         )
         return [attitude[0], attitude[1], np.full(roll.shape, np.nan)]
     return list(convention.canonical(roll, pitch, heading, convergence=convergence))
-
-
-def _convergence(convention: Convention, lines: Mapping[str, Array]) -> Floats | None:
-    # Angle from true north to grid north, clockwise (pixel,) [degree]; None where the map is unknown
-    if convention.grid_crs is None:
-        return None
-    with contextlib.suppress(MissingExtraError, SchemaError):
-        return meridian_convergence(lines["latitude"], lines["longitude"], convention.grid_crs)
-    return None
 
 
 def _from_attitude(

@@ -1,7 +1,7 @@
 """Uncertainty of counts, of reflectance, and of means over it.
 
 `photon_transfer` estimates the camera's noise, `propagation` the uncertainty of every reflectance,
-`error_sources` the samples that share each error, `mean_errors` and `averages` the uncertainty of a mean over
+`error_sources` the samples that share each error, `averages` the uncertainty of a mean over
 pixels; the loops are in `hyperpaint.kernels.radiometry`.
 """
 

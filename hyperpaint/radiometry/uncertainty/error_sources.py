@@ -1,6 +1,6 @@
 """Known errors of a flight line, source by source, and the samples that share each of them.
 
-The tables are small for any number of lines: `mean_errors` sums them over the pixels of a region.
+The tables are small for any number of lines: `averages` sums them over the pixels of a region.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.light.illumination import COMMON_SHARE, at_bands, matched_noise
 from hyperpaint.light.synchrony import line_light
 from hyperpaint.radiometry.stray_light import SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
 
-from .irradiance_noise import COMMON_SHARE, at_bands, matched_noise
 from .propagation import (
     MASKED,
     NOISE,

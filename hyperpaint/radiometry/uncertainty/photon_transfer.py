@@ -29,8 +29,7 @@ from hyperpaint.base.schema import (
     IRRADIANCE_WAVELENGTH,
     STEP,
 )
-
-from .irradiance_noise import noise_of_record
+from hyperpaint.light.illumination import noise_of_record
 
 #: Lines of a block, in which a column should show a single surface.
 BLOCK_LINES = 8

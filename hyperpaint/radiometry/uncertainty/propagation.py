@@ -19,9 +19,8 @@ from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.kernels.arguments import ErrorTerms
+from hyperpaint.light.illumination import INTERPOLATED, at_bands, matched_noise
 from hyperpaint.radiometry import slabs
-
-from .irradiance_noise import INTERPOLATED, at_bands, matched_noise
 
 NOISE = ("electrons_per_count", "read_noise")
 SYSTEMATIC = (

@@ -170,8 +170,137 @@ class CarRules:
     wider: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)
 
 
+@dataclass(frozen=True)
+class GapRules:
+    """Thresholds of light between broken clouds."""
+
+    #: Wavelength from which sunlight and the light of the sky differ most [nm].
+    infrared_nm: float = 780.0
+    #: Maximum excess of the diffuse fraction over that of a clear sky in free sun: a cloud that blocks half
+    #: of the sunlight raises it by at least 0.1 [1].
+    max_above_clear: float = 0.08
+    #: Maximum ratio of the smallest to the largest irradiance of the record: thinner clouds do not show in a
+    #: shadow [1].
+    max_dip: float = 0.65
+    #: Irradiance relative to free sun, below which a cloud begins [1].
+    min_of_free: float = 0.95
+    #: Time of free sun required before and after a line [s]: a cloud's edge at 8 m/s moves 80 m.
+    around_s: float = 10.0
+    #: Maximum diffuse fraction in a shadow beside the car relative to the record [1]: 0.6 to 1 of the sky
+    #: lights a shadow; under a cloud the ratio is 2 to 3.
+    max_over_record: float = 1.5
+    #: Minimum diffuse fraction assumed for the record: light from neighbours reaches every shadow [1].
+    least_fraction: float = 0.06
+    min_px: int = 40  #: Minimum number of pixels of the shadow, and of the sunlit ground beside it.
+    sd: float = 0.025  #: Standard uncertainty of the level between clouds, relative [1].
+    around_px: int = 60  #: Margin around a part of a car that may hold its shadow [pixel].
+
+
+@dataclass(frozen=True)
+class LeanRules:
+    """Thresholds of leans of roofs, and of height models."""
+
+    #: Unknown lean across a car, where its symmetric roof would be level on level ground [degree]. Parking
+    #: areas are drained over slopes of 1 to 1.5 % (0.6 to 0.9 degrees), of which one of two components is
+    #: towards the sun.
+    roll_deg: float = 0.5
+    #: Unknown lean along the car, where a roof of 6 m radius may also be highest 7 cm from its middle
+    #: [degree].
+    rake_deg: float = 0.8
+    #: Minimum height of a roof above its surroundings in a height model that shows cars and not bare ground;
+    #: cars are at least 1.4 m high [m].
+    min_above_m: float = 0.7
+    around_px: int = 25  #: Margin around a roof that contains ground [pixel].
+    #: Correlation length of height errors [m]: photogrammetry matches patches.
+    patch_m: float = 0.15
+    floor_deg: float = 0.3  #: Standard deviation of the tilt error of the height model itself [degree].
+    min_px: int = 40  #: Minimum number of pixels with a height.
+    min_side_px: int = 4  #: Minimum number of lines, and of columns, with such pixels.
+
+
+@dataclass(frozen=True)
+class LevelRules:
+    """The axis of a roof, and the surface through its brightness.
+
+    Lengths are relative to half the width of the roof, which is 0.5 to 0.7 m of all cars.
+    """
+
+    #: Range in which its edges are searched, in half widths from its windows.
+    edge_span: tuple[float, float] = (0.7, 1.25)
+    #: Minimum factor by which brightness falls within `edge_px` at an edge: windows reflect less than half as
+    #: much as paint that is not dark [1].
+    min_edge_ratio: float = 1.2
+    edge_px: float = 1.5  #: Distance over which an edge falls: a sampled edge is one to two wide [pixel].
+    steps_per_px: int = 4  #: Samples a pixel of a profile across a roof.
+    #: Maximum distance between the middle of two edges and the middle of the windows: beyond, one of them is
+    #: not the edge of the roof.
+    max_shift: float = 0.3
+    #: Standard deviation of the axis between two edges: mixed pixels shift either by half a pixel [pixel].
+    edged_sd_px: float = 0.4
+    #: Half of the fitted range, along and across: within it the lean is proportional to the distance, and a
+    #: lobe adds a term of second order.
+    fitted: tuple[float, float] = (0.9, 0.5)
+    rounds: int = 30  #: Maximum number of iterations that exclude glint from the fit.
+    #: Maximum residual above the surface in the fit, in standard deviations: glint only adds.
+    max_above_sd: float = 2.5
+    max_below_sd: float = 3.0  #: The same below it, in standard deviations.
+    min_sd: float = 0.003  #: Minimum of this standard deviation, relative to the brightness [1].
+    min_fitted_px: int = 25  #: Minimum number of pixels of the fit.
+    #: Number of pixels whose errors by dust, orange peel and point spread are correlated: 3 x 3.
+    clump_px: float = 9.0
+    #: Lean across the car half a width from the middle of a roof [degree]: roofs have a radius of 2.5 to 3 m.
+    crown_deg: float = 12.0
+    #: Drop of a roof from its middle to its end over its half length: 3 cm in 0.7 m, 7 cm in 1.4 m [1].
+    drop: float = 0.05
+    max_crown_deg: float = 5.0  #: Maximum lean along the car, half a width from the middle [degree].
+
+
+@dataclass(frozen=True)
+class FinishRules:
+    """Thresholds of a finish. A change is that of ln(brightness) with lean over the crown of a roof [1/rad].
+
+    Under a sun at the zenith angle t a solid body changes by s = f_dir d ln(cos t (1 - F(t))) / dt (see
+    `change_with_lean`). Simulated flakes (flop index 3 and more) change by 1 to 10 near the sun's mirror
+    direction, and by about s far from it.
+    """
+
+    min_direct: float = 0.5  #: Minimum direct share of the light for a visible lobe [1].
+    #: Maximum zenith angle of the sun: under a lower sun a roof shades itself [degree].
+    max_zenith_deg: float = 62.0
+    min_level: float = 0.06  #: Minimum mean reflectance of a roof: below, dust and sky dominate [1].
+    #: Factor k of flakes across a roof: they change by more than k s + `offset`; the curvature of a roof is
+    #: known to a third.
+    metallic_across: float = 1.7
+    #: The same along a roof, where the curvature of roofs varies by a factor of three; not used under a sun
+    #: nearer to the zenith than `solid_zenith_deg`, where the gloss of a rough coat may lie on a part of it.
+    metallic_along: float = 5.0
+    offset: float = 0.5  #: Additional change by dust, glint and neighbours [1/rad].
+    #: Maximum change of a solid roof in any direction, with the sun within `solid_zenith_deg`: flakes change
+    #: by more than 2 there, and white pearl by 0.7 [1/rad].
+    max_solid_change: float = 0.45
+    #: Range of zenith angles for this rule [degree]: nearer the zenith a lobe may peak at the level position.
+    solid_zenith_deg: tuple[float, float] = (20.0, 32.0)
+    #: Grey share of the difference between the bright and the dark part of a coloured roof [1]: maximum for
+    #: solid paint.
+    max_flat_share: float = 0.13
+    #: The same, minimum for flakes, which mirror all colours; between both the finish is unknown [1].
+    metallic_flat_share: float = 0.33
+    #: Maximum zenith angle of the sun for solid paint by its colour [degree]: under a lower sun most of the
+    #: change with lean comes from the body even with flakes.
+    max_coloured_zenith_deg: float = 45.0
+    min_colour: float = 0.35  #: Minimum standard deviation over mean of a coloured spectrum [1].
+    min_contrast: float = 0.2  #: Minimum contrast of the bright and the dark part [1].
+    #: Maximum change across and along of solid paint by its colour, in s.
+    max_coloured: tuple[float, float] = (1.3, 2.0)
+    min_px: int = 60  #: Minimum number of pixels of a roof whose quarters are compared.
+
+
 SURFACES = SurfaceRules()
 FOOTPRINTS = FootprintRules()
 ROOFS = RoofRules()
 JUDGING = JudgingRules()
 CARS = CarRules()
+GAPS = GapRules()
+LEANS = LeanRules()
+LEVELS = LevelRules()
+FINISHES = FinishRules()

@@ -22,15 +22,11 @@ from hyperpaint.regions import Region, Regions
 from hyperpaint.regions.pixels_in_regions import renumbered
 from hyperpaint.surroundings import SceneModel, survey
 from hyperpaint.surroundings.flags import flag
-from hyperpaint.surroundings.sun_and_sky import shadow_side_of, sun_zenith_of
+from hyperpaint.surroundings.light_split import shadow_side_of, sun_zenith_of
 from hyperpaint.surroundings.surveying import to_channels
 
-from .between_clouds import sunny_lines
-from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pieces
-from .cars import Judged, Verdict, find_cars, judge_car
-from .footprints import Scene
-from .leans import height_model_of
-from .proposal_rules import SURFACES
+from .candidates import Limits, Picture, height_model_of, measured, pieces, sunny_lines
+from .cars import Verdict, find_cars, judge_car
 
 #: Steps (line, column) right, down, left, up, clockwise: a right turn is the next step.
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
@@ -48,53 +44,37 @@ def outline(mask: Bools, origin: tuple[int, int] = (0, 0)) -> tuple[Floats, tupl
     >>> outline(np.ones((1, 2), bool), (4, 10))[0].tolist()
     [[9.5, 3.5], [11.5, 3.5], [11.5, 4.5], [9.5, 4.5]]
     """
-    sides = _sides(mask)
-    rings = []
-    while sides:
-        # start at the first corner in line order: the first ring then is the outer ring
-        rings.append(_follow(min(sides), sides))
-    offset = np.array([origin[1] - 0.5, origin[0] - 0.5])
-    corners = [np.array([(x, y) for y, x in ring], np.float64) + offset for ring in rings]
-    return corners[0], tuple(corners[1:])
-
-
-def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
-    # Indices into `_STEPS` of the sides of the mask that begin at every corner; the mask is on their right
+    # sides of the mask that begin at every corner, as indices into `_STEPS`; the mask is on their right
     padded = np.pad(mask, 1)
-    inner = padded[1:-1, 1:-1]
     neighbours = (padded[:-2, 1:-1], padded[1:-1, 2:], padded[2:, 1:-1], padded[1:-1, :-2])
     # corner of a pixel where its upper, right, lower, left side begins
     corners = ((0, 0), (0, 1), (1, 1), (1, 0))
-    directions: dict[tuple[int, int], list[int]] = {}
+    sides: dict[tuple[int, int], list[int]] = {}
     for direction, (neighbour, (dy, dx)) in enumerate(zip(neighbours, corners, strict=True)):
-        for line, column in np.argwhere(inner & ~neighbour).tolist():
-            directions.setdefault((line + dy, column + dx), []).append(direction)
-    return directions
-
-
-def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> list[tuple[int, int]]:
-    # Corners of the ring that begins at `start`; its sides are removed from `sides`
-    ring = []
-    corner = start
-    direction = min(sides[start])
-    previous = -1
-    while corner in sides:
-        directions = sides[corner]
-        if len(directions) > 1 and previous >= 0:
-            # two pixels touch only at this corner: the right turn stays with the current pixel
-            direction = min(directions, key=lambda candidate: (candidate - previous - 1) % 4)
-        else:
-            direction = directions[0] if previous >= 0 else direction
-        directions.remove(direction)
-        if not directions:
-            del sides[corner]
-        if direction != previous:
-            ring.append(corner)
-        corner = (corner[0] + _STEPS[direction][0], corner[1] + _STEPS[direction][1])
-        previous = direction
-        if corner == start:
-            break
-    return ring
+        for line, column in np.argwhere(mask & ~neighbour).tolist():
+            sides.setdefault((line + dy, column + dx), []).append(direction)
+    rings = []
+    while sides:
+        # start at the first corner in line order: the first ring then is the outer ring
+        corner = start = min(sides)
+        direction, previous = min(sides[start]), -1
+        ring: list[tuple[int, int]] = []
+        rings.append(ring)
+        while corner in sides and not (ring and corner == start):
+            directions = sides[corner]
+            if ring:
+                # where two pixels touch only at this corner, the right turn stays with the current pixel
+                direction = min(directions, key=lambda candidate: (candidate - previous - 1) % 4)
+            directions.remove(direction)
+            if not directions:
+                del sides[corner]
+            if direction != previous:
+                ring.append(corner)
+            corner = (corner[0] + _STEPS[direction][0], corner[1] + _STEPS[direction][1])
+            previous = direction
+    offset = np.array([origin[1] - 0.5, origin[0] - 0.5])
+    outlines = [np.array([(x, y) for y, x in ring], np.float64) + offset for ring in rings]
+    return outlines[0], tuple(outlines[1:])
 
 
 #: Flags that a signature of a proposed region excludes; brightness has already excluded glint and adjacency.
@@ -297,17 +277,15 @@ def propose_regions(
     side = shadow_side_of(line, options.get("sun_azimuth"), options.get("heading"))
     sun = sunny_lines(line, scene, options.get("diffuse"), zenith)
     picture = Picture(scene, *_read(line, scene), zenith, side, height_model_of(line), sun)
-    surfaces = Surfaces.of(scene)
     painted, judged = [], []
-    for piece in pieces(scene, erode, max(min_pixels // 4, 1)):
-        if surfaces.ground[piece.body] or surfaces.level[piece.body] < SURFACES.min_level:
-            continue
-        if not surfaces.vegetation[piece.body]:
-            painted.append(piece)
+    for piece, is_vegetation in pieces(scene, erode, max(min_pixels // 4, 1)):
+        if is_vegetation:
+            objection = "its red edge is that of leaves"
+            measures = measured(piece, picture, limits)
+            judged.append(Verdict(piece, measures, objections=[objection], scenery=True))
         else:
-            leaves = Verdict(scenery=True, objections=["its red edge is that of leaves"])
-            judged.append(Judged(piece, measured(piece, picture, limits), leaves))
-    for car in find_cars(painted, Scene.of(picture.channels, scene)):
+            painted.append(piece)
+    for car in find_cars(painted, picture):
         judged += judge_car(car, picture, limits)
     proposals = _ranked(judged, most, flightline, name)
     return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
@@ -329,33 +307,27 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     return channels, layers
 
 
-def _ranked(judged: list[Judged], max_regions: int | None, flightline: str, name: str) -> Proposals:
-    accepted_pieces = [piece for piece in judged if not piece.verdict.objections]
-    refused_pieces = sorted(
-        (piece for piece in judged if piece.verdict.objections), key=lambda piece: piece.verdict.scenery
-    )
-    accepted_pieces.sort(key=lambda piece: (-piece.verdict.score, piece.piece.origin, piece.piece.body))
-    accepted_candidates = accepted_pieces[:max_regions]
-    digits = len(str(max(len(accepted_candidates), len(refused_pieces), 10)))
-    accepted = [
+def _ranked(judged: list[Verdict], max_regions: int | None, flightline: str, name: str) -> Proposals:
+    accepted = [verdict for verdict in judged if not verdict.objections]
+    accepted.sort(key=lambda verdict: (-verdict.score, verdict.piece.origin, verdict.piece.body))
+    refused = [verdict for verdict in judged if verdict.objections]
+    refused.sort(key=lambda verdict: verdict.scenery)
+    digits = len(str(max(len(accepted[:max_regions]), len(refused), 10)))
+    proposed = [
         _region(
-            *piece,
-            f"{name}_{rank:0{digits}}",
-            flightline,
-            {"rank": rank, "score": round(piece.verdict.score, 4)},
+            verdict, f"{name}_{rank:0{digits}}", flightline, {"rank": rank, "score": round(verdict.score, 4)}
         )
-        for rank, piece in enumerate(accepted_candidates, start=1)
+        for rank, verdict in enumerate(accepted[:max_regions], start=1)
     ]
-    refused = [
-        _region(*piece, f"refused_{rank:0{digits}}", flightline, {"refused": piece.verdict.objections})
-        for rank, piece in enumerate(refused_pieces, start=1)
+    others = [
+        _region(verdict, f"refused_{rank:0{digits}}", flightline, {"refused": verdict.objections})
+        for rank, verdict in enumerate(refused, start=1)
     ]
-    return Proposals(tuple(accepted), refused=Regions(tuple(refused)))
+    return Proposals(tuple(proposed), refused=Regions(tuple(others)))
 
 
-def _region(
-    piece: Piece, measures: Measures, verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, Any]
-) -> Region:
+def _region(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, Any]) -> Region:
+    piece, measures = verdict.piece, verdict.measures
     ring, holes = outline(measures.usable if measures.pixels else piece.inside, piece.origin)
     numbers = {
         "spectral_angle": measures.angle,

@@ -8,14 +8,14 @@ Scenes, flights, light and paints come in; traced weights and flight lines with 
 `simulation`, `workflows.rendering` and users call it. The modules, in the order of their imports:
 
 The scene
-    `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials;
-    `primitives` and `car_bodies`, of which `car_parks` makes a scene; `mesh_files` reads one.
+    `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials, and shapes
+    as tables of parts; `car_bodies` and `car_parks` of such shapes; `mesh_files` reads a scene.
 The light
-    `four_curves`, the atmosphere, from `sky_models` or `measured_light`; `broken_clouds` over it.
+    `four_curves`, the atmosphere, from `sky_models`, a spectrometer or a table; `BrokenClouds` over it.
 The camera
-    `platform_geometry` and the flights of `platforms`; `camera_bands`.
+    `platforms` and their flights; `camera_bands`.
 Tracing
     `scene_record` (attributes of a traced dataset), `tracing`.
 Relighting
-    `painting` (spectra of all factors), `lighting` and `relighting`.
+    `painting` (spectra of all factors) and `relighting`.
 """

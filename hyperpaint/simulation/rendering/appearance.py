@@ -30,15 +30,6 @@ _D65 = (
 )  # fmt: skip
 
 
-# Reflectance factors for unit spectra: of a base, of flakes, and of the light that flakes return to the
-# paint.
-class _Lobes(NamedTuple):
-    base: float
-    flakes: float
-    recycled: float
-    turned: float  # share of the flakes' spectrum ``turned``
-
-
 def gloss_units(coat: Coat) -> float:
     """Return the gloss of a clear coat at 20 degrees, in gloss units: 100 for black glass of index 1.567.
 
@@ -67,20 +58,20 @@ def gloss_units(coat: Coat) -> float:
     slopes = radius[:, None] * np.cos(angle)  # slopes in the plane of incidence
     cross_slopes = radius[:, None] * np.sin(angle)
     cosine = np.cos(np.radians(_GLOSS_ANGLE_DEG))
+
+    def overlap(deflection: Floats, axis: int) -> Floats:
+        # share of the source's image, shifted by an angle [rad], inside the field of the receptor
+        receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
+        return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
+
     flux = 0.0
     for tilt_along, weight_along in zip(tilt, weight, strict=True):
+        along = overlap(2.0 * (slopes + tilt_along), 0)
         for tilt_across, weight_across in zip(tilt, weight, strict=True):
-            overlap = _overlap(2.0 * (slopes + tilt_along), 0)
-            overlaps = overlap * _overlap(2.0 * cosine * (cross_slopes + tilt_across), 1)
+            overlaps = along * overlap(2.0 * cosine * (cross_slopes + tilt_across), 1)
             flux += weight_along * weight_across * float(overlaps.mean())
     mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _GLASS_INDEX)]
     return float(100.0 * flux * mirrors[0] / mirrors[1])
-
-
-def _overlap(deflection: Floats, axis: int) -> Floats:
-    # share of the source's image, shifted by an angle [rad], inside the field of the receptor
-    receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
-    return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
 
 
 def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.waviness) -> Coat:
@@ -103,8 +94,8 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
     >>> round(coat_of_gloss(70.0).roughness, 4)
     0.0036
     """
-    min_alpha, max_alpha = 0.0, 1.0
-    max_gloss, min_gloss = (gloss_units(Coat(index, alpha, waviness)) for alpha in (min_alpha, max_alpha))
+    low, high = 0.0, 1.0
+    max_gloss, min_gloss = (gloss_units(Coat(index, alpha, waviness)) for alpha in (low, high))
     if not min_gloss < gloss <= max_gloss:
         raise SchemaError(
             f"gloss is {gloss} units",
@@ -113,13 +104,23 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
             code="value-out-of-range",
         )
     for _ in range(30):
-        mean_alpha = 0.5 * (min_alpha + max_alpha)
-        min_alpha, max_alpha = (
-            (mean_alpha, max_alpha)
-            if gloss_units(Coat(index, mean_alpha, waviness)) > gloss
-            else (min_alpha, mean_alpha)
-        )
-    return Coat(index, 0.5 * (min_alpha + max_alpha), waviness)
+        alpha = 0.5 * (low + high)
+        low, high = (alpha, high) if gloss_units(Coat(index, alpha, waviness)) > gloss else (low, alpha)
+    return Coat(index, 0.5 * (low + high), waviness)
+
+
+class _Lobes(NamedTuple):
+    # reflectance factors for unit spectra: of a base, of flakes, and of the light that flakes return to the
+    # paint
+    base: float
+    flakes: float
+    recycled: float
+    turned: float  # share of the flakes' spectrum ``turned``
+
+    def factor(self, share: float, pigment: Floats, metal: Floats) -> Floats:
+        # reflectance factor of a paint with this share of flakes
+        returned = share * metal + (1.0 - share) * pigment
+        return (1.0 - share) * self.base * pigment + share * metal * (self.flakes + self.recycled * returned)
 
 
 def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
@@ -141,15 +142,6 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
         2.0 * recycled / towards_light[2],
         turned_part(lobes, towards_light),
     )
-
-
-def _factor_with_flakes(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
-    returned = share * metal + (1.0 - share) * pigment
-    return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * returned)
-
-
-def _share_and_alpha(material: Material) -> tuple[float, float]:
-    return (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
 
 
 @documented()
@@ -188,11 +180,11 @@ def reflectance_factor(
     True
     """
     index = None if material.coat is None else material.coat.index
-    share, alpha = _share_and_alpha(material)
+    share, alpha = (material.flakes.share, material.flakes.roughness) if material.flakes else (0.0, 0.0)
     lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
     metal = np.asarray(flakes, np.float64)
     mixed = metal if turned is None else metal + lobes.turned * (np.asarray(turned, np.float64) - metal)
-    unturned = _factor_with_flakes(lobes, share, measured_factor(body, index), metal)
+    unturned = lobes.factor(share, measured_factor(body, index), metal)
     return np.asarray(unturned + share * lobes.flakes * (mixed - metal))
 
 
@@ -221,46 +213,48 @@ def flop_index(
     >>> [round(flop_index(paint, [400.0, 700.0], 0.3, 0.85), 1) for paint in (solid, silver)]
     [0.2, 2.7]
     """
-    curves = _paint_curves(material, wavelength, body, flakes)
-    index = 0.0 if material.coat is None else material.coat.index
-    share, alpha = _share_and_alpha(material)
-    return _flop(_three_geometries(index, alpha), share, *curves)
-
-
-def _paint_curves(
-    material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike
-) -> tuple[Floats, Floats]:
-    grid = np.linspace(380.0, 780.0, len(_D65))
-    pigment, metal = (
-        np.interp(grid, np.asarray(wavelength, float), np.broadcast_to(curve, np.shape(wavelength)))
-        for curve in (body, flakes)
-    )
-    return measured_factor(pigment, None if material.coat is None else material.coat.index), metal
+    alpha = material.flakes.roughness if material.flakes else 0.0
+    index = material.coat.index if material.coat else 0.0
+    return _flops(material, [_three_geometries(index, alpha)], wavelength, body, flakes)[0]
 
 
 def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
     # view angles, positive on the side of the mirror direction
     views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]
-    return [
-        _lobe_factors(index, alpha, _LIGHT_DEG, abs(view), side)
-        for view, side in zip(views, [180.0 if view >= 0 else 0.0 for view in views], strict=True)
-    ]
-
-
-def _flop(geometries: list[_Lobes], share: float, pigment: Floats, metal: Floats) -> float:
-    weights = np.array(_D65) * np.exp(-0.5 * ((np.linspace(380.0, 780.0, len(_D65)) - 556.1) / 46.14) ** 2)
-    lightness = []
-    for lobes in geometries:
-        luminance = float((weights * _factor_with_flakes(lobes, share, pigment, metal)).sum() / weights.sum())
-        is_bright = luminance > 216 / 24389
-        lightness.append(116.0 * np.cbrt(luminance) - 16.0 if is_bright else 24389 / 27 * luminance)
-    near_lightness, face_lightness, far_lightness = lightness
-    return float(2.69 * max(near_lightness - far_lightness, 0.0) ** 1.11 / face_lightness**0.86)
+    return [_lobe_factors(index, alpha, _LIGHT_DEG, abs(view), 180.0 if view >= 0 else 0.0) for view in views]
 
 
 @functools.cache
 def _lobes_by_alpha(index: float) -> list[list[_Lobes]]:
     return [_three_geometries(index, float(alpha)) for alpha in _ALPHAS]
+
+
+def _flops(
+    material: Material,
+    candidates: list[list[_Lobes]],
+    wavelength: npt.ArrayLike,
+    body: npt.ArrayLike,
+    flakes: npt.ArrayLike,
+) -> list[float]:
+    # flop indices of a paint with each of several lobes in the three geometries
+    grid = np.linspace(380.0, 780.0, len(_D65))
+    pigment, metal = (
+        np.interp(grid, np.asarray(wavelength, float), np.broadcast_to(curve, np.shape(wavelength)))
+        for curve in (body, flakes)
+    )
+    pigment = measured_factor(pigment, material.coat.index if material.coat else None)
+    share = material.flakes.share if material.flakes else 0.0
+    weights = np.array(_D65) * np.exp(-0.5 * ((grid - 556.1) / 46.14) ** 2)
+    flops = []
+    for geometries in candidates:
+        lightness = []
+        for lobes in geometries:
+            luminance = float((weights * lobes.factor(share, pigment, metal)).sum() / weights.sum())
+            is_bright = luminance > 216 / 24389
+            lightness.append(116.0 * np.cbrt(luminance) - 16.0 if is_bright else 24389 / 27 * luminance)
+        near, face, far = lightness
+        flops.append(float(2.69 * max(near - far, 0.0) ** 1.11 / face**0.86))
+    return flops
 
 
 def flakes_of_flop(
@@ -304,8 +298,7 @@ def flakes_of_flop(
             code="flakes-missing",
         )
     old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
-    curves = _paint_curves(material, wavelength, body, flakes)
-    flops = np.array([_flop(lobes, old_flakes.share, *curves) for lobes in _lobes_by_alpha(index)])
+    flops = np.array(_flops(material, _lobes_by_alpha(index), wavelength, body, flakes))
     peak = int(flops.argmax())  # sharper lobes do not reach the first angle
     if not (nearest or flops[-1] <= flop <= flops[peak]):
         raise SchemaError(

@@ -21,15 +21,68 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import one_of
-from hyperpaint.simulation.camera import cubic_weights, line_shape
-from hyperpaint.simulation.setting_checks import finite_floats
-from hyperpaint.simulation.settings import SHAPES, SimulationSettings
+from hyperpaint.simulation.settings import SHAPES, SimulationSettings, finite_floats
 
 _GAUSSIAN_REACH = 2.5  # full widths, beyond which the area of a Gaussian is below 1e-8
 #: Distance of the shifts at which products are computed: maximum [nm], and as a fraction 1 / n of the
 #: narrowest band. Between them products are interpolated by cubics; line shapes of slits have corners and
 #: need smaller steps.
 _NODE_STEP = {"gaussian": (0.25, 24.0), "slit": (0.1, 60.0)}
+
+
+def line_shape(
+    offset: Floats, fwhm: Floats | float, spacing: Floats | float, shape: str, step: float
+) -> Floats:
+    """Return the line shape of a band [nm-1], of unit area on a grid of ``step`` nm.
+
+    Parameters
+    ----------
+    offset
+        Distance from the centre of the band [nm], any shape.
+    fwhm
+        Full width at half maximum [nm]; for "slit" the width of the slit's image. It and ``spacing`` are
+        numbers, or arrays that broadcast with ``offset``.
+    spacing
+        Width of a pixel [nm], over which the slit's image is averaged.
+    shape
+        "gaussian", or "slit": a box ``fwhm`` wide convolved with a box ``spacing`` wide.
+    step
+        Grid step [nm]. The shape of a slit has corners and is averaged exactly over every grid cell.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation.settings import SHAPES
+    >>> offset = np.arange(-400, 401) * 0.05
+    >>> [round(float(line_shape(offset, 6.0, 2.2, shape, 0.05).sum() * 0.05), 9) for shape in SHAPES]
+    [1.0, 1.0]
+    """
+    if shape == "gaussian":
+        height = 2.0 * np.sqrt(np.log(2.0) / np.pi) / fwhm
+        return np.asarray(height * np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2))
+    # The convolution of two boxes is a sum of four ramps. A ramp integrates to a square, whose difference
+    # over a cell gives the mean.
+    corners = [(1, fwhm + spacing), (-1, fwhm - spacing), (-1, spacing - fwhm), (1, -fwhm - spacing)]
+    # both sides are computed as the rising one, because squares would not cancel exactly on the falling side
+    rising = -np.abs(offset)
+    upper, lower = rising + step / 2, rising - step / 2
+    total = np.zeros_like(offset, dtype=np.float64)
+    for sign, corner in corners:
+        total += sign * (np.maximum(upper + corner / 2, 0.0) ** 2 - np.maximum(lower + corner / 2, 0.0) ** 2)
+    return total / (2.0 * fwhm * spacing * step)
+
+
+def cubic_weights(fraction: Floats) -> Floats:
+    """Return Lagrange's cubic weights of points at -1, 0, 1 and 2 at fractions from 0 to 1, (..., 4)."""
+    t = np.asarray(fraction, np.float64)
+    return np.stack(
+        [
+            -t * (t - 1) * (t - 2) / 6,
+            (t + 1) * (t - 1) * (t - 2) / 2,
+            -(t + 1) * t * (t - 2) / 2,
+            (t + 1) * t * (t - 1) / 6,
+        ],
+        axis=-1,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,32 +122,47 @@ class BandSet:
 
     def __post_init__(self) -> None:
         problems = Problems("these bands cannot be rendered", SchemaError)
-        wavelength = finite_floats(self.wavelength, "wavelength", problems)
-        if wavelength.ndim != 1 or not wavelength.size:
-            problems.add(f"wavelength has shape {wavelength.shape}", expected="(band,)", code="dims-wrong")
-        elif not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0):
-            problems.add(
-                "wavelength is not positive and increasing",
-                mend="sort the bands",
-                code="wavelength-unordered",
-            )
-        fwhm = finite_floats(self.fwhm, "fwhm", problems)
-        if fwhm.shape not in ((), (1,), wavelength.shape):
-            problems.add(
-                f"fwhm has shape {fwhm.shape}", expected=f"one value or {wavelength.shape}", code="dims-wrong"
-            )
-        elif not np.all(fwhm > 0):
-            problems.add(
-                f"fwhm falls to {fwhm.min():g} nm", expected="a width above 0", code="value-out-of-range"
-            )
+        wavelength, fwhm = (finite_floats(getattr(self, n), n, problems) for n in ("wavelength", "fwhm"))
+        shift = self.wavelength_shift
+        if shift is not None:
+            shift = finite_floats(shift, "wavelength_shift", problems)
+        has_axis = wavelength.ndim == 1 and wavelength.size > 0
+        has_widths = fwhm.shape in ((), (1,), wavelength.shape)
         one_of(self.shape, SHAPES, "shape", problems=problems)
-        shift = None
-        if self.wavelength_shift is not None:
-            shift = finite_floats(self.wavelength_shift, "wavelength_shift", problems)
-            if shift.ndim != 1 or not shift.size:
-                problems.add(
-                    f"wavelength_shift has shape {shift.shape}", expected="(cross_track,)", code="dims-wrong"
-                )
+        rows = (
+            (not has_axis, f"wavelength has shape {wavelength.shape}", "(band,)", "", "dims-wrong"),
+            (
+                has_axis and not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0),
+                "wavelength is not positive and increasing",
+                "",
+                "sort the bands",
+                "wavelength-unordered",
+            ),
+            (
+                not has_widths,
+                f"fwhm has shape {fwhm.shape}",
+                f"one value or {wavelength.shape}",
+                "",
+                "dims-wrong",
+            ),
+            (
+                has_widths and not np.all(fwhm > 0),
+                f"fwhm falls to {fwhm.min(initial=np.inf):g} nm",
+                "a width above 0",
+                "",
+                "value-out-of-range",
+            ),
+            (
+                shift is not None and (shift.ndim != 1 or not shift.size),
+                f"wavelength_shift has shape {None if shift is None else shift.shape}",
+                "(cross_track,)",
+                "",
+                "dims-wrong",
+            ),
+        )
+        for is_fault, found, expected, mend, code in rows:
+            if is_fault:
+                problems.add(found, expected=expected, mend=mend, code=code)
         problems.raise_if_any()
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", np.broadcast_to(fwhm, wavelength.shape).copy())
@@ -121,7 +189,7 @@ class BandSet:
         """
         if bands is None:
             return cls.nano_hyperspec()
-        if isinstance(bands, cls):
+        if type(bands) is cls:
             return bands
         problems = Problems("these bands cannot be rendered", SchemaError)
         for name in ("wavelength", "fwhm"):
@@ -161,10 +229,8 @@ class BandSet:
     def _node_step(self) -> float:
         # distance of the nodes [nm]: products of sharper bands change faster with the shift
         max_step, divisor = _NODE_STEP[self.shape]
-        narrowest = float(self.fwhm.min())
-        if self.shape == "slit":
-            narrowest = min(narrowest, float(self.spacing.min()) * 3.0)
-        return min(max_step, narrowest / divisor)
+        pitch = 3.0 * float(self.spacing.min()) if self.shape == "slit" else np.inf
+        return min(max_step, min(float(self.fwhm.min()), pitch) / divisor)
 
     @cached_property
     def nodes(self) -> Floats:
@@ -268,11 +334,8 @@ class BandResponses:
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
-        response = np.stack(
-            [
-                line_shape(row, float(fwhm), float(spacing), bands.shape, self._fine_step)
-                for row, fwhm, spacing in zip(offset, bands.fwhm, bands.spacing, strict=True)
-            ]
+        response = line_shape(
+            offset, bands.fwhm[:, None], bands.spacing[:, None], bands.shape, self._fine_step
         )
         if bands.responsivity is not None:
             response = response * np.asarray(bands.responsivity(self.fine))[points]

@@ -13,9 +13,9 @@ few overlapping blobs and turned any way around facing outwards. Leaves are Lamb
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ from hyperpaint.simulation.settings import FLEETS, MAX_SEED
 
 from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material
-from .primitives import Mesh, cuboid, polygon, put_together, smoothed, tube, uniform
-from .scene import Instance, Scene
+from .scene import Instance, Mesh, Part, Scene, built, cuboid, polygon, put_together, tube, uniform
 from .scene_spectra import FOURTEEN, fleet_names, is_paint, paint_spec
 
 #: Length and width of a bay [m].
@@ -43,8 +42,13 @@ _AISLE, _WIDEST_AISLE = 4.5, 6.5
 _KERB_HEIGHT, _LAWN = 0.12, 0.10  # above the asphalt [m]
 _ISLAND_PERIOD, _ISLAND_START = 11, 7  # bays
 _TUFTED = 2.5  # how far from the kerb the lawn has blades [m]
-_WEAR = 4  # what a random number is for
 _BEYOND = 7.0  # how far the asphalt goes on before the first bay and behind the last [m]
+_PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
+_TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
+_LEAF = 0.20  # length of a leaf, or of the tuft that stands for several [m]
+_CREASE_DEG = 40.0  # of trunks and posts
+_FLEET_SIZE = 5000  # different cars of a fleet: more than a car park has bays
+_CARS, _PAINTS, _TREES, _WEAR = 1, 2, 3, 4  # what a random number is for
 
 
 @dataclass(frozen=True)
@@ -55,58 +59,43 @@ class Layout:
     ----------
     length, width, margin, line_width
         As of the car park.
+    bays
+        Number of bays in a row, the last one perhaps only begun.
     rows, aisles
         West and east end of each.
-    with_islands
-        Whether islands take the place of some bays.
+    islands
+        Bay and row of every island, which takes the place of a bay; those of two rows back to back lie
+        together.
+    kerb, east_kerb
+        West and east end of the kerbs before the first row and behind the last.
+    wall, west_trees, hedge
+        Position of the wall, of the line of trees just outside the park in the west, and of the hedge.
     """
 
     length: float
     width: float
     margin: float
     line_width: float
+    bays: int
     rows: tuple[tuple[float, float], ...]
     aisles: tuple[tuple[float, float], ...]
-    with_islands: bool
-
-    @property
-    def bays(self) -> int:
-        # Number of bays in a row, the last one perhaps only begun.
-        return int(np.ceil(round(self.length / BAY[1], 9)))
-
-    @property
-    def kerb(self) -> tuple[float, float]:
-        west = -0.5 * self.width + _GRASS
-        return west, west + _KERB
-
-    @property
-    def east_kerb(self) -> tuple[float, float]:
-        west = self.rows[-1][1] + _GUTTER
-        return west, west + _KERB
-
-    @property
-    def wall(self) -> float:
-        return max(0.5 * self.width - 0.5, self.east_kerb[1] + 0.2)
-
-    @property
-    def west_trees(self) -> float:
-        # Line of trees in the west, just outside the park.
-        return -0.5 * self.width - 0.3
-
-    def is_island(self, bay: int, row: int) -> bool:
-        # Whether an island takes the place of a bay; those of two rows back to back lie together.
-        return self.with_islands and (bay + 5 * ((row + 1) // 2)) % _ISLAND_PERIOD == _ISLAND_START
-
-    def islands(self) -> Iterator[tuple[int, tuple[float, float]]]:
-        # Bay, and west and east end, of every island.
-        for bay in range(self.bays):
-            for row, ends in enumerate(self.rows):
-                if self.is_island(bay, row):
-                    yield bay, ends
+    islands: tuple[tuple[int, int], ...]
+    kerb: tuple[float, float]
+    east_kerb: tuple[float, float]
+    wall: float
+    west_trees: float
+    hedge: float
 
 
 def strips_across(
-    length: float, width: float, rows: int | None, *, margin: float, line_width: float, islands: bool
+    length: float,
+    width: float,
+    rows: int | None,
+    *,
+    margin: float,
+    line_width: float,
+    islands: bool,
+    walls: bool = True,
 ) -> Layout:
     """Return the layout of ``rows`` of bays, as many as fit by default, and of aisles.
 
@@ -127,7 +116,28 @@ def strips_across(
         if row % 2 == 0:
             aisle_ends.append((west, west + aisle))
             west += aisle
-    return Layout(length, width, margin, line_width, tuple(row_ends), tuple(aisle_ends), islands)
+    bays = int(np.ceil(round(length / BAY[1], 9)))
+    kerb, last_edge = -0.5 * width + _GRASS, row_ends[-1][1] + _GUTTER
+    wall, west_trees = max(0.5 * width - 0.5, last_edge + _KERB + 0.2), -0.5 * width - 0.3
+    return Layout(
+        length,
+        width,
+        margin,
+        line_width,
+        bays,
+        tuple(row_ends),
+        tuple(aisle_ends),
+        tuple(
+            (bay, row)
+            for bay, row in itertools.product(range(bays), range(wanted))
+            if islands and (bay + 5 * ((row + 1) // 2)) % _ISLAND_PERIOD == _ISLAND_START
+        ),
+        (kerb, kerb + _KERB),
+        (last_edge, last_edge + _KERB),
+        wall,
+        west_trees,
+        west_trees - 1.2 if walls else wall - 0.8,
+    )
 
 
 def _least_width(rows: int) -> float:
@@ -140,11 +150,15 @@ def paved(layout: Layout) -> Mesh:
     Lines are cells of the ground, not plates upon it; kerbs and islands stand out of it. A sheet of asphalt
     a little deeper closes the joints.
     """
+    return built(_ground(layout))
+
+
+def _ground(layout: Layout) -> Iterator[Part]:
     south, north = -layout.margin, layout.length + layout.margin
     first, last = max(-_BEYOND, south), min(layout.length + _BEYOND, north)
     west, east = layout.kerb[1], layout.east_kerb[0]
     far_west, far_east = -0.5 * layout.width - layout.margin, 0.5 * layout.width + layout.margin
-    pieces = [_level(far_west, far_east, south, north, "asphalt", -0.05)]
+    yield _level(far_west, far_east, south, north, "asphalt", -0.05)
     # between the rows, and under the kerbs
     gaps = [
         (before[1], behind[0])
@@ -152,27 +166,56 @@ def paved(layout: Layout) -> Mesh:
         if behind[0] - before[1] > 1e-6
     ]
     for begin, end in (*gaps, (layout.kerb[0], west), (east, layout.east_kerb[1])):
-        pieces.append(_level(begin, end, first, last, "asphalt"))
+        yield _level(begin, end, first, last, "asphalt")
+    # rows of bays: asphalt and the painted lines
     for begin, end in layout.rows:
-        pieces += _bays(layout, begin, end, first, last)
+        asphalt = first
+        for line in range(layout.bays + 1):
+            low, high = (line * BAY[1] + side * 0.5 * layout.line_width for side in (-1, 1))
+            if high > last:
+                break
+            if low > asphalt:
+                yield _level(begin, end, asphalt, low, "asphalt")
+            if low >= asphalt:
+                yield _level(begin, end, low, high, "line")
+                asphalt = high
+        if last > asphalt:
+            yield _level(begin, end, asphalt, last, "asphalt")
     for begin, end in (layout.kerb, layout.east_kerb):
-        kerb = cuboid((end - begin, last - first, _KERB_HEIGHT + 0.03), "concrete")
-        pieces.append(kerb.shifted((0.5 * (begin + end), 0.5 * (first + last), -0.03)))
+        size = (end - begin, last - first, _KERB_HEIGHT + 0.03)
+        yield Part(cuboid, (size, "concrete"), (0.5 * (begin + end), 0.5 * (first + last), -0.03))
+    begin, end = layout.kerb[0], layout.east_kerb[1]
     for edge in (first - 0.5 * _KERB, last + 0.5 * _KERB):
-        kerb = cuboid((layout.east_kerb[1] - layout.kerb[0], _KERB, _KERB_HEIGHT + 0.04), "concrete")
-        pieces.append(kerb.shifted((0.5 * (layout.east_kerb[1] + layout.kerb[0]), edge, -0.03)))
-    lawns = [(far_west, layout.kerb[0], south, north), (layout.east_kerb[1], far_east, south, north)]
-    lawns += [(layout.kerb[0], layout.east_kerb[1], *ends) for ends in ((south, first), (last, north))]
-    pieces += [_level(*lawn, "grass", _LAWN) for lawn in lawns if lawn[1] > lawn[0] and lawn[3] > lawn[2]]
-    for bay, (begin, end) in layout.islands():
-        at = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
+        size = (end - begin, _KERB, _KERB_HEIGHT + 0.04)
+        yield Part(cuboid, (size, "concrete"), (0.5 * (end + begin), edge, -0.03))
+    lawns = ((far_west, begin, south, north), (end, far_east, south, north))
+    for lawn in (*lawns, (begin, end, south, first), (begin, end, last, north)):
+        if lawn[1] > lawn[0] and lawn[3] > lawn[2]:
+            yield _level(*lawn, "grass", _LAWN)
+    for bay, row in layout.islands:
+        begin, end = layout.rows[row]
+        x, y = 0.5 * (begin + end), (bay + 0.5) * BAY[1]
         length, wide = end - begin - 0.1, BAY[1] - 0.3
-        pieces += [
-            cuboid((length, wide, _KERB_HEIGHT + 0.03), "concrete").shifted((*at, -0.03)),
-            cuboid((length - 0.4, wide - 0.4, 0.06), "grass").shifted((*at, _KERB_HEIGHT - 0.03)),
-        ]
-    pieces += _arrows(layout)
-    return put_together(pieces)
+        yield Part(cuboid, ((length, wide, _KERB_HEIGHT + 0.03), "concrete"), (x, y, -0.03))
+        yield Part(cuboid, ((length - 0.4, wide - 0.4, 0.06), "grass"), (x, y, _KERB_HEIGHT - 0.03))
+    # arrows in the aisles
+    for number, (begin, end) in enumerate(layout.aisles):
+        way = -1.0 if number % 2 else 1.0
+        for y, outline in itertools.product(np.arange(10.0, layout.length, 15.0), _ARROW):
+            corners = [(0.5 * (begin + end) + way * px, y + way * py, 0.004) for px, py in outline]
+            yield Part(polygon, (corners, "line"))
+
+
+#: Outlines of shaft and head of an arrow, east and north [m].
+_ARROW = (
+    ((-0.09, -1.2), (0.09, -1.2), (0.09, 0.4), (-0.09, 0.4)),
+    ((-0.32, 0.4), (0.32, 0.4), (0.0, 1.2)),
+)
+
+
+def _level(west: float, east: float, south: float, north: float, surface: str, height: float = 0.0) -> Part:
+    corners = [(west, south), (east, south), (east, north), (west, north)]
+    return Part(polygon, ([(*corner, height) for corner in corners], surface))
 
 
 def worn(layout: Layout, seed: int) -> list[Mesh]:
@@ -185,7 +228,7 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
     for row, (begin, end) in enumerate(layout.rows):
         for bay in range(layout.bays):
             rng = np.random.default_rng([seed, _WEAR, bay, row])
-            if layout.is_island(bay, row) or rng.random() < 0.4:
+            if (bay, row) in layout.islands or rng.random() < 0.4:
                 continue
             radius = rng.uniform(0.08, 0.30) * rng.uniform(0.75, 1.2, (11, 1))
             middle = (rng.uniform(begin + 1.2, end - 1.2), (bay + 0.5) * BAY[1] + rng.uniform(-0.4, 0.4))
@@ -196,69 +239,109 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
             rng = np.random.default_rng([seed, _WEAR, step, number, 1])
             west, south = rng.uniform(begin + 0.2, end - 1.6), 12.0 * step + rng.uniform(4.0, 9.0)
             size = rng.uniform((0.5, 0.6), (1.3, 2.5))
-            pieces.append(_level(west, west + size[0], south, south + size[1], "patch", 0.003))
-    return [*pieces, *_tufts(layout, seed)]
-
-
-def _tufts(layout: Layout, seed: int) -> list[Mesh]:
-    # Blades of grass on the lawn nearest to the cars: one mesh for every bay's length.
-    tufts = []
+            pieces.append(built([_level(west, west + size[0], south, south + size[1], "patch", 0.003)]))
+    # blades of grass on the lawn nearest to the cars: one mesh for every bay's length
+    east, count = layout.kerb[0], 300
     for bay in range(layout.bays):
         rng = np.random.default_rng([seed, _WEAR, bay])
-        east, count = layout.kerb[0], 300
         foot = rng.uniform(
             (east - _TUFTED, bay * BAY[1], _LAWN), (east, (bay + 1) * BAY[1], _LAWN), (count, 3)
         )
         lean = rng.normal(0.0, 0.05, (count, 3)) * (1, 1, 0) + (0, 0, 0.07)
         side = rng.normal(0.0, 0.06, (count, 3)) * (1, 1, 0)
         corners = np.stack([foot - side, foot + side, foot + lean], axis=1)
-        tufts.append(uniform(corners.reshape(-1, 3), np.arange(3 * count), "grass"))
-    return tufts
+        pieces.append(uniform(corners.reshape(-1, 3), np.arange(3 * count), "grass"))
+    return pieces
 
 
-def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -> Iterator[Mesh]:
-    # One row of bays: asphalt and the painted lines.
-    south = first
-    for line in range(layout.bays + 1):
-        low, high = (line * BAY[1] + side * 0.5 * layout.line_width for side in (-1, 1))
-        if high > last:
-            break
-        if low > south:
-            yield _level(begin, end, south, low, "asphalt")
-        if low >= south:
-            yield _level(begin, end, low, high, "line")
-            south = high
-    if last > south:
-        yield _level(begin, end, south, last, "asphalt")
+class Thing(NamedTuple):
+    """An object that stands in the car park.
+
+    Attributes
+    ----------
+    name, kind
+        See `Instance`.
+    at
+        East and north of its origin [m].
+    parts
+        Its parts, of surfaces of `_SURROUNDINGS`; or a function of a random generator and the number of
+        leaves of a tree that returns them.
+    key
+        Distinguishes its random numbers.
+    jitter
+        Maximum random shift to the east and north [m].
+    """
+
+    name: str
+    kind: str
+    at: tuple[float, float]
+    parts: Iterable[Part] | Callable[[np.random.Generator, int], Iterable[Part]]
+    key: tuple[int, ...] = ()
+    jitter: tuple[float, float] = (0.0, 0.0)
 
 
-def _arrows(layout: Layout) -> Iterator[Mesh]:
-    outline = [
-        [[-0.09, -1.2], [0.09, -1.2], [0.09, 0.4], [-0.09, 0.4]],
-        [[-0.32, 0.4], [0.32, 0.4], [0.0, 1.2]],
-    ]
-    for number, (begin, end) in enumerate(layout.aisles):
-        way = -1.0 if number % 2 else 1.0
-        for y in np.arange(10.0, layout.length, 15.0):
-            for piece in outline:
-                corners = [(0.5 * (begin + end) + way * px, y + way * py, 0.004) for px, py in piece]
-                yield polygon(corners, "line")
+def _panels(layout: Layout) -> Iterator[Thing]:
+    begin, end = layout.aisles[0]
+    pitch = (end - begin) / len(PANELS)
+    lines = np.arange(_PANEL_START + _PANEL_SIZE / 2, layout.length, _PANEL_PERIOD)
+    for line, north in enumerate(lines):
+        for place, level in enumerate(PANELS):
+            panel = f"panel_{round(100 * level):02d}"
+            plate = Part(cuboid, ((_PANEL_SIZE, _PANEL_SIZE, 0.03), panel), (0.0, 0.0, -0.01))
+            at = (begin + (place + 0.5) * pitch, float(north))
+            yield Thing(f"{panel}_{line:03d}", "panel", at, (plate,))
 
 
-def _level(west: float, east: float, south: float, north: float, surface: str, height: float = 0.0) -> Mesh:
-    return polygon(
-        [(west, south, height), (east, south, height), (east, north, height), (west, north, height)], surface
-    )
+def _trees(layout: Layout) -> Iterator[Thing]:
+    places = {
+        f"tree_west_{number:03d}": (layout.west_trees, float(y))
+        for number, y in enumerate(np.arange(2.5, layout.length, _TREE_PITCH))
+    }
+    for bay, row in layout.islands:
+        begin, end = layout.rows[row]
+        places[f"tree_{bay:03d}_{begin:+.0f}"] = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
+    for name, (east, north) in places.items():
+        key = _TREES, round(1000 * north), round(1000 * (east + layout.width))
+        yield Thing(name, "tree", (east, north), _tree, key, (0.2, 0.5))
 
+
+def _walls(layout: Layout) -> Iterator[Thing]:
+    # 1.6 m high, 0.24 m thick, with a coping
+    length = layout.length
+    body = Part(cuboid, ((0.24, length, 1.6 + 0.05), "brick"), (0, length / 2, -0.05))
+    coping = Part(cuboid, ((0.24 + 0.08, length, 0.06), "concrete"), (0, length / 2, 1.6))
+    yield Thing("wall", "wall", (layout.wall, 0.0), (body, coping))
+
+
+def _hedges(layout: Layout) -> Iterator[Thing]:
+    yield Thing("hedge", "tree", (layout.hedge, 0.0), lambda rng, _: _hedge(rng, layout.length), (_TREES,))
+
+
+#: A lamp, 6 m high, the arm to the east.
+_LAMP = (
+    Part(tube, ((0, 0, -0.05), (0, 0, 6.0), (0.07, 0.045), "steel", "", 8), crease=_CREASE_DEG),
+    Part(tube, ((0, 0, 6.0), (1.2, 0, 6.0 + 0.12), (0.035, 0.03), "steel", "", 6), crease=_CREASE_DEG),
+    Part(cuboid, ((0.55, 0.24, 0.07), "steel"), (1.2 + 0.2, 0, 6.0 + 0.09)),
+    Part(cuboid, ((0.45, 0.18, 0.02), "lamp"), (1.2 + 0.2, 0, 6.0 + 0.075)),
+    Part(cuboid, ((0.3, 0.3, 0.1), "steel"), (0, 0, -0.02)),
+)
+
+
+def _lamps(layout: Layout) -> Iterator[Thing]:
+    for number, north in enumerate(np.arange(8.75, layout.length, _LAMP_PITCH)):
+        yield Thing(f"lamp_{number:03d}", "other", (-0.5 * layout.width + 0.6, float(north)), _LAMP)
+
+
+#: Objects around the cars by kind, in the order in which a scene has them.
+_NEIGHBOURS: dict[str, Callable[[Layout], Iterable[Thing]]] = {
+    "trees": _trees,
+    "walls": _walls,
+    "hedges": _hedges,
+    "lamps": _lamps,
+}
 
 #: Kinds of objects around the cars.
-NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
-
-_PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
-_TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
-_CHANCE_OF_TYPE = {"sedan": 0.27, "hatchback": 0.28, "estate": 0.15, "suv": 0.18, "van": 0.06, "pickup": 0.06}
-_LEAF = 0.20  # length of a leaf, or of the tuft that stands for several [m]
-_CARS, _PAINTS, _TREES = 1, 2, 3  # what a random number is for
+NEIGHBOURS = tuple(_NEIGHBOURS)
 
 
 def car_park(
@@ -339,28 +422,60 @@ def car_park(
     if paints is None:
         first = int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)) if fleet == "real" else 0
         paints = fleet_names(first, _FLEET_SIZE) if fleet == "real" else FOURTEEN
-    chosen = _Choices(
-        tuple(paints),
-        tuple(CAR_TYPES) if types is None else tuple(types),
-        seed,
-        occupancy,
-        coat,
-        flakes,
-        _WORN if fleet == "real" else _SURROUNDINGS,
-    )
-    layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
+    surroundings = _WORN if fleet == "real" else _SURROUNDINGS
+    options: dict[str, Any] = {"margin": margin, "line_width": line_width, "islands": islands}
+    layout = strips_across(length, width, rows, **options, walls="walls" in neighbours)
     ground = put_together([paved(layout), *worn(layout, seed)])
-    things = [ground.scene(chosen.surroundings, Instance("ground", "ground"))]
+    scenes = [ground.scene(surroundings, Instance("ground", "ground"))]
+
+    def placed(things: Iterable[Thing]) -> Iterator[Scene]:
+        for thing in things:
+            rng = np.random.default_rng([seed, *thing.key])
+            mesh = built(thing.parts(rng, leaves) if callable(thing.parts) else thing.parts)
+            east, north = np.add(thing.at, rng.uniform(np.negative(thing.jitter), thing.jitter))
+            yield mesh.shifted((east, north, 0.0)).scene(surroundings, Instance(thing.name, thing.kind))
+
     if panels:
-        things += _panels(layout)
-    things += _cars(layout, chosen)
-    if "trees" in neighbours:
-        things += _trees(layout, chosen, leaves)
-    if "walls" in neighbours or "hedges" in neighbours:
-        things += _enclosure(layout, chosen, neighbours)
-    if "lamps" in neighbours:
-        things += _lamps(layout)
-    return Scene.join(things, name)
+        scenes += placed(_panels(layout))
+    dealt = 0  # paints go by cars, not by places, so that none is lost to an empty bay
+    kinds = tuple(CAR_TYPES) if types is None else tuple(types)
+    for bay, (row, (begin, end)) in itertools.product(range(layout.bays), enumerate(layout.rows)):
+        rng = np.random.default_rng([seed, _CARS, bay, row])
+        if rng.random() >= occupancy or (bay, row) in layout.islands:
+            continue
+        car, paint = f"car_{bay * len(layout.rows) + row:03d}", _paint_of(dealt, tuple(paints), seed)
+        dealt += 1
+        # its material: coat and flakes of the catalogue unless given
+        name_of_paint = f"paint of {car}"
+        surface = (
+            paint_spec(paint).material(name_of_paint)
+            if is_paint(paint)
+            else Material(name_of_paint, paint, "paint", Coat())
+        )
+        own_coat = surface.coat if coat == "own" else coat
+        surface = replace(surface, coat=own_coat, flakes=surface.flakes if flakes and own_coat else None)
+        # its type, and its place in the bay
+        chances = np.array([CAR_TYPES[kind].share for kind in kinds])
+        body = car_body(kinds[int(rng.choice(len(chances), p=chances / chances.sum()))], rng)
+        spare = max(end - begin - float(np.ptp(body.vertices[:, 1])) - 0.1, 0.0)
+        east = 0.5 * (begin + end) + spare * rng.uniform(-0.4, 0.4)
+        north = (bay + 0.5) * BAY[1] + float(np.clip(rng.normal(0.0, 0.09), -0.2, 0.2))
+        # most drive in nose first: away from the aisle
+        heading = (90.0 if rng.random() < (0.7 if row % 2 else 0.3) else 270.0) + rng.normal(0.0, 1.2)
+        standing = body.scene({**surroundings, "paint": surface}, Instance(car, "car", paint))
+        scenes.append(standing.moved((east, north, 0.0), heading))
+    for kind, things in _NEIGHBOURS.items():
+        if kind in neighbours:
+            scenes += placed(things(layout))
+    return Scene.join(scenes, name)
+
+
+def _paint_of(number: int, paints: Sequence[str], seed: int) -> str:
+    # consecutive cars use every paint once before any is used again; a fleet is spread evenly as it comes
+    if len(paints) == _FLEET_SIZE:
+        return paints[number % _FLEET_SIZE]
+    deck, card = divmod(number, len(paints))
+    return paints[int(np.random.default_rng([seed, _PAINTS, deck]).permutation(len(paints))[card])]
 
 
 _LENGTH: dict[str, Any] = {"kind": "number", "unit": "m", "scale": 1.0, "most": 10_000.0}
@@ -438,40 +553,6 @@ def note_car_park_faults(
         )
 
 
-@dataclass(frozen=True)
-class _Choices:
-    paints: tuple[str, ...]
-    types: tuple[str, ...]
-    seed: int
-    occupancy: float
-    coat: Coat | Literal["own"] | None
-    flakes: bool
-    surroundings: dict[str, Material]
-
-    def material(self, name: str, paint: str) -> Material:
-        surface = (
-            paint_spec(paint).material(name) if is_paint(paint) else Material(name, paint, "paint", Coat())
-        )
-        coat = surface.coat if self.coat == "own" else self.coat
-        return replace(surface, coat=coat, flakes=surface.flakes if self.flakes and coat else None)
-
-    def paint(self, number: int) -> str:
-        # Consecutive cars use every paint once before any is used again.
-        if len(self.paints) == _FLEET_SIZE:  # spread evenly over the shares as they come
-            return self.paints[number % _FLEET_SIZE]
-        deck, card = divmod(number, len(self.paints))
-        order = np.random.default_rng([self.seed, _PAINTS, deck]).permutation(len(self.paints))
-        return self.paints[int(order[card])]
-
-    def kind(self, rng: np.random.Generator) -> str:
-        chances = np.array([_CHANCE_OF_TYPE[kind] for kind in self.types])
-        return self.types[int(rng.choice(len(chances), p=chances / chances.sum()))]
-
-
-#: Different cars of a fleet: more than a car park has bays.
-_FLEET_SIZE = 5000
-
-
 _GLOSS = Coat(1.5, 0.02, waviness=0.0)  # glass has no orange peel
 
 #: Materials other than car paint, by the names that meshes use.
@@ -494,6 +575,7 @@ _SURROUNDINGS = {
         ("bark", "bark", "other", None),
         ("brick", "brick", "wall", None),
         ("steel", "steel", "other", None),
+        *((f"panel_{round(100 * level):02d}",) * 2 + ("panel", None) for level in PANELS),
     )
 }
 
@@ -514,87 +596,10 @@ _WORN = {
 }
 
 
-def _cars(layout: Layout, chosen: _Choices) -> Iterator[Scene]:
-    dealt = 0  # paints go by cars, not by places, so that none is lost to an empty bay
-    for bay in range(layout.bays):
-        for row, (begin, end) in enumerate(layout.rows):
-            rng = np.random.default_rng([chosen.seed, _CARS, bay, row])
-            if rng.random() >= chosen.occupancy or layout.is_island(bay, row):
-                continue
-            place = bay * len(layout.rows) + row
-            paint, car = chosen.paint(dealt), f"car_{place:03d}"
-            dealt += 1
-            body = car_body(chosen.kind(rng), rng)
-            own = chosen.material(f"paint of {car}", paint)
-            spare = max(end - begin - float(np.ptp(body.vertices[:, 1])) - 0.1, 0.0)
-            east = 0.5 * (begin + end) + spare * rng.uniform(-0.4, 0.4)
-            north = (bay + 0.5) * BAY[1] + float(np.clip(rng.normal(0.0, 0.09), -0.2, 0.2))
-            # most drive in nose first: away from the aisle
-            heading = (90.0 if rng.random() < (0.7 if row % 2 else 0.3) else 270.0) + rng.normal(0.0, 1.2)
-            thing = body.scene({**chosen.surroundings, "paint": own}, Instance(car, "car", paint))
-            yield thing.moved((east, north, 0.0), heading)
-
-
-def _panels(layout: Layout) -> Iterator[Scene]:
-    begin, end = layout.aisles[0]
-    pitch = (end - begin) / len(PANELS)
-    lines = np.arange(_PANEL_START + _PANEL_SIZE / 2, layout.length, _PANEL_PERIOD)
-    for line, north in enumerate(lines):
-        for place, level in enumerate(PANELS):
-            name = f"panel_{round(100 * level):02d}"
-            plate = cuboid((_PANEL_SIZE, _PANEL_SIZE, 0.03), "panel", "")
-            at = (begin + (place + 0.5) * pitch, float(north), -0.01)
-            panel = {"panel": Material(name, name, "panel")}
-            yield plate.shifted(at).scene(panel, Instance(f"{name}_{line:03d}", "panel"))
-
-
-def _trees(layout: Layout, chosen: _Choices, leaves: int) -> Iterator[Scene]:
-    places = {
-        f"tree_west_{number:03d}": (layout.west_trees, float(y))
-        for number, y in enumerate(np.arange(2.5, layout.length, _TREE_PITCH))
-    }
-    for bay, (begin, end) in layout.islands():
-        places[f"tree_{bay:03d}_{begin:+.0f}"] = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
-    for name, (east, north) in places.items():
-        rng = np.random.default_rng(
-            [chosen.seed, _TREES, round(1000 * north), round(1000 * (east + layout.width))]
-        )
-        crown = rng.uniform(1.4, 2.1)
-        tree = _leafy_tree(rng, crown * rng.uniform(2.4, 3.0), crown, leaves)
-        at = (east + rng.uniform(-0.2, 0.2), north + rng.uniform(-0.5, 0.5), 0.0)
-        yield tree.shifted(at).scene(chosen.surroundings, Instance(name, "tree"))
-
-
-def _enclosure(layout: Layout, chosen: _Choices, neighbours: Sequence[str]) -> Iterator[Scene]:
-    if "walls" in neighbours:
-        # 1.6 m high, 0.24 m thick, with a coping
-        length = layout.length
-        body = cuboid((0.24, length, 1.6 + 0.05), "brick").shifted((0, length / 2, -0.05))
-        coping = cuboid((0.24 + 0.08, length, 0.06), "concrete").shifted((0, length / 2, 1.6))
-        wall = put_together([body, coping]).shifted((layout.wall, 0.0, 0.0))
-        yield wall.scene(chosen.surroundings, Instance("wall", "wall"))
-    if "hedges" in neighbours:
-        rng = np.random.default_rng([chosen.seed, _TREES])
-        side = layout.wall - 0.8 if "walls" not in neighbours else layout.west_trees - 1.2
-        leaves = _hedge(rng, layout.length).shifted((side, 0.0, 0.0))
-        yield leaves.scene(chosen.surroundings, Instance("hedge", "tree"))
-
-
-def _lamps(layout: Layout) -> Iterator[Scene]:
-    # 6 m high, the arm to the east
-    post = smoothed(tube((0, 0, -0.05), (0, 0, 6.0), (0.07, 0.045), "steel", sides=8))
-    beam = smoothed(tube((0, 0, 6.0), (1.2, 0, 6.0 + 0.12), (0.035, 0.03), "steel", sides=6))
-    head = cuboid((0.55, 0.24, 0.07), "steel").shifted((1.2 + 0.2, 0, 6.0 + 0.09))
-    glass = cuboid((0.45, 0.18, 0.02), "lamp").shifted((1.2 + 0.2, 0, 6.0 + 0.075))
-    foot = cuboid((0.3, 0.3, 0.1), "steel").shifted((0, 0, -0.02))
-    lamp = put_together([post, beam, head, glass, foot])
-    for number, north in enumerate(np.arange(8.75, layout.length, _LAMP_PITCH)):
-        at = (-0.5 * layout.width + 0.6, float(north), 0.0)
-        yield lamp.shifted(at).scene(_SURROUNDINGS, Instance(f"lamp_{number:03d}", "other"))
-
-
-def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: int) -> Mesh:
-    # At the origin; ``height`` of its top and radius of its ``crown`` [m].
+def _tree(rng: np.random.Generator, leaves: int) -> list[Part]:
+    # radius of its crown and height of its top [m]
+    crown = rng.uniform(1.4, 2.1)
+    height = crown * rng.uniform(2.4, 3.0)
     middle = np.array([0.0, 0.0, height - 0.95 * crown])
     blobs = 9
     direction = _directions(rng, blobs)
@@ -605,17 +610,19 @@ def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: i
     outward = _directions(rng, leaves)
     places = centres[chosen] + (radii[chosen] * rng.uniform(0.55, 1.0, leaves) ** 0.5)[:, None] * outward
     places[:, 2] = np.minimum(places[:, 2], height)
-    trunk = tube((0, 0, -0.05), middle, (0.045 * crown + 0.06, 0.05), "bark", sides=8)
-    boughs = [
-        tube(middle - (0, 0, 0.4 * crown), centre, (0.05, 0.02), "bark", sides=5) for centre in centres[:5]
+    trunk = (0, 0, -0.05), middle, (0.045 * crown + 0.06, 0.05), "bark", "", 8
+    fork = middle - (0, 0, 0.4 * crown)
+    return [
+        _foliage(rng, places, outward),
+        Part(tube, trunk, crease=_CREASE_DEG),
+        *(Part(tube, (fork, centre, (0.05, 0.02), "bark", "", 5)) for centre in centres[:5]),
     ]
-    return put_together([_foliage(rng, places, outward), smoothed(trunk), *boughs])
 
 
-def _hedge(rng: np.random.Generator, length: float) -> Mesh:
+def _hedge(rng: np.random.Generator, length: float) -> list[Part]:
     # From the origin to the north, clipped, with 160 leaves a square metre of its outside.
     height, thickness = 1.3, 0.7
-    core = cuboid((0.8 * thickness, length - 0.1, 0.9 * height), "leaf").shifted((0, length / 2, -0.05))
+    core = (0.8 * thickness, length - 0.1, 0.9 * height), "leaf"
     top, side, end = length * thickness, length * height, thickness * height
     sizes = np.array([top, side, side, end, end])
     normals = np.array([[0, 0, 1], [-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]], np.float64)
@@ -624,7 +631,7 @@ def _hedge(rng: np.random.Generator, length: float) -> Mesh:
     inside = rng.uniform(-1.0, 1.0, (count, 3))
     places = np.where(outward != 0, outward * rng.uniform(0.85, 1.0, (count, 1)), inside)
     places = 0.5 * places * (thickness, length, height) + (0.0, 0.5 * length, 0.5 * height)
-    return put_together([_foliage(rng, places, outward), core])
+    return [_foliage(rng, places, outward), Part(cuboid, core, (0, length / 2, -0.05))]
 
 
 def _directions(rng: np.random.Generator, count: int) -> Floats:
@@ -632,7 +639,7 @@ def _directions(rng: np.random.Generator, count: int) -> Floats:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Mesh:
+def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Part:
     # Leaves at ``places`` (leaf, 3) face roughly ``outward`` (leaf, 3) and up.
     count = len(places)
     facing = outward + (0.0, 0.0, 0.5) + 0.9 * rng.standard_normal((count, 3))
@@ -645,4 +652,5 @@ def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Mesh:
     tip, edge = 0.5 * size * along, 0.32 * size * aside
     corners = np.stack([places - tip, places + edge + fold, places + tip, places - edge + fold], axis=1)
     first = 4 * np.arange(count)[:, None, None]
-    return uniform(corners.reshape(-1, 3), (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3), "leaf")
+    faces = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    return Part(uniform, (corners.reshape(-1, 3), faces, "leaf"))

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import functools
 import json
+import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,22 +21,34 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import (
+    FormatError,
+    PaintWarning,
+    Problems,
+    SchemaError,
+    UnitsError,
+    needs_extra,
+)
 from hyperpaint.base.facts import check_values, one_of
-from hyperpaint.base.units import convert
+from hyperpaint.base.input_files import read_limited
+from hyperpaint.base.schema import require
+from hyperpaint.base.units import conversion_factor, convert
+from hyperpaint.light.sky_functions import fit_sky
 from hyperpaint.simulation.atmosphere import spectral_grid
+from hyperpaint.simulation.settings import moment_of
 
 from .sky_models import (
     CIE_OVERCAST_SHARE,
     HAZE,
     SKY,
     Haze,
-    Spread,
     built_in_sky,
     check_curves,
+    check_sky,
+    check_wavelengths,
     clear_spread,
     cloud_transmittance,
-    spectrl2_sky,
+    relative_air_mass,
 )
 
 _CURVES = {
@@ -52,6 +66,15 @@ _NUMBERS = {
     for name in ("sun_zenith", "sun_azimuth", "overcast_share")
 }
 _RANGE_NM = (340.0, 1100.0)  # wavelengths of the built-in sky
+_MAX_BYTES = 16 * 2**20
+_MAX_LINES = 200_000
+_MAX_PROBLEMS = 10
+_MAX_RESIDUAL = 0.25  # relative root mean square, reached by aerosol or thin cloud
+_NOISE = 0.01  # maximum negative noise relative to the maximum irradiance
+_HEADING = re.compile(r"([A-Za-z_]{1,40}) ?[\[(]([^\[\]()]{1,80})[\])]")
+#: Columns of a table, and their units in `Atmosphere`.
+_COLUMNS = {"wavelength": "nm"} | {name: units for name, (units, _) in _CURVES.items()}
+_REQUIRED = ("wavelength", "sun", "sky")
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,21 +205,29 @@ class Atmosphere:
         """
         grid = spectral_grid(*_RANGE_NM) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
-        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)
-        return cls._with_haze(
-            grid, sun, sky, haze, spread, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
-        )
+        options: dict[str, Any] = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "name": name}
+        return cls._with_haze(grid, sun, sky, haze, aerosol=aerosol, **options)
 
     @classmethod
     def _with_haze(
-        cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, spread: Spread, **options: Any
+        cls,
+        grid: Floats,
+        sun: Floats,
+        sky: Floats,
+        haze: Haze | None,
+        *,
+        spread: Mapping[str, Any] | None = None,
+        aerosol: float = 0.10,
+        **options: Any,
     ) -> Atmosphere:
-        # atmosphere whose extinction and path radiance are computed from haze, sun and sky
+        # atmosphere whose extinction and path radiance are computed from haze, sun and sky, and shares of a
+        # clear sky, unless passed, from the sun
         extinction = path = np.zeros_like(grid)
+        zenith, overcast_share = options["sun_zenith"], options.get("overcast_share", 0.0)
         if haze is not None:
-            extinction = haze.extinction(grid)
-            path = haze.path_radiance(grid, sun, sky, options["sun_zenith"])
-        return cls(grid, sun, sky, extinction, path, haze=haze, **spread._asdict(), **options)
+            extinction, path = haze.extinction(grid), haze.path_radiance(grid, sun, sky, zenith)
+        shares = spread or clear_spread(grid, sun, zenith, overcast_share, aerosol)
+        return cls(grid, sun, sky, extinction, path, haze=haze, **shares, **options)
 
     @classmethod
     def spectrl2(
@@ -244,14 +275,32 @@ class Atmosphere:
         grid = (
             spectral_grid(*_RANGE_NM, 0.5) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         )
-        air = {"aerosol_turbidity_500nm": aerosol, "ozone": ozone, "precipitable_water": precipitable_water}
-        sun, sky = spectrl2_sky(
-            grid, sun_zenith, ground_albedo=ground, surface_pressure=pressure, dayofyear=dayofyear, **air
+        check_wavelengths(grid)
+        check_sky(sun_zenith=sun_zenith, aerosol=aerosol)
+        with needs_extra("pvlib", "sim", "the SPECTRL2 atmosphere"):
+            from pvlib.spectrum import spectrl2
+        table = spectrl2(
+            apparent_zenith=sun_zenith,
+            aoi=sun_zenith,
+            surface_tilt=0.0,
+            relative_airmass=relative_air_mass(sun_zenith),
+            ground_albedo=ground,
+            surface_pressure=pressure,
+            dayofyear=dayofyear,
+            aerosol_turbidity_500nm=aerosol,
+            ozone=ozone,
+            precipitable_water=precipitable_water,
         )
-        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)
-        return cls._with_haze(
-            grid, sun, sky, haze, spread, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
-        )
+        coarse = np.asarray(table["wavelength"], dtype=np.float64)
+        if not (coarse[0] <= grid[0] and grid[-1] <= coarse[-1]):
+            raise SchemaError(
+                f"wavelength goes from {grid[0]:g} to {grid[-1]:g} nm",
+                expected=f"{coarse[0]:g} to {coarse[-1]:g} nm, the range of SPECTRL2",
+                code="value-out-of-range",
+            )
+        sun, sky = (np.interp(grid, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
+        options: dict[str, Any] = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "name": name}
+        return cls._with_haze(grid, sun, sky, haze, aerosol=aerosol, **options)
 
     @classmethod
     def from_irradiance(
@@ -293,9 +342,7 @@ class Atmosphere:
         PaintWarning
             Noise around zero, down to -1 % of the largest value, is set to 0.
         """
-        from .measured_light import read_irradiance
-
-        grid, total = read_irradiance(series, time)
+        grid, total = _irradiance_at(series, time)
         if direct_fraction is None:
             sun, sky = built_in_sky(grid, sun_zenith)
             level = sun * np.cos(np.radians(sun_zenith))
@@ -310,9 +357,12 @@ class Atmosphere:
             )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
-        options = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
-        spread = clear_spread(grid, sun, sun_zenith, overcast_share)
-        return cls._with_haze(grid, sun, sky, haze, spread, **options, name=name)
+        options: dict[str, Any] = {
+            "sun_zenith": sun_zenith,
+            "sun_azimuth": sun_azimuth,
+            "overcast_share": overcast_share,
+        }
+        return cls._with_haze(grid, sun, sky, haze, **options, name=name)
 
     @classmethod
     def from_table(
@@ -350,20 +400,41 @@ class Atmosphere:
         SchemaError
             The sun is not above the horizon.
         """
-        from .measured_light import read_sky, read_table
-
         fitted = None
         if isinstance(table, Mapping) and "direct_normal" in table:
-            curves, fitted = read_sky(cast("xr.Dataset", table), sun_zenith)
+            sky_table = cast("xr.Dataset", table)
+            variables = {"wavelength": "wavelength", "sun": "direct_normal", "sky": "diffuse"}
+            curves = {
+                name: np.asarray(
+                    convert(sky_table[variable].reset_coords(drop=True), _COLUMNS[name]).values, np.float64
+                )
+                for name, variable in variables.items()
+            }
+            if "sky_radiance" in sky_table:
+                fit = fit_sky(sky_table, sun_zenith)
+                fitted = {key: fit["share"].sel(function=key).values for key in _SHARES}
+                if (max_residual := float(fit["misfit"].max())) > _MAX_RESIDUAL:
+                    source = sky_table.attrs.get("source", "the table")
+                    warnings.warn(
+                        PaintWarning(
+                            f"clear-sky functions fit the radiance of {source} with a residual of "
+                            f"{max_residual:.0%}",
+                            code="sky-fit-poor",
+                        ),
+                        stacklevel=2,
+                    )
         else:
             curves = read_table(table)
         if name is None:
             name = "table" if isinstance(table, Mapping) else Path(table).stem
-        options = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
+        options: dict[str, Any] = {
+            "sun_zenith": sun_zenith,
+            "sun_azimuth": sun_azimuth,
+            "overcast_share": overcast_share,
+        }
         air = [curves[name] for name in ("extinction", "path_radiance") if name in curves]
         grid, sun, sky = curves["wavelength"], curves["sun"], curves["sky"]
-        spread = fitted or clear_spread(grid, sun, sun_zenith, overcast_share)
-        hazy = cls._with_haze(grid, sun, sky, None if air else haze, spread, **options, name=name)
+        hazy = cls._with_haze(grid, sun, sky, None if air else haze, spread=fitted, **options, name=name)
         return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
@@ -391,14 +462,13 @@ class Atmosphere:
         transmittance = cloud_transmittance(self.wavelength, oktas, colour=colour)
         sun = self.sun * (1.0 - cover)
         sky = self.irradiance * transmittance - sun * self.sun_cosine
-        if self.haze is not None:
-            path = self.haze.path_radiance(self.wavelength, sun, sky, self.sun_zenith)
-        else:
-            # without haze the phase function is unknown: path radiance in proportion to the light in the air
-            light_before, light_after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
-            path = self.path_radiance * np.divide(
-                light_after, light_before, out=np.zeros_like(light_after), where=light_before > 0
-            )
+        # without haze the phase function is unknown: path radiance in proportion to the light in the air
+        before, after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
+        path = (
+            self.path_radiance * np.divide(after, before, out=np.zeros_like(after), where=before > 0)
+            if self.haze is None
+            else self.haze.path_radiance(self.wavelength, sun, sky, self.sun_zenith)
+        )
         return replace(
             self,
             sun=sun,
@@ -460,6 +530,166 @@ class Atmosphere:
             ) from error
         name = str(dataset.attrs.get("name", ""))
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
+
+
+def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
+    # wavelengths [nm] and irradiance [W m-2 nm-1] of a series at one time
+    arrays = require(
+        series, ["irradiance", "irradiance_wavelength"], "the atmosphere of an irradiance series"
+    )
+    values = np.asarray(arrays["irradiance"].values, dtype=np.float64)
+    grid = np.asarray(arrays["irradiance_wavelength"].values, dtype=np.float64)
+    check_wavelengths(grid)
+    first = last = 0  # samples before and after the time
+    weight = 0.0
+    if time is None and len(values) != 1:
+        raise SchemaError(
+            f"the irradiance series has {len(values)} samples",
+            expected="1 without time",
+            mend="pass time= in UTC",
+            code="argument-missing",
+        )
+    if time is not None:
+        times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values
+        stamps = times.astype("datetime64[ns]").astype(np.int64)
+        moment = moment_of(time)
+        if np.isnat(moment):
+            raise SchemaError(
+                f"time is {time!r}", expected="UTC such as '2020-06-21T17:00:15'", code="time-unreadable"
+            )
+        time_ns = moment.astype(np.int64)
+        if not len(stamps) or not stamps[0] <= time_ns <= stamps[-1]:
+            raise SchemaError(
+                f"time {moment} is outside the irradiance series",
+                expected=f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples",
+                code="irradiance-coverage",
+            )
+        if len(stamps) > 1:
+            last = min(max(int(np.searchsorted(stamps, time_ns)), 1), len(stamps) - 1)
+            first = last - 1
+            weight = (time_ns - stamps[first]) / (stamps[last] - stamps[first])
+    irradiance = values[first] + weight * (values[last] - values[first])
+    # set small negative noise to 0; larger negative values are kept and refused later
+    if -_NOISE * irradiance.max() <= irradiance.min() < 0.0:
+        warnings.warn(
+            PaintWarning(
+                f"{int((irradiance < 0.0).sum())} of {irradiance.size} irradiances below zero, down to "
+                f"{irradiance.min():.3g}, were set to 0",
+                code="irradiance-negative",
+            ),
+            stacklevel=3,
+        )
+        irradiance = np.maximum(irradiance, 0.0)
+    return grid, irradiance
+
+
+def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
+    """Return the curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`."""
+    if isinstance(table, Mapping):
+        problems = Problems("the table of an atmosphere cannot be used", FormatError)
+        headings, arrays = list(table), []
+        for heading, column in table.items():
+            try:
+                arrays.append(np.asarray(column, dtype=np.float64))
+            except (ValueError, TypeError):
+                problems.add(f"column {heading!r} does not hold numbers", code="number-unreadable")
+        shapes = sorted({array.shape for array in arrays})
+        if not problems and (len(shapes) != 1 or len(shapes[0]) != 1):
+            problems.add(
+                f"columns have shapes {shapes}",
+                expected="one dim and the same length",
+                code="length-mismatch",
+            )
+        problems.raise_if_any()
+        rows = np.stack(arrays, axis=1)
+    else:
+        problems = Problems(f"{Path(table).name}: not the table of an atmosphere", FormatError)
+        headings, rows = _read_rows(Path(table), problems)
+    problems.raise_if_any()
+    # column of every curve, and the factor to the units of `Atmosphere`
+    factors: dict[str, tuple[int, float]] = {}
+    for column, heading in enumerate(headings):
+        match = _HEADING.fullmatch(str(heading).strip())
+        name, units = (match[1].lower(), match[2].strip()) if match else ("", "")
+        if match is None:
+            problems.add(
+                f"heading {str(heading)[:60]!r}",
+                expected="a name and units such as 'sun [W m-2 nm-1]'",
+                code="heading-unreadable",
+            )
+        elif name not in _COLUMNS:
+            problems.add(
+                f"column {name!r} is unknown",
+                expected=f"some of {', '.join(_COLUMNS)}",
+                code="column-unknown",
+            )
+        elif name in factors:
+            problems.add(f"column {name!r} appears twice", code="column-duplicate")
+        else:
+            try:
+                factors[name] = (column, conversion_factor(units, _COLUMNS[name]))
+            except UnitsError as error:
+                problems.add_error(f"column {name!r}", error)
+    absent = [name for name in _REQUIRED if name not in factors]
+    if absent and not problems:
+        problems.add(
+            f"column {' and '.join(absent)} is missing",
+            expected=", ".join(_REQUIRED),
+            code="column-missing",
+        )
+    if ("extinction" in factors) != ("path_radiance" in factors):
+        problems.add(
+            "only one of extinction and path_radiance is present",
+            mend="add the other, or remove it",
+            code="column-missing",
+        )
+    problems.raise_if_any()
+    curves = {name: rows[:, column] * factor for name, (column, factor) in factors.items()}
+    check_curves(problems, curves)
+    problems.raise_if_any()
+    return curves
+
+
+def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
+    # headings and numbers (row, column) of a text file
+    content = read_limited(path, _MAX_BYTES, "the table of an atmosphere")
+    if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MAX_LINES:
+        problems.add(f"{count} lines", expected=f"at most {_MAX_LINES}", code="file-too-large")
+        problems.raise_if_any()
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        problems.add(f"it is not UTF-8 text (byte {error.start})", code="text-unreadable")
+        problems.raise_if_any()
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        problems.add(
+            "it is empty",
+            expected="headings such as 'wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]'",
+            code="empty-input",
+        )
+        problems.raise_if_any()
+    headings = [heading.strip() for heading in lines[0][1].split(",")]
+    rows = []
+    for number, line in lines[1:]:
+        cells = line.split(",")
+        try:
+            if len(cells) != len(headings) or "_" in line:  # Python reads 1_0 as 10
+                raise ValueError
+            rows.append([float(cell) for cell in cells])
+        except ValueError:
+            problems.add(
+                f"line {number}: {line[:60]!r}",
+                expected=f"{len(headings)} numbers",
+                code="number-unreadable",
+            )
+            if len(problems) == _MAX_PROBLEMS:
+                break
+    return headings, np.array(rows, dtype=np.float64).reshape(len(rows), len(headings))
 
 
 #: Zenith angle and azimuth of the sun in the three atmospheres of the paper [degree].

@@ -10,6 +10,7 @@ animations or references to other files.
 
 from __future__ import annotations
 
+import functools
 import importlib
 import io
 import json
@@ -17,25 +18,28 @@ import re
 import struct
 import warnings
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
 from hyperpaint.base.input_files import read_limited
 
 from .materials import Material
-from .primitives import Mesh, smoothed
-from .scene import Instance, Scene, has_area, warn_of_dropped
+from .scene import Instance, Mesh, Scene, has_area, smoothed, warn_of_dropped
 
 _MAX_TRIANGLES = 50_000_000
 _MAX_VERTEX_INDEX = 2**40
 _OBJ_LINE = re.compile(r"[^\n]*\n?")
 _MAX_LINE_CHARS = 2**20
+#: Lines of numbers in an OBJ file: their type, minimum count, and form.
+_OBJ_NUMBERS: dict[str, tuple[Callable[[str], Any], int, str]] = {
+    "v": (float, 3, "'v' and three numbers"),
+    "f": (int, 3, "'f' and three or more numbers of vertices, counted from 1"),
+}
 
 
 class RawTriangles(NamedTuple):
@@ -56,7 +60,12 @@ class RawTriangles(NamedTuple):
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     face_group: NDArray[np.int64]
-    groups: tuple[tuple[str, str], ...]
+    groups: tuple[tuple[str, ...], ...]
+
+
+def _require(is_right: object, found: str, *, expected: str = "", mend: str = "", code: str) -> None:
+    if not is_right:
+        raise FormatError(found, expected=expected, mend=mend, code=code)
 
 
 # --- OBJ ---------------------------------------------------------------------------------------------------
@@ -83,36 +92,33 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     material, object_name = "", ""
     group = -1
     for number, match in enumerate(_OBJ_LINE.finditer(text), 1):
-        if match.end() - match.start() > _MAX_LINE_CHARS:
-            raise FormatError(
-                f"{where}: line {number} is too long",
-                expected=f"at most {_MAX_LINE_CHARS} characters",
-                code="line-too-long",
-            )
         line = match[0]
+        _require(
+            len(line) <= _MAX_LINE_CHARS,
+            f"{where}: line {number} is too long",
+            expected=f"at most {_MAX_LINE_CHARS} characters",
+            code="line-too-long",
+        )
         words = line.split()
         keyword = words[0] if words else ""
+        if keyword in _OBJ_NUMBERS:
+            kind, least, expected = _OBJ_NUMBERS[keyword]
+            texts = words[1:4] if keyword == "v" else [word.partition("/")[0] for word in words[1:]]
+            try:
+                numbers = [kind(text) for text in texts]
+            except ValueError:
+                numbers = []
+            is_vertex = keyword == "v" or all(0 < abs(index) < _MAX_VERTEX_INDEX for index in numbers)
+            if len(numbers) < least or not is_vertex:
+                found = f"{where}: line {number} is {' '.join(words)[:60]!r}"
+                raise FormatError(found, expected=expected, code="number-unreadable")
         if keyword == "v":
-            position = _parse_numbers(float, words[1:4])
-            if len(position) != 3:
-                raise FormatError(
-                    f"{where}: {_line(number, words)}",
-                    expected="'v' and three numbers",
-                    code="number-unreadable",
-                )
-            coordinates.extend(position)
+            coordinates.extend(numbers)
         elif keyword == "f":
             if group < 0:
                 group = groups.setdefault((material, object_name), len(groups))
-            indices = _parse_numbers(int, [word.partition("/")[0] for word in words[1:]])
-            if len(indices) < 3 or not all(0 < abs(index) < _MAX_VERTEX_INDEX for index in indices):
-                raise FormatError(
-                    f"{where}: {_line(number, words)}",
-                    expected="'f' and three or more numbers of vertices, counted from 1",
-                    code="number-unreadable",
-                )
             vertex_count = len(coordinates) // 3  # negative numbers count back from the last vertex
-            fan = [index - 1 if index > 0 else vertex_count + index for index in indices]
+            fan = [index - 1 if index > 0 else vertex_count + index for index in numbers]
             for corner in range(1, len(fan) - 1):
                 corners.extend((fan[0], fan[corner], fan[corner + 1]))
                 face_group.append(group)
@@ -129,18 +135,6 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     )
 
 
-def _parse_numbers(kind: Callable[[str], Any], words: list[str]) -> list[Any]:
-    # numbers of words; an empty list if a word is not a number
-    try:
-        return [kind(word) for word in words]
-    except ValueError:
-        return []
-
-
-def _line(number: int, words: list[str]) -> str:
-    return f"line {number} is {' '.join(words)[:60]!r}"
-
-
 # --- PLY ---------------------------------------------------------------------------------------------------
 
 _PLY_BYTES = {
@@ -151,16 +145,6 @@ _PLY_BYTES = {
 _MAX_HEADER_BYTES = 65536
 
 
-def read_ply(data: bytes, where: str) -> RawTriangles:
-    # triangles of a PLY file; raises as `check_ply`, and for files that trimesh cannot read
-    trimesh = _trimesh(where)
-    check_ply(data, where)
-    mesh = _load(trimesh.load_mesh, data, "ply", where, skip_materials=True)
-    faces = _faces(mesh)
-    vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
-    return RawTriangles(vertices, faces, np.zeros(len(faces), np.int64), (("", ""),))
-
-
 def check_ply(data: bytes, where: str) -> None:
     """Refuse a PLY file whose header declares more data than the file has, before memory is allocated.
 
@@ -169,13 +153,12 @@ def check_ply(data: bytes, where: str) -> None:
     FormatError
         The PLY header is missing, or declares more data than the file has.
     """
-    if not data.startswith(b"ply"):
-        raise FormatError(f"{where}: it begins with {data[:4]!r}", expected="b'ply'", code="format-unknown")
+    found = f"{where}: it begins with {data[:4]!r}"
+    _require(data.startswith(b"ply"), found, expected="b'ply'", code="format-unknown")
     head, separator, _ = data[:_MAX_HEADER_BYTES].partition(b"end_header")
-    if not separator:
-        raise FormatError(
-            f"{where}: no end_header in its first {_MAX_HEADER_BYTES} bytes", code="header-truncated"
-        )
+    _require(
+        separator, f"{where}: no end_header in its first {_MAX_HEADER_BYTES} bytes", code="header-truncated"
+    )
     body_bytes = len(data) - len(head) - len(separator)
     lines = head.decode("latin-1").split("\n")
     binary = any("binary" in line for line in lines[:3])
@@ -183,25 +166,24 @@ def check_ply(data: bytes, where: str) -> None:
     # element
     min_bytes, count, row = 0, 0, 0
     for line in [*lines, "element end 0"]:
-        words = line.split()
+        keyword, *words = line.split() or [""]
         found = f"{where}: the header has {line.strip()[:60]!r}"
-        if words[:1] == ["element"]:
+        if keyword == "element":
+            is_count = len(words) == 2 and re.fullmatch("[0-9]{1,18}", words[1])
+            _require(is_count, found, expected="'element NAME COUNT'", code="header-unreadable")
             min_bytes += count * row
-            if len(words) != 3 or not words[2].isascii() or not words[2].isdigit() or len(words[2]) > 18:
-                raise FormatError(found, expected="'element NAME COUNT'", code="header-unreadable")
-            count, row = int(words[2]), 0
-        elif words[:1] == ["property"]:
-            is_list = words[1:2] == ["list"]
-            kinds = words[2:4] if is_list else words[1:2]
-            if len(words) != (5 if is_list else 3) or any(kind not in _PLY_BYTES for kind in kinds):
-                raise FormatError(found, expected="'property TYPE NAME' or a list", code="header-unreadable")
-            row += _PLY_BYTES[kinds[0]] if binary else 2  # in text a digit and a separator
-    if min_bytes > body_bytes + 2:
-        raise FormatError(
-            f"{where}: {body_bytes} bytes",
-            expected=f"{min_bytes} or more, as its header declares",
-            code="file-truncated",
-        )
+            count, row = int(words[1]), 0
+        elif keyword == "property":
+            types = words[1:3] if words[:1] == ["list"] else words[:1]
+            is_known = len(words) == len(types) + (2 if len(types) > 1 else 1) and {*types} <= {*_PLY_BYTES}
+            _require(is_known, found, expected="'property TYPE NAME' or a list", code="header-unreadable")
+            row += _PLY_BYTES[types[0]] if binary else 2  # in text a digit and a separator
+    _require(
+        min_bytes <= body_bytes + 2,
+        f"{where}: {body_bytes} bytes",
+        expected=f"{min_bytes} or more, as its header declares",
+        code="file-truncated",
+    )
 
 
 # --- GLB ---------------------------------------------------------------------------------------------------
@@ -232,44 +214,6 @@ class Stripped(NamedTuple):
     triangles: int
 
 
-def read_glb(data: bytes, where: str) -> RawTriangles:
-    # triangles of a GLB file; raises as `strip_glb`, and for files that trimesh cannot read
-    trimesh = _trimesh(where)
-    stripped = strip_glb(data, where)
-    if stripped.triangles > _MAX_TRIANGLES:
-        raise FormatError(
-            f"{where}: {stripped.triangles} triangles",
-            expected=f"at most {_MAX_TRIANGLES}",
-            mend="simplify the mesh",
-            code="mesh-too-large",
-        )
-    if not stripped.triangles:
-        return RawTriangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), ())
-    scene = _load(trimesh.load_scene, stripped.data, "glb", where)
-    vertices, faces, face_group = [], [], []
-    groups: list[tuple[str, str]] = []
-    first_vertex = 0
-    for node in sorted(scene.graph.nodes_geometry):
-        transform, name = scene.graph[node]
-        mesh = scene.geometry[name]
-        with np.errstate(all="ignore"):  # vertices that are not finite are refused later
-            points = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
-        material = getattr(getattr(mesh.visual, "material", None), "name", None)
-        vertices.append(points)
-        faces.append(_faces(mesh) + first_vertex)
-        face_group.append(np.full(len(faces[-1]), len(groups)))
-        groups.append(
-            (
-                _original_name(stripped.materials, material),
-                _original_name(stripped.meshes, name.partition("_")[0]),
-            )
-        )
-        first_vertex += len(points)
-    return RawTriangles(
-        np.concatenate(vertices), np.concatenate(faces), np.concatenate(face_group), tuple(groups)
-    )
-
-
 def strip_glb(data: bytes, where: str) -> Stripped:
     """Return a GLB file with only its triangles; ``where`` names the file in messages.
 
@@ -280,265 +224,266 @@ def strip_glb(data: bytes, where: str) -> Stripped:
         an unsupported compression or primitive.
     """
     header, body = _chunks(data, where)
-    check = _GlbCheck(header, len(body), where)
-    remaining, triangles = check.stripped()
+    entries = functools.partial(_entries, where=where)
+    number = functools.partial(_whole_number, where=where)
+    for name in entries(header, "extensionsRequired", str):
+        _require(
+            name.startswith("KHR_materials_") or name == "KHR_texture_transform",
+            f"{where}: it requires the extension {name[:60]}",
+            mend="export it without compression",
+            code="extension-unsupported",
+        )
+    buffers, materials, meshes = (entries(header, key) for key in ("buffers", "materials", "meshes"))
+    _require(
+        not any("uri" in buffer for buffer in buffers),
+        f"{where}: its buffer is in another file",
+        mend="export it as one .glb",
+        code="buffer-external",
+    )
+    found = f"{where}: it has more than one buffer"
+    _require(len(buffers) <= 1, found, expected="the buffer inside the file", code="buffer-number")
+    # buffer views must be within the binary chunk
+    views: list[dict[str, int]] = []
+    for view in entries(header, "bufferViews"):
+        begin = number(view, "byteOffset", len(body), 0)
+        size = number(view, "byteLength", len(body) - begin)
+        views.append({"buffer": number(view, "buffer", 0), "byteOffset": begin, "byteLength": size})
+        if "byteStride" in view:
+            views[-1]["byteStride"] = number(view, "byteStride", 252)
+    originals, accessors = entries(header, "accessors"), []
+
+    def accessor(of: dict[str, Any], key: str, kind: str) -> int:
+        # new number of an accessor, which must be within its buffer view
+        place = number(of, key, len(originals) - 1)
+        original = originals[place]
+        component = original.get("componentType")
+        _require(
+            original.get("type") == kind and component in _GLB_BYTES and "sparse" not in original,
+            f"{where}: accessor {place} is {original.get('type')!s:.20}",
+            expected=f"plain numbers of type {kind}",
+            code="accessor-type",
+        )
+        _require(
+            kind == "SCALAR" or component == 5126,
+            f"{where}: accessor {place} has quantised positions",
+            expected="float",
+            mend="export it without compression",
+            code="accessor-type",
+        )
+        view_number = number(original, "bufferView", len(views) - 1)
+        view, size = views[view_number], _GLB_BYTES[component] * _COMPONENTS[kind]
+        begin = number(original, "byteOffset", view["byteLength"], 0)
+        available = view["byteLength"] - begin
+        most = (available - size) // (view.get("byteStride") or size) + 1 if available >= size else 0
+        copied = {"bufferView": view_number, "byteOffset": begin, "componentType": component, "type": kind}
+        accessors.append(copied | {"count": number(original, "count", most)})
+        return len(accessors) - 1
+
+    # meshes of triangles, with numbers for names
+    stripped_meshes, triangle_counts = [], []
+    for place, mesh in enumerate(meshes):
+        primitives = []
+        for primitive in entries(mesh, "primitives"):
+            mode, attributes = primitive.get("mode", _TRIANGLES), primitive.get("attributes")
+            _require(
+                mode == _TRIANGLES and isinstance(attributes, dict),
+                f"{where}: mesh {place} has a primitive of mode {mode!s:.20}, attributes {attributes!s:.20}",
+                expected=f"triangles ({_TRIANGLES}) with POSITION",
+                code="primitive-type",
+            )
+            kept = {"attributes": {"POSITION": accessor(attributes, "POSITION", "VEC3")}, "mode": mode}
+            if "indices" in primitive:
+                kept["indices"] = accessor(primitive, "indices", "SCALAR")
+            if "material" in primitive:
+                kept["material"] = number(primitive, "material", len(materials) - 1)
+            primitives.append(kept)
+        corners = [accessors[kept.get("indices", kept["attributes"]["POSITION"])] for kept in primitives]
+        triangle_counts.append(sum(corner["count"] // 3 for corner in corners))
+        stripped_meshes.append({"name": str(place), "primitives": primitives})
+    nodes, roots = _nodes(entries(header, "nodes"), len(meshes), where)
+    remaining = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": roots}],
+        "buffers": [{"byteLength": len(body)}],
+        "bufferViews": views,
+        "accessors": accessors,
+        "materials": [{"name": str(place)} for place in range(len(materials))],
+        "meshes": stripped_meshes,
+        "nodes": nodes,
+    }
     text = json.dumps(remaining).encode()
     text += b" " * (-len(text) % 4)
     body += b"\0" * (-len(body) % 4)
     chunks = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(body), _BINARY) + body
     glb = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-    return Stripped(glb, check.names("materials"), check.names("meshes"), triangles)
+    material_names, mesh_names = (
+        tuple(name if isinstance(name := entry.get("name"), str) else "" for entry in part)
+        for part in (materials, meshes)
+    )
+    triangles = sum(triangle_counts[node["mesh"]] for node in nodes if "mesh" in node)
+    return Stripped(glb, material_names, mesh_names, triangles)
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
-    if len(data) < 20 or data[:4] != b"glTF":
-        raise FormatError(
-            f"{where}: it begins with {data[:4]!r}",
-            expected="a binary glTF file (b'glTF')",
-            mend="export it as .glb",
-            code="format-unknown",
-        )
+    # content of the JSON chunk, and the binary chunk
+    _require(
+        len(data) >= 20 and data[:4] == b"glTF",
+        f"{where}: it begins with {data[:4]!r}",
+        expected="a binary glTF file (b'glTF')",
+        mend="export it as .glb",
+        code="format-unknown",
+    )
     _, version, length, size, kind = struct.unpack("<4sIIII", data[:20])
-    if version != 2 or kind != _JSON:
-        raise FormatError(
-            f"{where}: glTF version {version}",
-            expected="2 with its JSON chunk first",
-            mend="export it again",
-            code="format-version",
-        )
-    if length > len(data) or 20 + size > length:
-        raise FormatError(
-            f"{where}: {len(data)} bytes",
-            expected=f"{length} with {size} of JSON, as its header declares",
-            code="file-truncated",
-        )
+    _require(
+        version == 2 and kind == _JSON,
+        f"{where}: glTF version {version}",
+        expected="2 with its JSON chunk first",
+        mend="export it again",
+        code="format-version",
+    )
+    _require(
+        20 + size <= length <= len(data),
+        f"{where}: {len(data)} bytes",
+        expected=f"{length} with {size} of JSON, as its header declares",
+        code="file-truncated",
+    )
     try:
         header = json.loads(data[20 : 20 + size])
     except (ValueError, RecursionError) as error:
         raise FormatError(
             f"{where}: its JSON chunk cannot be read ({error})", code="json-unreadable"
         ) from error
-    if not isinstance(header, dict):
-        raise FormatError(
-            f"{where}: its JSON chunk holds {type(header).__name__}", expected="an object", code="type-wrong"
-        )
+    found = f"{where}: its JSON chunk holds {type(header).__name__}"
+    _require(isinstance(header, dict), found, expected="an object", code="type-wrong")
     if length < 28 + size:
         return header, b""
     count, kind = struct.unpack("<II", data[20 + size : 28 + size])
     body = data[28 + size : 28 + size + count] if kind == _BINARY else b""
-    if kind == _BINARY and len(body) != count:
-        raise FormatError(
-            f"{where}: its binary chunk has {len(body)} bytes",
-            expected=f"{count}, as it declares",
-            code="file-truncated",
-        )
+    _require(
+        kind != _BINARY or len(body) == count,
+        f"{where}: its binary chunk has {len(body)} bytes",
+        expected=f"{count}, as it declares",
+        code="file-truncated",
+    )
     return header, body
 
 
-# Extracts the parts of a glTF header that triangles need; refuses references to other files.
-class _GlbCheck:
-    def __init__(self, header: dict[str, Any], size: int, where: str) -> None:
-        self.header, self.size, self.where = header, size, where
-        for name in self.entries("extensionsRequired", str):
-            if not name.startswith("KHR_materials_") and name != "KHR_texture_transform":
-                self.fail(
-                    f"it requires the extension {name[:60]}",
-                    mend="export it without compression",
-                    code="extension-unsupported",
-                )
-        if any("uri" in buffer for buffer in self.entries("buffers")):
-            self.fail("its buffer is in another file", mend="export it as one .glb", code="buffer-external")
-        if len(self.entries("buffers")) > 1:
-            self.fail(
-                "it has more than one buffer", expected="the buffer inside the file", code="buffer-number"
-            )
-        self.views = [self.view(view) for view in self.entries("bufferViews")]
-        self.original_accessors = self.entries("accessors")
-        self.accessor_numbers: dict[tuple[int, str], int] = {}
-        self.accessors: list[dict[str, Any]] = []
-
-    def fail(self, found: str, *, expected: str = "", mend: str = "", code: str) -> NoReturn:
-        raise FormatError(f"{self.where}: {found}", expected=expected, mend=mend, code=code)
-
-    def entries(self, key: str, kind: Any = dict, of: dict[str, Any] | None = None) -> list[Any]:
-        entries = (self.header if of is None else of).get(key, [])
-        if not isinstance(entries, list) or not all(isinstance(entry, kind) for entry in entries):
-            self.fail(f"{key} is not a list of {getattr(kind, '__name__', 'numbers')}", code="type-wrong")
-        return list(entries)
-
-    def names(self, key: str) -> tuple[str, ...]:
-        names = [entry.get("name") for entry in self.entries(key)]
-        return tuple(name if isinstance(name, str) else "" for name in names)
-
-    def whole_number(self, of: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
-        number = of.get(key, default)
-        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= most:
-            self.fail(
-                f"{key} is {str(number)[:40]}",
-                expected=f"a whole number from 0 to {most}",
-                code="value-out-of-range",
-            )
-        return number
-
-    def view(self, view: dict[str, Any]) -> dict[str, int]:
-        # buffer view, which must be within the binary chunk
-        begin = self.whole_number(view, "byteOffset", self.size, 0)
-        length = self.whole_number(view, "byteLength", self.size - begin)
-        self.whole_number(view, "buffer", 0)
-        stride = {"byteStride": self.whole_number(view, "byteStride", 252)} if "byteStride" in view else {}
-        return {"buffer": 0, "byteOffset": begin, "byteLength": length} | stride
-
-    def accessor(self, of: dict[str, Any], key: str, kind: str) -> int:
-        # new number of an accessor, which must be within its buffer view
-        number = self.whole_number(of, key, len(self.original_accessors) - 1)
-        if (number, kind) in self.accessor_numbers:
-            return self.accessor_numbers[number, kind]
-        original = self.original_accessors[number]
-        component = original.get("componentType")
-        if original.get("type") != kind or component not in _GLB_BYTES or "sparse" in original:
-            self.fail(
-                f"accessor {number} is {original.get('type')!s:.20}",
-                expected=f"plain numbers of type {kind}",
-                code="accessor-type",
-            )
-        if kind == "VEC3" and component != 5126:
-            self.fail(
-                f"accessor {number} has quantised positions",
-                expected="float",
-                mend="export it without compression",
-                code="accessor-type",
-            )
-        view_number = self.whole_number(original, "bufferView", len(self.views) - 1)
-        view, size = self.views[view_number], _GLB_BYTES[component] * _COMPONENTS[kind]
-        begin = self.whole_number(original, "byteOffset", view["byteLength"], 0)
-        available = view["byteLength"] - begin
-        max_count = (available - size) // (view.get("byteStride") or size) + 1 if available >= size else 0
-        self.accessor_numbers[number, kind] = len(self.accessors)
-        self.accessors.append(
-            {
-                "bufferView": view_number,
-                "byteOffset": begin,
-                "componentType": component,
-                "count": self.whole_number(original, "count", max_count),
-                "type": kind,
-            }
-        )
-        return self.accessor_numbers[number, kind]
-
-    def stripped(self) -> tuple[dict[str, Any], int]:
-        meshes = [self.mesh(mesh, number) for number, mesh in enumerate(self.entries("meshes"))]
-        nodes = [self.node(node, number) for number, node in enumerate(self.entries("nodes"))]
-        roots = self.roots(nodes)
-        triangle_counts = [
-            sum(
-                self.accessors[primitive.get("indices", primitive["attributes"]["POSITION"])]["count"] // 3
-                for primitive in mesh["primitives"]
-            )
-            for mesh in meshes
-        ]
-        return {
-            "asset": {"version": "2.0"},
-            "scene": 0,
-            "scenes": [{"nodes": roots}],
-            "buffers": [{"byteLength": self.size}],
-            "bufferViews": self.views,
-            "accessors": self.accessors,
-            "materials": [{"name": str(number)} for number in range(len(self.entries("materials")))],
-            "meshes": meshes,
-            "nodes": nodes,
-        }, sum(triangle_counts[node["mesh"]] for node in nodes if "mesh" in node)
-
-    def mesh(self, mesh: dict[str, Any], number: int) -> dict[str, Any]:
-        primitives = []
-        for primitive in self.entries("primitives", of=mesh):
-            mode, attributes = primitive.get("mode", _TRIANGLES), primitive.get("attributes")
-            if mode != _TRIANGLES:
-                self.fail(
-                    f"mesh {number} has a primitive of mode {mode!s:.20}",
-                    expected=f"triangles ({_TRIANGLES})",
-                    code="primitive-type",
-                )
-            if not isinstance(attributes, dict):
-                self.fail(
-                    f"mesh {number} has a primitive without attributes",
-                    expected="POSITION",
-                    code="primitive-type",
-                )
-            position = self.accessor(attributes, "POSITION", "VEC3")
-            stripped: dict[str, Any] = {"attributes": {"POSITION": position}, "mode": _TRIANGLES}
-            if "indices" in primitive:
-                stripped["indices"] = self.accessor(primitive, "indices", "SCALAR")
-            if "material" in primitive:
-                stripped["material"] = self.whole_number(
-                    primitive, "material", len(self.entries("materials")) - 1
-                )
-            primitives.append(stripped)
-        return {"name": str(number), "primitives": primitives}
-
-    def node(self, node: dict[str, Any], number: int) -> dict[str, Any]:
-        stripped: dict[str, Any] = {"name": f"node {number}"}
-        if "mesh" in node:
-            stripped["mesh"] = self.whole_number(node, "mesh", len(self.entries("meshes")) - 1)
+def _nodes(
+    originals: list[dict[str, Any]], meshes: int, where: str
+) -> tuple[list[dict[str, Any]], list[int]]:
+    # nodes with mesh, transform and children only, and the numbers of those without a parent; nodes with
+    # several parents, and circles, are refused
+    nodes: list[dict[str, Any]] = []
+    child_nodes: set[int] = set()
+    for place, original in enumerate(originals):
+        node: dict[str, Any] = {"name": f"node {place}"}
+        if "mesh" in original:
+            node["mesh"] = _whole_number(original, "mesh", meshes - 1, where=where)
         for key, count in (("matrix", 16), ("translation", 3), ("rotation", 4), ("scale", 3)):
-            if key in node:
-                values = self.entries(key, int | float, of=node)
-                if len(values) != count:
-                    self.fail(
-                        f"node {number} has a {key} of {len(values)} numbers",
-                        expected=f"{count}",
-                        code="length-mismatch",
-                    )
-                stripped[key] = [float(value) for value in values]
-        children = self.entries("children", int, of=node)
-        return stripped | ({"children": children} if children else {})
-
-    def roots(self, nodes: list[dict[str, Any]]) -> list[int]:
-        # nodes without a parent; nodes with several parents, and circles, are refused
-        child_nodes: set[int] = set()
-        for number, node in enumerate(nodes):
-            for child in node.get("children", []):
-                if not 0 <= child < len(nodes) or child in child_nodes:
-                    self.fail(
-                        f"node {number} has the child {child}, which does not exist or has another parent",
-                        code="node-parent",
-                    )
-                child_nodes.add(child)
-        roots = [number for number in range(len(nodes)) if number not in child_nodes]
-        reached, level = 0, roots
-        for _ in range(_MAX_NODE_DEPTH):
-            reached += len(level)
-            level = [child for number in level for child in nodes[number].get("children", [])]
-        if level or reached != len(nodes):
-            self.fail(
-                "its nodes form a circle or too deep a tree",
-                expected=f"at most {_MAX_NODE_DEPTH} levels",
-                code="node-depth",
+            if key in original:
+                node[key] = [float(value) for value in _entries(original, key, int | float, where=where)]
+                found = f"{where}: node {place} has a {key} of {len(node[key])} numbers"
+                _require(len(node[key]) == count, found, expected=f"{count}", code="length-mismatch")
+        if children := _entries(original, "children", int, where=where):
+            node["children"] = children
+        for child in children:
+            _require(
+                0 <= child < len(originals) and child not in child_nodes,
+                f"{where}: node {place} has the child {child}, which does not exist or has another parent",
+                code="node-parent",
             )
-        return roots
+            child_nodes.add(child)
+        nodes.append(node)
+    roots = [place for place in range(len(nodes)) if place not in child_nodes]
+    reached, level = 0, roots
+    for _ in range(_MAX_NODE_DEPTH):
+        reached += len(level)
+        level = [child for place in level for child in nodes[place].get("children", [])]
+    _require(
+        not level and reached == len(nodes),
+        f"{where}: its nodes form a circle or too deep a tree",
+        expected=f"at most {_MAX_NODE_DEPTH} levels",
+        code="node-depth",
+    )
+    return nodes, roots
 
 
-def _trimesh(where: str) -> Any:
+def _entries(of: dict[str, Any], key: str, kind: Any = dict, *, where: str) -> list[Any]:
+    # list of a glTF object whose entries have a type
+    entries = of.get(key, [])
+    found = f"{where}: {key} is not a list of {getattr(kind, '__name__', 'numbers')}"
+    is_right = isinstance(entries, list) and all(isinstance(entry, kind) for entry in entries)
+    _require(is_right, found, code="type-wrong")
+    return list(entries)
+
+
+def _whole_number(of: dict[str, Any], key: str, most: int, default: int | None = None, *, where: str) -> int:
+    number = of.get(key, default)
+    _require(
+        isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= most,
+        f"{where}: {key} is {str(number)[:40]}",
+        expected=f"a whole number from 0 to {most}",
+        code="value-out-of-range",
+    )
+    return int(number or 0)
+
+
+# --- all ---------------------------------------------------------------------------------------------------
+
+
+def _by_trimesh(data: bytes, where: str) -> RawTriangles:
+    # triangles of a PLY or GLB file, after its sizes were checked
     with needs_extra("trimesh", "mesh", f"reading {where}"):
-        return importlib.import_module("trimesh")
-
-
-def _load(load: Callable[..., Any], data: bytes, kind: str, where: str, **options: Any) -> Any:
+        trimesh: Any = importlib.import_module("trimesh")
+    materials: Sequence[str] = ()
+    meshes: Sequence[str] = ()
+    kind = "ply"
+    if where.lower().endswith(".glb"):
+        kind = "glb"
+        data, materials, meshes, triangles = strip_glb(data, where)
+        _require(
+            triangles <= _MAX_TRIANGLES,
+            f"{where}: {triangles} triangles",
+            expected=f"at most {_MAX_TRIANGLES}",
+            mend="simplify the mesh",
+            code="mesh-too-large",
+        )
+        if not triangles:
+            return RawTriangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), ())
+    else:
+        check_ply(data, where)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy warns of trimesh's parsers
-            return load(io.BytesIO(data), file_type=kind, process=False, **options)
+            options = {"skip_materials": True} if kind == "ply" else {}
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, **options)
     except Exception as error:  # trimesh may raise any error
         raise FormatError(
             f"{where}: trimesh cannot read it ({type(error).__name__}: {error})", code="mesh-unreadable"
         ) from error
-
-
-def _faces(mesh: Any) -> NDArray[np.int64]:
-    return np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
-
-
-def _original_name(names: tuple[str, ...], number: str | None) -> str:
-    return "" if number is None or not number.isdecimal() or int(number) >= len(names) else names[int(number)]
+    vertices, faces, face_group = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
+    groups: list[tuple[str, ...]] = []
+    for node in sorted(scene.graph.nodes_geometry):
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        corners = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
+        faces.append(corners + sum(map(len, vertices)))
+        face_group.append(np.full(len(corners), len(groups)))
+        with np.errstate(all="ignore"):  # vertices that are not finite are refused later
+            points = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
+            vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
+        # names in the file, of which the stripped file has the numbers
+        numbers = getattr(getattr(mesh.visual, "material", None), "name", None), name.partition("_")[0]
+        groups.append(
+            tuple(
+                names[int(number)] if (number or "").isdecimal() and int(number) < len(names) else ""
+                for names, number in zip((materials, meshes), numbers, strict=True)
+            )
+        )
+    return RawTriangles(
+        np.concatenate(vertices), np.concatenate(faces), np.concatenate(face_group), tuple(groups)
+    )
 
 
 _MAX_BYTES = 2**30
@@ -548,6 +493,12 @@ _UPRIGHT = {
     "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "z": np.eye(3),
+}
+#: Readers by suffix.
+_READERS: dict[str, Callable[[bytes, str], RawTriangles]] = {
+    ".obj": parse_obj,
+    ".glb": _by_trimesh,
+    ".ply": _by_trimesh,
 }
 
 
@@ -598,18 +549,13 @@ def read_mesh(
         trimesh is not installed, for GLB and PLY.
     """
     file = Path(path)
-    readers: dict[str, Callable[[bytes, str], RawTriangles]] = {
-        ".obj": parse_obj,
-        ".glb": read_glb,
-        ".ply": read_ply,
-    }
     suffix = file.suffix.lower()
-    if suffix not in readers:
-        raise FormatError(
-            f"{file.name}: the suffix {suffix!r} is unknown",
-            expected=f"one of {', '.join(readers)}",
-            code="format-unknown",
-        )
+    _require(
+        suffix in _READERS,
+        f"{file.name}: the suffix {suffix!r} is unknown",
+        expected=f"one of {', '.join(_READERS)}",
+        code="format-unknown",
+    )
     upright = _UPRIGHT.get(("y" if suffix == ".glb" else "z") if up is None else up)
     if upright is None or not (np.isfinite(unit) and unit > 0):
         raise SchemaError(
@@ -618,18 +564,34 @@ def read_mesh(
             code="value-out-of-range",
         )
     data = read_limited(file, _MAX_BYTES, "a mesh")
-    if not data.strip():
-        raise FormatError(f"{file.name}: the file is empty", expected="a mesh", code="empty-input")
-    raw = readers[suffix](data, file.name)
-    _check(raw, file.name)
+    _require(data.strip(), f"{file.name}: the file is empty", expected="a mesh", code="empty-input")
+    raw = _READERS[suffix](data, file.name)
+    found = f"{file.name}: no triangles"
+    _require(len(raw.faces), found, expected="a mesh with faces", code="mesh-empty")
+    min_index, max_index, count = int(raw.faces.min()), int(raw.faces.max()), len(raw.vertices)
+    _require(
+        min_index >= 0 and max_index < count,
+        f"{file.name}: a face names vertex {max_index + 1 if max_index >= count else min_index}",
+        expected=f"one of {count} vertices",
+        mend="export the mesh again",
+        code="vertex-unknown",
+    )
+    bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
+    _require(
+        not len(bad),
+        f"{file.name}: {len(bad)} of {count} vertices are not finite, the first is number "
+        f"{bad[0] if len(bad) else ''} counted from 0",
+        mend="correct the mesh",
+        code="not-finite",
+    )
     max_distance = float(np.abs(raw.vertices).max(initial=0.0))
-    if not max_distance < _MAX_DISTANCE_M / unit:
-        raise FormatError(
-            f"{file.name}: a vertex is {max_distance:.3g} units of {unit:g} m from the origin",
-            expected=f"at most {_MAX_DISTANCE_M:g} m",
-            mend="correct the mesh, or pass unit=",
-            code="vertex-too-far",
-        )
+    _require(
+        max_distance < _MAX_DISTANCE_M / unit,
+        f"{file.name}: a vertex is {max_distance:.3g} units of {unit:g} m from the origin",
+        expected=f"at most {_MAX_DISTANCE_M:g} m",
+        mend="correct the mesh, or pass unit=",
+        code="vertex-too-far",
+    )
     vertices = unit * raw.vertices @ upright.T
     keeps_area = has_area(vertices, raw.faces)
     warn_of_dropped(file.stem, keeps_area)
@@ -638,7 +600,13 @@ def read_mesh(
     faces, surface = raw.faces[keeps_area], surface[keeps_area]
     normals = np.zeros((0, 3))
     if crease is not None:
-        vertices, faces = _welded(vertices, faces)
+        # merge coincident vertices, so that normals are smooth across seams
+        order = np.lexsort(vertices.T)
+        ordered = vertices[order]
+        is_new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(axis=1)])
+        number = np.empty(len(vertices), np.int64)
+        number[order] = np.cumsum(is_new) - 1
+        vertices, faces = ordered[is_new], number[faces]
         mesh = smoothed(
             Mesh(vertices, faces, surface, tuple(material.name for material in scene_materials), 0 * surface),
             crease,
@@ -653,28 +621,6 @@ def read_mesh(
         instance=mesh_instance,
         name=file.stem,
     )
-
-
-def _check(raw: RawTriangles, where: str) -> None:
-    if not len(raw.faces):
-        raise FormatError(f"{where}: no triangles", expected="a mesh with faces", code="mesh-empty")
-    min_index, max_index, count = int(raw.faces.min()), int(raw.faces.max()), len(raw.vertices)
-    if min_index < 0 or max_index >= count:
-        wrong_index = max_index + 1 if max_index >= count else min_index
-        raise FormatError(
-            f"{where}: a face names vertex {wrong_index}",
-            expected=f"one of {count} vertices",
-            mend="export the mesh again",
-            code="vertex-unknown",
-        )
-    bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
-    if len(bad):
-        raise FormatError(
-            f"{where}: {len(bad)} of {len(raw.vertices)} vertices are not finite, the first is number "
-            f"{bad[0]} counted from 0",
-            mend="correct the mesh",
-            code="not-finite",
-        )
 
 
 def _assign_materials(
@@ -699,13 +645,3 @@ def _assign_materials(
             code="material-missing",
         )
     return tuple(number_of_material), numbers[raw.face_group]
-
-
-def _welded(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
-    # merge coincident vertices, so that normals are smooth across seams
-    order = np.lexsort(vertices.T)
-    sorted_vertices = vertices[order]
-    is_new = np.concatenate([[True], (sorted_vertices[1:] != sorted_vertices[:-1]).any(axis=1)])
-    number = np.empty(len(vertices), np.int64)
-    number[order] = np.cumsum(is_new) - 1
-    return sorted_vertices[is_new], number[faces]

@@ -1,22 +1,346 @@
-"""Spectra of the factors of paths: defaults by name, spectra of a user, repainted cars."""
+"""Spectra of the factors of paths: defaults by name, spectra of a user, repainted cars, and populations.
+
+Spectra of users are names, tables, functions, or paints of a library with their populations. A pixel shows a
+member of the population of its dominant surface: in the products of its paths, the factor of this surface is
+multiplied by member over mean, band by band. Paths are not traced again; light from other surfaces has their
+mean spectra. Members are ranked by brightness, and a smooth random field over the surface gives the rank, so
+that all members are equally likely and neighbours are similar (`Octaves`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
+from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.mirrored_light import INCLUDED, mirror_reflection
+from hyperpaint.base.old_names import with_new_names
+from hyperpaint.base.schema import BAND, MEMBER, SIGNATURE
+from hyperpaint.base.units import convert
+from hyperpaint.simulation.transport.mixing import Grain, Texture, member_rows
 
 from .camera_bands import BandSet
-from .given_spectra import SpectrumReader, by_name, is_library, some_names
 from .materials import measured_factor
 from .scene_record import SceneRecord
-from .scene_spectra import Spectrum, paint_spec
+from .scene_spectra import MEASURED, Octaves, Spectrum, is_paint, paint_spec, spectrum_of
+
+#: Maximum number of members of a population in a render; more would change its quantiles by less than 0.2 %.
+MAX_MEMBERS = 512
+
+#: Maximum excess of measured reflectance beyond 0 or 1 by noise [1]; more is an error of scale or light.
+_NOISE = 0.05
+
+_MAX_RANGES_SHOWN = 6
+
+#: Minimum mean by which members are divided [1].
+_MIN_MEAN = 1e-4
+
+#: Maximum of member over mean [1], which limits noise for a mean near 0.
+_MAX_RATIO = 50.0
+
+
+# --- spectra of a user -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A tabulated spectrum: linear between its points, constant beyond them.
+
+    Attributes
+    ----------
+    wavelength : (point,)
+        Increasing wavelengths [nm].
+    reflectance : (point,)
+        Reflectance [1].
+    members : (member, point)
+        Population [1]; None without a population.
+    """
+
+    wavelength: Floats
+    reflectance: Floats
+    members: Floats | None = None
+
+    octaves = MEASURED
+
+    def __call__(self, wavelength: Floats) -> Floats:
+        return np.interp(wavelength, self.wavelength, self.reflectance)
+
+    def population(self, wavelength: Floats) -> Floats | None:
+        # members at ``wavelength`` [nm], (member, wavelength); None without a population
+        if self.members is None:
+            return None
+        return np.stack([np.interp(wavelength, self.wavelength, row) for row in self.members])
+
+
+def is_library(value: Any) -> bool:
+    """Return whether a value is a dataset with ``reflectance`` (signature, band)."""
+    if not hasattr(value, "data_vars") or "reflectance" not in value:
+        return False
+    # "paint" is the dim in libraries of version 0.2
+    return SIGNATURE in value["reflectance"].dims or "paint" in value["reflectance"].dims
+
+
+def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
+    # paints of a library by name, lazily, with the variables that the renderer needs; SchemaError for other
+    # datasets, and for paints without or with equal names
+    library = with_new_names(library) if is_library(library) else library
+    if not is_library(library) or SIGNATURE not in library.variables:
+        raise SchemaError(
+            f"spectra is {type(library).__name__}",
+            expected="a mapping of names to spectra, or a paint library with reflectance (signature, band)",
+            code="type-wrong",
+        )
+    names = [str(name) for name in library[SIGNATURE].values]
+    if duplicates := sorted({name for name in names if names.count(name) > 1}):
+        raise SchemaError(
+            f"the library has several paints named {', '.join(map(repr, duplicates))}",
+            mend="rename them, or select one with library.isel(signature=...)",
+            code="paint-ambiguous",
+        )
+    variables = [name for name in ("reflectance", "member_reflectance") if name in library.variables]
+    reduced = library[variables].reset_coords(drop=True)
+    coords = ("wavelength", "good")
+    reduced = reduced.assign_coords(
+        {name: library[name].variable for name in coords if name in library.variables}
+    )
+    reduced.attrs = dict(library.attrs)
+    return {name: reduced.isel({SIGNATURE: number}) for number, name in enumerate(names)}
+
+
+def by_name(spectra: Any) -> dict[str, Any]:
+    """Return spectra by name: paints of a library, and paints ``name/paint`` of libraries in a mapping.
+
+    The paint of a library of one paint in a mapping has the library's name.
+    """
+    if spectra is None:
+        return {}
+    if is_library(spectra) or not isinstance(spectra, Mapping):
+        library: Any = spectra
+        return dict(_paints_by_name(library))
+    by_key: dict[str, Any] = {}
+    for name, value in spectra.items():
+        if not is_library(value):
+            by_key[str(name)] = value
+            continue
+        paints = _paints_by_name(value)
+        is_single = len(paints) == 1
+        by_key |= {
+            str(name) if is_single else f"{name}/{paint}": spectrum for paint, spectrum in paints.items()
+        }
+    return by_key
+
+
+class SpectrumReader:
+    """Turns user spectra into functions of wavelength, and collects their problems.
+
+    Parameters
+    ----------
+    given
+        Spectra by name, from `by_name`.
+    bands
+        Bands that the spectra must cover.
+    problems
+        List to which problems are added.
+    clip
+        Limit reflectances to 0 to 1 instead of an error.
+    hold_edges
+        Extend spectra by their first and last good value, and interpolate bands without a value.
+    """
+
+    def __init__(
+        self, given: Mapping[str, Any], bands: BandSet, problems: Problems, *, clip: bool, hold_edges: bool
+    ) -> None:
+        self._given, self._bands, self._problems = given, bands, problems
+        self._clip, self._hold_edges = clip, hold_edges
+        self._clipped: list[str] = []
+        self._mirroring: list[str] = []
+
+    def read(self, name: str) -> Spectrum | None:
+        # spectrum by name as a function of wavelength; None after a problem
+        value, problems, bands = self._given.get(name, name), self._problems, self._bands
+        spectrum: Spectrum | None = None
+        if isinstance(value, str):
+            try:
+                spectrum = spectrum_of(value)
+            except SchemaError as error:
+                library_paints = [key for key in self._given if key.startswith(f"{value}/")]
+                hint = (
+                    f"choose one of {some_names(library_paints)}"
+                    if library_paints
+                    else f"or pass spectra={{{value!r}: ...}}"
+                )
+                problems.add(
+                    error.problem.found,
+                    mend="; ".join(filter(None, (error.problem.mend, hint))),
+                    code="spectrum-unknown",
+                )
+                return None
+        elif callable(value) and not hasattr(value, "dims"):
+            spectrum = value
+        if spectrum is not None:
+            values = np.asarray(spectrum(np.arange(bands.lowest(), bands.highest() + 1.0)), np.float64)
+        else:
+            try:
+                is_dataset = hasattr(value, "data_vars")
+                table = self._library_table(value, name) if is_dataset else Table(*_columns(value))
+            except (PaintError, TypeError, ValueError) as error:
+                problems.add(
+                    f"spectrum {name!r} cannot be read: {error}",
+                    expected="a name, (wavelength [nm], reflectance), a DataArray with a coordinate "
+                    "'wavelength', or a paint library",
+                    code="spectrum-unreadable",
+                )
+                return None
+            spectrum = cropped = self._cropped(table, name)
+            if cropped is None:
+                return None
+            values = cropped.reflectance
+        if not (values.size and np.isfinite(values).all()):
+            problems.add(f"spectrum {name!r} is not finite", mend="fill the gaps", code="not-finite")
+        elif not self._clip and (values.min() < 0.0 or values.max() > 1.0):
+            problems.add(
+                f"spectrum {name!r} ranges from {values.min():.4g} to {values.max():.4g}",
+                expected="0 to 1",
+                mend="divide per cent by 100, or pass clip=True",
+                code="value-out-of-range",
+            )
+        return spectrum
+
+    def warn(self) -> None:
+        for code, names, found in (
+            (
+                "reflectance-clipped",
+                self._clipped,
+                f"reflectances of {{}} exceed 0 to 1 by noise, up to {_NOISE:g}; they are clipped for the "
+                "render",
+            ),
+            (
+                "mirror-counted-twice",
+                self._mirroring,
+                "{} contain the mirror reflection of the coat, which the renderer adds again; extract "
+                "signatures with specular_sky=True (--specular-sky)",
+            ),
+        ):
+            if names:
+                warnings.warn(PaintWarning(found.format(some_names(names)), code=code), stacklevel=4)
+
+    def _cropped(self, table: Table, name: str) -> Table | None:
+        # usable part of a table in the range of the bands, since gaps elsewhere do not matter
+        nm, reflectance, bands, problems = table.wavelength, table.reflectance, self._bands, self._problems
+        if nm.ndim != 1 or nm.shape != reflectance.shape or nm.size < 2:
+            problems.add(
+                f"spectrum {name!r} has wavelengths {nm.shape} and reflectances {reflectance.shape}",
+                expected="two arrays of one length, at least 2",
+                code="length-mismatch",
+            )
+            return None
+        if not np.isfinite(nm).all() or not (np.diff(nm) > 0).all():
+            problems.add(
+                f"wavelengths of spectrum {name!r} do not increase",
+                mend="sort them",
+                code="wavelength-unordered",
+            )
+            return None
+        # values may end up to half a width inside the centres of the outer bands
+        first_centre, last_centre = bands.wavelength[[0, -1]]
+        first_needed, last_needed = first_centre + bands.fwhm[0] / 2, last_centre - bands.fwhm[-1] / 2
+        is_used = np.isfinite(reflectance)
+        if not self._hold_edges:
+            is_used |= (nm >= first_needed) & (nm <= last_needed)
+        if is_used.sum() < 2:
+            gaps = _ranges_text(nm, ~np.isfinite(reflectance))
+            problems.add(
+                f"spectrum {name!r} is not finite at {gaps} nm", mend="fill the gaps", code="not-finite"
+            )
+            return None
+        nm, reflectance = nm[is_used], reflectance[is_used]
+        if not self._hold_edges and (nm[0] > first_needed or nm[-1] < last_needed):
+            problems.add(
+                f"spectrum {name!r} covers {nm[0]:.1f} to {nm[-1]:.1f} nm",
+                expected=f"the range of the bands, {first_centre:.1f} to {last_centre:.1f} nm",
+                mend="pass hold_edges=True to extend it by its first and last value",
+                option="pass --hold-edges to extend it by its first and last value",
+                code="spectrum-coverage",
+            )
+        start = min(max(int(np.searchsorted(nm, bands.lowest())) - 1, 0), nm.size - 1)
+        points = slice(start, max(int(np.searchsorted(nm, bands.highest())) + 1, start + 1))
+        is_missing = ~np.isfinite(reflectance[points])
+        if is_missing.any():
+            problems.add(
+                f"spectrum {name!r} is not finite at {_ranges_text(nm[points], is_missing)} nm",
+                mend="fill the gaps, or pass hold_edges=True to interpolate them",
+                option="fill the gaps, or pass --hold-edges to interpolate them",
+                code="not-finite",
+            )
+            return None
+        # members without gaps, of which a population has at least two
+        members = table.members
+        if members is not None:
+            members = members[:, is_used]
+            members = members[np.isfinite(members).all(axis=1)][:, points]
+            members = members if len(members) > 1 else None
+        return Table(nm[points], reflectance[points], members)
+
+    def _library_table(self, paint: xr.Dataset, name: str) -> Table:
+        # table of a library paint: bands by wavelength, NaN in bands that are not good
+        nm, reflectance = _columns(paint["reflectance"])
+        order = np.argsort(nm, kind="stable")
+        is_good = np.asarray(paint["good"].values, bool) if "good" in paint.coords else np.ones(nm.size, bool)
+        values = np.where(is_good, reflectance, np.nan)[order]
+        members = None
+        if "member_reflectance" in paint:
+            population = paint["member_reflectance"].transpose(MEMBER, BAND)
+            rows = np.asarray(
+                (convert(population, "1") if "units" in population.attrs else population).values
+            )
+            members = np.where(is_good, rows, np.nan)[:, order].astype(np.float64)
+            members = members[np.isfinite(members).any(axis=1)]
+            if len(members) > MAX_MEMBERS:  # keep evenly spaced members
+                members = members[np.linspace(0, len(members) - 1, MAX_MEMBERS).round().astype(np.int64)]
+        if mirror_reflection(paint) == INCLUDED:
+            self._mirroring.append(name)
+        is_outside = (values < 0.0) | (values > 1.0)
+        if is_outside.any() and bool((np.abs(values[is_outside] - 0.5) <= 0.5 + _NOISE).all()):
+            self._clipped.append(name)
+            values = np.clip(values, 0.0, 1.0)
+        return Table(nm[order], values, members)
+
+
+def _columns(value: Any) -> tuple[Floats, Floats]:
+    if hasattr(value, "dims"):
+        if "wavelength" not in value.coords:
+            raise ValueError("it has no coordinate 'wavelength'")
+        axis = value["wavelength"]
+        axis = convert(axis, "nm") if "units" in axis.attrs else axis
+        values = convert(value, "1") if "units" in value.attrs else value
+        return np.asarray(axis.values, np.float64), np.asarray(values.values, np.float64)
+    wavelength, reflectance = value
+    return np.asarray(wavelength, np.float64), np.asarray(reflectance, np.float64)
+
+
+def _ranges_text(wavelength: Floats, is_missing: Bools) -> str:
+    # wavelengths of missing values as text, with ranges of neighbours
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_missing, [False]]).astype(np.int8)))
+    runs = [(wavelength[begin], wavelength[end - 1]) for begin, end in edges.reshape(-1, 2)]
+    texts = [
+        f"{first_nm:.1f}" if first_nm == last_nm else f"{first_nm:.1f} to {last_nm:.1f}"
+        for first_nm, last_nm in runs
+    ]
+    return ", ".join(texts[:_MAX_RANGES_SHOWN]) + (", ..." if len(texts) > _MAX_RANGES_SHOWN else "")
+
+
+def some_names(names: Iterable[str]) -> str:
+    different = list(dict.fromkeys(names))
+    return ", ".join(map(repr, different[:12])) + (", ..." if len(different) > 12 else "")
+
+
+# --- spectra of all factors --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,45 +507,29 @@ def _assign_spectra(
             factor_numbers = [materials.index(key)]
         else:
             factor_numbers = _paint_factor(record, instances.index(key), problems)
+        # a repainted base gets the flakes of its new paint; scales correct the flake shares in the weights
         for number in factor_numbers:
             assigned[number] = name
-            _exchange_flakes(
-                record, number, name if isinstance(paints[key], str) else "", assigned, scales, problems
-            )
-    return assigned, scales
-
-
-def _exchange_flakes(
-    record: SceneRecord,
-    factor_number: int,
-    name: str,
-    assigned: list[str],
-    scales: list[float],
-    problems: Problems,
-) -> None:
-    # give a repainted base the flakes of its new paint; scales correct the flake shares in the path weights
-    material = record.factors[factor_number].material
-    traced_flakes = record.materials[material].flakes
-    if record.factors[factor_number].flakes or traced_flakes is None:
-        return
-    try:
-        new_flakes = paint_spec(name).flakes
-    except SchemaError:
-        new_flakes = None
-    if traced_flakes.share >= 1.0:
-        problems.add(
-            f"{record.materials[material].name!r} has flakes only and cannot be repainted",
-            code="paint-all-flakes",
-        )
-        return
-    scales[factor_number] = (1.0 - (new_flakes.share if new_flakes else 0.0)) / (1.0 - traced_flakes.share)
-    for other_number, factor in enumerate(record.factors):
-        if factor.material == material and factor.flakes:
-            scales[other_number] = new_flakes.share / traced_flakes.share if new_flakes else 0.0
-            if new_flakes is not None:
-                assigned[other_number] = (
-                    new_flakes.turned if factor.turned and new_flakes.turned else new_flakes.spectrum
+            base = record.factors[number].material
+            traced_flakes = record.materials[base].flakes
+            if record.factors[number].flakes or traced_flakes is None:
+                continue
+            if traced_flakes.share >= 1.0:
+                problems.add(
+                    f"{record.materials[base].name!r} has flakes only and cannot be repainted",
+                    code="paint-all-flakes",
                 )
+                continue
+            is_named = isinstance(paints[key], str) and is_paint(name)
+            new_flakes = paint_spec(name).flakes if is_named else None
+            scales[number] = (1.0 - (new_flakes.share if new_flakes else 0.0)) / (1.0 - traced_flakes.share)
+            for other_number, factor in enumerate(record.factors):
+                if factor.material == base and factor.flakes:
+                    scales[other_number] = new_flakes.share / traced_flakes.share if new_flakes else 0.0
+                    if new_flakes is not None:
+                        turned = new_flakes.turned if factor.turned else ""
+                        assigned[other_number] = turned or new_flakes.spectrum
+    return assigned, scales
 
 
 def _paint_factor(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
@@ -250,3 +558,63 @@ def _paint_factor(record: SceneRecord, instance: int, problems: Problems) -> lis
         )
         return []
     return candidates
+
+
+# --- populations -------------------------------------------------------------------------------------------
+
+
+# Members of all populations of a scene, in the form that mixing of paths needs.
+class Populations(NamedTuple):
+    grain: Grain
+    factor: Array  # (row,) number of the factor that a member changes
+    ratio: Floats32  # (row, band) member over mean
+
+    def texture(self, material: Array, instance: Array, position: Array, seed: int) -> Texture:
+        # members of pixels at positions (3, line, column) [m]; see `texturing.member_rows`
+        return self.of_rows(member_rows(material, instance, position, self.grain, seed))
+
+    def of_rows(self, rows: Array) -> Texture:
+        # members of pixels, from their rows (line, column)
+        return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
+
+
+def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) -> Populations | None:
+    """Return the populations of a scene's materials; None if no spectrum has one.
+
+    The mean over the members of a population is the spectrum itself, in every band.
+    """
+    count = np.zeros((2, len(record.materials)), np.int64)
+    members: list[tuple[Octaves, int, int, Floats]] = []
+    for factor_number, (factor, name) in enumerate(zip(record.factors, painted.names, strict=True)):
+        spectrum: Any = painted.spectra[name]
+        if factor.flakes or factor.through or getattr(spectrum, "population", None) is None:
+            continue
+        rows = spectrum.population(bands.wavelength)
+        if rows is not None:
+            members.append((spectrum.octaves, factor.material, factor_number, rows))
+    if not members:
+        return None
+    shape = len(record.materials), max(len(octaves.lengths) for octaves, *_ in members)
+    lengths, shares, is_averaged = np.ones(shape), np.zeros(shape), np.zeros(shape[0], bool)
+    ratios, factors, first_row = [], [], 0
+    for octaves, material, factor_number, rows in members:
+        # members over their mean, darkest first
+        ratio = np.minimum(np.clip(rows, 0.0, 1.0) / np.maximum(rows.mean(axis=0), _MIN_MEAN), _MAX_RATIO)
+        # clipping to 0 and 1 must not change the mean
+        ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
+        ratios.append(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
+        factors.append(np.full(len(rows), factor_number, np.int64))
+        count[:, material] = first_row, len(rows)
+        first_row += len(rows)
+        lengths[material, : len(octaves.lengths)] = octaves.lengths
+        shares[material, : len(octaves.shares)] = octaves.shares
+        is_averaged[material] = octaves.is_averaged
+    grain = Grain(count[0], count[1], lengths, shares, is_averaged)
+    return Populations(grain, np.concatenate(factors), np.concatenate(ratios).astype(np.float32))
+
+
+def rows_of_pixels(
+    material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
+) -> Array:
+    """Return the member rows of pixels, (line, column); see `texturing.member_rows`."""
+    return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

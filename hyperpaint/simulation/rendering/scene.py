@@ -1,17 +1,21 @@
-"""A scene: triangles with their materials and instances."""
+"""A scene: triangles with their materials and instances, and shapes of which scenes are built.
+
+A `Mesh` has names of surfaces where a `Scene` has materials. A shape is a table of `Part` rows; `built` makes
+a mesh of them.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.facts import one_of
 
@@ -86,6 +90,18 @@ class Factor:
     turned: bool = False
 
 
+#: Arrays of a scene: attribute, dtype, attribute of equal length, shape of a row, and the items that its
+#: numbers count.
+_ARRAYS: tuple[tuple[str, type, str, tuple[int, ...], str], ...] = (
+    ("vertices", np.float64, "", (3,), ""),
+    ("faces", np.int64, "", (3,), "vertices"),
+    ("normals", np.float64, "vertices", (3,), ""),
+    ("face_material", np.int32, "faces", (), "materials"),
+    ("face_instance", np.int32, "faces", (), "instances"),
+    ("face_part", np.int8, "faces", (), "PARTS"),
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Triangles in a local frame: x east, y north, z up [m].
@@ -140,16 +156,36 @@ class Scene:
 
     def __post_init__(self) -> None:
         problems = Problems(f"scene {self.name!r} cannot be used", SchemaError)
-        vertices = _array(problems, "vertices", self.vertices, np.float64, (None, 3))
-        faces = _array(problems, "faces", self.faces, np.int64, (None, 3))
-        problems.raise_if_any()  # further checks need these two arrays
-        count = len(faces)
-        normals = _array(problems, "normals", self.normals, np.float64, (len(vertices), 3))
-        material = _array(problems, "face_material", self.face_material, np.int32, (count,))
-        instance = _array(problems, "face_instance", self.face_instance, np.int32, (count,))
-        part = _array(problems, "face_part", self.face_part, np.int8, (count,))
-        for name, values in (("vertices", vertices), ("normals", normals)):
-            bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        # form and type of every array; empty ones become zeros
+        arrays: dict[str, NDArray[Any]] = {}
+        for name, dtype, like, columns, _ in _ARRAYS:
+            array = np.asarray(getattr(self, name))
+            shape = (len(arrays[like]) if like else None, *columns)
+            is_whole = np.issubdtype(dtype, np.integer)
+            arrays[name] = np.zeros((shape[0] or 0, *columns), dtype)
+            if array.size == 0 and like:
+                continue
+            if array.ndim != len(shape) or any(
+                length not in (None, found) for length, found in zip(shape, array.shape, strict=True)
+            ):
+                text = " x ".join("any" if length is None else str(length) for length in shape)
+                problems.add(f"{name} has shape {array.shape}", expected=text, code="dims-wrong")
+            elif array.dtype.kind not in ("iu" if is_whole else "iuf"):
+                problems.add(
+                    f"{name} is {array.dtype}",
+                    expected=f"numbers that fit {np.dtype(dtype)}",
+                    code="type-wrong",
+                )
+            else:  # integers are narrowed after their range is checked
+                arrays[name] = array.astype(np.int64 if is_whole else np.float64)
+            if name == "faces":
+                problems.raise_if_any()  # the form of the other arrays follows from vertices and faces
+        # values: finite, or numbers of existing vertices, materials, instances and parts
+        counts = {"vertices": len(arrays["vertices"]), "PARTS": len(PARTS)}
+        counts |= {"materials": len(self.materials), "instances": len(self.instances)}
+        for name, _, _, _, numbered in _ARRAYS:
+            values = arrays[name]
+            bad: Any = [] if numbered else np.flatnonzero(~np.isfinite(values).all(axis=1))
             if len(bad):
                 numbers = ", ".join(str(index) for index in bad[:5]) + (", ..." if len(bad) > 5 else "")
                 problems.add(
@@ -157,29 +193,34 @@ class Scene:
                     mend="correct or remove them",
                     code="not-finite",
                 )
-        _check_range(problems, "faces", faces, len(vertices), "vertices")
-        _check_range(problems, "face_material", material, len(self.materials), "materials")
-        _check_range(problems, "face_instance", instance, len(self.instances), "instances")
-        _check_range(problems, "face_part", part, len(PARTS), "PARTS")
-        _check_names(problems, "material", [material.name for material in self.materials])
-        _check_names(problems, "instance", [instance.name for instance in self.instances])
-        for item in self.instances:
-            one_of(item.kind, INSTANCE_KINDS, f"kind of instance {item.name!r}", problems=problems)
+            if numbered and values.size and (values.min() < 0 or values.max() >= counts[numbered]):
+                problems.add(
+                    f"{name} has numbers from {values.min()} to {values.max()}",
+                    expected=f"numbers of {counts[numbered]} {numbered}, counted from 0",
+                    code="index-out-of-range",
+                )
+        for kind, items in (("material", self.materials), ("instance", self.instances)):
+            names = Counter(item.name for item in items)
+            if "" in names:
+                place = [item.name for item in items].index("")
+                problems.add(f"{kind} {place} has an empty name", code="name-empty")
+            if duplicates := sorted(name for name, count in names.items() if count > 1):
+                problems.add(
+                    f"several {kind}s are named {', '.join(duplicates[:5])}",
+                    mend="rename them",
+                    code="name-duplicate",
+                )
+        for instance in self.instances:
+            one_of(instance.kind, INSTANCE_KINDS, f"kind of instance {instance.name!r}", problems=problems)
         problems.raise_if_any()
-        keeps_area = has_area(vertices, faces)
+        keeps_area = has_area(arrays["vertices"], arrays["faces"])
         warn_of_dropped(self.name, keeps_area)
-        checked: dict[str, Any] = {
-            "vertices": vertices,
-            "faces": faces[keeps_area],
-            "normals": normals,
-            "face_material": material[keeps_area].astype(np.int32),
-            "face_instance": instance[keeps_area].astype(np.int32),
-            "face_part": part[keeps_area].astype(np.int8),
-            "materials": tuple(self.materials),
-            "instances": tuple(self.instances),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        for name, dtype, like, *_ in _ARRAYS:
+            of_faces = "faces" in (name, like)
+            kept = arrays[name][keeps_area] if of_faces else arrays[name]
+            object.__setattr__(self, name, kept.astype(dtype))
+        object.__setattr__(self, "materials", tuple(self.materials))
+        object.__setattr__(self, "instances", tuple(self.instances))
 
     @classmethod
     def from_arrays(
@@ -266,26 +307,20 @@ class Scene:
         >>> len(joined.faces), len(joined.materials), [instance.name for instance in joined.instances]
         (4, 1, ['low', 'high'])
         """
-        materials: dict[Material, int] = {}
-        instances: list[Instance] = []
-        faces, face_material, face_instance = [], [], []
-        first_vertex = 0
-        for scene in scenes:
-            numbers = [materials.setdefault(material, len(materials)) for material in scene.materials]
-            faces.append(scene.faces + first_vertex)
-            face_material.append(np.asarray(numbers, np.int32)[scene.face_material])
-            face_instance.append(scene.face_instance + np.int32(len(instances)))
-            instances.extend(scene.instances)
-            first_vertex += len(scene.vertices)
+        counts = np.cumsum([0, *(len(scene.instances) for scene in scenes)])
+        vertices, faces, materials, face_material = _joined(
+            [(scene.vertices, scene.faces, scene.materials, scene.face_material) for scene in scenes]
+        )
+        instances = [scene.face_instance + first for scene, first in zip(scenes, counts, strict=False)]
         return cls(
             name,
-            np.concatenate([np.zeros((0, 3)), *(scene.vertices for scene in scenes)]),
-            np.concatenate([np.zeros((0, 3), np.int64), *faces]),
+            vertices,
+            faces,
             np.concatenate([np.zeros((0, 3)), *(scene.normals for scene in scenes)]),
-            np.concatenate([np.zeros(0, np.int32), *face_material]),
-            np.concatenate([np.zeros(0, np.int32), *face_instance]),
-            tuple(materials),
-            tuple(instances),
+            face_material,
+            np.concatenate([np.zeros(0, np.int64), *instances]),
+            materials,
+            tuple(instance for scene in scenes for instance in scene.instances),
             np.concatenate([np.zeros(0, np.int8), *(scene.face_part for scene in scenes)]),
         )
 
@@ -313,17 +348,21 @@ class Scene:
         >>> [factor.flakes for factor in plane(1.0, paint).factors]
         [False, True]
         """
-        bases = [Factor(number) for number in range(len(self.materials))]
-        flakes = [Factor(i, True) for i, material in enumerate(self.materials) if material.flakes is not None]
-        plates = [
-            Factor(i, through=True) for i, material in enumerate(self.materials) if material.transmittance
-        ]
-        turned = [
-            Factor(i, True, turned=True)
-            for i, material in enumerate(self.materials)
-            if material.flakes and material.flakes.turned
-        ]
-        return (*bases, *flakes, *plates, *turned)
+        kinds: tuple[tuple[Factor, Callable[[Material], Any]], ...] = (
+            (Factor(0), lambda _: True),
+            (Factor(0, flakes=True), lambda material: material.flakes),
+            (Factor(0, through=True), lambda material: material.transmittance),
+            (
+                Factor(0, flakes=True, turned=True),
+                lambda material: material.flakes and material.flakes.turned,
+            ),
+        )
+        return tuple(
+            replace(factor, material=number)
+            for factor, has in kinds
+            for number, material in enumerate(self.materials)
+            if has(material)
+        )
 
     def moved(self, offset: Sequence[float] = (0.0, 0.0, 0.0), heading: float = 0.0) -> Scene:
         """Return the scene rotated around the vertical through its origin, then shifted.
@@ -341,15 +380,10 @@ class Scene:
         >>> arrow.moved((0, 0, 5), heading=90).vertices[1].round(6).tolist()
         [2.0, 0.0, 5.0]
         """
-        angle = np.radians(heading)
-        turn = np.array(
-            [[np.cos(angle), np.sin(angle), 0.0], [-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
-        )
-        return replace(
-            self,
-            vertices=self.vertices @ turn.T + np.asarray(offset, np.float64),
-            normals=self.normals @ turn.T,
-        )
+        sine, cosine = np.sin(np.radians(heading)), np.cos(np.radians(heading))
+        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        vertices = self.vertices @ turn + np.asarray(offset, np.float64)
+        return replace(self, vertices=vertices, normals=self.normals @ turn)
 
 
 def plane(
@@ -391,50 +425,6 @@ def plane(
     return Scene.from_arrays(vertices, [[0, 1, 2], [0, 2, 3]], ground_material, instance=instance)
 
 
-def _array(
-    problems: Problems, name: str, values: object, dtype: type, shape: tuple[int | None, ...]
-) -> NDArray[Any]:
-    # values as an array of this shape (None is any length); empty values become zeros; faults are noted
-    array = np.asarray(values)
-    if array.size == 0 and shape[0] is not None:
-        return np.zeros([length or 0 for length in shape], dtype)
-    expected_shape = " x ".join("any" if length is None else str(length) for length in shape)
-    if array.ndim != len(shape) or any(
-        expected is not None and expected != actual
-        for expected, actual in zip(shape, array.shape, strict=True)
-    ):
-        problems.add(f"{name} has shape {array.shape}", expected=expected_shape, code="dims-wrong")
-    elif array.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
-        problems.add(
-            f"{name} is {array.dtype}", expected=f"numbers that fit {np.dtype(dtype)}", code="type-wrong"
-        )
-    else:
-        # integers are narrowed after their range is checked
-        return array.astype(np.int64 if np.issubdtype(dtype, np.integer) else np.float64)
-    return np.zeros([length or 0 for length in shape], dtype)
-
-
-def _check_range(problems: Problems, name: str, numbers: NDArray[Any], count: int, item_name: str) -> None:
-    if numbers.size and (numbers.min() < 0 or numbers.max() >= count):
-        problems.add(
-            f"{name} has numbers from {numbers.min()} to {numbers.max()}",
-            expected=f"numbers of {count} {item_name}, counted from 0",
-            code="index-out-of-range",
-        )
-
-
-def _check_names(problems: Problems, kind: str, names: Sequence[str]) -> None:
-    if "" in names:
-        problems.add(f"{kind} {names.index('')} has an empty name", code="name-empty")
-    if len(set(names)) < len(names):
-        duplicates = sorted(name for name, count in Counter(names).items() if count > 1)
-        problems.add(
-            f"several {kind}s are named {', '.join(duplicates[:5])}",
-            mend="rename them",
-            code="name-duplicate",
-        )
-
-
 def _double_area_vectors(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     return np.asarray(np.cross(b - a, c - a))
@@ -458,3 +448,326 @@ def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
             ),
             stacklevel=4,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with names of surfaces instead of materials.
+
+    Attributes
+    ----------
+    vertices
+        Shape (vertex, 3) [m].
+    faces
+        Shape (face, 3).
+    surface
+        Number of the surface of every triangle, shape (face,), into ``surfaces``.
+    surfaces
+        Names of surfaces, to which materials are assigned later: "paint", "glass".
+    part
+        Number of the part of every triangle, shape (face,), into `PARTS`.
+    normals
+        Normals at the vertices, zero for flat faces, shape (vertex, 3).
+    """
+
+    vertices: Floats
+    faces: Ints
+    surface: Ints
+    surfaces: tuple[str, ...]
+    part: Ints
+    normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        if not len(self.normals):
+            object.__setattr__(self, "normals", np.zeros_like(self.vertices))
+
+    def shifted(self, offset: Sequence[float]) -> Mesh:
+        """Return the mesh moved by ``offset``: east, north and up [m]."""
+        return replace(self, vertices=self.vertices + np.asarray(offset, np.float64))
+
+    def scene(self, materials: dict[str, Material], instance: Instance) -> Scene:
+        """Return the mesh as a scene of one instance; ``materials``: material by name of the surface."""
+        return Scene(
+            instance.name,
+            self.vertices,
+            self.faces,
+            self.normals,
+            self.surface.astype(np.int32),
+            np.zeros(len(self.faces), np.int32),
+            tuple(materials[name] for name in self.surfaces),
+            (instance,),
+            self.part.astype(np.int8),
+        )
+
+
+def put_together(meshes: Sequence[Mesh]) -> Mesh:
+    """Return a mesh of several meshes; surfaces with equal names are merged.
+
+    Examples
+    --------
+    >>> joined = put_together([cuboid((1, 1, 1), "wood"), cuboid((1, 1, 1), "wood").shifted((2, 0, 0))])
+    >>> len(joined.faces), joined.surfaces
+    (24, ('wood',))
+    """
+    vertices, faces, surfaces, numbers = _joined(
+        [(mesh.vertices, mesh.faces, mesh.surfaces, mesh.surface) for mesh in meshes]
+    )
+    return Mesh(
+        vertices,
+        faces,
+        numbers,
+        surfaces,
+        np.concatenate([mesh.part for mesh in meshes]),
+        np.concatenate([mesh.normals for mesh in meshes]),
+    )
+
+
+def _joined(pieces: Sequence[tuple[Floats, Ints, Sequence[Any], NDArray[Any]]]) -> tuple[Any, ...]:
+    # vertices, faces, distinct names and their number for every face, of several pieces
+    numbers: dict[Any, int] = {}
+    first_vertex = np.cumsum([0, *(len(vertices) for vertices, *_ in pieces)])
+    shifted = [faces + first for (_, faces, _, _), first in zip(pieces, first_vertex, strict=False)]
+    numbered = [
+        np.array([numbers.setdefault(name, len(numbers)) for name in names], np.int64)[number]
+        for _, _, names, number in pieces
+    ]
+    return (
+        np.concatenate([np.zeros((0, 3)), *(vertices for vertices, *_ in pieces)]),
+        np.concatenate([np.zeros((0, 3), np.int64), *shifted]),
+        tuple(numbers),
+        np.concatenate([np.zeros(0, np.int64), *numbered]),
+    )
+
+
+class Part(NamedTuple):
+    """A row of a shape.
+
+    Attributes
+    ----------
+    form
+        `cuboid`, `tube`, `polygon` or `lattice`, or a function that returns a mesh.
+    arguments
+        Arguments of the form: dimensions [m], surface, part of a car.
+    at
+        Shift to the east, north and up [m].
+    crease
+        Angle above which edges stay sharp [degree]; 0 for flat faces.
+    """
+
+    form: Callable[..., Mesh]
+    arguments: tuple[Any, ...]
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    crease: float = 0.0
+
+
+def built(parts: Iterable[Part]) -> Mesh:
+    """Return the mesh of a shape.
+
+    Examples
+    --------
+    >>> table = [Part(cuboid, ((2, 1, 0.1), "wood"), (0, 0, 0.7)), Part(cuboid, ((0.2, 0.2, 0.7), "steel"))]
+    >>> built(table).surfaces
+    ('wood', 'steel')
+    """
+    meshes = []
+    for part in parts:
+        mesh = part.form(*part.arguments)
+        mesh = smoothed(mesh, part.crease) if part.crease else mesh
+        meshes.append(mesh.shifted(part.at) if any(part.at) else mesh)
+    return put_together(meshes)
+
+
+def uniform(vertices: ArrayLike, faces: ArrayLike, surface: str, part: str = "") -> Mesh:
+    triangles = np.asarray(faces, np.int64).reshape(-1, 3)
+    zeros = np.zeros(len(triangles), np.int64)
+    return Mesh(np.asarray(vertices, np.float64), triangles, zeros, (surface,), zeros + PARTS.index(part))
+
+
+def polygon(corners: ArrayLike, surface: str, part: str = "") -> Mesh:
+    """Return a convex polygon as a fan of triangles; ``corners`` (corner, 3) [m] are anticlockwise.
+
+    Examples
+    --------
+    >>> polygon([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "paint").faces.tolist()
+    [[0, 1, 2], [0, 2, 3]]
+    """
+    points = np.asarray(corners, np.float64)
+    fan = [[0, corner, corner + 1] for corner in range(1, len(points) - 1)]
+    return uniform(points, fan, surface, part)
+
+
+def cuboid(size: Sequence[float], surface: str, part: str = "") -> Mesh:
+    """Return a closed box that stands on the ground around the origin; ``size`` east, north and up [m].
+
+    Examples
+    --------
+    >>> cuboid((1.0, 2.0, 3.0), "brick").vertices.max(axis=0).tolist()
+    [0.5, 1.0, 3.0]
+    """
+    corners = np.array([[x, y, z] for z in (0.0, 1.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+    quads = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4, 6]])
+    return uniform(corners * np.asarray(size, np.float64), quads[:, [0, 1, 2, 0, 2, 3]], surface, part)
+
+
+def box(
+    size: Sequence[float],
+    material: Material,
+    *,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+    instance: Instance | str = "box",
+) -> Scene:
+    """Return a closed box of one material as a scene, with the centre of its base at ``centre`` [m].
+
+    Examples
+    --------
+    >>> box((1.0, 2.0, 3.0), Material("brick", "brick", "wall")).area.sum()
+    np.float64(22.0)
+    """
+    box_instance = Instance(instance) if isinstance(instance, str) else instance
+    return cuboid(size, "all").shifted(centre).scene({"all": material}, box_instance)
+
+
+def tube(
+    foot: ArrayLike,
+    head: ArrayLike,
+    radii: tuple[float, float],
+    surface: str,
+    part: str = "",
+    sides: int = 10,
+    closed: bool = True,
+) -> Mesh:
+    """Return a (conical) tube from ``foot`` to ``head`` [m].
+
+    Parameters
+    ----------
+    foot, head
+        Centres of the ends: east, north and up [m].
+    radii
+        Radii at foot and head [m].
+    surface, part
+        Names of the surface and of the part.
+    sides
+        Number of sides.
+    closed
+        Whether discs close the ends.
+
+    Examples
+    --------
+    >>> tube((0, 0, 0), (0, 0, 2), (1.0, 1.0), "bark", sides=6).faces.shape
+    (24, 3)
+    """
+    begin, end = np.asarray(foot, np.float64), np.asarray(head, np.float64)
+    axis = (end - begin) / np.linalg.norm(end - begin)
+    normal = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (0.0, 1.0, 0.0))
+    normal /= np.linalg.norm(normal)
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rim = np.outer(np.cos(angle), normal) + np.outer(np.sin(angle), np.cross(axis, normal))
+    vertices = np.concatenate([begin + radii[0] * rim, end + radii[1] * rim, [begin], [end]])
+    corner = np.arange(sides)
+    next_corner = (corner + 1) % sides
+    faces = [
+        np.stack([corner, next_corner, next_corner + sides], 1),
+        np.stack([corner, next_corner + sides, corner + sides], 1),
+    ]
+    if closed:
+        faces.append(np.stack([next_corner, corner, np.full(sides, 2 * sides)], 1))
+        faces.append(np.stack([corner + sides, next_corner + sides, np.full(sides, 2 * sides + 1)], 1))
+    return uniform(vertices, np.concatenate(faces), surface, part)
+
+
+def lattice(points: ArrayLike, surface: ArrayLike, part: ArrayLike) -> Mesh:
+    """Return a sheet of four-sided cells, split into two triangles.
+
+    Parameters
+    ----------
+    points
+        Shape (row, column, 3) [m]; from outside, columns increase to the left of the direction of rows.
+    surface, part
+        Names for every cell, shape (row - 1, column - 1); or one name for all cells.
+
+    Examples
+    --------
+    >>> points = [[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]]
+    >>> lattice(points, "paint", "roof").faces.tolist()
+    [[0, 2, 3], [0, 3, 1]]
+    """
+    grid = np.asarray(points, np.float64)
+    rows, columns = grid.shape[:2]
+    corner = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+    faces = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    words, part_words = (np.broadcast_to(word, a.shape).ravel().tolist() for word in (surface, part))
+    surfaces = sorted(set(words))
+    numbers, parts = np.array(
+        [[surfaces.index(word) for word in words], [PARTS.index(word) for word in part_words]], np.int64
+    ).repeat(2, axis=1)
+    return Mesh(grid.reshape(-1, 3), faces, numbers, tuple(surfaces), parts)
+
+
+#: Maximum number of triangles around a vertex whose normals are smoothed; a pole of a fine sphere has a
+#: hundred.
+MAX_FACES_AROUND = 256
+
+
+def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
+    """Return the mesh with smooth normals, except at edges of more than ``crease`` [degree].
+
+    The normal at a corner of a triangle is the mean of the normals of those triangles around the vertex that
+    differ by less than ``crease``, weighted by their angles at the vertex, so that it does not depend on the
+    triangulation (Thuermer & Wuethrich, J. Graphics Tools 3, 1998). A vertex with several normals becomes
+    several vertices. Triangles must share vertices, as in `lattice`. Triangles without area are dropped.
+    Around vertices with more than `MAX_FACES_AROUND` triangles, normals are not smoothed, because comparing
+    all pairs would take long.
+
+    Examples
+    --------
+    >>> cube = smoothed(cuboid((1, 1, 1), "brick"))
+    >>> len(cube.vertices), len(np.unique(cube.normals.round(6), axis=0))
+    (24, 6)
+    """
+    keeps_area = has_area(mesh.vertices, mesh.faces)
+    faces = mesh.faces[keeps_area]
+    # unit normals of the triangles, and the angles at their corners
+    corners = mesh.vertices[faces]
+    next_edge = np.roll(corners, -1, axis=1) - corners
+    last_edge = -np.roll(next_edge, 1, axis=1)
+    cross_products = np.cross(next_edge, last_edge)
+    sine = np.linalg.norm(cross_products, axis=2)
+    angle = np.arctan2(sine, (next_edge * last_edge).sum(axis=2)).reshape(-1)
+    unit = cross_products[:, 0] / sine[:, :1]
+    vertex = faces.reshape(-1)
+    order = np.argsort(vertex, kind="stable")
+    counts = np.bincount(vertex, minlength=len(mesh.vertices))
+    starts = (np.cumsum(counts) - counts)[vertex[order]]
+    sizes = counts[vertex[order]]
+    rank_at_vertex = np.arange(len(order)) - starts
+    own_normals = unit[order // 3]
+    total = np.zeros((len(order), 3))
+    crowded = sizes > MAX_FACES_AROUND
+    total[crowded] = own_normals[crowded]
+    active = np.flatnonzero(~crowded)
+    # compare every corner with the step-th next corner around its vertex
+    for step in range(int(sizes[active].max(initial=0))):
+        active = active[sizes[active] > step]
+        other_corner = order[starts[active] + (rank_at_vertex[active] + step) % sizes[active]]
+        is_similar = (own_normals[active] * unit[other_corner // 3]).sum(axis=1) >= np.cos(np.radians(crease))
+        total[active] += np.where(is_similar, angle[other_corner], 0.0)[:, None] * unit[other_corner // 3]
+    normals = np.empty_like(total)
+    normals[order] = total / np.linalg.norm(total, axis=1, keepdims=True)
+    # number every distinct pair of vertex and normal; normals are packed into one integer with 21 bits per
+    # axis, because sorting dominates the time for a large mesh
+    steps = np.rint((normals + 1.0) * 1e6).astype(np.int64)
+    code = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]
+    order = np.lexsort((code, vertex))
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = (vertex[order[1:]] != vertex[order[:-1]]) | (code[order[1:]] != code[order[:-1]])
+    first_corner, corner = order[is_new], np.empty(len(order), np.int64)
+    corner[order] = np.cumsum(is_new) - 1
+    return replace(
+        mesh,
+        vertices=mesh.vertices[vertex[first_corner]],
+        faces=corner.reshape(-1, 3).astype(np.int64),
+        surface=mesh.surface[keeps_area],
+        part=mesh.part[keeps_area],
+        normals=normals[first_corner],
+    )

@@ -77,6 +77,15 @@ class TraceSettings:
     )
 
     def __post_init__(self) -> None:
+        try:
+            directions = tuple(tuple(float(angle) for angle in sun) for sun in self.suns)
+        except (TypeError, ValueError):
+            raise SchemaError(
+                f"suns={self.suns!r}",
+                expected="a list of (zenith, azimuth) in degrees",
+                code="sun-unreadable",
+            ) from None
+        object.__setattr__(self, "suns", directions)
         problems = Problems("the scene cannot be traced", SchemaError)
         if not 1 <= len(self.suns) <= MAX_SUNS:
             problems.add(f"{len(self.suns)} suns", expected=f"1 to {MAX_SUNS}", code="sun-number")
@@ -102,23 +111,6 @@ class TraceSettings:
         clear = CLEAR_SKY_FUNCTIONS * len(self.suns) if self.clear else 0
         sources = len(self.suns) + 1 + self.overcast + clear
         return min(_MAX_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
-
-    @classmethod
-    def of(cls, suns: Any, **settings: Any) -> TraceSettings:
-        """Return the settings for suns in any sequence.
-
-        Raises
-        ------
-        SchemaError
-            The suns are no pairs of numbers, or something is out of range.
-        """
-        try:
-            directions = tuple(tuple(float(angle) for angle in sun) for sun in suns)
-        except (TypeError, ValueError):
-            raise SchemaError(
-                f"suns={suns!r}", expected="a list of (zenith, azimuth) in degrees", code="sun-unreadable"
-            ) from None
-        return cls(directions, **settings)  # type: ignore[arg-type]
 
 
 def sun_vectors(suns: Any) -> Floats:
@@ -204,9 +196,17 @@ class SceneRecord:
                 code="trace-outdated",
             )
         problems = Problems("not a dataset from hyperpaint.simulation.trace", SchemaError)
-        texts = {
-            name: _parse_list(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
-        }
+        texts: dict[str, list[Any]] = {}
+        for name in ("materials", "instances", "factors", "suns"):
+            try:
+                texts[name] = json.loads(attrs[name])
+            except KeyError:
+                problems.add(f"attribute {name!r} is missing", code="metadata-missing")
+            except (TypeError, ValueError, RecursionError):
+                problems.add(f"attribute {name!r} is not JSON text", code="metadata-damaged")
+            else:
+                if not isinstance(texts[name], list) or not texts[name]:
+                    problems.add(f"attribute {name!r} is not a list with entries", code="metadata-damaged")
         for name in ("samples", "depth", "seed", "overcast", "clear"):
             if not isinstance(attrs.get(name), int | np.integer):
                 problems.add(
@@ -216,15 +216,24 @@ class SceneRecord:
                 )
         problems.raise_if_any()
         try:
-            materials = tuple(map(_material, texts["materials"]))
+            parts = {"coat": Coat, "flakes": Flakes}
+            materials = tuple(
+                Material(
+                    **{
+                        key: parts[key](**value) if key in parts and value is not None else value
+                        for key, value in fields.items()
+                    }
+                )
+                for fields in texts["materials"]
+            )
             members = tuple(tuple(map(int, fields.pop("materials"))) for fields in texts["instances"])
             instances = tuple(Instance(**fields) for fields in texts["instances"])
             factors = tuple(Factor(**fields) for fields in texts["factors"])
             record = cls(str(attrs.get("scene", "")), materials, instances, members, factors)
             for number in (*(factor.material for factor in factors), *(n for part in members for n in part)):
                 materials[number]  # an IndexError is damage
-            settings = TraceSettings.of(
-                texts["suns"],
+            settings = TraceSettings(
+                tuple(texts["suns"]),
                 samples=int(attrs["samples"]),
                 depth=int(attrs["depth"]),
                 seed=int(attrs["seed"]),
@@ -241,14 +250,6 @@ class SceneRecord:
 
     def codes(self, settings: TraceSettings) -> PathCodes:
         return PathCodes.of(len(self.factors), settings.depth)
-
-    @property
-    def kinds(self) -> NDArray[np.int16]:
-        return np.array([KINDS.index(material.kind) for material in self.materials], np.int16)
-
-    @property
-    def is_car(self) -> NDArray[np.bool_]:
-        return np.array([instance.kind == "car" for instance in self.instances], bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,19 +284,19 @@ class LabelTables:
         names
             Spectrum of every material; None for the spectra of the scene.
         """
+        kinds = [material.kind for material in record.materials]
         spectra = [material.spectrum for material in record.materials] if names is None else list(names)
-        is_paint = [material.kind == "paint" for material in record.materials]
         # all built-in paints come first, so that their numbers are equal in all scenes of a training set
-        further_paints = {name for name, paint in zip(spectra, is_paint, strict=True) if paint}.difference(
-            FOURTEEN
-        )
-        paints = (*FOURTEEN, *sorted(further_paints))
-        number = [paints.index(name) if paint else -1 for name, paint in zip(spectra, is_paint, strict=True)]
-        cars = np.where(record.is_car, np.arange(len(record.instances)), -1)
+        own = {name for name, kind in zip(spectra, kinds, strict=True) if kind == "paint"}
+        paints = (*FOURTEEN, *sorted(own.difference(FOURTEEN)))
+        paint_id = [
+            paints.index(name) if kind == "paint" else -1 for name, kind in zip(spectra, kinds, strict=True)
+        ]
+        cars = [number if item.kind == "car" else -1 for number, item in enumerate(record.instances)]
         return cls(
-            np.append(record.kinds, -1).astype(np.int16),
-            np.array([*number, -1], np.int16),
-            np.append(cars, -1).astype(np.int32),
+            np.array([*map(KINDS.index, kinds), -1], np.int16),
+            np.array([*paint_id, -1], np.int16),
+            np.array([*cars, -1], np.int32),
             paints,
         )
 
@@ -312,28 +313,3 @@ class LabelTables:
             return {}
         meanings = KINDS if name == "surface_class" else [paint.replace(" ", "_") for paint in self.paints]
         return {"flag_values": np.arange(len(meanings), dtype=np.int16), "flag_meanings": " ".join(meanings)}
-
-
-def _parse_list(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:
-    try:
-        entries = json.loads(attrs[name])
-    except KeyError:
-        problems.add(f"attribute {name!r} is missing", code="metadata-missing")
-    except (TypeError, ValueError, RecursionError):
-        problems.add(f"attribute {name!r} is not JSON text", code="metadata-damaged")
-    else:
-        if isinstance(entries, list) and entries:
-            return entries
-        problems.add(f"attribute {name!r} is not a list with entries", code="metadata-damaged")
-    return []
-
-
-def _material(fields: dict[str, Any]) -> Material:
-    coat, flakes = fields.get("coat"), fields.get("flakes")
-    return Material(
-        **{
-            **fields,
-            "coat": None if coat is None else Coat(**coat),
-            "flakes": None if flakes is None else Flakes(**flakes),
-        }
-    )

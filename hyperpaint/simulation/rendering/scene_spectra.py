@@ -4,13 +4,35 @@ The renderer computes the first reflection of the clear coat over car paints, so
 Saunderson's k1 is subtracted from the paints of `hyperpaint.simulation.paint_spectra`. Spectra of surfaces
 without a coat include all reflected light. The spectrum of glass is that of the surface behind it.
 
+*Weathered surfaces* are populations of spectra that vary over the ground and over cars. Asphalt is stones
+with worn bitumen, stains and dust; painted lines wear down to asphalt; concrete darkens; lawns have dry
+blades. Dust is a thin diffuse layer on all surfaces. It covers a share c of a surface of reflectance R, and
+light to and from the rest passes the dust twice:
+
+    R' = c D + (1 - c)^2 R / (1 - c D R)
+
+with the reflectance D of thick dust (Kubelka's layers: J. Opt. Soc. Am. 44, 330, 1954). Levels, covers and
+distances are plausible, not measured: fine aggregate of asphalt is 4 to 16 mm, and lines lose half of their
+paint in some years.
+
 *Car paints* are computed from a few parameters: pigments in a binder, with or without flakes, under a clear
 coat. The base is opaque. Its albedo follows from absorption over scattering of its pigments, R_inf = 1 + K/S
 - sqrt((K/S)^2 + 2 K/S) (Kubelka & Munk 1931), and K/S from absorption edges and bands; its reflectance
 through the clear coat, near normal and without the mirror reflection, is `materials.coated_reflectance`.
-Families differ in absorption and mixture; a number always gives the same paint of a family. "fleet-<number>"
-is a car of a real fleet, with age and dust. Weathered surfaces ("worn_asphalt") are populations, see
-`weathering`.
+Families differ in absorption and mixture; a number always gives the same paint of a family.
+
+*The fleet* has realistic shares of colours, finishes, age and dust; "fleet-<number>" is a car of it. Of a
+hundred cars, 39 are white, 23 black, 16 grey, 8 silver, 14 coloured. Paint manufacturers publish shares of
+new cars: BASF's Color Report has white 39, grey 16, silver 8 in 2022 and white 36, black 21, grey 15, silver
+9 in 2023, and 19 coloured in both years, of which 8 blue; Axalta's of 2017 has 26 solid and 13 pearl among
+39 white [1]_ [2]_. Other finishes are not published by colour: here nearly all grey and silver cars are
+metallic, and six in ten of all cars have flakes or mica. Consecutive numbers are distributed evenly over the
+shares (R2 sequence), so that small car parks have them too.
+
+References
+----------
+.. [1] BASF, "Color Report for Automotive OEM Coatings", 2022 and 2023.
+.. [2] Axalta, "Global Automotive Color Popularity Report", 2017.
 """
 
 from __future__ import annotations
@@ -18,21 +40,488 @@ from __future__ import annotations
 import difflib
 import functools
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import one_of
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS, Bump, Edge, Paint, PlainSurface
+from hyperpaint.simulation.paint_spectra import (
+    CAR_PAINTS,
+    MATERIALS,
+    Bump,
+    Edge,
+    Feature,
+    Paint,
+    PlainSurface,
+)
 
 from .appearance import flakes_of_flop
-from .base_coats import FAMILIES, HUES, Pigments, aluminium, mix
-from .fleet import DIRT, FleetPaint, fleet_paint
-from .materials import Coat, Flakes, Material, coated_reflectance
-from .weathering import WEATHERED, Weathered, leaf_transmittance
+from .materials import (
+    Coat,
+    Flakes,
+    Material,
+    coated_reflectance,
+    fresnel_reflectance,
+    hemispherical_reflectance,
+)
+
+#: Reflectance factor, 0 to 1, by wavelength [nm].
+Spectrum = Callable[[Floats], Floats]
+
+# --- weathered surfaces ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Octaves:
+    """Spatial variation of a population over a surface.
+
+    Attributes
+    ----------
+    lengths
+        Lengths of the variation [m].
+    shares
+        Shares of the variance by length [1].
+    is_averaged
+        Whether variation smaller than a pixel is averaged. False for members that were measured on pixels.
+    """
+
+    lengths: tuple[float, ...]
+    shares: tuple[float, ...]
+    is_averaged: bool = True
+
+
+#: Variation of the members of a library: equal shares of curvature and dirt on a body part, patches, and
+#: noise.
+MEASURED = Octaves((0.20, 0.05, 0.0125), (1 / 3, 1 / 3, 1 / 3), is_averaged=False)
+
+
+#: Reflectance of mineral dust: brownish, brighter in the near infrared.
+DUST = PlainSurface(0.24, 0.20, [Edge(530.0, 60.0, 0.05)])
+
+#: Number of members of a weathered surface.
+MEMBERS = 96
+
+_DRY_GRASS = PlainSurface(0.26, 0.40, [Edge(680.0, 40.0, 0.03), Bump(968.0, 22.0, -0.02)])
+_PATCH = PlainSurface(0.055, 0.05)  # new asphalt of a repair
+
+
+def dusty(reflectance: Floats, cover: Floats | float, wavelength: Floats) -> Floats:
+    """Return the reflectance of a surface under dust that covers the share ``cover`` of the surface [1].
+
+    Examples
+    --------
+    >>> black = np.array([0.02])
+    >>> [dusty(black, cover, np.array([550.0])).round(3).item() for cover in (0.0, 0.05, 1.0)]
+    [0.02, 0.032, 0.269]
+    """
+    dust = DUST(wavelength)
+    cover = np.asarray(cover)
+    return np.asarray(cover * dust + (1.0 - cover) ** 2 * reflectance / (1.0 - cover * dust * reflectance))
+
+
+@dataclass(frozen=True)
+class Weathered:
+    """A surface whose spectrum varies with position; as a function it is the mean of its members.
+
+    Attributes
+    ----------
+    members
+        Function that returns the members at wavelengths [nm], (member, wavelength) [1].
+    octaves
+        Spatial variation.
+    """
+
+    members: Callable[[Floats], Floats] = field(repr=False)
+    octaves: Octaves
+
+    def population(self, wavelength: Floats) -> Floats:
+        # members at ``wavelength`` [nm], (member, wavelength), 0 to 1
+        return np.clip(self.members(np.atleast_1d(np.asarray(wavelength, np.float64))), 0.0, 1.0)
+
+    def __call__(self, wavelength: Floats) -> Floats:
+        """Return the reflectance at ``wavelength`` [nm], the mean of the members."""
+        grid = np.asarray(wavelength, np.float64)
+        return np.asarray(self.population(grid.ravel()).mean(axis=0).reshape(grid.shape))
+
+
+#: Refractive index of leaf tissue, and the number of plates equivalent to a leaf.
+LEAF_INDEX, LEAF_LAYERS = 1.42, 1.55
+
+
+def leaf_optics(plate_transmittance: Floats, layers: float = LEAF_LAYERS) -> tuple[Floats, Floats]:
+    """Return diffuse reflectance and transmittance of a leaf from the transmittance inside a plate [1].
+
+    A leaf is a pile of plates with two streams of light (Stokes 1862); light reaches the first plate within
+    40 degrees of its normal, other plates as diffuse light (Allen et al., J. Opt. Soc. Am. 59, 1376, 1969;
+    Jacquemoud and Baret, Remote Sens. Environ. 34, 75, 1990).
+
+    Examples
+    --------
+    >>> reflected, transmitted = leaf_optics(np.array([0.0, 0.9, 1.0]))
+    >>> reflected.round(2), (reflected + transmitted).round(2)
+    (array([0.03, 0.35, 0.49]), array([0.03, 0.73, 1.  ]))
+    """
+    squared_sines = (np.arange(400) + 0.5) / 400 * np.sin(np.radians(40.0)) ** 2  # evenly spaced in flux
+    entering = 1.0 - float(fresnel_reflectance(np.sqrt(1.0 - squared_sines), LEAF_INDEX).mean())
+    outer_transmittance = 1.0 - hemispherical_reflectance(LEAF_INDEX)
+    inner_transmittance = outer_transmittance / LEAF_INDEX**2
+    crossing = (
+        plate_transmittance
+        * inner_transmittance
+        / (1.0 - ((1.0 - inner_transmittance) * plate_transmittance) ** 2)
+    )
+    top_reflectance, top_transmittance = (
+        1.0 - entering + (1.0 - inner_transmittance) * plate_transmittance * entering * crossing,
+        entering * crossing,
+    )
+    t = np.maximum(outer_transmittance * crossing, 1e-9)
+    r = 1.0 - outer_transmittance + (1.0 - inner_transmittance) * plate_transmittance * t
+    root = np.sqrt(np.maximum((1 + r + t) * (1 + r - t) * (1 - r + t) * (1 - r - t), 0.0))
+    is_lossless = 1.0 - r - t < 1e-9
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (1 + r**2 - t**2 + root) / (2 * r), ((1 - r**2 + t**2 + root) / (2 * t)) ** (layers - 1.0)
+        lower_reflectance = np.where(
+            is_lossless, 1.0 - t / (t + (1 - t) * (layers - 1)), a * (b**2 - 1) / (a**2 * b**2 - 1)
+        )
+        lower_transmittance = np.where(
+            is_lossless, 1.0 - lower_reflectance, b * (a**2 - 1) / (a**2 * b**2 - 1)
+        )
+    return np.asarray(
+        top_reflectance + top_transmittance * lower_reflectance * t / (1.0 - lower_reflectance * r)
+    ), top_transmittance * lower_transmittance / (1.0 - lower_reflectance * r)
+
+
+def leaf_transmittance(reflectance: Floats) -> Floats:
+    """Return the transmittance of a leaf from its diffuse reflectance [1], at most 1 minus the reflectance.
+
+    Examples
+    --------
+    >>> leaf_transmittance(np.array([0.06, 0.125, 0.468])).round(2)
+    array([0.05, 0.13, 0.49])
+    """
+    lower, upper = np.zeros_like(reflectance, np.float64), np.ones_like(reflectance, np.float64)
+    for _ in range(50):
+        mean = 0.5 * (lower + upper)
+        too_bright = leaf_optics(mean)[0] > reflectance
+        lower, upper = np.where(too_bright, lower, mean), np.where(too_bright, mean, upper)
+    return np.minimum(leaf_optics(lower)[1], 1.0 - np.asarray(reflectance))
+
+
+def _draws(kind: int, columns: int) -> Floats:
+    # standard normal numbers (column, member, 1), the same in every call
+    return np.random.default_rng([31, kind]).standard_normal((columns, MEMBERS, 1))
+
+
+def _asphalt(stone: Callable[[Floats], Floats], kind: int) -> Callable[[Floats], Floats]:
+    def members(wavelength: Floats) -> Floats:
+        level, dust, tint = _draws(kind, 3)
+        worn = np.exp(0.20 * level) * stone(wavelength) * (1.0 + 0.06 * tint * (wavelength - 650.0) / 300.0)
+        return dusty(worn, 0.05 * np.exp(0.45 * dust), wavelength)
+
+    return members
+
+
+def _line(wavelength: Floats) -> Floats:
+    level, wear, dirt = _draws(3, 3)
+    worn = 1.0 / (1.0 + np.exp(1.1 - 1.4 * wear))  # share of visible asphalt
+    paint = MATERIALS["painted_line"](wavelength) * np.exp(0.05 * level)
+    mixture = (1.0 - worn) * paint + worn * MATERIALS["asphalt"](wavelength) * np.exp(0.15 * level)
+    return dusty(mixture, 0.10 * np.exp(0.5 * dirt), wavelength)
+
+
+def _concrete(wavelength: Floats) -> Floats:
+    level, stain, tint = _draws(4, 3)
+    dark = 0.35 / (1.0 + np.exp(1.8 - 1.2 * stain))
+    tinted = 1.0 + 0.04 * tint * (wavelength - 650.0) / 300.0
+    stone = MATERIALS["concrete"](wavelength) * np.exp(0.08 * level) * tinted
+    return np.asarray((1.0 - dark) * stone + dark * MATERIALS["asphalt"](wavelength))
+
+
+def _grass(wavelength: Floats) -> Floats:
+    level, dry = _draws(5, 2)
+    share = 0.7 / (1.0 + np.exp(1.2 - 1.1 * dry))
+    blades = (1.0 - share) * MATERIALS["grass"](wavelength) + share * _DRY_GRASS(wavelength)
+    return np.asarray(np.exp(0.22 * level) * blades)
+
+
+_SLABS = Octaves((1.5, 0.45, 0.15, 0.04, 0.01), (0.25, 0.20, 0.15, 0.15, 0.25))
+_STONES = Octaves((3.0, 1.0, 0.35, 0.12, 0.04, 0.012), (0.14, 0.08, 0.06, 0.07, 0.15, 0.50))
+
+#: Weathered surfaces by the names of their spectra.
+WEATHERED: dict[str, Weathered] = {
+    "worn_asphalt": Weathered(_asphalt(MATERIALS["asphalt"], 1), _STONES),
+    "worn_patch": Weathered(_asphalt(_PATCH, 2), _STONES),
+    "worn_line": Weathered(_line, Octaves((1.2, 0.35, 0.10, 0.03, 0.012), (0.25, 0.20, 0.20, 0.20, 0.15))),
+    "weathered_concrete": Weathered(
+        _concrete, Octaves((1.5, 0.45, 0.15, 0.04, 0.01), (0.25, 0.20, 0.15, 0.15, 0.25))
+    ),
+    "mixed_grass": Weathered(_grass, Octaves((2.0, 0.60, 0.20, 0.06, 0.02), (0.20, 0.15, 0.15, 0.25, 0.25))),
+}
+
+
+# --- base coats: pigments in a binder, with or without flakes ----------------------------------------------
+
+#: Families of base coats of `generate_paint`: titanium white; a coloured pigment; a coloured pigment in a
+#: white base; carbon in a white base; carbon; a black dye that is transparent in the near infrared; a pigment
+#: with aluminium flakes; a pigment with mica flakes of an interference colour.
+FAMILIES = ("white", "solid", "tinted", "grey", "carbon_black", "ir_black", "metallic", "pearl")
+
+
+#: Edges and bands of K/S of the coloured pigments: kind, centre and its spread [nm], width [nm], height.
+HUES: dict[str, tuple[tuple[str, float, float, float, float], ...]] = {
+    "red": (("edge", 605.0, 10.0, -8.0, 7.0),),
+    "orange": (("edge", 563.0, 8.0, -8.0, 7.0),),
+    "yellow": (("edge", 510.0, 9.0, -8.0, 6.0),),
+    "green": (("edge", 485.0, 8.0, -12.0, 5.0), ("bump", 655.0, 12.0, 48.0, 5.0)),
+    "turquoise": (("edge", 430.0, 8.0, -12.0, 2.5), ("bump", 648.0, 10.0, 55.0, 5.0)),
+    "blue": (
+        ("edge", 415.0, 6.0, -14.0, 2.0), ("bump", 635.0, 12.0, 60.0, 6.0), ("bump", 562.0, 8.0, 35.0, 1.8),
+    ),
+    "violet": (("bump", 568.0, 9.0, 40.0, 5.0), ("edge", 412.0, 5.0, -12.0, 1.5)),
+    "brown": (("edge", 575.0, 12.0, -32.0, 4.5),),
+}  # fmt: skip
+
+_FLAKE_DEPTH = 0.05  # depth of the flakes times the scattering S of the pigment
+_BINDER_INDEX, _FILM_INDEX = 1.5, 2.5  # refractive index of binder and coat, and of titanium dioxide on mica
+
+#: Cosine in the film for light that meets a flake at 45 degrees [1].
+_TURNED_COSINE = float(np.sqrt(1.0 - 0.5 * (_BINDER_INDEX / _FILM_INDEX) ** 2))
+
+_TITANIUM = Edge(404.0, -5.0, 4.0)  # rutile absorbs in the ultraviolet
+
+
+@dataclass(frozen=True)
+class Pigments:
+    """Contents of a base coat.
+
+    Attributes
+    ----------
+    absorption
+        K/S that is constant over wavelength.
+    absorbers
+        Edges and bands added to K/S.
+    interference
+        Optical thickness of the film on mica flakes [nm] and depth of its modulation, 0 to 1; None without
+        mica.
+    """
+
+    absorption: float
+    absorbers: tuple[Feature, ...] = ()
+    interference: tuple[float, float] | None = None
+
+    def albedo(self, wavelength: Floats) -> Floats:
+        # albedo of the base under the coat at ``wavelength`` [nm], 0 to 1: Paint without interface is the
+        # bare layer
+        return Paint(self.absorption, self.absorbers, interface=0.0, internal=0.0)(wavelength)
+
+    def flakes(self, wavelength: Floats, *, turned: bool = False) -> Floats:
+        """Return the reflectance of the flakes through the tinted binder, 0 to 1.
+
+        Light passes the tint twice, to a flake and back, with S d = 0.05. A film on mica adds the modulation
+        cos^2(2 pi d cos(theta) / lambda), with the angle theta in the film: 0, or with ``turned`` that of
+        light which meets the flake at 45 degrees.
+        """
+        tint = np.full_like(wavelength, self.absorption, dtype=np.float64)
+        for absorber in self.absorbers:
+            tint += absorber(wavelength)
+        metal = aluminium(wavelength)
+        if self.interference is not None:
+            thickness, depth = self.interference
+            thickness *= _TURNED_COSINE if turned else 1.0
+            metal = metal * (1.0 - depth * np.cos(2.0 * np.pi * thickness / wavelength) ** 2)
+        return np.asarray(metal * np.exp(-2.0 * _FLAKE_DEPTH * tint))
+
+
+def aluminium(wavelength: Floats) -> Floats:
+    """Return the reflectance of aluminium in a binder, with the dip of its interband transition at 825 nm.
+
+    A smooth fit to handbook values of the bare metal, about 0.92 in the green and 0.87 at 825 nm.
+    """
+    return 0.92 - 0.01 * (wavelength - 550.0) / 1000.0 + Bump(825.0, 65.0, -0.045)(wavelength)
+
+
+def mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]:
+    """Return the base coat of a random paint of a family of `FAMILIES`, and its colour in words."""
+    match family:
+        case "white":
+            return Pigments(rng.uniform(0.002, 0.012), (_TITANIUM,)), "white"
+        case "grey":
+            return Pigments(rng.uniform(0.15, 1.5), (_TITANIUM,)), "grey"
+        case "carbon_black":
+            return Pigments(rng.uniform(8.0, 20.0), (Edge(800.0, 90.0, -rng.uniform(0.0, 3.0)),)), "black"
+        case "ir_black":
+            edge = Edge(rng.uniform(700.0, 770.0), -rng.uniform(12.0, 22.0), rng.uniform(9.0, 15.0))
+            return Pigments(rng.uniform(0.08, 0.4), (edge,)), "black"
+    is_tinted = family == "tinted"
+    strength = np.exp(rng.uniform(np.log(0.6), np.log(1.6)))
+    if is_tinted:
+        strength *= np.exp(rng.uniform(np.log(0.03), np.log(0.2)))
+    floor = float(np.exp(rng.uniform(np.log(0.02), np.log(0.2))))
+    absorbers = absorbers_of(HUES[hue], float(strength), rng)
+    if is_tinted:
+        return Pigments(0.2 * floor, (*absorbers, _TITANIUM)), f"light {hue}"
+    film = (float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.2, 0.5))) if family == "pearl" else None
+    return Pigments(floor, absorbers, film), hue
+
+
+def absorbers_of(
+    rows: Sequence[tuple[str, float, float, float, float]], strength: float, rng: np.random.Generator
+) -> tuple[Feature, ...]:
+    """Return absorption edges and bands of K/S drawn around the ``rows`` of `HUES`."""
+    return tuple(
+        (Edge if kind == "edge" else Bump)(
+            centre + rng.normal(0.0, centre_range / 2.0),
+            width * rng.uniform(0.8, 1.3),
+            strength * height * rng.uniform(0.8, 1.2),
+        )
+        for kind, centre, centre_range, width, height in rows
+    )
+
+
+# --- the fleet ---------------------------------------------------------------------------------------------
+
+#: Share of all cars, by colour.
+COLOUR_SHARES: Mapping[str, float] = {
+    "white": 0.39,
+    "black": 0.23,
+    "grey": 0.16,
+    "silver": 0.08,
+    "coloured": 0.14,
+}
+
+#: Share of the cars of a colour, by finish.
+FINISH_SHARES: Mapping[str, Mapping[str, float]] = {
+    "white": {"solid": 2 / 3, "pearl": 1 / 3},
+    "black": {"solid": 0.40, "metallic": 0.45, "pearl": 0.15},
+    "grey": {"solid": 0.10, "metallic": 0.85, "pearl": 0.05},
+    "silver": {"metallic": 1.0},
+    "coloured": {"solid": 0.25, "metallic": 0.50, "pearl": 0.25},
+}
+
+#: Share of the coloured cars, by hue.
+HUE_SHARES: Mapping[str, float] = {
+    "blue": 0.55,
+    "red": 0.27,
+    "green": 0.06,
+    "brown": 0.06,
+    "orange": 0.03,
+    "yellow": 0.03,
+}
+
+#: Minimum and maximum share of the light in the paint that meets flakes, by colour.
+FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
+    "white": (0.10, 0.20), "black": (0.03, 0.10), "grey": (0.15, 0.35), "silver": (0.45, 0.65),
+    "coloured": (0.08, 0.28),
+}  # fmt: skip
+
+#: Minimum and maximum flop index of a paint with flakes, as far as pigment and share allow it.
+FLOPS = (5.0, 16.0)
+
+_MEAN_AGE_YEARS = 9.0
+# dust cover: median, standard deviation of the logarithm, maximum
+_COVER, _COVER_LOG_SD, _MAX_COVER = 0.015, 0.7, 0.30
+_DIRTY_SHARE, _DIRT = 0.08, 0.10  # share of dirty cars, and their additional dust cover
+_FLEET_MEMBERS = 64
+
+#: Spatial variation of dust on a car.
+DIRT = Octaves((0.6, 0.20, 0.06, 0.02), (0.4, 0.25, 0.2, 0.15))
+
+#: Steps of the sequence: powers of the inverse of the plastic number (M. Roberts 2018).
+_R2 = (0.7548776662466927, 0.5698402909980532)
+
+
+@dataclass(frozen=True)
+class FleetPaint:
+    """The paint of a car of the fleet.
+
+    Attributes
+    ----------
+    colour, finish
+        Colour and finish in words; the finish is "solid", "metallic" or "pearl".
+    pigments
+        Pigments of the base coat.
+    flake_share, flop
+        Share of the light in the paint that meets flakes, and the flop index, see
+        `hyperpaint.simulation.rendering.appearance.flop_index`; 0 for a solid paint.
+    age
+        Age of the car [years].
+    cover
+        Share of the car covered by dust [1].
+    index
+        Refractive index of its clear coat.
+    """
+
+    colour: str
+    finish: str
+    pigments: Pigments
+    flake_share: float
+    flop: float
+    age: float
+    cover: float
+    index: float
+
+    def base(self, wavelength: Floats) -> Floats:
+        # reflectance of its base under dust at many positions on the car, (member, wavelength)
+        clean = coated_reflectance(self.pigments.albedo(wavelength), self.index)
+        normal = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_FLEET_MEMBERS, 1))
+        return dusty(clean, np.minimum(self.cover * np.exp(0.45 * normal - 0.10), 0.6), wavelength)
+
+
+@functools.lru_cache(maxsize=4096)
+def fleet_paint(number: int) -> FleetPaint:
+    """Return the paint of a car of the fleet; the same number always gives the same paint.
+
+    Examples
+    --------
+    >>> cars = [fleet_paint(number) for number in range(200)]
+    >>> sum(car.colour == "white" for car in cars), sum(car.finish != "solid" for car in cars)
+    (78, 120)
+    """
+    rng = np.random.default_rng([43, number])
+    positions = [(0.5 + (number + 1) * step) % 1.0 for step in _R2]
+    group = _choose(COLOUR_SHARES, positions[0])
+    finish = _choose(FINISH_SHARES[group], positions[1])
+    film = (float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))) if finish == "pearl" else None
+    colour = group
+    if group == "coloured":
+        colour = _choose(HUE_SHARES, rng.random())
+        strength, floor = np.exp(rng.uniform(np.log(0.6), np.log(1.6))), np.exp(rng.uniform(-3.5, -1.2))
+        pigments = Pigments(float(floor), absorbers_of(HUES[colour], float(strength), rng), film)
+    else:
+        family = "white" if group == "white" else "grey"
+        if group == "black":
+            family = "ir_black" if finish == "solid" and rng.random() < 0.2 else "carbon_black"
+        base, _ = mix(family, "blue", rng)
+        # greys are mixed with carbon, from light grey to anthracite; silver consists mostly of flakes
+        if limits := {"grey": (0.3, 4.0), "silver": (0.08, 0.3)}.get(group):
+            base = replace(base, absorption=float(np.exp(rng.uniform(*np.log(limits)))))
+        pigments = replace(base, interference=film)
+    share, flop = float(rng.uniform(*FLAKE_SHARES[group])), float(rng.uniform(*FLOPS))
+    age = float(min(rng.gamma(2.0, _MEAN_AGE_YEARS / 2.0), 30.0))
+    cover = _COVER * np.exp(_COVER_LOG_SD * rng.standard_normal()) + _DIRT * (rng.random() < _DIRTY_SHARE)
+    has_flakes = finish != "solid"
+    return FleetPaint(
+        colour=colour,
+        finish=finish,
+        pigments=pigments,
+        flake_share=share if has_flakes else 0.0,
+        flop=flop if has_flakes else 0.0,
+        age=age,
+        cover=float(min(cover, _MAX_COVER)),
+        index=float(rng.uniform(1.48, 1.55)),
+    )
+
+
+def _choose(shares: Mapping[str, float], position: float) -> str:
+    # the name whose share of the unit interval contains the position
+    number = np.searchsorted(np.cumsum(list(shares.values())), position, side="right")
+    return list(shares)[min(int(number), len(shares) - 1)]
+
+
+# --- spectra and paints by name ----------------------------------------------------------------------------
 
 #: Finishes of a paint, which differ in the change of reflectance with the angle of view.
 FINISHES = ("solid", "metallic", "pearl")
@@ -51,9 +540,8 @@ _ADJECTIVES = (
     "Solar",
     "Tundra",
 )
-_NAME = re.compile(r"pigment:([a-z_]{1,20}):([0-9]{1,9})(:flakes)?")
-_FLEET = re.compile(r"fleet-([0-9]{1,9})(:flakes)?")
-_TURNED_SUFFIX = ":turned"  # after the name of the spectrum of flakes
+#: Names of generated paints, of their flakes, and of flakes for light and view at right angles.
+_NAME = re.compile(rf"(?:pigment:({'|'.join(FAMILIES)}):|(fleet)-)([0-9]{{1,9}})(:flakes(:turned)?)?")
 _ROUGHENING = 0.03  # relative increase of the roughness of a coat in a year
 
 
@@ -148,22 +636,27 @@ def paint_spec(name: str) -> PaintSpec:
     """
     if name in _CATALOGUE:
         return _CATALOGUE[name]
-    fleet = _FLEET.fullmatch(name)
-    if fleet is not None and fleet[2] is None:
-        return _fleet_spec(int(fleet[1]))
-    parsed = parse_name(name)
-    if parsed is None or parsed[2]:
+    parsed = _NAME.fullmatch(name)
+    if parsed is None or parsed[4]:
         raise SchemaError(
             f"there is no paint {name!r}",
             expected=f"one of {', '.join(FOURTEEN)}, pigment:<family>:<number> or fleet-<number>",
             code="paint-unknown",
         )
-    return generate_paint(parsed[0], parsed[1])
+    number = int(parsed[3])
+    if parsed[1]:
+        return generate_paint(parsed[1], number)
+    # a car of the fleet; coats of older cars are rougher
+    car, coat = fleet_paint(number), Coat()
+    flakes = _flakes(name, car.finish, car.flake_share, car.flop, car.pigments) if car.flake_share else None
+    coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _ROUGHENING * car.age))
+    trade_name = f"{_ADJECTIVES[number % len(_ADJECTIVES)]} {car.colour.title()}"
+    return PaintSpec(name, car.finish, car.colour, trade_name, coat, flakes)
 
 
 def is_paint(name: str) -> bool:
-    is_known = name in _CATALOGUE or parse_name(name) is not None or _FLEET.fullmatch(name) is not None
-    return is_known and not name.endswith(":flakes")
+    parsed = _NAME.fullmatch(name)
+    return name in _CATALOGUE or (parsed is not None and not parsed[4])
 
 
 def fleet_names(first: int, count: int) -> tuple[str, ...]:
@@ -175,27 +668,6 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
     ('fleet-7', 'fleet-8')
     """
     return tuple(f"fleet-{number}" for number in range(first, first + count))
-
-
-def _fleet_spec(number: int) -> PaintSpec:
-    # paint of a car of the fleet; coats of older cars are rougher
-    car, name = fleet_paint(number), f"fleet-{number}"
-    flakes = (
-        _with_flop(_create_flakes(name, car.finish, car.flake_share), car.flop, car.pigments)
-        if car.flake_share
-        else None
-    )
-    coat = Coat()
-    coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _ROUGHENING * car.age))
-    adjective = _ADJECTIVES[number % len(_ADJECTIVES)]
-    return PaintSpec(name, car.finish, car.colour, f"{adjective} {car.colour.title()}", coat, flakes)
-
-
-def _fleet_base(car: FleetPaint) -> Weathered:
-    def members(wavelength: Floats) -> Floats:
-        return car.weathered(coated_reflectance(car.pigments.albedo(wavelength), car.index), wavelength)
-
-    return Weathered(members, DIRT)
 
 
 def generate_paint(family: str, number: int) -> PaintSpec:
@@ -226,14 +698,6 @@ def pigments_of(family: str, number: int) -> Pigments:
     return _generate(family, number)[1]
 
 
-def parse_name(name: str) -> tuple[str, int, bool] | None:
-    # family, number, and whether the name is that of flakes, of a generated spectrum; None for other names
-    match = _NAME.fullmatch(name)
-    if match is None or match[1] not in FAMILIES:
-        return None
-    return match[1], int(match[2]), match[3] is not None
-
-
 @functools.lru_cache(maxsize=4096)
 def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     one_of(family, FAMILIES, "family")
@@ -252,29 +716,20 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
         finish = family
         min_share, max_share = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
         flop = float(rng.uniform(4.0, 15.0))
-        flakes = _with_flop(
-            _create_flakes(name, finish, float(rng.uniform(min_share, max_share))), flop, pigments
-        )
+        flakes = _flakes(name, finish, float(rng.uniform(min_share, max_share)), flop, pigments)
     return PaintSpec(
         name, finish, colour, f"{adjective} {colour.title()}", Coat(roughness=roughness), flakes
     ), pigments
 
 
-def _create_flakes(name: str, finish: str, share: float) -> Flakes:
-    spectrum = f"{name}:flakes"
-    return Flakes(share, spectrum=spectrum, turned=spectrum + _TURNED_SUFFIX if finish == "pearl" else "")
-
-
-def _with_flop(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
+def _flakes(name: str, finish: str, share: float, flop: float, pigments: Pigments) -> Flakes:
     # flakes with the lobe that gives a paint this flop index, or the nearest possible one
+    spectrum = f"{name}:flakes"
+    flakes = Flakes(share, spectrum=spectrum, turned=f"{spectrum}:turned" if finish == "pearl" else "")
     grid = np.linspace(380.0, 780.0, 41)
     paint = Material("paint", "body", "paint", Coat(), flakes)
     body = coated_reflectance(pigments.albedo(grid), Coat().index)
     return flakes_of_flop(flop, paint, grid, body, pigments.flakes(grid), nearest=True)
-
-
-#: Reflectance factor, 0 to 1, by wavelength [nm].
-Spectrum = Callable[[Floats], Floats]
 
 
 def _without_mirror(paint: Paint) -> Spectrum:
@@ -344,21 +799,16 @@ def spectrum_of(name: str) -> Spectrum:
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: ... 'panel_21'; did you mean 'panel_20'? [spectrum-unknown]
     """
-    is_turned = name.endswith(":flakes" + _TURNED_SUFFIX)
-    name = name.removesuffix(_TURNED_SUFFIX) if is_turned else name
-    generated = parse_name(name)
-    if generated is not None:
-        family, number, flakes = generated
-        pigments = pigments_of(family, number)
-        if flakes:
-            return _limited(functools.partial(pigments.flakes, turned=is_turned))
+    if parsed := _NAME.fullmatch(name):
+        family, _, digits, of_flakes, turned = parsed.groups()
+        car = None if family else fleet_paint(int(digits))
+        pigments = pigments_of(family, int(digits)) if car is None else car.pigments
+        if of_flakes:
+            return _limited(functools.partial(pigments.flakes, turned=turned is not None))
+        if car is not None:
+            return Weathered(car.base, DIRT)
         # near normal, under the default clear coat, without the mirror reflection
         return _limited(lambda wavelength: coated_reflectance(pigments.albedo(wavelength), Coat().index))
-    fleet = _FLEET.fullmatch(name)
-    if fleet is not None:
-        car = fleet_paint(int(fleet[1]))
-        metal = functools.partial(car.pigments.flakes, turned=is_turned)
-        return _limited(metal) if fleet[2] else _fleet_base(car)
     if name in WEATHERED:
         return WEATHERED[name]
     if name in SPECTRA:

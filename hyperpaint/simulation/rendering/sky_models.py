@@ -1,5 +1,10 @@
 """Models of the light of the sky: clear skies, a layer of clouds over them, and the air before the camera.
 
+*Broken clouds* over a scene: their shadows move over the ground, so that light varies over swath and time.
+The ground is in shadow where a Gaussian random field, which moves with the wind, exceeds a threshold. The
+field is a sum of plane waves with random directions and phases (M. Shinozuka, J. Sound Vib. 25, 111, 1972):
+it is defined at every position and time without a grid, and does not depend on the order of evaluation.
+
 *Amount*: Kasten & Czeplak (Solar Energy 24, 1980) found in ten years at Hamburg that N oktas of cloud leave
 ``1 - 0.75 (N/8)^3.4`` of the clear sky's global irradiance. The direct beam is taken to be hidden for N/8 of
 the time; what is left beyond it is diffuse.
@@ -34,15 +39,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems, SchemaError, needs_extra
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import Fact, check_fields, check_values, declared, fact
 from hyperpaint.light.sky_functions import clear_sky_shares
 from hyperpaint.simulation.atmosphere import Sky
+from hyperpaint.simulation.settings import MAX_SEED
 
 #: Facts of numbers that describe a sky; ``key`` is the spelling in ``[[atmospheres]]`` of a ``scene.toml``.
 SKY = {
@@ -115,8 +122,7 @@ def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
     try:
         check_wavelengths(grid)
     except SchemaError as error:
-        own = error.problem
-        problems.add(own.found, expected=own.expected, mend=own.mend, code=own.code)
+        problems.extend([error.problem])
     for name, curve in curves.items():
         if curve.shape != grid.shape:
             problems.add(
@@ -176,49 +182,16 @@ def relative_air_mass(sun_zenith: float) -> float:
     return float(1.0 / (np.cos(np.radians(sun_zenith)) + 0.50572 * (96.07995 - sun_zenith) ** -1.6364))
 
 
-def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[Floats, Floats]:
-    """Return direct normal and diffuse level irradiance of SPECTRL2 by pvlib [W m-2 nm-1].
-
-    At ``wavelength`` (point,) [nm], the sun at ``sun_zenith`` [degree]; ``air`` as pvlib names it. Arguments
-    and errors are those of `Atmosphere.spectrl2`.
-    """
-    check_wavelengths(wavelength)
-    check_sky(sun_zenith=sun_zenith, aerosol=air["aerosol_turbidity_500nm"])
-    mass = relative_air_mass(sun_zenith)
-    with needs_extra("pvlib", "sim", "the SPECTRL2 atmosphere"):
-        from pvlib.spectrum import spectrl2
-    table = spectrl2(
-        apparent_zenith=sun_zenith, aoi=sun_zenith, surface_tilt=0.0, relative_airmass=mass, **air
-    )
-    coarse = np.asarray(table["wavelength"], dtype=np.float64)
-    first, last = wavelength[[0, -1]]
-    if not (coarse[0] <= first and last <= coarse[-1]):
-        raise SchemaError(
-            f"wavelength goes from {first:g} to {last:g} nm",
-            expected=f"{coarse[0]:g} to {coarse[-1]:g} nm, the range of SPECTRL2",
-            code="value-out-of-range",
-        )
-    sun, sky = (np.interp(wavelength, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
-    return sun, sky
-
-
-class Spread(NamedTuple):
-    """Shares of the clear-sky functions in the diffuse irradiance, see `Atmosphere`."""
-
-    molecular: Floats
-    aureole: Floats
-
-
 def clear_spread(
     wavelength: Floats, sun: Floats, sun_zenith: float, overcast_share: float = 0.0, aerosol: float = 0.1
-) -> Spread:
-    """Return the shares of the clear-sky functions.
+) -> dict[str, Any]:
+    """Return the shares of the clear-sky functions in the diffuse irradiance by name, see `Atmosphere`.
 
-    None where no sun shines (``sun`` [W m-2 nm-1]); under an ``overcast_share`` what it leaves of the sky.
+    0 where no sun shines (``sun`` [W m-2 nm-1]); under an ``overcast_share`` what it leaves of the sky.
     """
     clear = max(0.0, 1.0 - overcast_share / CIE_OVERCAST_SHARE) if np.any(sun) else 0.0
     _, molecular, aureole = clear * clear_sky_shares(wavelength, sun_zenith, aerosol)
-    return Spread(molecular, aureole)
+    return {"molecular": molecular, "aureole": aureole}
 
 
 #: Share of the cosine part in the diffuse irradiance of a CIE overcast sky.
@@ -333,8 +306,7 @@ class Haze:
 
     def extinction(self, wavelength: Floats) -> Floats:
         """Return the extinction coefficient at ``wavelength`` [nm], same shape [m-1]."""
-        molecules, particles = self._coefficients(wavelength)
-        return np.asarray(molecules + particles)
+        return np.add(*self._coefficients(wavelength))
 
     def path_radiance(self, wavelength: Floats, sun: Floats, sky: Floats, sun_zenith: float) -> Floats:
         """Return the radiance that a short vertical path adds, per metre [W m-2 sr-1 nm-1 m-1].
@@ -356,20 +328,96 @@ class Haze:
             diffuse = (backward * sky + (1.0 - backward) * reflected) / np.pi
             return np.asarray(sun * phase / (4.0 * np.pi) + diffuse)
 
+        # share of Henyey-Greenstein scattering beyond 90 degrees; the formula is 0/0 for g = 0
         g = self.asymmetry
+        backward_share = 0.5
+        if abs(g) >= 1e-6:
+            backward_share = (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)
         # the sun's light comes down and leaves upwards: the cosine of the scattering angle is -cos(zenith)
         rayleigh = 0.75 * (1.0 + cosine**2)
         henyey_greenstein = float((1.0 - g**2) / (1.0 + g**2 + 2.0 * g * cosine) ** 1.5)
-        scattered = self.scattering_albedo * particles * source(henyey_greenstein, _backward_share(g))
+        scattered = self.scattering_albedo * particles * source(henyey_greenstein, backward_share)
         return np.asarray(molecules * source(rayleigh, 0.5) + scattered)
-
-
-def _backward_share(g: float) -> float:
-    # Share of Henyey-Greenstein scattering beyond 90 degrees.
-    if abs(g) < 1e-6:
-        return 0.5  # the formula is 0/0 there; its slope is -3/4
-    return (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)
 
 
 #: Usual clear air: a visibility of 23 km.
 HAZE = Haze()
+
+
+_WAVES = 64
+#: Share of the direct light blocked by clouds that becomes diffuse light everywhere.
+_SCATTERED_SHARE = 1.0 / 3.0
+
+
+@declared
+@dataclass(frozen=True)
+class BrokenClouds:
+    """Shadows of broken clouds.
+
+    Raises
+    ------
+    SchemaError
+        Attributes are out of range; all are listed.
+
+    Examples
+    --------
+    >>> clouds = BrokenClouds(cover=0.4, size=30.0)
+    >>> direct, diffuse = clouds.factors(np.array([0.0, 40.0, 80.0]), 0.0, 0.0)
+    >>> bool((direct >= 1.0 - clouds.opacity).all()), bool((direct <= 1.0).all())
+    (True, True)
+    """
+
+    cover: float = fact(0.4, "share of the ground in shadow", least=0.0, most=1.0)
+    size: float = fact(
+        200.0,
+        "distance over which the random field of the clouds loses its correlation",
+        unit="m",
+        least=0.0,
+        above=True,
+        most=1e6,
+    )
+    speed: float = fact(8.0, "speed of the shadows", unit="m s-1", least=0.0, most=1e3)
+    heading: float = fact(90.0, "direction of the shadows, clockwise from north", unit="degree")
+    opacity: float = fact(0.8, "share of the direct light that a cloud takes", least=0.0, most=1.0)
+    edge: float = fact(
+        0.05, "width of the edge of a shadow relative to ``size``", least=0.0, above=True, most=10.0
+    )
+    station: tuple[float, float] = fact(
+        (0.0, 0.0), "east and north of the spectrometer that records the irradiance", unit="m", length=2
+    )
+    seed: int = fact(0, "chooses the clouds", least=0, most=MAX_SEED)
+
+    def __post_init__(self) -> None:
+        problems = Problems("the clouds cannot be used", SchemaError)
+        check_fields(self, problems)
+        problems.raise_if_any()
+
+    def factors(self, east: npt.ArrayLike, north: npt.ArrayLike, seconds: npt.ArrayLike) -> Floats:
+        """Return factors of direct and of diffuse light, (2, ...); 1 at NaN places.
+
+        Parameters
+        ----------
+        east, north
+            Positions on the ground, of shapes that broadcast [m].
+        seconds
+            Times, of a shape that broadcasts [s].
+        """
+        from scipy.special import ndtri
+
+        x, y, t = np.broadcast_arrays(*(np.asarray(values, np.float64) for values in (east, north, seconds)))
+        towards = np.radians(self.heading)
+        x = x - self.speed * np.sin(towards) * t
+        y = y - self.speed * np.cos(towards) * t
+        rng = np.random.default_rng([self.seed, 7])
+        # waves of a field with the correlation exp(-d^2 / size^2)
+        waves = rng.standard_normal((_WAVES, 2)) * np.sqrt(2.0) / self.size
+        phase = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
+        field = np.zeros(x.shape)
+        for (kx, ky), start in zip(waves, phase, strict=True):
+            field += np.cos(kx * x + ky * y + start)
+        field *= np.sqrt(2.0 / _WAVES)
+        shadow = np.clip(0.5 + (field - ndtri(1.0 - self.cover)) / self.edge, 0.0, 1.0)
+        direct = 1.0 - self.opacity * shadow
+        diffuse = np.full(x.shape, 1.0 + _SCATTERED_SHARE * self.opacity * self.cover)
+        is_finite = np.isfinite(x + y)
+        return np.stack([np.where(is_finite, direct, 1.0), np.where(is_finite, diffuse, 1.0)])

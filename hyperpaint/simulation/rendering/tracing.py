@@ -33,13 +33,12 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.sky_functions import function_shapes
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
-from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings, Sources
 from hyperpaint.simulation.transport.path_codes import PathCodes
-from hyperpaint.simulation.transport.paths import trace_lines
+from hyperpaint.simulation.transport.paths import Block, Rays, Settings, Sources, trace_lines
 from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 
 from .four_curves import Atmosphere, preset_atmosphere
-from .platform_geometry import Platform
+from .platforms import Platform
 from .scene import Scene
 from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
 
@@ -70,22 +69,19 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
     labels = LabelTables.of(record)
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
-    base_factor = np.full(len(coats), -1, np.int32)
-    flake_factor, through_factor, turned_factor = (np.full(len(coats), -1, np.int32) for _ in range(3))
+    # numbers of the factors of every material: base, flakes, transmittance, turned flakes
+    factors = np.full((4, len(coats)), -1, np.int32)
     for number, factor in enumerate(record.factors):
-        plate = through_factor if factor.through else base_factor
-        metal = turned_factor if factor.turned else flake_factor
-        (metal if factor.flakes else plate)[factor.material] = number
+        row = (3 if factor.turned else 1) if factor.flakes else (2 if factor.through else 0)
+        factors[row, factor.material] = number
     surfaces = surfaces_of(
         np.array([0.0 if coat is None else coat.index for coat in coats]),
         np.array([1.0 if coat is None else coat.roughness for coat in coats]),
         np.radians([0.0 if coat is None else coat.waviness for coat in coats]),
         np.array([0.0 if flake is None else flake.share for flake in flakes]),
         np.array([1.0 if flake is None else flake.roughness for flake in flakes]),
-        base_factor,
-        flake_factor,
-        through_factor,
-        turned_factor=turned_factor,
+        *factors[:3],
+        turned_factor=factors[3],
     )
     return PreparedScene(geometry, surfaces, sources, record.codes(settings), settings, labels)
 
@@ -190,7 +186,7 @@ def trace(
     {'along_track': 64, 'slot': 24, 'cross_track': 8, 'sun': 1}
     """
     directions, overcast_light = _directions(suns)
-    settings = TraceSettings.of(
+    settings = TraceSettings(
         directions,
         samples=samples,
         depth=depth,
@@ -206,7 +202,29 @@ def trace(
         )
     record = SceneRecord.of(scene)
     record.codes(settings)  # raises here, before any task, if they do not fit
-    arrays = _lazy_arrays(scene, platform, settings, chunk_lines)
+    # one task a block computes all variables; it holds the poses of its lines only
+    poses = np.empty(
+        platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))]
+    )
+    poses["line"] = np.arange(platform.lines)
+    poses["origin"], poses["rotation"] = platform.origin, platform.rotation
+    # the scene is one node of the graph, prepared once; compressed, as dask warns of graphs above 10 MB
+    pickled = bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
+    packed = dask.delayed(pickled, name=f"scene-{dask.base.tokenize(scene)}", traverse=False)
+    blocks = da.blockwise(
+        _trace_task,
+        "l",
+        da.from_array(poses, chunks=chunk_lines),
+        "l",
+        dask.delayed(_prepare_packed, pure=True)(packed, settings),
+        None,
+        edges=(platform.column_edges, platform.along_edges),
+        dtype=object,
+        meta=np.empty(0, object),
+    )
+    sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
+    layout = {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}
+    arrays = split_outputs(blocks, "l", layout, sizes)
     labels = LabelTables.of(record)
     utc = platform.utc.astype("datetime64[ns]")
     coords = {
@@ -253,58 +271,23 @@ _LAYOUT = {
 _DIMS = {"l": ALONG_TRACK, "s": SLOT, "u": SUN, "x": CROSS_TRACK}
 
 
-def _lazy_arrays(
-    scene: Scene, platform: Platform, settings: TraceSettings, chunk_lines: int
-) -> dict[str, da.Array]:
-    # One task a block computes all variables.
-    # the scene is one node of the graph, prepared once; every task holds the poses of its lines only
-    name = f"scene-{dask.base.tokenize(scene)}"
-    # compressed: dask warns of graphs above 10 MB
-    pickled = bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
-    packed = dask.delayed(pickled, name=name, traverse=False)
-    blocks = da.blockwise(
-        _trace_task,
-        "l",
-        da.from_array(_poses(platform), chunks=chunk_lines),
-        "l",
-        dask.delayed(_prepare_packed, pure=True)(packed, settings),
-        None,
-        edges=(platform.column_edges, platform.along_edges),
-        dtype=object,
-        meta=np.empty(0, object),
-    )
-    sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
-    layout = {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}
-    return split_outputs(blocks, "l", layout, sizes)
-
-
 def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
     return prepare_scene(pickle.loads(Blosc().decode(packed)), settings)
 
 
-def _poses(platform: Platform) -> Array:
-    # Number, origin and rotation of every scan line in one structured array, shape (line,).
-    poses = np.empty(
-        platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))]
-    )
-    poses["line"] = np.arange(platform.lines)
-    poses["origin"], poses["rotation"] = platform.origin, platform.rotation
-    return poses
-
-
 def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array]) -> dict[str, Array]:
     block = _trace_rays(prepared, poses["origin"], poses["rotation"], edges, int(poses["line"][0]))
-    east, north, up = (np.ascontiguousarray(block.position[:, axis]) for axis in range(3))
-    return {
+    place = {
+        name: np.ascontiguousarray(block.position[:, axis])
+        for axis, name in enumerate(("east", "north", "up"))
+    }
+    return place | {
         "transport_weight": block.weight,
         "transport_path": block.code,
         "material": block.material,
         "instance": block.instance,
         "purity": block.purity,
         "distance": block.distance,
-        "east": east,
-        "north": north,
-        "up": up,
         "sun_visibility": block.sun_visibility,
         "sun_incidence": block.incidence,
         **prepared.labels.layers(block.material, block.instance),

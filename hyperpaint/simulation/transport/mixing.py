@@ -1,8 +1,12 @@
-"""Recorded paths times products of spectra: radiance at the surface, and after the air before the camera."""
+"""Recorded paths times products of spectra: radiance at the surface, and after the air before the camera.
+
+Pixels of weathered surfaces show members of a population instead of its mean (`member_rows`).
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +14,161 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
-from .texturing import Texture
+from .draws import philox
+
+# Members of populations shown by pixels: smooth random fields over the positions of a scene.
+#
+# A field is value noise on a cubic lattice, interpolated smoothly between corners, of variance 1 everywhere:
+#
+#     g(x) = SUM_i w_i z_i / sqrt(SUM_i w_i^2)
+#
+# with normal numbers z keyed by corner, instance and octave, so that values do not depend on other pixels.
+# Octaves of several lengths are summed; the rank of a pixel's member in its population is the normal
+# distribution function of the sum.
+
+_MASK = 0xFFFFFFFF
+_STEP = 2.0**-32
+_COS = tuple(math.cos(angle) for angle in (0.4, 1.5, 2.3, 0.9))
+_SIN = tuple(math.sin(angle) for angle in (0.4, 1.5, 2.3, 0.9))
+
+
+class Grain(NamedTuple):
+    """Spatial variation of populations; arrays with a row for every material.
+
+    Attributes
+    ----------
+    first, members : (material,) int64
+        First row and number of the members; 0 without a population.
+    length : (material, octave) float64
+        Length of the variation of an octave [m].
+    share : (material, octave) float64
+        Share of the variance [1].
+    is_averaged : (material,) bool
+        Whether octaves shorter than a pixel are averaged; False for members measured on pixels.
+    """
+
+    first: Array
+    members: Array
+    length: Array
+    share: Array
+    is_averaged: Array
+
+
+class Texture(NamedTuple):
+    """Ratios from the mean spectra of pixels to the spectra of members.
+
+    Attributes
+    ----------
+    row : (line, column) int32
+        Row of the member; -1 for no member.
+    factor : (row,) int64
+        Factor of a path that the member changes.
+    ratio : (row, band) float32
+        Multiplier of this factor [1].
+    paths : (path, digit) int64
+        Factors of every path; -1 for no factor.
+    """
+
+    row: Array
+    factor: Array
+    ratio: Array
+    paths: Array
+
+
+def member_rows(material: Array, instance: Array, place: Array, grain: Grain, seed: int) -> Array:
+    """Return the member row of every pixel, (line, column) int32; -1 for no member.
+
+    Parameters
+    ----------
+    material, instance : (line, column) int32
+        Labels of a pixel; -1 for the sky.
+    place : (3, line, column) float64
+        Position of a pixel [m].
+    grain
+        Spatial variation of every material.
+    seed
+        Seed of the field.
+
+    Examples
+    --------
+    >>> grain = Grain(*map(np.array, ([0], [9], [[0.1]], [[1.0]], [False])))
+    >>> label = np.zeros((1, 4), np.int32)
+    >>> place = np.stack([np.array([[0.0, 0.01, 3.0, 9.0]]), 0.0 * label, 0.0 * label])
+    >>> member_rows(label, label, place, grain, 0)[0, 0] == member_rows(label, label, place, grain, 0)[0, 0]
+    np.True_
+    """
+    rows = np.full(material.shape, -1, np.int32)
+    # median distance of neighbouring pixels [m], by scan line
+    pixel = np.zeros(place.shape[1])
+    if place.shape[2] > 1:
+        for line, distances in enumerate(np.hypot(*np.diff(place[:2], axis=2))):
+            if np.isfinite(distances).any():
+                pixel[line] = np.median(distances[np.isfinite(distances)])
+    labels = np.ascontiguousarray(material, np.int32), np.ascontiguousarray(instance, np.int32)
+    _write_rows(*labels, np.ascontiguousarray(place, np.float64), pixel, grain, int(seed) & _MASK, rows)
+    return rows
+
+
+@borrowing_kernel
+def _write_rows(
+    material: Array, instance: Array, place: Array, pixel: Array, grain: Grain, seed: int, rows: Array
+) -> None:
+    for line in range(rows.shape[0]):
+        for column in range(rows.shape[1]):
+            surface = material[line, column]
+            if surface < 0 or grain.members[surface] == 0:
+                continue
+            x, y, z = place[0, line, column], place[1, line, column], place[2, line, column]
+            if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+                continue
+            total = 0.0
+            for octave in range(grain.length.shape[1]):
+                length, share = grain.length[surface, octave], grain.share[surface, octave]
+                if grain.is_averaged[surface]:
+                    share /= 1.0 + (pixel[line] / length) ** 2
+                if share > 0.0:
+                    # rotate the lattice between octaves, so that its grid is not visible
+                    u, v = _COS[octave % 4] / length, _SIN[octave % 4] / length
+                    a, b = u * x - v * y, v * x + u * y
+                    total += math.sqrt(share) * _noise(a, b, z / length, instance[line, column], octave, seed)
+            rank = 0.5 * (1.0 + math.erf(total * math.sqrt(0.5)))
+            count = grain.members[surface]
+            rows[line, column] = grain.first[surface] + min(int(rank * count), count - 1)
+
+
+@borrowing_kernel
+def _noise(x: float, y: float, z: float, instance: int, octave: int, seed: int) -> float:
+    i, j, k = math.floor(x), math.floor(y), math.floor(z)
+    u, v, w = _smooth_step(x - i), _smooth_step(y - j), _smooth_step(z - k)
+    total, square = 0.0, 0.0
+    for corner in range(8):
+        a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
+        weight = (u if a else 1.0 - u) * (v if b else 1.0 - v) * (w if c else 1.0 - w)
+        if weight > 0.0:
+            total += weight * _normal(i + a, j + b, k + c, instance, octave, seed)
+            square += weight * weight
+    return total / math.sqrt(square)
+
+
+@borrowing_kernel
+def _smooth_step(t: float) -> float:
+    return t * t * (3.0 - 2.0 * t)
+
+
+@borrowing_kernel
+def _normal(i: int, j: int, k: int, instance: int, octave: int, seed: int) -> float:
+    # a normal number by Box & Muller (1958)
+    a, b, _, _ = philox(
+        np.uint64(int(i) & _MASK),
+        np.uint64(int(j) & _MASK),
+        np.uint64(int(k) & _MASK),
+        np.uint64(octave),
+        np.uint64(int(instance) & _MASK),
+        np.uint64(seed),
+    )
+    radius = math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP))
+    return radius * math.cos(2.0 * math.pi * (np.float64(b) + 0.5) * _STEP)
+
 
 _TILE = 16  # columns whose spectra are summed together, before they are written band by band
 _MULTIPLIER = np.uint64(0x9E3779B1)
@@ -135,53 +293,52 @@ def mix_shifted(
         For shapes that do not fit, and rows or nodes outside the table.
     """
     spectra = np.ascontiguousarray(table, np.float32)
-    # refuse shapes with which the loops would exceed their arrays
-    lines, _, columns = weight.shape
-    shape = spectra.shape[1:]
-    if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
-        raise ValueError(
-            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit"
-        )
-    if out.dtype != np.float32 or not out.flags.c_contiguous:
-        raise ValueError(f"out must be contiguous float32, not {out.dtype}")
-    if index.size and int(index.max()) >= shape[0]:
-        raise ValueError(f"index {index.max()} is outside a table of {shape[0]} spectra")
-    first_node = np.ascontiguousarray(node, np.int64)
-    share = np.ascontiguousarray(node_weight, np.float32)
-    if first_node.shape != (columns,) or share.ndim != 2 or len(share) != columns:
-        raise ValueError(f"nodes {first_node.shape} and weights {share.shape} for {columns} columns")
-    if columns and not (first_node.min() >= 0 and first_node.max() + share.shape[1] <= len(spectra)):
-        raise ValueError(
-            f"columns need nodes up to {first_node.max() + share.shape[1] - 1}, the table has {len(spectra)}"
-        )
+    (lines, _, columns), bands, shape = weight.shape, out.shape[1], spectra.shape[1:]
     weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
+    first_node, share = np.ascontiguousarray(node, np.int64), np.ascontiguousarray(node_weight, np.float32)
     if texture is None:
-        row, empty = np.full((out.shape[0], columns), -1, np.int32), np.zeros(0, np.int64)
-        texture = Texture(row, empty, np.zeros((0, out.shape[1]), np.float32), empty[:, None])
-    elif texture.row.shape != (out.shape[0], columns) or texture.ratio.shape[1] != out.shape[1]:
-        raise ValueError(f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}")
+        row, empty = np.full((len(out), columns), -1, np.int32), np.zeros(0, np.int64)
+        texture = Texture(row, empty, np.zeros((0, bands), np.float32), empty[:, None])
+    last_node = int(first_node.max(initial=-1)) + (share.shape[1] if share.ndim == 2 else 0)
+    # refuse shapes with which the loops would exceed their arrays
+    checks = (
+        (
+            index.shape != weight.shape or out.shape != (lines, shape[1], columns),
+            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit",
+        ),
+        (
+            out.dtype != np.float32 or not out.flags.c_contiguous,
+            f"out must be contiguous float32, not {out.dtype}",
+        ),
+        (
+            rows.max(initial=-1) >= shape[0],
+            f"index {rows.max(initial=-1)} is outside a table of {shape[0]} spectra",
+        ),
+        (
+            first_node.shape != (columns,) or share.ndim != 2 or len(share) != columns,
+            f"nodes {first_node.shape} and weights {share.shape} for {columns} columns",
+        ),
+        (
+            columns and not (first_node.min(initial=0) >= 0 and last_node <= len(spectra)),
+            f"columns need nodes up to {last_node - 1}, the table has {len(spectra)}",
+        ),
+        (
+            texture.row.shape != (len(out), columns) or texture.ratio.shape[1] != bands,
+            f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}",
+        ),
+    )
+    for is_fault, fault in checks:
+        if is_fault:
+            raise ValueError(fault)
     sums = np.empty((2, _TILE, out.shape[1]), np.float32)
     _mix_shifted(weights, rows, spectra, first_node, share, texture, sums, out)
 
 
 @borrowing_kernel
-def _clear(sums: Array) -> None:
-    for column in range(sums.shape[0]):
-        for band in range(sums.shape[1]):
-            sums[column, band] = 0
-
-
-@borrowing_kernel
 def _add_row(sums: Array, at: int, table: Array, node: int, row: int, weight: Any) -> None:
+    # a loop of its own, which the compiler vectorises
     for band in range(table.shape[2]):
         sums[at, band] += weight * table[node, row, band]
-
-
-@borrowing_kernel
-def _write_tile(sums: Array, start: int, stop: int, line: int, out: Array) -> None:
-    for band in range(out.shape[1]):
-        for column in range(start, stop):
-            out[line, band, column] = sums[column - start, band]
 
 
 @borrowing_kernel
@@ -190,13 +347,6 @@ def _has_factor(factors: Array, path: int, factor: int) -> bool:
     for digit in range(factors.shape[1]):
         has_factor = has_factor or factors[path, digit] == factor
     return has_factor
-
-
-@borrowing_kernel
-def _apply(sums: Array, changed: Array, column: int, ratio: Array, row: int) -> None:
-    # add the paths with the changed factor, multiplied by the member's ratio
-    for band in range(sums.shape[1]):
-        sums[column, band] += changed[column, band] * ratio[row, band]
 
 
 @borrowing_kernel
@@ -211,29 +361,29 @@ def _mix_shifted(
     out: Array,
 ) -> None:
     # ``sums`` (2, column, band): sum of paths without, and with, the factor that the pixel's member changes
-    columns = out.shape[2]
+    columns, bands = out.shape[2], out.shape[1]
     for line in range(out.shape[0]):
         for start in range(0, columns, _TILE):
             stop = min(start + _TILE, columns)
-            _clear(sums[0])
             for column in range(start, stop):
-                member = texture.row[line, column]
-                if member >= 0:
-                    _clear(sums[1, column - start : column - start + 1])
+                at, member = column - start, texture.row[line, column]
+                for band in range(bands):
+                    sums[0, at, band] = sums[1, at, band] = 0
                 for slot in range(weight.shape[1]):
                     row = index[line, slot, column]
-                    if row >= 0:
-                        term = (
-                            1
-                            if member >= 0 and _has_factor(texture.paths, row, texture.factor[member])
-                            else 0
-                        )
-                        for k in range(node_weight.shape[1]):
-                            share = weight[line, slot, column] * node_weight[column, k]
-                            _add_row(sums[term], column - start, table, node[column] + k, row, share)
+                    if row < 0:
+                        continue
+                    term = 1 if member >= 0 and _has_factor(texture.paths, row, texture.factor[member]) else 0
+                    for k in range(node_weight.shape[1]):
+                        share = weight[line, slot, column] * node_weight[column, k]
+                        _add_row(sums[term], at, table, node[column] + k, row, share)
                 if member >= 0:
-                    _apply(sums[0], sums[1], column - start, texture.ratio, member)
-            _write_tile(sums[0], start, stop, line, out)
+                    # the paths with the changed factor are multiplied by the member's ratio
+                    for band in range(bands):
+                        sums[0, at, band] += sums[1, at, band] * texture.ratio[member, band]
+            for band in range(bands):
+                for column in range(start, stop):
+                    out[line, band, column] = sums[0, column - start, band]
 
 
 @kernel

@@ -12,7 +12,7 @@ pixel are summed.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,12 +20,36 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 from hyperpaint.light.sky_functions import HORIZON_SHIFT
 
-from .codes import PathTable, add_path, with_factor, write_paths
 from .draws import even_pair, pixel_key, uniforms
-from .hierarchy import STACK, Geometry, closest, occluded
-from .hits import FACING, Hit, behind, hit_at, leaves
-from .path_blocks import Block, Rays, Settings, Sources, check
-from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_CLEAR_SKY, FIRST_SUN, INDIRECT, MIRROR, OVERCAST_SKY, SKY
+from .hierarchy import (
+    FACING,
+    STACK,
+    Geometry,
+    Hit,
+    Vector,
+    behind,
+    closest,
+    dot,
+    frame_of,
+    from_frame,
+    hit_at,
+    in_frame,
+    leaves,
+    occluded,
+    unit,
+)
+from .path_codes import (
+    CLEAR_SKY_FUNCTIONS,
+    FIRST_CLEAR_SKY,
+    FIRST_DIGIT,
+    FIRST_SUN,
+    INDIRECT,
+    MAX_SUNS,
+    MIRROR,
+    OVERCAST_SKY,
+    SKY,
+    USABLE_BITS,
+)
 from .surfaces import (
     BLURRED_ALPHA,
     COAT,
@@ -45,7 +69,343 @@ from .surfaces import (
     sun_weights,
     turned_part,
 )
-from .vectors import Vector, dot, frame_of, from_frame, in_frame, unit
+
+
+class Rays(NamedTuple):
+    """Camera position and view for the lines of a block.
+
+    Attributes
+    ----------
+    origin : (line, 2, 3) float64
+        Positions at start and end of the exposure [m].
+    rotation : (line, 2, 3, 3) float64
+        Rotations from the camera's axes (forward, right, down) to the scene's, at start and end.
+    column_edges : (column + 1,) float64
+        Tangents of the edges of columns, across the track.
+    along_edges : (2,) float64
+        Tangents of the rear and front edge of a line, along the track.
+    """
+
+    origin: Array
+    rotation: Array
+    column_edges: Array
+    along_edges: Array
+
+
+class Sources(NamedTuple):
+    """Light sources besides the uniform sky.
+
+    Attributes
+    ----------
+    suns : (sun, 3) float64
+        Unit vectors towards the suns.
+    sun_radius : (sun,) float64
+        Angular radius [rad]; 0 for a point.
+    overcast : bool
+        Whether to record the overcast sky besides the uniform sky.
+    shapes : (sun, function, 8) float64
+        Coefficients of the functions of clear skies, see `hyperpaint.light.sky_functions`; empty without
+        clear skies.
+    """
+
+    suns: Array
+    sun_radius: Array
+    overcast: bool
+    shapes: Array = np.zeros((0, CLEAR_SKY_FUNCTIONS, 8))
+
+
+class Block(NamedTuple):
+    """Recorded paths and labels, allocated by the caller. NaN (labels: -1) if all samples show the sky.
+
+    Attributes
+    ----------
+    weight : (line, slot, column) float32
+        Weights w [1]; 0 in empty slots.
+    code : (line, slot, column) int64
+        Codes, ascending; -1 in empty slots, which are the last.
+    material, instance : (line, column) int32
+        Labels of the pair that most samples hit first; the smaller numbers if several pairs have as many
+        samples.
+    purity : (line, column) float32
+        Share of the samples that hit this pair first [1].
+    distance : (line, column) float32
+        Mean distance of the first hits [m].
+    position : (line, 3, column) float64
+        Mean position of the first hits [m].
+    sun_visibility : (line, sun, column) float32
+        Share of the first hits that face a sun which is not occluded [1].
+    incidence : (line, sun, column) float32
+        Mean over the first hits of the cosine between normal and sun, 0 for hits that face away [1].
+    """
+
+    weight: Array
+    code: Array
+    material: Array
+    instance: Array
+    purity: Array
+    distance: Array
+    position: Array
+    sun_visibility: Array
+    incidence: Array
+
+    @classmethod
+    def empty(cls, lines: int, slots: int, columns: int, suns: int) -> Block:
+        """Return an uninitialised block.
+
+        Examples
+        --------
+        >>> Block.empty(2, 48, 640, 1).weight.shape
+        (2, 48, 640)
+        """
+        return cls(*(np.empty(shape, kind) for shape, kind in _layout(lines, slots, columns, suns)))
+
+
+class Settings(NamedTuple):
+    """Plain numbers of a trace.
+
+    Attributes
+    ----------
+    first_line
+        Number of the block's first line in the flight line, so that random numbers do not depend on blocks.
+    samples
+        Number of paths of a pixel.
+    depth
+        Maximum number of scatterings.
+    digit_bits
+        Bits of a factor in a code.
+    seed
+        Non-negative integer.
+    """
+
+    first_line: int
+    samples: int
+    depth: int
+    digit_bits: int
+    seed: int
+
+
+def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple[int, ...], type]]:
+    by_pixel, by_slot, by_sun = (lines, columns), (lines, slots, columns), (lines, suns, columns)
+    return [
+        (by_slot, np.float32),
+        (by_slot, np.int64),
+        (by_pixel, np.int32),
+        (by_pixel, np.int32),
+        (by_pixel, np.float32),
+        (by_pixel, np.float32),
+        ((lines, 3, columns), np.float64),
+        (by_sun, np.float32),
+        (by_sun, np.float32),
+    ]
+
+
+def check(
+    geometry: Geometry, surfaces: Surfaces, sources: Sources, rays: Rays, settings: Settings, block: Block
+) -> None:
+    """Refuse inputs that compiled loops cannot handle.
+
+    Raises
+    ------
+    ValueError
+        Inputs are inconsistent; the message lists all faults.
+    """
+    first_line, samples, depth, digit_bits, seed = settings
+    lines, columns, suns = len(rays.origin), len(rays.column_edges) - 1, len(sources.suns)
+    numbers, factor_numbers = surfaces[0], surfaces[1:]
+    shares, factors = numbers[:, 1:6], int(max(part.max(initial=-1) for part in factor_numbers)) + 1
+    has_suns = (
+        suns <= MAX_SUNS and np.shape(sources.sun_radius) == (suns,) and np.shape(sources.suns) == (suns, 3)
+    )
+    material, known = geometry.face_material, len(surfaces.base_factor)
+    lowest, highest = (int(material.min()), int(material.max())) if material.size else (0, -1)
+    rows = [
+        (
+            FIRST_DIGIT + depth * digit_bits > USABLE_BITS,
+            f"{depth} factors of {digit_bits} bits do not fit a code of {USABLE_BITS} bits",
+        ),
+        (
+            min(samples, depth, digit_bits) < 1 or min(seed, first_line) < 0,
+            "samples, depth and digit_bits must be positive, seed and first_line not negative",
+        ),
+        (
+            seed >= 2**63 or max(first_line + lines, samples) > 2**32,
+            "seed must fit 63 bits, the numbers of lines and samples 32",
+        ),
+        (
+            not has_suns,
+            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MAX_SUNS}",
+        ),
+        (
+            np.size(sources.shapes) and np.shape(sources.shapes) != (suns, CLEAR_SKY_FUNCTIONS, 8),
+            f"shapes {np.shape(sources.shapes)} of clear skies for {suns} suns",
+        ),
+        (
+            has_suns and not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6),
+            "directions to suns must be unit vectors",
+        ),
+        (len({len(array) for array in surfaces}) > 1, "surfaces have parts of unequal length"),
+        (
+            not np.isfinite(numbers[:, 0]).all()
+            or not ((shares >= 0) & (shares <= 1)).all()
+            or not (shares[:, 4] > 0).all(),
+            "refractive indices must be finite, roughness, slopes and shares from 0 to 1",
+        ),
+        (factors >= 1 << digit_bits, f"{factors} factors need more than {digit_bits} bits"),
+        (surfaces.base_factor.min(initial=0) < 0, "every surface needs a base factor"),
+        (geometry.face_instance.min(initial=0) < 0, "instances must not be negative: -1 is the sky"),
+        (
+            lowest < 0 or highest >= known,
+            f"faces name materials {lowest} to {highest} of {known}",
+        ),
+        (
+            rays.origin.shape != (lines, 2, 3) or rays.rotation.shape != (lines, 2, 3, 3),
+            f"origins {rays.origin.shape} and rotations {rays.rotation.shape} do not fit",
+        ),
+        (
+            not all(np.isfinite(array).all() for array in rays),
+            "positions, rotations and edges of the camera must be finite",
+        ),
+        *(
+            (
+                array.shape != shape or array.dtype != kind or not array.flags.c_contiguous,
+                f"block.{name} must be contiguous {shape} {kind.__name__}, not {array.shape} {array.dtype}",
+            )
+            for name, array, (shape, kind) in zip(
+                block._fields, block, _layout(lines, block.weight.shape[1], columns, suns), strict=True
+            )
+        ),
+    ]
+    if any(is_fault for is_fault, _ in rows):
+        raise ValueError("; ".join(fault for is_fault, fault in rows if is_fault))
+
+
+_MULTIPLIER = np.uint64(0x9E3779B1)
+
+
+# Weights of a pixel's paths by code: an open-addressing table whose length is a power of two.
+class PathTable(NamedTuple):
+    codes: Array  # code of every place; -1 for empty places
+    sums: Array  # sum of weights of every place
+    used: Array  # numbers of the occupied places
+    in_use: Array  # (1,) count of the occupied places
+
+
+@borrowing_kernel
+def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
+    # insert a factor into a code, with digits in descending order
+    digit = np.int64(factor) + 1
+    max_digit = (np.int64(1) << digit_bits) - 1
+    place = FIRST_DIGIT
+    while (code >> place) & max_digit > digit:
+        place += digit_bits
+    lower_digits = code & ((np.int64(1) << place) - 1)
+    return lower_digits | (digit << place) | ((code >> place) << (place + digit_bits))
+
+
+@borrowing_kernel
+def add_path(table: PathTable, code: int, weight: float) -> None:
+    if not weight > 0.0:
+        return
+    codes, sums, in_use = table.codes, table.sums, table.in_use
+    mask = codes.size - 1
+    folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
+    place = np.int64(folded >> np.uint64(16)) & mask
+    while codes[place] != code:
+        if codes[place] < 0:
+            codes[place] = code
+            sums[place] = 0.0
+            table.used[in_use[0]] = place
+            in_use[0] += 1
+            break
+        place = (place + 1) & mask
+    sums[place] += weight
+
+
+@borrowing_kernel
+def _sort(table: PathTable, count: int, by_weight: bool) -> None:
+    # order by descending weight, or by ascending code
+    codes, sums, places = table.codes, table.sums, table.used
+    gap = 1
+    while gap < count // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, count):
+            place = places[i]
+            j = i
+            while j >= gap:
+                other = places[j - gap]
+                is_tie = not by_weight or sums[place] == sums[other]
+                if not (codes[place] < codes[other] if is_tie else sums[place] > sums[other]):
+                    break
+                places[j] = other
+                j -= gap
+            places[j] = place
+        gap //= 3
+
+
+@borrowing_kernel
+def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
+    # Reduce the codes of a pixel to ``slots`` without bias or change of the total weight; return their
+    # number. The heaviest codes are kept unchanged. Of other codes, systematic sampling selects with
+    # probabilities proportional to weights, and gives all selected codes the same weight.
+    sums, places = table.sums, table.used
+    _sort(table, count, True)
+    light_sum = 0.0
+    for i in range(count - 1, -1, -1):
+        light_sum += sums[places[i]]
+    kept_count = 0
+    # a code heavier than the mean weight of the remaining slots is kept unchanged
+    while kept_count < slots and sums[places[kept_count]] * (slots - kept_count) > light_sum:
+        light_sum -= sums[places[kept_count]]
+        kept_count += 1
+    if kept_count == slots:
+        kept_count = slots - 1
+    light_sum = 0.0
+    for i in range(kept_count, count):
+        light_sum += sums[places[i]]
+    step = light_sum / (slots - kept_count)
+    selected, passed = kept_count, 0.0
+    for i in range(kept_count, count):
+        passed += sums[places[i]]
+        if selected < slots and passed > (selected - kept_count + draw) * step:
+            places[selected], places[i] = places[i], places[selected]
+            selected += 1
+    for i in range(kept_count, selected):
+        sums[places[i]] = step
+    return selected
+
+
+@borrowing_kernel
+def write_paths(
+    table: PathTable, scale: float, draw: float, weight: Array, code: Array, line: int, column: int
+) -> None:
+    """Write the table of a pixel in ascending order of codes.
+
+    Parameters
+    ----------
+    table
+        Table of the pixel.
+    scale
+        Multiplier of the weights.
+    draw
+        A random number inside (0, 1), for pixels with more codes than slots: see `_thin`.
+    weight, code : (line, slot, column), float32 and int64
+        Output.
+    line, column
+        The pixel.
+    """
+    slots = weight.shape[1]
+    number = table.in_use[0]
+    if number > slots:
+        number = _thin(table, number, slots, draw)
+    _sort(table, number, False)
+    for slot in range(slots):
+        if slot < number:
+            code[line, slot, column] = table.codes[table.used[slot]]
+            weight[line, slot, column] = table.sums[table.used[slot]] * scale
+        else:
+            code[line, slot, column] = -1
+            weight[line, slot, column] = 0.0
 
 
 @borrowing_kernel
@@ -74,17 +434,13 @@ def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direc
         towards = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
         t = math.acos(min(1.0, max(-1.0, dot(direction, towards))))
         for function in range(CLEAR_SKY_FUNCTIONS):
-            value = beta * _relative_radiance(sources.shapes, sun, function, u, t)
-            add_path(table, code | FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function, value)
-
-
-@borrowing_kernel
-def _relative_radiance(shapes: Array, sun: int, function: int, u: float, t: float) -> float:
-    # radiance of a sky function relative to a uniform sky, see
-    # `hyperpaint.light.sky_functions.relative_radiance`
-    c = shapes[sun, function]
-    power = u * (c[0] + u * (c[1] + u * c[2])) + t * (c[3] + t * (c[4] + t * c[5])) + c[6] * u * t + c[7]
-    return math.exp(power)
+            # radiance relative to a uniform sky, see `hyperpaint.light.sky_functions.relative_radiance`
+            c = sources.shapes[sun, function]
+            power = (
+                u * (c[0] + u * (c[1] + u * c[2])) + t * (c[3] + t * (c[4] + t * c[5])) + c[6] * u * t + c[7]
+            )
+            number = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function
+            add_path(table, code | number, beta * math.exp(power))
 
 
 # numbers of draws: even pairs for the first two surfaces, independent numbers from the third surface
@@ -211,14 +567,10 @@ def trace_lines(
         np.ascontiguousarray(sources.shapes, np.float64),
     )
     rays = Rays(*(np.ascontiguousarray(array, np.float64) for array in rays))
-    _trace(_Scene(geometry, surfaces, sources), rays, settings, _create_workspace(settings, len(suns)), block)
-
-
-def _create_workspace(settings: Settings, suns: int) -> _Workspace:
-    sky_codes = 2 * (2 + CLEAR_SKY_FUNCTIONS * suns)  # both branches may end in the sky
-    max_codes = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + sky_codes)
+    sky_codes = 2 * (2 + CLEAR_SKY_FUNCTIONS * len(suns))  # both branches may end in the sky
+    max_codes = settings.samples * ((2 * settings.depth - 1) * len(suns) * _LOBES + sky_codes)
     size = 1 << max(4, (2 * max_codes - 1).bit_length())
-    return _Workspace(
+    room = _Workspace(
         stack=np.empty(STACK, np.int64),
         entries=np.empty(STACK),
         table=PathTable(
@@ -227,9 +579,10 @@ def _create_workspace(settings: Settings, suns: int) -> _Workspace:
         labels=np.empty(settings.samples, np.int64),
         votes=np.empty(settings.samples, np.int64),
         first_hits=np.zeros(5),
-        lit_hits=np.zeros(suns),
-        cosines=np.zeros(suns),
+        lit_hits=np.zeros(len(suns)),
+        cosines=np.zeros(len(suns)),
     )
+    _trace(_Scene(geometry, surfaces, sources), rays, settings, room, block)
 
 
 @borrowing_kernel
@@ -237,66 +590,49 @@ def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Workspace, bloc
     mask = 1
     while mask < settings.samples:
         mask *= 2
+    table, labels, votes, first_hits = room.table, room.labels, room.votes, room.first_hits
     for line in range(block.material.shape[0]):
         number = settings.first_line + line
         for column in range(block.material.shape[1]):
-            _clear_pixel(room)
+            for i in range(table.in_use[0]):
+                table.codes[table.used[i]] = -1
+            table.in_use[0] = 0
+            first_hits[:] = 0.0
+            room.lit_hits[:] = 0.0
+            room.cosines[:] = 0.0
             key = pixel_key(settings.seed, number, column)
+            # count the labels of the samples
             distinct = 0
             for sample in range(settings.samples):
                 path_key = _PathKey(settings.seed, number, column, sample, key, mask - 1)
                 label = _trace_sample(scene, rays, line, path_key, settings, room)
-                distinct = _vote(label, distinct, room)
-            _write_pixel(block, line, column, distinct, settings, room)
+                at = 0
+                while at < distinct and labels[at] != label:
+                    at += 1
+                if at == distinct:
+                    labels[at], votes[at] = label, 0
+                    distinct += 1
+                votes[at] += 1
+            best = 0
+            for i in range(1, distinct):
+                if votes[i] > votes[best] or (votes[i] == votes[best] and labels[i] < labels[best]):
+                    best = i
+            block.material[line, column] = labels[best] >> 32 if labels[best] >= 0 else -1
+            block.instance[line, column] = labels[best] & 0xFFFFFFFF if labels[best] >= 0 else -1
+            block.purity[line, column] = votes[best] / settings.samples
+            # means over the first hits
+            share = 1.0 / first_hits[0] if first_hits[0] > 0 else np.nan
+            block.distance[line, column] = first_hits[1] * share
+            for k in range(3):
+                block.position[line, k, column] = first_hits[2 + k] * share
+            for sun in range(room.lit_hits.size):
+                block.sun_visibility[line, sun, column] = room.lit_hits[sun] * share
+                block.incidence[line, sun, column] = room.cosines[sun] * share
             draw, _, _, _ = uniforms(settings.seed, number, column, 0, _SLOT)
-            scale = 1.0 / max(room.first_hits[0], 1.0)
-            write_paths(room.table, scale, draw, block.weight, block.code, line, column)
-            if room.first_hits[0] == 0.0:  # no sample hits a surface
+            scale = 1.0 / max(first_hits[0], 1.0)
+            write_paths(table, scale, draw, block.weight, block.code, line, column)
+            if first_hits[0] == 0.0:  # no sample hits a surface
                 block.weight[line, 0, column], block.code[line, 0, column] = np.nan, SKY
-
-
-@borrowing_kernel
-def _clear_pixel(room: _Workspace) -> None:
-    for i in range(room.table.in_use[0]):
-        room.table.codes[room.table.used[i]] = -1
-    room.table.in_use[0] = 0
-    room.first_hits[:] = 0.0
-    room.lit_hits[:] = 0.0
-    room.cosines[:] = 0.0
-
-
-@borrowing_kernel
-def _vote(label: int, distinct: int, room: _Workspace) -> int:
-    # count the labels of a sample; return the number of distinct labels
-    for i in range(distinct):
-        if room.labels[i] == label:
-            room.votes[i] += 1
-            return distinct
-    room.labels[distinct] = label
-    room.votes[distinct] = 1
-    return distinct + 1
-
-
-@borrowing_kernel
-def _write_pixel(
-    block: Block, line: int, column: int, distinct: int, settings: Settings, room: _Workspace
-) -> None:
-    best = 0
-    for i in range(1, distinct):
-        has_more = room.votes[i] > room.votes[best]
-        if has_more or (room.votes[i] == room.votes[best] and room.labels[i] < room.labels[best]):
-            best = i
-    label = room.labels[best]
-    block.material[line, column] = label >> 32 if label >= 0 else -1
-    block.instance[line, column] = label & 0xFFFFFFFF if label >= 0 else -1
-    block.purity[line, column] = room.votes[best] / settings.samples
-    share = 1.0 / room.first_hits[0] if room.first_hits[0] > 0 else np.nan
-    block.distance[line, column] = room.first_hits[1] * share
-    for k in range(3):
-        block.position[line, k, column] = room.first_hits[2 + k] * share
-    for sun in range(room.lit_hits.size):
-        block.sun_visibility[line, sun, column] = room.lit_hits[sun] * share
-        block.incidence[line, sun, column] = room.cosines[sun] * share
 
 
 @borrowing_kernel
@@ -339,17 +675,6 @@ def _towards_sun(sources: Sources, sun: int, path_key: _PathKey, bounce: int) ->
 
 
 @borrowing_kernel
-def _record_first(sources: Sources, room: _Workspace, distance: float, point: Vector, normal: Vector) -> None:
-    room.first_hits[0] += 1.0
-    room.first_hits[1] += distance
-    for k in range(3):
-        room.first_hits[2 + k] += point[k]
-    for sun in range(sources.suns.shape[0]):
-        cosine = dot(normal, (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2]))
-        room.cosines[sun] += max(cosine, 0.0)
-
-
-@borrowing_kernel
 def _trace_sample(
     scene: _Scene, rays: Rays, line: int, path_key: _PathKey, settings: Settings, room: _Workspace
 ) -> int:
@@ -365,7 +690,13 @@ def _trace_sample(
     hit, point = hit_at(geometry, face, weights, direction, surfaces.numbers[material, WAVINESS])
     back = (-direction[0], -direction[1], -direction[2])
     lobes = lobes_at(surfaces, material, in_frame(hit.frame, back), in_frame(hit.coat_frame, back), MIN_ALPHA)
-    _record_first(sources, room, distance, point, hit.frame[2])
+    room.first_hits[0] += 1.0
+    room.first_hits[1] += distance
+    for k in range(3):
+        room.first_hits[2 + k] += point[k]
+    for sun in range(sources.suns.shape[0]):
+        cosine = dot(hit.frame[2], (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2]))
+        room.cosines[sun] += max(cosine, 0.0)
     codes = _codes_after(surfaces, material, 0, MIRROR, 0, settings)
     _record_suns(scene, room, hit, lobes, codes, 1.0, path_key, 0)
     if lobes.refraction > 1.0:
@@ -485,7 +816,7 @@ def _follow(
             return
         beta *= weight
         least_alpha = max(least_alpha, BLURRED_ALPHA if kind == COAT else WIDENED_ALPHA)
-    if direction[2] > 0.0 and not occluded(geometry, room.stack, origin, direction, np.inf):
+    if direction[2] > 0.0 and not occluded(geometry, room.stack, room.entries, origin, direction, np.inf):
         record_sky(room.table, sources, code, beta, direction)
 
 
@@ -508,7 +839,7 @@ def _record_suns(
         if dot(hit.frame[2], centre) < FACING or not leaves(hit, centre):
             continue
         towards = _towards_sun(sources, sun, path_key, bounce)
-        if occluded(scene.geometry, room.stack, hit.point, towards, np.inf):
+        if occluded(scene.geometry, room.stack, room.entries, hit.point, towards, np.inf):
             continue
         light, mirrored = in_frame(hit.frame, centre), in_frame(hit.coat_frame, centre)
         base, coat, flakes, recycled = sun_weights(

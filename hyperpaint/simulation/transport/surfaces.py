@@ -22,7 +22,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-from .vectors import Vector, dot, unit
+from .hierarchy import Vector, dot, unit
 
 #: Minimum roughness of a coat: sampling would never meet the image of a point sun in a smoother coat.
 MIN_ALPHA = 5e-4
@@ -108,9 +108,9 @@ def surfaces_of(
             continue  # bare surfaces, and invalid ones that are refused later
         key = row[_INDEX], row[_ALPHA], row[_FLAKE_ALPHA] if flake_factor[number] >= 0 else 0.0
         if key not in tables:
-            tables[key] = row[_ENTERING:].copy()
+            tables[key] = row[None].copy()
             _fill_tables(*key, tables[key])
-        row[_ENTERING:] = tables[key]
+        row[_ENTERING:] = tables[key][0, _ENTERING:]
     no_factor = np.full_like(flake_factor, -1)
     through_factor, turned_factor = (
         no_factor if part is None else part for part in (through_factor, turned_factor)
@@ -229,14 +229,6 @@ def _table_value(numbers: Array, material: int, first_node: int, cosine: float) 
     return (1.0 - fraction) * numbers[material, first_node + node] + fraction * numbers[
         material, first_node + node + 1
     ]
-
-
-@borrowing_kernel
-def _row_value(row: Array, first_node: int, cosine: float) -> Any:
-    place = math.sqrt(cosine) * (_NODES - 1)
-    node = min(int(place), _NODES - 2)
-    fraction = place - node
-    return (1.0 - fraction) * row[first_node + node] + fraction * row[first_node + node + 1]
 
 
 @borrowing_kernel
@@ -395,7 +387,9 @@ def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int,
     direct = lobes.share * (1.0 - lobes.lost)
     twice = direct + lobes.share * (lobes.share - direct)
     if u < direct:
-        direction, weight = _scatter_by_flakes(numbers, lobes, u / direct, v)
+        direction, weight = _leave_flakes(lobes.outgoing, lobes.refraction, lobes.flake_alpha, u / direct, v)
+        if weight > 0.0:
+            weight *= _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
         kind, weight = FLAKES, weight * lobes.passed / (1.0 - lobes.lost)
     elif u < lobes.share:
         kind, begin, end = (TWICE, direct, twice) if u < twice else (RECYCLED, twice, lobes.share)
@@ -430,15 +424,6 @@ def _scatter_by_facets(view: Vector, alpha: float, index: Any, u: float, v: floa
 
 
 @borrowing_kernel
-def _scatter_by_flakes(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[Vector, float]:
-    # a direction, and G2 / G1 times the transmittance on leaving; 0 if the light does not leave the coat
-    direction, weight = _leave_flakes(lobes.outgoing, lobes.refraction, lobes.flake_alpha, u, v)
-    if weight > 0.0:
-        weight *= _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
-    return direction, weight
-
-
-@borrowing_kernel
 def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) -> tuple[Vector, float]:
     # a direction outside the coat, and G2 / G1; 0 beyond the critical angle
     inside, weight = _scatter_by_facets(_refracted(view, index), alpha, 0.0, u, v)
@@ -449,36 +434,35 @@ def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) 
 
 
 @borrowing_kernel
-def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> None:
+def _fill_tables(index: float, alpha: float, flake_alpha: float, numbers: Array) -> None:
     # Energy of single reflections by a coat, and by flakes under it (alpha 0: no flakes): sums over visible
-    # facets, sampled as by paths, then means over diffuse light. ``row``: columns of a material from
-    # `_ENTERING`.
-    single, lost = _SINGLE - _ENTERING, _LOST - _ENTERING
+    # facets, sampled as by paths, then means over diffuse light. ``numbers``: the row of a material.
     alpha, count = max(alpha, MIN_ALPHA), _DRAWS * _DRAWS
-    for node in range(_NODES):
-        cosine = max(node / (_NODES - 1.0), 1e-3) ** 2
-        view = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
-        total = 0.0
-        for i in range(count):
-            u, v = (i // _DRAWS + 0.5) / _DRAWS, (i % _DRAWS + 0.5) / _DRAWS
-            _, weight = _scatter_by_facets(view, alpha, index, u, v)
-            total += weight
-        row[single + node] = total / (count * fresnel(cosine, index))
-    for node in range(_NODES if flake_alpha > 0.0 else 0):
-        cosine = max(node / (_NODES - 1.0), 1e-3) ** 2
-        view = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
-        total = 0.0
-        for i in range(count):
-            u, v = (i // _DRAWS + 0.5) / _DRAWS, (i % _DRAWS + 0.5) / _DRAWS
-            direction, weight = _leave_flakes(view, index, max(flake_alpha, MIN_ALPHA), u, v)
-            if weight > 0.0:
-                total += weight * (1.0 - fresnel(direction[2], index) * _row_value(row, single, direction[2]))
-        row[lost + node] = max(0.0, 1.0 - total / count)
+    # the table of the coat, then with it that of the flakes
+    for number in range(2 if flake_alpha > 0.0 else 1):
+        first_node = _LOST if number else _SINGLE
+        for node in range(_NODES):
+            cosine = max(node / (_NODES - 1.0), 1e-3) ** 2
+            view = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
+            total = 0.0
+            for i in range(count):
+                u, v = (i // _DRAWS + 0.5) / _DRAWS, (i % _DRAWS + 0.5) / _DRAWS
+                if first_node == _SINGLE:
+                    _, weight = _scatter_by_facets(view, alpha, index, u, v)
+                    total += weight
+                else:
+                    direction, weight = _leave_flakes(view, index, max(flake_alpha, MIN_ALPHA), u, v)
+                    if weight > 0.0:
+                        total += weight * _transmitted(numbers, 0, direction[2], index)
+            reflected = total / (count * fresnel(cosine, index))
+            numbers[0, first_node + node] = (
+                reflected if first_node == _SINGLE else max(0.0, 1.0 - total / count)
+            )
     entering, returned, steps = 0.0, 0.0, 16 * _NODES
     for i in range(steps):
         root = (i + 0.5) / steps
         cosine = root * root
-        passed = 1.0 - fresnel(cosine, index) * _row_value(row, single, cosine)
+        passed = _transmitted(numbers, 0, cosine, index)
         entering += 4.0 * root * cosine / steps * passed  # 2 cos d(cos)
-        returned += 4.0 * root * cosine / steps * passed * _row_value(row, lost, cosine)
-    row[0], row[_RETURNED - _ENTERING] = entering, returned
+        returned += 4.0 * root * cosine / steps * passed * _table_value(numbers, 0, _LOST, cosine)
+    numbers[0, _ENTERING], numbers[0, _RETURNED] = entering, returned

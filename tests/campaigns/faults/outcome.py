@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import multiprocessing
 import signal
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
-__all__ = ["HEADER", "Outcome", "in_parallel", "total"]
+__all__ = [
+    "HEADER",
+    "Outcome",
+    "begin_peak",
+    "each",
+    "in_parallel",
+    "numbers_of",
+    "parts_of",
+    "resident",
+    "total",
+]
 
 _Part = TypeVar("_Part")
 
+#: In memory where that is a folder, so that hundreds of runs take minutes.
+SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
 MOST_SECONDS = 1.0
 MOST_BYTES = 256 * 2**20
 
@@ -86,3 +101,38 @@ def in_parallel(function: Callable[[_Part], list[Outcome]], parts: Sequence[_Par
             yield from made
         pool.close()
         pool.join()
+
+
+def numbers_of(full: int, scale: float, first: int = 0, step: int = 1) -> range:
+    """Return the numbers of faults: a fraction of the full count, at least one."""
+    return range(first, first + max(1, round(full * scale)), step)
+
+
+def parts_of(numbers: range, size: int) -> list[range]:
+    """Return numbers as parts that one process works on."""
+    return [numbers[start : start + size] for start in range(0, len(numbers), size)]
+
+
+def each(title: str, numbers: range, run: Callable[..., None], *arguments: Any) -> Iterator[Outcome]:
+    """Yield the outcome of each number: ``run`` takes it, an empty folder, the arguments, and the outcome."""
+    for number in numbers:
+        outcome = Outcome(title)
+        with tempfile.TemporaryDirectory(dir=SCRATCH) as folder:
+            run(number, Path(folder), *arguments, outcome)
+        yield outcome
+
+
+def resident(key: str) -> int:
+    """Return ``VmRSS`` or its peak ``VmHWM`` [byte]; 0 where the system does not tell."""
+    try:
+        text = Path("/proc/self/status").read_text()
+    except OSError:
+        return 0
+    return int(text.partition(f"{key}:")[2].split()[0]) * 1024
+
+
+def begin_peak() -> int:
+    """Let the peak of the resident memory begin anew; return the memory at its beginning."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+    return resident("VmRSS")

@@ -27,13 +27,19 @@ from hyperpaint.base.errors import (
 )
 
 from .mutation import mutated
-from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, in_parallel
-from .seed_files import sentences_mended
-from .whole_files import prepare, sixs_text
+from .outcome import (
+    MOST_BYTES,
+    MOST_SECONDS,
+    Outcome,
+    begin_peak,
+    in_parallel,
+    numbers_of,
+    parts_of,
+    resident,
+)
+from .seed_files import prepare, sentences_mended, sixs_text
 
-__all__ = [
-    "PARSERS", "Parser", "begin_peak", "campaign", "complaint", "placed", "prepare", "resident", "run_part",
-]  # fmt: skip
+__all__ = ["PARSERS", "Parser", "campaign", "complaint", "limits", "placed", "prepare", "reader", "run_part"]
 
 COUNT = 200_000
 SHARED_DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
@@ -58,13 +64,14 @@ class Parser:
         Files in the folder of `prepare`; the mutated one takes the place of a copy, beside its neighbours.
     real
         Files in the folder of real samples, used where that is present; at most `_MOST_SEED_BYTES` each.
+    mended
+        Makes every other damaged file right again in what a reader checks before it looks at anything else.
     """
 
     read: Callable[[Path], object]
     errors: tuple[type[PaintError], ...]
     seeds: tuple[str, ...]
     real: tuple[str, ...] = ()
-    #: Makes every other damaged file right again in what a reader checks before it looks at anything else.
     mended: Callable[[bytes], bytes] | None = None
 
     def damaged(self, seed: bytes, name: str, number: int) -> bytes:
@@ -79,262 +86,189 @@ class Parser:
         return [*(folder / name for name in self.seeds), *real]
 
 
-def _envi(path: Path) -> None:
-    from hyperpaint.io.envi.envi_cubes import open_envi
+def reader(
+    place: str, *calls: dict[str, Any], then: Callable[[Any, Path], object] | None = None
+) -> Callable[[Path], object]:
+    """Return a reader that is imported when it is first called.
 
-    opened = open_envi(path)
+    Parameters
+    ----------
+    place
+        Module below hyperpaint and name, with a colon between.
+    *calls
+        Keyword arguments of each call; one without any where there are none.
+    then
+        Takes what was read, and the path.
+    """
+    module, _, name = place.partition(":")
+
+    def read(path: Path) -> None:
+        function = getattr(importlib.import_module(f"hyperpaint.{module}"), name)
+        for options in calls or ({},):
+            made = function(path, **options)
+            if then is not None:
+                then(made, path)
+
+    return read
+
+
+def _ends(opened: Any, _: Path) -> None:
     for array in opened.data_vars.values():
         array.isel({array.dims[0]: [0, -1]}).load()
 
 
+def exposure(read: Any, path: Path) -> None:
+    from hyperpaint.io.flightline.headwall import exposure_seconds
+
+    exposure_seconds(read, path.name)
+
+
 def _asd(path: Path) -> None:
-    from hyperpaint.io.spectrometers.asd import open_asd
-
-    open_asd(path, None if path.suffix == ".asd" else "reflectance", utc_offset_h=0.0)
-
-
-def _asd_layout(path: Path) -> None:
-    from hyperpaint.io.spectrometers.asd_binary import read_asd
-
-    read_asd(path)
-
-
-def _asd_text(path: Path) -> None:
-    from hyperpaint.io.spectrometers.asd_text import read_asd_text
-
-    read_asd_text(path)
-
-
-def _svc(path: Path) -> None:
-    from hyperpaint.io.spectrometers.svc import open_svc
-
-    open_svc(path)
-    open_svc(path, overlap="trim", dayfirst=False, utc_offset_h=0.0)
-
-
-def _irradiance_csv(path: Path) -> None:
-    from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
-
-    read_irradiance_csv(path)
-
-
-def _irradiance(path: Path) -> None:
-    from hyperpaint.io.spectrometers.irradiance import open_irradiance
-
-    open_irradiance(path, utc_offset_h=0.0, fwhm_nm=3.0, max_gap_s=5.0, units="W m-2 nm-1")
-
-
-def _uvspec(path: Path) -> None:
-    from hyperpaint.io.skies.sky_table import read_uvspec
-
-    read_uvspec(path, sun_zenith=60.0, units="mW m-2 nm-1", directions=5)
-
-
-def _tape7(path: Path) -> None:
-    from hyperpaint.io.skies.sky_table import read_tape7
-
-    read_tape7(path, sun_zenith=60.0, ground=0.3)
+    quantity = None if path.suffix == ".asd" else "reflectance"
+    reader("io.spectrometers.asd:open_asd", {"quantity": quantity, "utc_offset_h": 0.0})(path)
 
 
 def _sixs(path: Path) -> None:
-    from hyperpaint.io.skies.sky_table import read_sixs
+    from hyperpaint.io.skies import read_sixs
 
     other = path.with_name("other.txt")
     other.write_text(sixs_text(0.65))
     read_sixs([path, other], sun_zenith=60.0)
 
 
-def _sky_csv(path: Path) -> None:
-    from hyperpaint.io.skies.sky_table import read_sky_csv
-
-    read_sky_csv(path)
-
-
-def _frame_index(path: Path) -> None:
-    from hyperpaint.io.flightline.headwall import read_frame_index
-
-    read_frame_index(path)
-
-
-def _navigation(path: Path) -> None:
-    from hyperpaint.io.navigation.navigation_records import read_imu_gps
-
-    read_imu_gps(path)
-
-
-def _sbet(path: Path) -> None:
-    from hyperpaint.io.navigation.navigation_opening import open_navigation
-
-    open_navigation(path, format="sbet", week=2158)
-
-
-def _lcf(path: Path) -> None:
-    from hyperpaint.io.navigation.navigation_opening import open_navigation
-
-    open_navigation(path, format="lcf", week=2149, leap_seconds=18)
-
-
-def _eph_att(path: Path) -> None:
-    from hyperpaint.io.navigation.navigation_opening import open_navigation
-
-    open_navigation(path, format="eph_att", week=1941, leap_seconds=18)
-
-
-def _navigation_csv(path: Path) -> None:
-    from hyperpaint.io.navigation.navigation_opening import open_navigation
-
-    open_navigation(path, format="csv", leap_seconds=18)
-
-
-def _settings(path: Path) -> None:
-    from hyperpaint.io.flightline.headwall import exposure_seconds, read_settings
-
-    exposure_seconds(read_settings(path), path.name)
-
-
-def _gps_time(path: Path) -> None:
-    from hyperpaint.io.navigation.navigation_records import read_gps_time
-
-    read_gps_time(path)
-
-
-def _collect(path: Path) -> None:
-    from hyperpaint.io.collect.collect_toml import read_collect
-
-    read_collect(path)
-
-
-def _emissivity(path: Path) -> None:
-    from hyperpaint.io.dirsig import open_emissivity
-
-    open_emissivity(path)
-
-
-def _materials(path: Path) -> None:
-    from hyperpaint.io.dirsig import read_materials
-
-    read_materials(path)
-
-
 def _library(path: Path) -> None:
-    from hyperpaint.io.library import open_library
-
-    data = path.with_suffix("") if path.suffix == ".json" else path
     # a spectrum of the USGS has its wavelengths in another file
-    usgs = path.name.startswith("splib")
-    open_library(data, wavelength=[350.0 + band for band in range(2151)] if usgs else None)
-
-
-def _reader(module: str, name: str, **options: Any) -> Callable[[Path], object]:
-    """Return a reader that is imported when it is first called."""
-
-    def read(path: Path) -> object:
-        return getattr(importlib.import_module(f"hyperpaint.{module}"), name)(path, **options)
-
-    return read
-
-
-def _nmea(path: Path) -> None:
-    from hyperpaint.io.navigation.navigation_opening import open_navigation
-
-    open_navigation(path, format="nmea", date="2024-06-01")
+    wavelength = [350.0 + band for band in range(2151)] if path.name.startswith("splib") else None
+    data = path.with_suffix("") if path.suffix == ".json" else path
+    reader("io.library:open_library", {"wavelength": wavelength})(data)
 
 
 def _mesh(path: Path) -> None:
     from hyperpaint.simulation.rendering.materials import Material
-    from hyperpaint.simulation.rendering.mesh_files import read_mesh
 
-    read_mesh(path, default=Material("grey", "panel_20", "panel"))
+    grey = Material("grey", "panel_20", "panel")
+    reader("simulation.rendering.mesh_files:read_mesh", {"default": grey})(path)
 
 
-_BINARY = ("asd_binary/*.asd",)
-_TEXT = ("asd_ascii/*", "asd_binary/*.txt")
+def _navigation(**options: Any) -> Callable[[Path], object]:
+    return reader("io.navigation.navigation_opening:open_navigation", options)
 
+
+_BINARY, _TEXT = ("asd_binary/*.asd",), ("asd_ascii/*", "asd_binary/*.txt")
+SKY = {"utc_offset_h": 0.0, "fwhm_nm": 3.0, "max_gap_s": 5.0, "units": "W m-2 nm-1"}
+_FORMAT, _TIME = (FormatError,), (FormatError, TimeError)
+_SCHEMA = (FormatError, SchemaError)
+_SPECTRA, _SKIES, _LINES = "io.spectrometers", "io.skies", "io.flightline.headwall"
+
+#: By name: the reader, its errors, seeds, real files.
 PARSERS: Mapping[str, Parser] = {
-    "envi": Parser(
-        _envi,
-        (FormatError,),
-        ("flight/raw_0.hdr", "dark/raw_0.hdr"),
-        ("envi_cube/test_image.hdr", "envi_cube/ang*.hdr", "envi_cube/prm*.hdr", "envi_cube/corn*.hdr"),
-    ),
-    "asd": Parser(_asd_layout, (FormatError,), ("asd/sky00000.asd",), _BINARY),
-    "asd-text": Parser(_asd_text, (FormatError,), ("sky.txt",), _TEXT),
-    "asd-open": Parser(_asd, (FormatError, TimeError), ("asd/sky00000.asd", "sky.txt"), (*_BINARY, *_TEXT)),
-    "svc": Parser(_svc, (FormatError,), ("svc/red.sig",), ("svc_sig/*.sig",)),
-    "irradiance-csv": Parser(_irradiance_csv, (FormatError,), ("sky.csv", "zone.csv")),
-    "irradiance-open": Parser(
-        _irradiance, (FormatError, TimeError, UnitsError), ("sky.csv", "zone.csv", "asd/sky00001.asd")
-    ),
-    "frame-index": Parser(
-        _frame_index,
-        (FormatError, TimeError),
-        ("flight/frameIndex_0.txt", "frameIndex_time.txt", "frameIndex_seconds.txt"),
-    ),
-    "imu-gps": Parser(
-        _navigation, (FormatError,), ("flight/imu_gps.txt", "imu_gps_month.txt", "imu_gps_time.txt")
-    ),
-    "sbet": Parser(_sbet, (FormatError, TimeError), ("flight.sbet",), ("nav/2-points.sbet",)),
-    "lcf": Parser(_lcf, (FormatError, TimeError), ("flight.lcf",)),
-    "eph-att": Parser(_eph_att, (FormatError, TimeError), ("ang20170323t202244_eph_att.hdr",)),
-    "nav-csv": Parser(_navigation_csv, (FormatError, TimeError), ("flight.csv", "flight_gps.csv")),
-    "settings": Parser(_settings, (FormatError,), ("flight/settings.txt", "settings_comments.txt")),
-    "gps-time": Parser(_gps_time, (FormatError, TimeError), ("gps_time.txt",)),
-    "collect-toml": Parser(_collect, (CollectError,), ("collect.toml",)),
-    "uvspec": Parser(_uvspec, (FormatError, SchemaError), ("uvspec.out",)),
-    "tape7": Parser(_tape7, (FormatError, SchemaError), ("tape7",)),
-    "sixs": Parser(_sixs, (FormatError, SchemaError), ("sixs.txt",)),
-    "sky-csv": Parser(_sky_csv, (FormatError, SchemaError, UnitsError), ("radiances.csv",)),
-    "nmea": Parser(
-        _nmea, (FormatError, TimeError), ("flight.nmea",), ("gps_imu/*.log",), mended=sentences_mended
-    ),
-    "control-points": Parser(_reader("io", "read_control_points"), (FormatError,), ("points.csv",)),
-    "radcal": Parser(
-        _reader("io", "read_radcal"), (FormatError,), ("radcal.txt",), ("lab_calibration/CP_*RADCAL*.TXT",)
-    ),
-    "certificate": Parser(
-        _reader("io", "read_certificate"),
-        (FormatError,),
-        ("panel.csv", "zenith.txt"),
-        ("lab_calibration/*certificate.csv", "spectra_ascii/R90.txt"),
-    ),
-    "light-table": Parser(
-        _reader("simulation.rendering.measured_light", "read_table"),
-        (FormatError, SchemaError),
-        ("light.csv",),
-    ),
-    "mesh-obj": Parser(_mesh, (FormatError, SchemaError), ("box.obj",)),
-    "mesh-ply": Parser(_mesh, (FormatError, SchemaError), ("box.ply",)),
-    "mesh-glb": Parser(_mesh, (FormatError, SchemaError), ("box.glb",)),
-    "regions": Parser(_reader("regions", "read_regions"), (FormatError,), ("regions.geojson",)),
-    "pairs": Parser(
-        _reader("io.spectrometers.reference_files", "read_pairs"), (FormatError,), ("pairs.csv",)
-    ),
-    "geotiff": Parser(
-        _reader("io.maps.geotiff", "read_geotiff_header"), (FormatError,), ("heights.tif", "tiled.tif")
-    ),
-    "heights": Parser(
-        _reader("io.maps.rasters", "read_heights"),
-        (FormatError,),
-        ("heights.tif", "tiled.tif", "heights.asc"),
-    ),
-    "scene-toml": Parser(
-        _reader("workflows.scene_files", "read_scene_file"), (FormatError,), ("scene.toml",)
-    ),
-    "dirsig-ems": Parser(_emissivity, (FormatError,), ("paint.ems",), ("dirsig/emissivity/*.ems",)),
-    "dirsig-mat": Parser(_materials, (FormatError,), ("paints.mat",), ("dirsig/*.mat",)),
-    "library-envi": Parser(_library, (FormatError,), ("library/paints.hdr",), ("envi_sli/*.hdr",)),
-    "library-metadata": Parser(
-        _library, (FormatError,), ("library/paints.sli.json", "library/paints.csv.json")
-    ),
-    "library-csv": Parser(_library, (FormatError,), ("library/paints.csv",)),
-    "library-text": Parser(
-        _library,
-        (FormatError,),
-        ("library/text/red.spectrum.txt", "table.csv"),
-        tuple(
-            f"spectra_ascii/{name}" for name in ("*.spectrum.txt", "PVC_*.txt", "R90.txt", "splib07a_*.txt")
+    name: Parser(*row)
+    for name, row in {
+        "envi": (
+            reader("io.envi.envi_cubes:open_envi", then=_ends),
+            _FORMAT,
+            ("flight/raw_0.hdr", "dark/raw_0.hdr"),
+            ("envi_cube/test_image.hdr", "envi_cube/ang*.hdr", "envi_cube/prm*.hdr", "envi_cube/corn*.hdr"),
         ),
-    ),
+        "asd": (reader(f"{_SPECTRA}.asd:read_asd"), _FORMAT, ("asd/sky00000.asd",), _BINARY),
+        "asd-text": (reader(f"{_SPECTRA}.asd:read_asd_text"), _FORMAT, ("sky.txt",), _TEXT),
+        "asd-open": (_asd, _TIME, ("asd/sky00000.asd", "sky.txt"), (*_BINARY, *_TEXT)),
+        "svc": (
+            reader(
+                f"{_SPECTRA}.svc:open_svc", {}, {"overlap": "trim", "dayfirst": False, "utc_offset_h": 0.0}
+            ),
+            _FORMAT,
+            ("svc/red.sig",),
+            ("svc_sig/*.sig",),
+        ),
+        "irradiance-csv": (
+            reader(f"{_SPECTRA}.irradiance:read_irradiance_csv"),
+            _FORMAT,
+            ("sky.csv", "zone.csv"),
+        ),
+        "irradiance-open": (
+            reader(f"{_SPECTRA}.irradiance:open_irradiance", SKY),
+            (FormatError, TimeError, UnitsError),
+            ("sky.csv", "zone.csv", "asd/sky00001.asd"),
+        ),
+        "frame-index": (
+            reader(f"{_LINES}:read_frame_index"),
+            _TIME,
+            ("flight/frameIndex_0.txt", "frameIndex_time.txt", "frameIndex_seconds.txt"),
+        ),
+        "imu-gps": (
+            reader("io.navigation.navigation_records:read_imu_gps"),
+            _FORMAT,
+            ("flight/imu_gps.txt", "imu_gps_month.txt", "imu_gps_time.txt"),
+        ),
+        "sbet": (_navigation(format="sbet", week=2158), _TIME, ("flight.sbet",), ("nav/2-points.sbet",)),
+        "lcf": (_navigation(format="lcf", week=2149, leap_seconds=18), _TIME, ("flight.lcf",)),
+        "eph-att": (
+            _navigation(format="eph_att", week=1941, leap_seconds=18),
+            _TIME,
+            ("ang20170323t202244_eph_att.hdr",),
+        ),
+        "nav-csv": (_navigation(format="csv", leap_seconds=18), _TIME, ("flight.csv", "flight_gps.csv")),
+        "settings": (
+            reader(f"{_LINES}:read_settings", then=exposure),
+            _FORMAT,
+            ("flight/settings.txt", "settings_comments.txt"),
+        ),
+        "gps-time": (reader("io.navigation.navigation_records:read_gps_time"), _TIME, ("gps_time.txt",)),
+        "collect-toml": (reader("io.collect.collect_toml:read_collect"), (CollectError,), ("collect.toml",)),
+        "uvspec": (
+            reader(f"{_SKIES}:read_uvspec", {"sun_zenith": 60.0, "units": "mW m-2 nm-1", "directions": 5}),
+            _SCHEMA,
+            ("uvspec.out",),
+        ),
+        "tape7": (reader(f"{_SKIES}:read_tape7", {"sun_zenith": 60.0, "ground": 0.3}), _SCHEMA, ("tape7",)),
+        "sixs": (_sixs, _SCHEMA, ("sixs.txt",)),
+        "sky-csv": (reader(f"{_SKIES}:read_sky_csv"), (*_SCHEMA, UnitsError), ("radiances.csv",)),
+        "nmea": (
+            _navigation(format="nmea", date="2024-06-01"),
+            _TIME,
+            ("flight.nmea",),
+            ("gps_imu/*.log",),
+            sentences_mended,
+        ),
+        "control-points": (reader("io:read_control_points"), _FORMAT, ("points.csv",)),
+        "radcal": (reader("io:read_radcal"), _FORMAT, ("radcal.txt",), ("lab_calibration/CP_*RADCAL*.TXT",)),
+        "certificate": (
+            reader("io:read_certificate"),
+            _FORMAT,
+            ("panel.csv", "zenith.txt"),
+            ("lab_calibration/*certificate.csv", "spectra_ascii/R90.txt"),
+        ),
+        "light-table": (reader("simulation.rendering.four_curves:read_table"), _SCHEMA, ("light.csv",)),
+        "mesh-obj": (_mesh, _SCHEMA, ("box.obj",)),
+        "mesh-ply": (_mesh, _SCHEMA, ("box.ply",)),
+        "mesh-glb": (_mesh, _SCHEMA, ("box.glb",)),
+        "regions": (reader("regions:read_regions"), _FORMAT, ("regions.geojson",)),
+        "pairs": (reader(f"{_SPECTRA}.reference_files:read_pairs"), _FORMAT, ("pairs.csv",)),
+        "geotiff": (reader("io.maps.geotiff:read_geotiff_header"), _FORMAT, ("heights.tif", "tiled.tif")),
+        "heights": (
+            reader("io.maps.rasters:read_heights"),
+            _FORMAT,
+            ("heights.tif", "tiled.tif", "heights.asc"),
+        ),
+        "scene-toml": (reader("workflows.scene_files:read_scene_file"), _FORMAT, ("scene.toml",)),
+        "dirsig-ems": (
+            reader("io.dirsig:open_emissivity"),
+            _FORMAT,
+            ("paint.ems",),
+            ("dirsig/emissivity/*.ems",),
+        ),
+        "dirsig-mat": (reader("io.dirsig:read_materials"), _FORMAT, ("paints.mat",), ("dirsig/*.mat",)),
+        "library-envi": (_library, _FORMAT, ("library/paints.hdr",), ("envi_sli/*.hdr",)),
+        "library-metadata": (_library, _FORMAT, ("library/paints.sli.json", "library/paints.csv.json")),
+        "library-csv": (_library, _FORMAT, ("library/paints.csv",)),
+        "library-text": (
+            _library,
+            _FORMAT,
+            ("library/text/red.spectrum.txt", "table.csv"),
+            tuple(f"spectra_ascii/{n}" for n in ("*.spectrum.txt", "PVC_*.txt", "R90.txt", "splib07a_*.txt")),
+        ),
+    }.items()
 }
 
 
@@ -365,17 +299,8 @@ class _Hangs(BaseException):
     """A parser ran for so long that it was stopped."""
 
 
-def resident(key: str) -> int:
-    """Return ``VmRSS`` or its peak ``VmHWM`` [byte]; 0 where the system does not tell."""
-    try:
-        text = Path("/proc/self/status").read_text()
-    except OSError:
-        return 0
-    return int(text.partition(f"{key}:")[2].split()[0]) * 1024
-
-
 @contextlib.contextmanager
-def _limits() -> Iterator[None]:
+def limits() -> Iterator[None]:
     """Let memory grow by little more than is allowed, and stop what hangs."""
 
     def stop(*_: Any) -> None:
@@ -406,13 +331,6 @@ def _measured(read: Callable[[Path], object], path: Path) -> tuple[BaseException
     return raised, seconds
 
 
-def begin_peak() -> int:
-    """Let the peak of the resident memory begin anew; return the memory at its beginning."""
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
-    return resident("VmRSS")
-
-
 def _complaint(parser: Parser, raised: BaseException | None, seconds: float, memory: int = 0) -> str:
     """Return what is wrong with how a parser took an input; empty where nothing is."""
     if raised is not None and not (type(raised) in parser.errors and str(raised)):
@@ -434,7 +352,7 @@ def run_part(name: str, folder: Path, numbers: range) -> Outcome:
     parser = PARSERS[name]
     made = Outcome(f"parser {name}", seconds=0.0, memory=0)
     memory_disk = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-    with tempfile.TemporaryDirectory(dir=memory_disk) as own, warnings.catch_warnings(), _limits():
+    with tempfile.TemporaryDirectory(dir=memory_disk) as own, warnings.catch_warnings(), limits():
         # a warning of numpy's would mean values that nobody meant
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", PaintWarning)
@@ -469,15 +387,10 @@ def _run(part: tuple[str, Path, range]) -> list[Outcome]:
     return [run_part(*part)]
 
 
-def campaign(scale: float = 1.0, *, first: int = 0, names: tuple[str, ...] = ()) -> Iterator[Outcome]:
+def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     """Yield the outcome of every part; ``first`` resumes, or continues an earlier campaign."""
-    count = max(1, round(COUNT * scale))
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        prepare(folder)
-        parts = [
-            (name, folder, range(start, min(start + _PART, first + count)))
-            for name in (names or PARSERS)
-            for start in range(first, first + count, _PART)
-        ]
+    numbers = numbers_of(COUNT, scale, first)
+    with tempfile.TemporaryDirectory() as folder:
+        prepare(Path(folder))
+        parts = [(name, Path(folder), part) for name in PARSERS for part in parts_of(numbers, _PART)]
         yield from in_parallel(_run, parts)

@@ -7,8 +7,7 @@ import random
 import shutil
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import xarray as xr
@@ -17,7 +16,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store.manifest import OWN_ATTRS
 
-from .outcome import Outcome, in_parallel
+from .outcome import Outcome, in_parallel, numbers_of, parts_of
 
 __all__ = ["COUNTS", "build", "campaign", "run_part"]
 
@@ -39,18 +38,8 @@ GROUP = "flightlines/raw_0"
 _PART = 50
 
 
-@dataclass(frozen=True)
-class _Fault:
-    """New content of some files; None where a file is deleted."""
-
-    files: Mapping[Path, bytes | None]
-
-    @property
-    def in_chunks(self) -> bool:
-        return all("c" in path.parts for path in self.files)
-
-    def __str__(self) -> str:
-        return ", ".join(map(str, self.files))
+#: New content of some files; None where a file is deleted.
+Damage = Mapping[Path, bytes | None]
 
 
 def build(folder: Path) -> None:
@@ -68,36 +57,42 @@ def _files(store: Path) -> dict[Path, bytes]:
     return {path.relative_to(store): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()}
 
 
+def _burst(data: bytearray, place: int, rng: random.Random) -> None:
+    length = rng.randrange(2, 513)
+    data[place : place + length] = rng.randbytes(len(data[place : place + length]))
+
+
+def _flip(data: bytearray, place: int, rng: random.Random) -> None:
+    data[place] ^= 1 << rng.randrange(8)
+
+
+#: Damages of one file at a place.
+_IN_PLACE: Mapping[str, Callable[[bytearray, int, random.Random], None]] = {
+    "bit flip": _flip,
+    "burst": _burst,
+    "truncation": lambda data, place, _: data.__delitem__(slice(place, None)),
+}
+
+
 def _make(
     kind: str, files: Mapping[Path, bytes], older: Mapping[Path, bytes], rng: random.Random
-) -> _Fault | None:
+) -> Damage | None:
     """Return a fault of a kind, or None where this draw would change nothing."""
     # every array and document is as likely as any other: chosen by folder first
     folder = rng.choice(sorted({path.parent for path in files}))
     path = rng.choice([path for path in files if path.parent == folder])
-    data = bytearray(files[path])
-    if kind == "deletion":
-        return _Fault({path: None})
-    if kind == "zero length":
-        return _Fault({path: b""})
+    if kind in ("deletion", "zero length"):
+        return {path: None if kind == "deletion" else b""}
     if kind == "swapped":
         other = rng.choice([p for p in files if p.name == "zarr.json" or "c" in p.parts])
-        if files[other] == files[path]:
-            return None
-        return _Fault({path: files[other], other: files[path]})
+        return None if files[other] == files[path] else {path: files[other], other: files[path]}
     if kind == "stale":
-        if "c" not in path.parts or older.get(path, files[path]) == files[path]:
-            return None
-        return _Fault({path: older[path]})
-    place = rng.randrange(len(data))
-    if kind == "bit flip":
-        data[place] ^= 1 << rng.randrange(8)
-    elif kind == "burst":
-        length = rng.randrange(2, 513)
-        data[place : place + length] = rng.randbytes(len(data[place : place + length]))
-    else:
-        del data[place:]
-    return None if _means_the_same(bytes(data), files[path]) else _Fault({path: bytes(data)})
+        return (
+            {path: older[path]} if "c" in path.parts and older.get(path, files[path]) != files[path] else None
+        )
+    data = bytearray(files[path])
+    _IN_PLACE[kind](data, rng.randrange(len(data)), rng)
+    return None if _means_the_same(bytes(data), files[path]) else {path: bytes(data)}
 
 
 def _means_the_same(damaged: bytes, whole: bytes) -> bool:
@@ -157,27 +152,28 @@ def run_part(folder: Path, kind: str, numbers: range) -> list[Outcome]:
             rng = random.Random(f"{kind}:{number}")
             while (fault := _make(kind, files, older, rng)) is None:
                 pass
-            for path, data in fault.files.items():
+            for path, data in fault.items():
                 (store / path).unlink() if data is None else (store / path).write_bytes(data)
+            in_chunks, where = all("c" in path.parts for path in fault), ", ".join(map(str, fault))
             verified.count += 1
             if (said := _verify(store)) != "found":
-                verified.wrong.append(f"{kind} {number} in {fault}: {said}")
+                verified.wrong.append(f"{kind} {number} in {where}: {said}")
             ours.count += 1
             said = _opened(store, whole)
-            if said == "missed" and kind in _VERIFY_ONLY and fault.in_chunks:
+            if said == "missed" and kind in _VERIFY_ONLY and in_chunks:
                 ours.notes["verify only"] += 1
             elif said == "missed":
-                ours.wrong.append(f"{kind} {number} in {fault}: {said}")
+                ours.wrong.append(f"{kind} {number} in {where}: {said}")
             elif said == "same":  # what was damaged is not of what is read, as the list in the root
                 ours.notes["read as written"] += 1
             said = _plain(store, whole) if kind in _PLAIN else ""
-            if said and fault.in_chunks:
+            if said and in_chunks:
                 plain.count += 1
                 if said != "error":
-                    plain.wrong.append(f"{kind} {number} in {fault}: {said}")
+                    plain.wrong.append(f"{kind} {number} in {where}: {said}")
             elif said == "missed":  # no checksum of Zarr's covers metadata: that is what verify is for
                 plain.notes["in metadata missed"] += 1
-            for path in fault.files:
+            for path in fault:
                 (store / path).write_bytes(files[path])
         if not hp.verify(store).ok:  # the next fault would be found for the sake of this one
             msg = f"{kind} {numbers}: the store was not whole again"
@@ -192,12 +188,12 @@ def _run(part: tuple[Path, str, range]) -> list[Outcome]:
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     """Yield the outcomes of every part."""
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        build(folder)
-        parts = []
-        for kind, full in COUNTS.items():
-            last = first + max(1, round(full * scale))
-            parts += [
-                (folder, kind, range(start, min(start + _PART, last))) for start in range(first, last, _PART)
-            ]
-        yield from in_parallel(_run, parts)
+        build(Path(scratch))
+        yield from in_parallel(
+            _run,
+            [
+                (Path(scratch), kind, part)
+                for kind, full in COUNTS.items()
+                for part in parts_of(numbers_of(full, scale, first), _PART)
+            ],
+        )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import random
 import shutil
-import struct
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -18,7 +17,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
 from hyperpaint.base.schema import Quality
 
-from .outcome import Outcome, in_parallel
+from .outcome import Outcome, in_parallel, numbers_of, parts_of
 
 __all__ = ["FAULTS", "campaign", "run_part"]
 
@@ -56,8 +55,7 @@ def _spectra(folder: Path) -> list[Path]:
 def _replace(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     if old not in text:
-        msg = f"{path.name} holds no {old!r}; the simulator writes something else now"
-        raise ValueError(msg)
+        raise ValueError(f"{path.name} holds no {old!r}; the simulator writes something else now")
     path.write_text(text.replace(old, new))
 
 
@@ -79,17 +77,10 @@ def _redate(folder: Path, change: Callable[[float], float]) -> None:
     _rows(folder / "flight/imu_gps.txt", rows_of)
 
 
-def _reversed(folder: Path, rng: random.Random) -> None:
-    name = rng.choice(("flight/frameIndex_0.txt", "flight/imu_gps.txt"))
-    _rows(folder / name, lambda rows: rows[::-1])
-
-
 def _duplicate_sky(folder: Path, rng: random.Random) -> None:
     chosen, other = rng.sample(_spectra(folder), 2)
-    data = bytearray(other.read_bytes())
-    stamp = chosen.read_bytes()
-    data[160:178] = stamp[160:178]  # the time of another spectrum
-    other.write_bytes(bytes(data))
+    data = other.read_bytes()
+    other.write_bytes(data[:160] + chosen.read_bytes()[160:178] + data[178:])  # the time of another spectrum
 
 
 def _duplicate_frame(folder: Path, rng: random.Random) -> None:
@@ -109,19 +100,12 @@ def _gap(folder: Path, rng: random.Random) -> None:
 
 def _spoil(path: Path, change: Callable[[Any], None], flag: int = 0) -> None:
     """Change the spectrum of a binary file, and set bits of its saturation flags."""
-    from hyperpaint.io.spectrometers.asd_binary import read_asd
+    from hyperpaint.io.spectrometers.asd import read_asd
 
     data, count = bytearray(path.read_bytes()), len(read_asd(path).spectrum)
-    (code,) = struct.unpack_from("<b", data, 199)
-    kind = {0: "<f4", 2: "<f8"}[code]
-    values = np.frombuffer(data, kind, count, 484)
-    change(values)
+    change(np.frombuffer(data, {0: "<f4", 2: "<f8"}[data[199]], count, 484))
     data[422] |= flag
     path.write_bytes(bytes(data))
-
-
-def _nan(folder: Path, rng: random.Random) -> None:
-    _spoil(rng.choice(_spectra(folder)), lambda values: values.fill(np.nan))
 
 
 def _saturated(folder: Path, rng: random.Random) -> None:
@@ -129,28 +113,19 @@ def _saturated(folder: Path, rng: random.Random) -> None:
     _spoil(rng.choice(_spectra(folder)), lambda v: np.minimum(v, level * v.max(), out=v), flag=1)
 
 
+def _shift(folder: Path, seconds: float) -> None:
+    _redate(folder, lambda since: since + seconds)
+
+
 def _offset(folder: Path, rng: random.Random) -> None:
     seconds = rng.choice((-1, 1)) * rng.uniform(0.5, 5.0)
-    if rng.random() < 0.5:
-        _later_sky(folder, seconds)
-    else:
-        _redate(folder, lambda since: since + seconds)
+    rng.choice((_later_sky, _shift))(folder, seconds)
 
 
 def _known_offset(folder: Path, rng: random.Random) -> None:
     """Shift the sky by less than what is declared of its clock."""
     _later_sky(folder, rng.choice((-1, 1)) * rng.uniform(0.2, 2.0))
     _replace(folder / "collect.toml", "[irradiance]\n", "[irradiance]\nclock_uncertainty_s = 2.0\n")
-
-
-def _leap_seconds(folder: Path, rng: random.Random) -> None:
-    """Take GPS time for UTC, or correct what was UTC already."""
-    seconds = rng.choice((-18.0, 18.0))
-    _redate(folder, lambda since: since + seconds)
-
-
-def _tai(folder: Path, rng: random.Random) -> None:
-    _later_sky(folder, rng.choice((-37.0, 37.0)))
 
 
 def _drift(folder: Path, rng: random.Random) -> None:
@@ -203,20 +178,25 @@ def _hours(folder: Path, rng: random.Random) -> None:
     if rng.random() < 0.5:
         _replace(folder / "collect.toml", "utc_offset_h = -5.0", f"utc_offset_h = {-5.0 + hours}")
     else:
-        _redate(folder, lambda since: since + 3600.0 * hours)
+        _shift(folder, 3600.0 * hours)
 
 
 FAULTS: dict[str, _Change] = {
-    "reversed": _reversed,
+    "reversed": lambda folder, rng: _rows(
+        folder / rng.choice(("flight/frameIndex_0.txt", "flight/imu_gps.txt")), lambda rows: rows[::-1]
+    ),
     "duplicate spectrum": _duplicate_sky,
     "duplicate frame": _duplicate_frame,
     "gap": _gap,
-    "NaN spectrum": _nan,
+    "NaN spectrum": lambda folder, rng: _spoil(
+        rng.choice(_spectra(folder)), lambda values: values.fill(np.nan)
+    ),
     "saturated spectrum": _saturated,
     "offset 0.5-5 s": _offset,
     "offset in known 2 s": _known_offset,
-    "offset 18 s": _leap_seconds,
-    "offset 37 s": _tai,
+    # GPS time that is taken for UTC, or corrected twice; TAI
+    "offset 18 s": lambda folder, rng: _shift(folder, rng.choice((-18.0, 18.0))),
+    "offset 37 s": lambda folder, rng: _later_sky(folder, rng.choice((-37.0, 37.0))),
     "whole hours": _hours,
     "drift": _drift,
     "no date": _no_date,
@@ -365,8 +345,11 @@ def _run(part: tuple[bool, range]) -> list[Outcome]:
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     """Yield the outcomes of every part."""
-    parts = []
-    for clean, full in ((False, FAULTY), (True, CLEAN)):
-        last = first + max(1, round(full * scale))
-        parts += [(clean, range(start, min(start + _PART, last))) for start in range(first, last, _PART)]
-    yield from in_parallel(_run, parts)
+    yield from in_parallel(
+        _run,
+        [
+            (clean, part)
+            for clean, full in ((False, FAULTY), (True, CLEAN))
+            for part in parts_of(numbers_of(full, scale, first), _PART)
+        ],
+    )

@@ -13,9 +13,8 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import CollectError
-from hyperpaint.io.collect.collect_opening import open_collect
-from hyperpaint.io.collect.collect_toml import read_collect
-from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.collect.collect_toml import open_collect, read_collect
+from hyperpaint.io.envi.envi_cubes import EnviArray
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.simulation.collect import simulate_collect
 
@@ -156,7 +155,7 @@ def test_no_cube_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch, no_compu
 
 
 def test_navigation_shared_by_the_cubes_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hyperpaint.io.collect import collect_opening as collect
+    from hyperpaint.io.collect import collect_toml as collect
 
     read: list[Path] = []
     original = collect.read_imu_gps

@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.io.collect.collect_opening import join_lines
+from hyperpaint.io.collect.collect_toml import join_lines
 
 CAMERA = {"scene": "plan", "lines": 60, "bands": 8, "columns": 6, "seed": 4, "truth": False}
 

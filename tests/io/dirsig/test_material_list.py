@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.dirsig import Section, materials_text, read_materials
-from hyperpaint.io.dirsig.material_list import material_ids, material_names, plain_name
+from hyperpaint.io.dirsig.dirsig_files import material_ids, material_names, plain_name
 
 ENTRY = """MATERIAL_ENTRY {
     ID = a
@@ -85,16 +85,14 @@ def test_what_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
     assert said in str(caught.value)
 
 
-def test_ids_are_there_once(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="id-duplicate"):
-        read_materials(written(tmp_path, ENTRY + ENTRY))
-    with pytest.raises(FormatError, match="section-missing"):
-        read_materials(written(tmp_path, "\n"))
-
-
-def test_a_list_of_too_many_lines_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="400001 lines"):
-        read_materials(written(tmp_path, "\n" * 400_001))
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [(ENTRY + ENTRY, "id-duplicate"), ("\n", "section-missing"), ("\n" * 400_001, "400001 lines")],
+    ids=["twice", "empty", "long"],
+)
+def test_ids_and_lines_are_counted(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=message):
+        read_materials(written(tmp_path, text))
 
 
 _KEYS = st.from_regex(r"[A-Z][A-Z0-9_]{0,12}", fullmatch=True).filter(lambda key: not key.endswith("_NAME"))
@@ -112,8 +110,7 @@ def test_write_read_write_is_stable(outer: dict[str, str], inner: dict[str, str]
     text = materials_text([entry])
     with tempfile.TemporaryDirectory() as folder:
         read = read_materials(written(Path(folder), text))
-    assert read[0].entry == entry
-    assert materials_text([read[0].entry]) == text
+    assert (read[0].entry, materials_text([read[0].entry])) == (entry, text)
 
 
 # --- names -------------------------------------------------------------------------------------------------
@@ -137,8 +134,7 @@ def test_write_read_write_is_stable(outer: dict[str, str], inner: dict[str, str]
     ],
 )
 def test_names_become_plain(name: str, plain: str, token: str) -> None:
-    assert material_names([name]) == [plain]
-    assert material_ids([name]) == [token]
+    assert (material_names([name]), material_ids([name])) == ([plain], [token])
 
 
 @settings(max_examples=60)
@@ -155,5 +151,4 @@ def test_no_two_names_or_tokens_are_alike(names: list[str], taken: list[str]) ->
 
 
 def test_a_thousand_names_alike_take_no_long_time() -> None:
-    assert material_ids(["red"] * 5000)[-1] == "red_5000"
-    assert plain_name("a  b") == "a b"
+    assert (material_ids(["red"] * 5000)[-1], plain_name("a  b")) == ("red_5000", "a b")

@@ -66,20 +66,16 @@ def test_every_field_of_a_full_header() -> None:
     assert header.dtype == np.dtype("<u2")
     assert header.interleave == "bil"
     assert header.description == "[HEADWALL Hyperspec III],RADIANCE"
-    assert header.wavelength is not None
-    assert header.wavelength.dtype == np.float64
     np.testing.assert_allclose(header.wavelength, [450, 550, 500], rtol=1e-15)  # never sorted
     np.testing.assert_allclose(header.fwhm, [6, 5, 4], rtol=1e-15)
     np.testing.assert_array_equal(header.good, [True, False, True])
-    assert header.good is not None
-    assert header.good.dtype == bool
+    assert (header.wavelength.dtype, header.good.dtype) == (np.dtype(np.float64), np.dtype(bool))
     assert header.band_names == ("a", "b b", "c")
     assert header.data_ignore_value == -9999
     assert header.reflectance_scale_factor == 1e4
     np.testing.assert_array_equal(header.data_gain_values, [1, 2, 3])
     np.testing.assert_array_equal(header.data_offset_values, [0, 0, -1e-3])
     info = header.map_info
-    assert info is not None
     assert (info.projection, info.reference_pixel, info.reference) == ("UTM", (1, 1), (500000.5, 4000000))
     assert (info.pixel_size, info.units, info.rotation) == ((0.5, 0.25), "meters", 30)
     assert info.details == ("18", "North", "WGS-84")
@@ -165,13 +161,6 @@ def test_wavelengths_in_band_names(names: str) -> None:
     assert parse_header(header_text("band names = {1 nm, red, 3 nm}")).wavelength is None
 
 
-def test_band_count_mismatch_names_both() -> None:
-    values = ",".join(str(400 + i) for i in range(35))
-    (problem,) = problems_of(header_text(f"wavelength = {{{values}}}", bands="978"))
-    assert "35" in problem
-    assert "978" in problem
-
-
 @pytest.mark.parametrize(
     ("changed", "lines", "expected"),
     [
@@ -196,6 +185,11 @@ def test_band_count_mismatch_names_both() -> None:
         ({}, ("wavelength = {400, 1e999, 600}",), "finite"),
         ({}, ("wavelength = {400, 5_0_0, 600}",), "5_0_0"),
         ({}, ("wavelength = {400, 500, }",), "2 values for 3 bands"),
+        (
+            {"bands": "978"},
+            (f"wavelength = {{{','.join(map(str, range(400, 435)))}}}",),
+            "35 values for 978 bands",
+        ),
         ({}, ("wavelength = {400, -1, 600}",), "above 0"),
         ({}, ("wavelength = {400, 500, 600}", "wavelength units = parsec"), "parsec"),
         ({}, ("fwhm = {4, 5}",), "2 values for 3 bands"),
@@ -224,6 +218,7 @@ def test_refused(changed: dict[str, str | None], lines: tuple[str, ...], expecte
 def test_all_problems_at_once() -> None:
     found = problems_of(header_text("bbl = {1}", lines="10.5", interleave="bup", byte_order="9"))
     assert len(found) == 4
+    assert len(problems_of(header_text(*["x"] * 1000))) < 30  # a flood is cut short
 
 
 def test_same_value_twice_is_noted_and_comments_keep_the_first() -> None:
@@ -282,7 +277,7 @@ _VALUES = st.one_of(
 )
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(_KEYS, _VALUES), max_size=6), st.booleans())
 def test_any_header_is_read_or_refused(pairs: list[tuple[str, str]], sound: bool) -> None:
     text = "\n".join(f"{key} = {value}" for key, value in pairs)
@@ -334,10 +329,6 @@ def test_long_list_takes_little_memory(tmp_path: Path) -> None:
     assert len(str(caught.value)) < 1000
 
 
-def test_flood_of_problems_is_cut_short() -> None:
-    assert len(problems_of(header_text(*["x"] * 1000))) < 30
-
-
 def test_oversized_header_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "big.hdr"
     with open(path, "wb") as file:
@@ -353,7 +344,6 @@ def test_real_headwall_header(shared_data: Path) -> None:
     assert (header.lines, header.samples, header.bands) == (1, 1600, 978)
     assert header.dtype == np.dtype("<u2")
     assert header.description == "[HEADWALL Hyperspec III]"
-    assert header.wavelength is not None
     assert (header.wavelength[0], header.wavelength[1], header.wavelength[-1]) == (379.027, 379.663, 1000.95)
     assert len(header.comments) == 20
     assert header.comments["Serial Number"] == "G4-426"
@@ -365,13 +355,8 @@ def test_real_headwall_header(shared_data: Path) -> None:
 @pytest.mark.real_data
 def test_real_header_with_bad_bands_and_rotation(shared_data: Path) -> None:
     header = read_header(next((shared_data / "envi_cube").glob("ang*.hdr")))
-    assert header.good is not None
-    assert header.fwhm is not None
-    assert not header.good[:7].any()
-    assert header.good[7]
-    assert header.fwhm[0] == 5.55165
-    assert header.map_info is not None
-    assert header.map_info.rotation == 75
+    assert header.good[:8].tolist() == [False] * 7 + [True]
+    assert (header.fwhm[0], header.map_info.rotation) == (5.55165, 75)
     assert header.fields["correction factors"].startswith("{ 1.0 , 1.0")
 
 
@@ -379,9 +364,7 @@ def test_real_header_with_bad_bands_and_rotation(shared_data: Path) -> None:
 def test_real_libraries_count_samples_as_wavelengths(shared_data: Path) -> None:
     berlin = read_header(shared_data / "envi_sli" / "library_berlin.hdr")
     assert berlin.is_spectral_library
-    assert berlin.wavelength is not None
     assert berlin.wavelength.shape == (177,)
     np.testing.assert_allclose(berlin.wavelength[[0, -1]], [460, 2409], rtol=1e-12)
     aviris = read_header(shared_data / "envi_sli" / "s07_AV95_envi.hdr").wavelength
-    assert aviris is not None
     assert list(np.flatnonzero(np.diff(aviris) < 0) + 1) == [32, 96]  # 1-based neighbours of 31 and 95

@@ -11,7 +11,7 @@ import xarray as xr
 from hypothesis import given, strategies as st
 
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.envi.envi_references import EnviParser, slab_lines, slab_offsets
+from hyperpaint.io.envi.envi_cubes import EnviParser, slab_lines, slab_offsets
 
 SHAPE = (40, 3, 5)
 

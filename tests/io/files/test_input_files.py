@@ -31,30 +31,6 @@ def _flightline(name: str) -> Callable[[Any], object]:
     return read
 
 
-def _light(path: Any) -> object:
-    from hyperpaint.simulation.rendering.measured_light import read_table
-
-    return read_table(path)
-
-
-def _mesh(path: Any) -> object:
-    from hyperpaint.simulation.rendering.mesh_files import read_mesh
-
-    return read_mesh(path)
-
-
-def _info(path: Any) -> object:
-    from hyperpaint.cli.info_command import describe_path
-
-    return describe_path(path)
-
-
-def _heights(path: Any) -> object:
-    from hyperpaint.io.maps.rasters import read_heights
-
-    return read_heights(path)
-
-
 def _of(module: str, name: str, **options: Any) -> Callable[[Any], object]:
     def read(path: Any) -> object:
         return getattr(__import__(f"hyperpaint.{module}", fromlist=[name]), name)(path, **options)
@@ -75,7 +51,9 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "open_library of DIRSIG": (hp.open_library, ".ems"),
     "wavelength= of open_library": (lambda path: hp.open_library("x.txt", wavelength=path), ".txt"),
     "references": (_of("io.spectrometers.reference_files", "read_pairs"), ".csv"),
-    "open_references": (lambda path: _references(path), ".sig"),
+    "open_references": (
+        lambda path: _of("io.spectrometers.reference_files", "open_references")([path]), ".sig"
+    ),
     "radcal": (_of("io", "read_radcal"), ".txt"),
     "certificate": (_of("io", "read_certificate"), ".csv"),
     "materials": (_of("io.dirsig", "read_materials"), ".mat"),
@@ -101,27 +79,21 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "open_collect": (hp.open_collect, ".toml"),
     "process": (lambda path: hp.process(path, "never.zarr"), ".toml"),
     "scene": (_of("workflows.scene_files", "read_scene_file"), ".toml"),
-    "spectra of a scene": (_of("workflows.render_libraries", "read_spectra"), ".txt"),
+    "spectra of a scene": (_of("workflows.scene_files", "read_spectra"), ".txt"),
     "regions": (hp.read_regions, ".geojson"),
     "regions of a GeoPackage": (hp.read_regions, ".gpkg"),
     "GeoTIFF": (_of("io.maps.geotiff", "read_geotiff_header"), ".tif"),
-    "heights": (_heights, ".tif"),
-    "light table": (_light, ".csv"),
-    **{f"mesh {suffix}": (_mesh, suffix) for suffix in (".obj", ".glb", ".ply")},
-    "info": (_info, ".txt"),
-    "info of a header": (_info, ".hdr"),
-    "info of a folder of none": (_info, ""),
+    "heights": (_of("io.maps.rasters", "read_heights"), ".tif"),
+    "light table": (_of("simulation.rendering.four_curves", "read_table"), ".csv"),
+    **{f"mesh {suffix}": (_of("simulation.rendering.mesh_files", "read_mesh"), suffix)
+       for suffix in (".obj", ".glb", ".ply")},
+    **{f"info{suffix}": (_of("cli.info_command", "describe_path"), suffix)
+       for suffix in (".txt", ".hdr", "")},
     "simulate_collect": (_of("simulation", "simulate_collect", lines=8, scene="plan"), ""),
     "write_sweep": (_of("simulation", "write_sweep", steps=3, bands=4, columns=4), ".zarr"),
     "store": (hp.open_store, ".zarr"),
     "verify a store": (hp.verify, ".zarr"),
 }  # fmt: skip
-
-
-def _references(path: Any) -> object:
-    from hyperpaint.io.spectrometers.reference_files import open_references
-
-    return open_references([path])
 
 
 WORDS = {

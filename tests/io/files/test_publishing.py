@@ -88,26 +88,21 @@ def test_a_folder_of_others_is_never_replaced(tmp_path: Path) -> None:
     folder.mkdir()
     with published_folder(folder, overwrite=False, foreign=no_foreign) as build:  # it is empty
         (build / "a.txt").write_bytes(b"a")
-    with (
-        pytest.raises(StoreError, match="folder-occupied"),
-        published_folder(folder, overwrite=True, foreign=lambda _: "a thesis"),
+    link = tmp_path / "link"
+    link.symlink_to(folder)
+    for target, overwrite, foreign, code in (
+        (folder, True, lambda _: "a thesis", "folder-occupied"),
+        (folder, False, no_foreign, "file-exists"),
+        (link, True, no_foreign, "path-not-folder"),
     ):
-        pytest.fail("entered")
-    with (
-        pytest.raises(StoreError, match="file-exists"),
-        published_folder(folder, overwrite=False, foreign=no_foreign),
-    ):
-        pytest.fail("entered")
+        with (
+            pytest.raises(StoreError, match=code),
+            published_folder(target, overwrite=overwrite, foreign=foreign),
+        ):
+            pytest.fail("entered")
     with published_folder(folder, overwrite=True, foreign=no_foreign) as build:
         (build / "b.txt").write_bytes(b"b")
     assert [found.name for found in folder.iterdir()] == ["b.txt"]
-    link = tmp_path / "link"
-    link.symlink_to(folder)
-    with (
-        pytest.raises(StoreError, match="path-not-folder"),
-        published_folder(link, overwrite=True, foreign=no_foreign),
-    ):
-        pytest.fail("entered")
 
 
 # --- several files -----------------------------------------------------------------------------------------

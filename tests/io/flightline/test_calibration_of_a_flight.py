@@ -147,13 +147,6 @@ def test_read_noise_of_the_calibration_stands(folder: Path) -> None:
     assert float(open_line(folder, calibration=calibration)["read_noise"]) == 0.5
 
 
-def test_a_dark_of_few_lines_tells_no_noise(folder: Path) -> None:
-    one = write_cube(folder / "one", "darkReference", np.full((1, BANDS, COLUMNS), 9, np.uint16))
-    line = open_line(folder, dark=one)
-    assert "read_noise" not in line
-    assert (line["dark_counts"] == 9).all()
-
-
 def test_no_dark_must_be_said(folder: Path) -> None:
     with pytest.raises(SchemaError, match='dark="none"'):
         open_line(folder, dark=None)
@@ -184,23 +177,6 @@ def test_darks_of_known_times_are_kept_apart(folder: Path) -> None:
     assert line["dark_time"].dtype == "datetime64[ns]"
     assert ((line["dark_time"].values - T0) / np.timedelta64(1, "ms")).tolist() == [31.5, 451.5]
     assert line["dark_exposure_time"].values.tolist() == [0.005, 0.005]
-
-
-def test_darks_of_unknown_times_are_averaged_by_their_lines(folder: Path) -> None:
-    one = write_cube(folder / "one", "darkReference", np.full((1, BANDS, COLUMNS), 10, np.uint16))
-    two = write_cube(folder / "two", "darkReference", np.full((3, BANDS, COLUMNS), 14, np.uint16))
-    line = open_line(folder, dark=[one, two])
-    assert (line["dark_counts"] == 13).all()
-    assert "averaged" in line.attrs["dark_source"]
-    (folder / "two" / "settings.txt").write_text("Exposure (ms) = 7\n")
-    with pytest.raises(SchemaError, match="exposure-conflict"):
-        open_line(folder, dark=[one, two])
-
-
-def test_a_dark_of_another_shape(folder: Path) -> None:
-    other = write_cube(folder / "other", "raw_0", np.ones((2, BANDS, 5), np.uint16))
-    with pytest.raises(SchemaError, match="grid-mismatch"):
-        open_line(folder, dark=other)
 
 
 @pytest.mark.real_data

@@ -94,7 +94,7 @@ def test_cubes_of_unknown_times_are_averaged_line_by_line() -> None:
 
 
 def test_different_exposures_are_not_averaged() -> None:
-    with pytest.raises(SchemaError, match=r"5 ms.*unknown"):
+    with pytest.raises(SchemaError, match=r"5 ms.*unknown.*exposure-conflict"):
         open_dark([cube(frames(2), exposure=0.005), cube(frames(2))], Timing(), None, LINE)
 
 

@@ -24,7 +24,7 @@ from support.headwall_flights import (
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
-from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.envi.envi_cubes import EnviArray
 from hyperpaint.io.navigation.navigation_records import read_imu_gps
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
@@ -149,22 +148,6 @@ def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], 
         read_frame_index(write(tmp_path / "f.txt", text))
 
 
-@settings(max_examples=150)
-@given(data=st.binary(max_size=60), place=st.integers(0, 60), cut=st.integers(0, 60))
-def test_mutated_frame_index_raises_only_its_errors(
-    tmp_path_factory: pytest.TempPathFactory, data: bytes, place: int, cut: int
-) -> None:
-    whole = b"Frame#\tTimestamp\r\n0\t100\r\n1\t7100\r\n3\t21100\r\n"
-    path = tmp_path_factory.getbasetemp() / "mutated_frame_index.txt"
-    path.write_bytes(whole[:place] + data + whole[place + cut :])
-    try:
-        index = read_frame_index(path)
-    except (FormatError, TimeError):
-        return
-    assert (np.diff(index.frame) > 0).all()
-    assert (np.diff(index.stamp) > 0).all()
-
-
 def test_trailing_tabs_and_blank_lines_are_no_cells(tmp_path: Path) -> None:
     table = read_table(write(tmp_path / "t.txt", "a\tb\t\n1\t2\t\n\n3\t4\n"), "table", needs=["a"])
     assert table.columns == {"a": ["1", "3"], "b": ["2", "4"]}
@@ -186,44 +169,40 @@ def test_a_regular_table_is_read_as_an_irregular_one(tmp_path: Path, rows: int) 
     np.testing.assert_array_equal(regular.rows, np.arange(2, rows + 2))
 
 
-def test_as_many_lines_as_rows_go_by_row() -> None:
-    frame, row = match_frames(index_of([10, 11, 14]), 3, Path("cube"))
-    assert frame.tolist() == [10, 11, 14]
-    assert row.tolist() == [0, 1, 2]
-
-
-def test_as_many_lines_as_frames_go_by_number() -> None:
-    frame, row = match_frames(index_of([10, 11, 14]), 5, Path("cube"))
-    assert frame.tolist() == [10, 11, 12, 13, 14]
-    assert row.tolist() == [0, 1, -1, -1, 2]
-
-
-def test_neither_says_both_numbers() -> None:
-    with pytest.raises(FormatError, match="frame-index-mismatch"):
-        match_frames(index_of([10, 11, 14]), 4, Path("cube"))
+@pytest.mark.parametrize(
+    ("frames", "lines", "shortened", "frame", "row"),
+    [
+        ([10, 11, 14], 3, False, [10, 11, 14], [0, 1, 2]),  # as many lines as rows
+        ([10, 11, 14], 5, False, [10, 11, 12, 13, 14], [0, 1, -1, -1, 2]),  # as many lines as frames
+        ([10, 11, 14], 4, False, None, None),
+        ([5, 6, 7, 8], 3, True, [5, 6, 7], [0, 1, 2]),  # cut short in flight
+        ([5, 6, 8, 9], 3, True, None, None),  # which frames are missing is unknown
+    ],
+)
+def test_lines_of_a_cube_have_rows_of_its_index(
+    frames: list[int], lines: int, shortened: bool, frame: list[int] | None, row: list[int] | None
+) -> None:
+    if frame is None:
+        with pytest.raises(FormatError, match="frame-index-mismatch"):
+            match_frames(index_of(frames), lines, Path("cube"), shortened=shortened)
+    else:
+        found = match_frames(index_of(frames), lines, Path("cube"), shortened=shortened)
+        assert [part.tolist() for part in found] == [frame, row]
 
 
 def test_cubes_of_a_flight_share_its_frame_index(tmp_path: Path) -> None:
     for number in (0, 4, 8):
         (tmp_path / f"raw_{number}.hdr").touch()
     index = index_of([0, 1, 2, 3, 4, 6, 7, 8, 9])
-    frame, row = match_frames(index, 4, tmp_path / "raw_0.hdr")
-    assert (frame.tolist(), row.tolist()) == ([0, 1, 2, 3], [0, 1, 2, 3])
-    frame, row = match_frames(index, 3, tmp_path / "raw_4.hdr")  # only what was recorded
-    assert (frame.tolist(), row.tolist()) == ([4, 6, 7], [4, 5, 6])
-    frame, row = match_frames(index, 4, tmp_path / "raw_4")  # with a blank line for the dropped frame
-    assert (frame.tolist(), row.tolist()) == ([4, 5, 6, 7], [4, -1, 5, 6])
-    frame, row = match_frames(index, 2, tmp_path / "raw_8.hdr")
-    assert (frame.tolist(), row.tolist()) == ([8, 9], [7, 8])
+    for name, lines, frame, row in (
+        ("raw_0.hdr", 4, [0, 1, 2, 3], [0, 1, 2, 3]),
+        ("raw_4.hdr", 3, [4, 6, 7], [4, 5, 6]),  # only what was recorded
+        ("raw_4", 4, [4, 5, 6, 7], [4, -1, 5, 6]),  # with a blank line for the dropped frame
+        ("raw_8.hdr", 2, [8, 9], [7, 8]),
+    ):
+        assert [part.tolist() for part in match_frames(index, lines, tmp_path / name)] == [frame, row]
     with pytest.raises(FormatError, match="frame-index-mismatch"):
         match_frames(index, 5, tmp_path / "raw_4.hdr")
-
-
-def test_a_cube_cut_short_has_the_first_rows() -> None:
-    frame, _ = match_frames(index_of([5, 6, 7, 8]), 3, Path("cube"), shortened=True)
-    assert frame.tolist() == [5, 6, 7]
-    with pytest.raises(FormatError):  # which frames are missing is unknown where some were dropped before
-        match_frames(index_of([5, 6, 8, 9]), 3, Path("cube"), shortened=True)
 
 
 # --- dark --------------------------------------------------------------------------------------------------

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,31 +64,6 @@ def test_sli__scale_of_the_header_or_the_plot_title(tmp_path: Path, more: str, s
     assert library["signature"].values.tolist() == ["red", "blue"]
 
 
-def test_sli__without_a_scale_is_refused_and_can_be_told(tmp_path: Path) -> None:
-    path = write_sli(tmp_path, np.array(ROWS) * 100, NAMES + NM)
-    with pytest.raises(FormatError, match="scale-missing"):
-        hp.open_library(path)
-    np.testing.assert_allclose(hp.open_library(path, scale=100)["reflectance"].values, ROWS, rtol=1e-6)
-    with pytest.raises(FormatError, match="value-out-of-range"):
-        hp.open_library(path, scale=-1)
-
-
-def test_sli__two_scales_that_differ_are_refused(tmp_path: Path) -> None:
-    more = "reflectance scale factor = 1\nz plot titles = {wavelength, reflectance [*10000]}\n"
-    path = write_sli(tmp_path, np.array(ROWS) * 1e4, NAMES + NM + more)
-    with pytest.raises(FormatError, match="scale-conflict"):
-        hp.open_library(path)
-
-
-def test_sli__fill_is_compared_with_what_is_stored(tmp_path: Path) -> None:
-    rows = np.array(ROWS) * 1e4
-    rows[0, 1] = -9999.0
-    more = "reflectance scale factor = 10000\ndata ignore value = -9999\n"
-    values = hp.open_library(write_sli(tmp_path, rows, NAMES + NM + more))["reflectance"].values
-    assert np.isnan(values[0, 1])
-    assert np.isfinite(values).sum() == 5
-
-
 @pytest.mark.parametrize("unit", ["Micrometers", "um", "Unknown"])
 def test_sli__micrometres(tmp_path: Path, unit: str) -> None:
     more = f"wavelength units = {unit}\nwavelength = {{0.65, 0.55, 0.45}}\n"
@@ -95,21 +72,41 @@ def test_sli__micrometres(tmp_path: Path, unit: str) -> None:
     assert ("micrometres" in library.attrs.get("notes", "")) == (unit == "Unknown")
 
 
-def test_sli__without_wavelengths_takes_those_given(tmp_path: Path) -> None:
-    path = write_sli(tmp_path, ROWS, NAMES + "wavelength units = Wavenumber\nwavelength = {1, 2, 3}\n")
-    with pytest.raises(FormatError, match="wavelength-missing"):
-        hp.open_library(path)
-    given = hp.open_library(path, wavelength=[450, 550, 650], fwhm=np.full(3, 5.0))
+WAVENUMBERS = NAMES + "wavelength units = Wavenumber\nwavelength = {1, 2, 3}\n"
+TITLE = "z plot titles = {wavelength, reflectance [*10000]}\n"
+
+
+@pytest.mark.parametrize(
+    ("factor", "more", "options", "code"),
+    [
+        (100, NAMES + NM, {}, "scale-missing"),
+        (100, NAMES + NM, {"scale": -1}, "value-out-of-range"),
+        (1e4, f"{NAMES}{NM}reflectance scale factor = 1\n{TITLE}", {}, "scale-conflict"),
+        (1, WAVENUMBERS, {}, "wavelength-missing"),
+        (1, WAVENUMBERS, {"wavelength": [450, 550]}, "length-mismatch"),
+        (1, WAVENUMBERS, {"wavelength": [[450, np.nan]]}, "value-out-of-range"),
+        (1, f"{NAMES}{NM}z plot titles = {{Wavelength, Emissivity}}\n", {}, "quantity-wrong"),
+    ],
+)
+def test_sli__what_is_unclear_is_refused(
+    tmp_path: Path, factor: float, more: str, options: dict[str, Any], code: str
+) -> None:
+    with pytest.raises(FormatError, match=code):
+        hp.open_library(write_sli(tmp_path, np.array(ROWS) * factor, more), **options)
+
+
+def test_sli__takes_the_scale_and_the_wavelengths_given(tmp_path: Path) -> None:
+    given = hp.open_library(
+        write_sli(tmp_path, np.array(ROWS) * 100, WAVENUMBERS),
+        scale=100, wavelength=[450, 550, 650], fwhm=np.full(3, 5.0),
+    )  # fmt: skip
+    np.testing.assert_allclose(given["reflectance"].values, ROWS, rtol=1e-6)
     assert given["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
     assert given["fwhm"].values.tolist() == [5.0] * 3
-    with pytest.raises(FormatError, match="length-mismatch"):
-        hp.open_library(path, wavelength=[450, 550])
-    with pytest.raises(FormatError, match="value-out-of-range"):
-        hp.open_library(path, wavelength=[[450, np.nan]])
 
 
 def test_sli__wavelengths_and_bandwidths_as_records_alone(tmp_path: Path) -> None:
-    """Rationale: a library of the USGS whose header lost its lists still has them in its first records."""
+    # Rationale: a library of the USGS whose header lost its lists still has them in its first records.
     rows = [[0.45, 0.55, 0.65], [0.01, 0.011, 0.012], *ROWS, [0.001, -0.1, 0.003]]
     names = "Wavelengths in microns 3ch, Resolution in microns 3ch, red, blue, error bars to preceding"
     library = hp.open_library(write_sli(tmp_path, rows, f"spectra names = {{{names}}}\n"))
@@ -148,12 +145,6 @@ def test_sli__what_does_not_fit_is_listed(tmp_path: Path) -> None:
         hp.open_library(header)
 
 
-def test_sli__of_another_quantity_is_refused(tmp_path: Path) -> None:
-    path = write_sli(tmp_path, ROWS, NAMES + NM + "z plot titles = {Wavelength, Emissivity}\n")
-    with pytest.raises(FormatError, match="quantity-wrong"):
-        hp.open_library(path)
-
-
 # --- tables ---
 
 
@@ -177,16 +168,19 @@ def test_tables__separators_units_and_headings(tmp_path: Path, text: str, encodi
     assert library["signature"].values.tolist() == ["red", "blue"]
 
 
-def test_tables__units_stay_in_names_that_would_be_alike(tmp_path: Path) -> None:
-    library = hp.open_library(write_text(tmp_path, "nm,red (%),red (1)\n450,10,40\n550,20,50\n650,30,60\n"))
-    assert library["signature"].values.tolist() == ["red (%)", "red (1)"]
-
-
-def test_tables__one_spectrum_is_named_by_its_file_or_heading(tmp_path: Path) -> None:
-    rows = "450,0.1\n550,0.2\n"
-    assert hp.open_library(write_text(tmp_path, rows, "Grün 3.txt"))["signature"].item() == "Grün 3"
-    assert hp.open_library(write_text(tmp_path, "nm,reflectance\n" + rows))["signature"].item() == "red"
-    assert hp.open_library(write_text(tmp_path, "nm,VW LA3G\n" + rows))["signature"].item() == "VW LA3G"
+@pytest.mark.parametrize(
+    ("text", "name", "expected"),
+    [
+        # units stay in names that would be alike
+        ("nm,red (%),red (1)\n450,10,40\n550,20,50\n", "red.txt", ["red (%)", "red (1)"]),
+        # one spectrum is named by its file or heading
+        ("450,0.1\n550,0.2\n", "Grün 3.txt", ["Grün 3"]),
+        ("nm,reflectance\n450,0.1\n550,0.2\n", "red.txt", ["red"]),
+        ("nm,VW LA3G\n450,0.1\n550,0.2\n", "red.txt", ["VW LA3G"]),
+    ],
+)
+def test_tables__names(tmp_path: Path, text: str, name: str, expected: list[str]) -> None:
+    assert hp.open_library(write_text(tmp_path, text, name))["signature"].values.tolist() == expected
 
 
 def test_tables__empty_cells_are_nan_and_wavelengths_may_fall(tmp_path: Path) -> None:
@@ -211,18 +205,16 @@ def test_tables__empty_cells_are_nan_and_wavelengths_may_fall(tmp_path: Path) ->
         ("450,10\n550,20\n650,30\n", "no scale.*scale=100"),
         ("nm,radiance\n450,0.1\n550,0.2\n", "'radiance'.*quantity-wrong"),
         ("cm-1,reflectance\n4500,0.1\n5500,0.2\n", "'cm-1'.*units-unknown"),
+        ("450,0.1\n550,0.2\n", "text-unreadable"),
         ("1,0.1\n2e9,0.2\n", "wavelength-range"),
         ("".join(f"{500 + (-1) ** at * at},0.1\n" for at in range(60)), "wavelength-unordered"),
     ],
 )
 def test_tables__what_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(FormatError, match=said):
-        hp.open_library(write_text(tmp_path, text))
-
-
-def test_text__utf_16_says_so(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="text-unreadable"):
-        hp.open_library(write_text(tmp_path, "450,0.1\n550,0.2\n", encoding="utf-16"))
+        hp.open_library(
+            write_text(tmp_path, text, encoding="utf-16" if said == "text-unreadable" else "utf-8")
+        )
 
 
 # --- ECOSTRESS, ASTER, USGS ---
@@ -275,7 +267,7 @@ def usgs(title: str, values: list[float]) -> str:
 
 
 def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None:
-    """Expected: those of the nearest folder, a chapter's own or above; of several, the spectrometer's."""
+    # Expected: those of the nearest folder, a chapter's own or above; of several, the spectrometer's.
     chapter = tmp_path / "ChapterA"
     chapter.mkdir()
     write_text(
@@ -325,6 +317,14 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
     assert library["signature"].values.tolist() == ["red", "blue", "grey"]
     assert library["kind"].values.tolist() == ["car", "van", ""]
     assert library["file"].values.tolist() == [path.with_suffix(".hdr").name] * 2 + [table.name]
+
+
+def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> None:
+    one = write_sli(tmp_path, ROWS, NAMES + NM + "fwhm = {5, 5, 5}\n")
+    two = write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n")
+    library = hp.open_library([one, two])
+    assert "fwhm" not in library.variables
+    assert "fwhm differs from file to file and is left out" in library.attrs["notes"]
 
 
 def test_several__one_bad_file_is_an_error_that_names_it(tmp_path: Path) -> None:
@@ -413,10 +413,13 @@ def test_marks_of_missing_values_are_missing(
     np.testing.assert_allclose(library["reflectance"].values[0], expected, rtol=1e-6)
 
 
-def test_marks_of_missing_values_are_missing_at_a_scale_that_hides_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize("more", ["", "data ignore value = -9999\n"])
+def test_marks_of_missing_values_are_missing_at_a_scale_that_hides_them(tmp_path: Path, more: str) -> None:
+    # a fill of the header is compared with what is stored, and needs no warning
     rows = np.array(ROWS) * 1e4
-    rows[0, 1], rows[1, 0] = -9999.0, -999.0
-    path = write_sli(tmp_path, rows, NAMES + NM + "reflectance scale factor = 10000\n")
-    with pytest.warns(PaintWarning, match="values-far-below-zero"):
+    rows[0, 1], rows[1, 0] = -9999.0, -9999.0 if more else -999.0
+    path = write_sli(tmp_path, rows, f"{NAMES}{NM}reflectance scale factor = 10000\n{more}")
+    warned = pytest.warns(PaintWarning, match="values-far-below-zero")
+    with contextlib.nullcontext() if more else warned:
         values = hp.open_library(path)["reflectance"].values
     assert np.isnan(values).tolist() == [[False, True, False], [True, False, False]]

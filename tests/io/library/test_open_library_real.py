@@ -18,6 +18,7 @@ USGS = "splib07a_Brilliant(Hansa)yellowGDS785_ASDFRa_AREF.txt"
 METAL = "jhu.becknic.manmade.roofing.metal.solid.0384uuu.spectrum.txt"
 CEMENT = "jhu.becknic.manmade.construction.cement.solid.0432uuu.spectrum.txt"
 SOIL = "soil.alfisol.haploxeralf.none.all.87p313.jhu.becknic.spectrum.txt"
+AXES = ("reflectance", "wavelength")
 WAVELENGTHS = "s07_ASD_Wavelengths_ASD_0.35-2.5_microns_2151_ch.txt"
 
 
@@ -40,18 +41,13 @@ def spy_library(path: Path) -> Any:
 
 
 def assert_is_library(library: xr.Dataset) -> None:
-    assert library["reflectance"].dims == ("signature", "band")
-    assert library["reflectance"].dtype == np.float32
-    assert library["reflectance"].attrs["units"] == "1"
-    assert library["wavelength"].dims == ("band",)
-    assert library["wavelength"].dtype == np.float64
-    assert library["wavelength"].attrs["units"] == "nm"
-    assert library.attrs["source"]
-    assert library.attrs["format"]
+    found = [(library[name].dims, library[name].dtype, library[name].attrs["units"]) for name in AXES]
+    assert found == [(("signature", "band"), np.float32, "1"), (("band",), np.float64, "nm")]
+    assert all(library.attrs[key] for key in ("source", "format"))
 
 
 def test_berlin__has_its_scale_in_a_plot_title_and_its_classes_beside_it(sli: Path) -> None:
-    """Expected: first stored value 589.95611966 of a reflectance times 10,000; 75 spectra, 177 bands."""
+    # Expected: first stored value 589.95611966 of a reflectance times 10,000; 75 spectra, 177 bands.
     library = hp.open_library(sli / "library_berlin.hdr")
     assert_is_library(library)
     assert dict(library.sizes) == {"signature": 75, "band": 177}
@@ -72,7 +68,7 @@ def test_berlin__is_as_spy_reads_it(sli: Path) -> None:
 
 
 def test_usgs_aviris__has_two_records_that_are_no_spectra_and_error_bars(sli: Path) -> None:
-    """Expected: the values of SOURCES.md, and wavelengths that fall at 31 and 95."""
+    # Expected: the values of SOURCES.md, and wavelengths that fall at 31 and 95.
     library = hp.open_library(sli / "s07_AV95_envi.sli")
     assert_is_library(library)
     # 3,139 records: wavelengths, bandwidths, and 680 error bars beside the spectra
@@ -94,7 +90,7 @@ def test_usgs_aviris__has_two_records_that_are_no_spectra_and_error_bars(sli: Pa
 
 @SPY_ON_NUMPY_2_5
 def test_usgs_aviris__is_as_spy_reads_it(sli: Path) -> None:
-    """Rationale: the coordinate `record` leads back, so every one of the 3,139 records is accounted for."""
+    # Rationale: the coordinate `record` leads back, so every one of the 3,139 records is accounted for.
     found, spy = hp.open_library(sli / "s07_AV95_envi.hdr"), spy_library(sli / "s07_AV95_envi.sli")
     stored = spy.spectra.astype(np.float64)
     assert (stored < -1e30).sum() == 80591
@@ -160,8 +156,7 @@ def test_usgs_text__finds_its_wavelengths_or_is_told_them(text: Path, given: boo
     assert library["signature"].values.tolist() == ["Brilliant(Hansa)yellowGDS785"]
     assert (library["spectrometer"].item(), library["measurement"].item()) == ("ASDFRa", "AREF")
     assert library["reflectance"].values[0, 0] == np.float32(1.1358514e-2)
-    assert library["wavelength"].values[0] == pytest.approx(349.99999)
-    assert library.sizes["band"] == 2151
+    assert (library["wavelength"].values[0], library.sizes["band"]) == (pytest.approx(349.99999), 2151)
 
 
 def test_usgs_text__is_as_spy_reads_it(text: Path) -> None:
@@ -195,7 +190,7 @@ def test_plain_tables__have_their_known_values(text: Path, name: str, first: tup
 
 
 def test_tables_with_headings__are_read(shared_data: Path) -> None:
-    """Expected: latin-1 and semicolons; and a mean with its standard deviation, of which a comment tells."""
+    # Expected: latin-1 and semicolons; and a mean with its standard deviation, of which a comment tells.
     panel = hp.open_library(shared_data / "lab_calibration/zenith_lite_95R_certificate.csv")
     assert panel["reflectance"].values[0, 0] == np.float32(0.911211)
     assert "notes" not in panel.attrs  # "nm" stands in its heading
@@ -216,7 +211,7 @@ def test_several_files__make_one_library_where_wavelengths_are_equal(text: Path)
 
 
 def test_a_folder_of_different_grids__is_one_error_that_names_them_all(text: Path) -> None:
-    """Rationale: the ancillary text and the file of wavelengths are no spectra, and are not among them."""
+    # Rationale: the ancillary text and the file of wavelengths are no spectra, and are not among them.
     with pytest.raises(FormatError) as caught:
         hp.open_library(text)
     message = str(caught.value)

@@ -14,7 +14,7 @@ import hyperpaint as hp
 
 
 def foreign(path, **changes):
-    """Write a file as OpenSpecLib describes it, with pyarrow alone."""
+    # Write a file as OpenSpecLib describes it, with pyarrow alone.
     wavelengths = [0.4, 0.5, 0.6]
     columns = {
         "id": ["usgs:1", "usgs:2"], "name": ["olivine", "asphalt"],
@@ -33,14 +33,12 @@ def test_a_file_of_others_is_a_library(tmp_path):
     assert library["signature"].values.tolist() == ["olivine", "asphalt"]
     np.testing.assert_array_equal(library.reflectance, np.float32([[0.1, np.nan, 0.3], [0.2, 0.2, 0.2]]))
     assert library.licence.values.tolist() == ["public domain"] * 2
-
-
-def test_wavenumbers_become_nanometres(tmp_path):
-    path = foreign(
-        tmp_path / "tes.parquet", **{"spectral_data.wavelength_unit": ["cm-1"] * 2,
-                                     "spectral_data.wavelengths": [[20000.0, 16000.0, 12500.0]] * 2},
-    )  # fmt: skip
-    np.testing.assert_allclose(hp.open_library(path).wavelength, [500.0, 625.0, 800.0])
+    wavenumbers = {
+        "spectral_data.wavelength_unit": ["cm-1"] * 2,
+        "spectral_data.wavelengths": [[20000.0, 16000.0, 12500.0]] * 2,
+    }
+    library = hp.open_library(foreign(tmp_path / "tes.parquet", **wavenumbers))
+    np.testing.assert_allclose(library.wavelength, [500.0, 625.0, 800.0])
 
 
 @pytest.mark.parametrize(
@@ -58,14 +56,11 @@ def test_what_is_no_library_is_refused(tmp_path, changes, message):
         hp.open_library(foreign(tmp_path / "x.parquet", **changes))
 
 
-def test_missing_columns_are_named(tmp_path):
+def test_damaged_files_are_refused(tmp_path):
+    whole = foreign(tmp_path / "x.parquet").read_bytes()
     pq.write_table(pa.table({"name": ["a"]}), tmp_path / "x.parquet")
     with pytest.raises(hp.FormatError, match="column-missing"):
         hp.open_library(tmp_path / "x.parquet")
-
-
-def test_damaged_files_are_refused(tmp_path):
-    whole = foreign(tmp_path / "x.parquet").read_bytes()
     for cut in (4, 40, len(whole) // 2, len(whole) - 4):
         (tmp_path / "cut.parquet").write_bytes(whole[:cut])
         with pytest.raises(hp.FormatError, match="file-unreadable"):

@@ -1,6 +1,7 @@
 """Libraries of hyperpaint 0.2 and before, whose dimension was `paint`, open and are used under today's name.
 
-``released/version_1.zip`` holds the three paints of the conformance files as 0.2 wrote them, and as netCDF.
+``released/version_1.zip`` holds the three paints of the conformance files as 0.2 wrote them, and as netCDF;
+``released/version_2.zip`` with the metadata that followed, under today's names.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def library() -> xr.Dataset:
 
 
 def old(library: xr.Dataset) -> xr.Dataset:
-    """Return a library as a session of hyperpaint 0.2 held it."""
+    # Return a library as a session of hyperpaint 0.2 held it.
     return library.rename(signature="paint").assign_attrs(paint_library_version=1)
 
 
@@ -55,6 +56,15 @@ def test_a_file_of_0_2_is_todays_library(released: Path, library: xr.Dataset, na
         assert hp.io.check_library(released / name).ok
     again = hp.open_library(hp.write_library(opened, released / "again" / name, curves="all"))
     xr.testing.assert_equal(again.load(), library)
+
+
+@pytest.mark.parametrize("name", FILES[:3])
+def test_metadata_of_version_2_are_read(tmp_path: Path, library: xr.Dataset, name: str) -> None:
+    if name.endswith("parquet"):
+        pytest.importorskip("pyarrow")
+    with zipfile.ZipFile(Path(__file__).with_name("released") / "version_2.zip") as archive:
+        archive.extractall(tmp_path)
+    xr.testing.assert_identical(hp.open_library(tmp_path / name), library)
 
 
 def test_a_table_of_0_2_without_its_metadata_opens(released: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,29 +19,19 @@ GREY = 0.3 + 0.1 * np.sin(NM / 90.0)
 LIGHT = sunlight()
 
 
-def text(*columns: Any, heading: str = "", name: str = "paint.csv", **options: Any) -> Callable[[Path], Any]:
-    """Return what writes a table of text and opens it as a library of paints."""
-    return lambda folder: hp.open_library(table(folder / name, NM, *columns, heading=heading), **options)
+def tabled(
+    nm: Any, *columns: Any, heading: str = "", name: str = "paint.csv", **options: Any
+) -> Callable[[Path], Any]:
+    # a function that writes a table of text and opens it as a library of paints
+    return lambda folder: hp.open_library(table(folder / name, nm, *columns, heading=heading), **options)
 
 
-def stacked(folder: Path) -> Any:
-    """Two spectra one below the other."""
-    return hp.open_library(table(folder / "two.csv", np.tile(NM, 2), np.tile(GREY, 2)))
-
-
-def rounded(folder: Path) -> Any:
-    """Wavelengths in micrometres, rounded to two places."""
-    return hp.open_library(table(folder / "um.csv", np.round(NM / 1e3, 2), GREY, heading="um,reflectance"))
-
-
-def measured_twice(folder: Path) -> Any:
-    """One wavelength with two values."""
-    nm = np.sort(np.append(NM, 500.0))
-    return hp.open_library(table(folder / "twice.csv", nm, np.linspace(0.2, 0.3, nm.size)))
+text = partial(tabled, NM)
+TWICE = np.sort(np.append(NM, 500.0))
 
 
 def sli(values: Any, *header: str) -> Callable[[Path], Any]:
-    """Return what writes a spectral library of ENVI and opens it."""
+    # Return what writes a spectral library of ENVI and opens it.
 
     def opened(folder: Path) -> Any:
         np.asarray(values, "<f4").tofile(folder / "paints.sli")
@@ -56,7 +47,7 @@ def sli(values: Any, *header: str) -> Callable[[Path], Any]:
 
 
 def ecostress(values: Any, y: str, x: str = "Wavelength (micrometers)") -> Callable[[Path], Any]:
-    """Return what writes a text of the ECOSTRESS library and opens it."""
+    # Return what writes a text of the ECOSTRESS library and opens it.
 
     def opened(folder: Path) -> Any:
         head = [
@@ -103,9 +94,9 @@ WRONG_LIBRARIES = [
     Case("a number of samples", text(GREY, 0 * GREY + 8, heading="nm,hood,N"), "'N'"),
     Case("a number of spectra", text(GREY, 0 * GREY + 8, heading="nm,hood,n samples"), "n samples"),
     Case("a variance", text(GREY, 0.01 * GREY, heading="nm,hood,variance"), "variance"),
-    Case("two spectra one below the other", stacked, "occur twice"),
-    Case("wavelengths rounded", rounded, "twice"),
-    Case("one wavelength, two values", measured_twice, "averaged"),
+    Case("two spectra one below the other", tabled(np.tile(NM, 2), np.tile(GREY, 2)), "occur twice"),
+    Case("wavelengths rounded", tabled(np.round(NM / 1e3, 2), GREY, heading="um,reflectance"), "twice"),
+    Case("one wavelength, two values", tabled(TWICE, np.linspace(0.2, 0.3, TWICE.size)), "averaged"),
     Case("micrometres said to be nanometres", text(GREY, heading="nm,hood", wavelength=NM / 1e3), "nm"),
     Case("nanometres said to be micrometres", text(GREY, heading="um,hood"), "nanometres"),
     Case("wavenumbers", text(GREY, heading="wavenumber (cm-1),hood"), "wavenumber"),
@@ -152,18 +143,18 @@ def test_reflectance__opens_without_a_word(case: Case, tmp_path: Path) -> None:
 
 
 @pytest.mark.real_data
-@pytest.mark.parametrize("place", ["BeckmanLawn", "AstroRedBaseball"])
-def test_real_radiance_texts__are_refused(shared_data: Path, place: str) -> None:
-    """Expected: radiance in uW cm-2 sr-1 nm-1 by their origin; no word in them says so."""
-    path = shared_data / f"radiance_vs_field/ang20171108t184227_rdn_v2p11_{place}.txt"
-    with pytest.raises(FormatError, match="radiance"):
-        hp.open_library(path)
-
-
-@pytest.mark.real_data
-def test_a_real_spectrum_of_the_sun__is_no_paint(shared_data: Path) -> None:
-    with pytest.raises(FormatError, match="irrad"):
-        hp.open_library(shared_data / "downwelling/ASTMG173.csv")
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        # radiance in uW cm-2 sr-1 nm-1 by their origin; no word in them says so
+        ("radiance_vs_field/ang20171108t184227_rdn_v2p11_BeckmanLawn.txt", "radiance"),
+        ("radiance_vs_field/ang20171108t184227_rdn_v2p11_AstroRedBaseball.txt", "radiance"),
+        ("downwelling/ASTMG173.csv", "irrad"),
+    ],
+)
+def test_real_texts_of_light__are_refused(shared_data: Path, name: str, word: str) -> None:
+    with pytest.raises(FormatError, match=word):
+        hp.open_library(shared_data / name)
 
 
 def test_columns_of_spread__are_those_of_the_paint_before_them(tmp_path: Path) -> None:
@@ -174,7 +165,7 @@ def test_columns_of_spread__are_those_of_the_paint_before_them(tmp_path: Path) -
 
 
 def test_a_white_standard_is_a_paint(tmp_path: Path) -> None:
-    """Words of a spread name one only where the rest of the heading names another column."""
+    # Words of a spread name one only where the rest of the heading names another column.
     names = ["Red 12", "White Std", "SD45"]
     library = text(GREY, GREY / 2, GREY / 3, heading="nm," + ",".join(names))(tmp_path)
     assert library["signature"].values.tolist() == names

@@ -11,7 +11,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, SchemaError
-from hyperpaint.io.collect.collect_opening import open_collect
+from hyperpaint.io.collect.collect_toml import open_collect
 from hyperpaint.simulation import simulate_collect
 
 

@@ -12,7 +12,7 @@ from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
-from hyperpaint.io.skies.sky_table import read_sky_csv, sky_dataset
+from hyperpaint.io.skies import read_sky_csv, sky_dataset
 from hyperpaint.light.sky_functions import (
     clear_sky_shares,
     function_shapes,

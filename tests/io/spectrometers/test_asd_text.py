@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hyperpaint.base.errors import FormatError, PaintWarning
-from hyperpaint.io.spectrometers.asd import open_asd
-from hyperpaint.io.spectrometers.asd_text import is_asd_text, read_asd_text
+from hyperpaint.io.spectrometers.asd import open_asd, read_asd_text, sniff
 
 PREAMBLE = """
 Text conversion of header file c:\\sky\\sky_00001.asd
@@ -60,17 +59,25 @@ def test_real_exports(shared_data, name, first, at_550, second, milliseconds, ym
     assert text.values[0, 0] == first
     if at_550:
         assert text.values[0, 200] == at_550
-        assert text.local_time == dt.datetime(2024, 5, 21, 11, 33, second)
-    assert (text.integration_ms, text.sample_averages, text.ymax) == (milliseconds, 1, ymax)
-    assert (text.instrument_number, text.splices) == ("18875/1", (1000.0, 1800.0))
+        assert text.preamble["local_time"] == dt.datetime(2024, 5, 21, 11, 33, second)
+    assert (text.preamble["integration_ms"], text.preamble["sample_averages"], text.preamble["ymax"]) == (
+        milliseconds,
+        1,
+        ymax,
+    )
+    assert (text.preamble["instrument_number"], text.preamble["splices"]) == ("18875/1", (1000.0, 1800.0))
     sky = "irrad" in name
-    assert (text.cosine_receptor, text.white_reference) == (sky, not sky)
+    assert (text.preamble["cosine_receptor"], text.preamble["white_reference"]) == (sky, not sky)
 
 
 @pytest.mark.real_data
 def test_an_export_without_a_header(shared_data):
     text = read_asd_text(shared_data / "asd_binary" / "ribb00001.asd.txt")
-    assert (text.spectra, text.local_time, text.ymax) == (("ribb00001.asd",), None, None)
+    assert (text.spectra, text.preamble["local_time"], text.preamble["ymax"]) == (
+        ("ribb00001.asd",),
+        None,
+        None,
+    )
     opened = open_asd(shared_data / "asd_binary" / "ribb00001.asd.txt", "reflectance")
     assert np.isnat(opened["time"].values).all()
 
@@ -85,10 +92,10 @@ def test_columns(tmp_path, separator, line_end, header):
     np.testing.assert_array_equal(text.wavelength, [350.0, 351.0])
     assert text.spectra == ("sky.asd",)
     if header:
-        assert text.local_time == dt.datetime(2024, 5, 21, 11, 33, 13)
-        assert (text.integration_ms, text.sample_averages) == (8.5, 10)
-        assert (text.cosine_receptor, text.white_reference) == (True, False)
-        assert text.splices == (1000.0, 1830.0)
+        assert text.preamble["local_time"] == dt.datetime(2024, 5, 21, 11, 33, 13)
+        assert (text.preamble["integration_ms"], text.preamble["sample_averages"]) == (8.5, 10)
+        assert (text.preamble["cosine_receptor"], text.preamble["white_reference"]) == (True, False)
+        assert text.preamble["splices"] == (1000.0, 1830.0)
 
 
 def test_many_columns_and_rows(tmp_path):
@@ -111,7 +118,7 @@ def test_decimal_comma_and_windows_words_for_nan(tmp_path):
 
 def test_old_years_and_twelve_hour_clock(tmp_path):
     text = read(tmp_path, "Spectrum saved: 01/15/120 at 12:30:00 AM\nWavelength,a\n350,1\n")
-    assert text.local_time == dt.datetime(2020, 1, 15, 0, 30)
+    assert text.preamble["local_time"] == dt.datetime(2020, 1, 15, 0, 30)
 
 
 def test_guessed_quantity_is_said(tmp_path):
@@ -145,9 +152,15 @@ def test_damaged_exports(tmp_path, text, problem):
         read(tmp_path, text)
 
 
-def test_sniffing():
-    assert is_asd_text(preamble().encode() + b"Wavelength,a\n350,1\n")
-    assert not is_asd_text(b"time,350,351\n")
+def test_sniffing(tmp_path):
+    path = tmp_path / "any"
+    for content, kind in (
+        (preamble() + "Wavelength,a\n350,1\n", "text"),
+        ("# units: 1\ntime,350,351\n", "csv"),
+        ("wave", "unknown"),
+    ):
+        path.write_text(content)
+        assert sniff(path) == kind
 
 
 def test_mutated_exports_raise_nothing_but_format_errors(tmp_path):

@@ -17,8 +17,7 @@ from hyperpaint.base.errors import (
     TimeError,
     UnitsError,
 )
-from hyperpaint.io.spectrometers.irradiance import open_irradiance
-from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
+from hyperpaint.io.spectrometers.irradiance import open_irradiance, read_irradiance_csv
 from hyperpaint.io.store import to_store
 
 GRID = np.arange(350.0, 1051.0)
@@ -90,22 +89,19 @@ def test_the_real_skyward_exports_make_a_series(shared_data):
 
 
 @pytest.mark.real_data
-def test_real_exports_need_a_zone_and_say_their_guess(shared_data):
+def test_real_exports_need_a_zone_and_a_quantity(shared_data):
     files = str(shared_data / "asd_ascii" / "asd-e-irrad-sky.*")
     with pytest.raises(TimeError, match="utc_offset_h="):
         open_irradiance(files, "irradiance")
     with pytest.warns(PaintWarning, match="quantity-assumed"):
         guessed = open_irradiance(files, utc_offset_h=3)
     xr.testing.assert_identical(guessed, open_irradiance(files, "irradiance", utc_offset_h=3))
-
-
-@pytest.mark.real_data
-def test_an_export_that_seems_to_be_reflectance_is_refused(shared_data):
+    soil = shared_data / "asd_ascii" / "asd-Rfr-soil.tsv"
     with (
         pytest.warns(PaintWarning, match="quantity-assumed"),
         pytest.raises(FormatError, match="quantity-wrong"),
     ):
-        open_irradiance(shared_data / "asd_ascii" / "asd-Rfr-soil.tsv", utc_offset_h=3)
+        open_irradiance(soil, utc_offset_h=3)
 
 
 # --- binaries
@@ -126,17 +122,19 @@ def test_binaries_through_their_calibration(log):
     assert "irradiance_units_source" not in series.attrs
 
 
-@pytest.mark.parametrize(("stamp", "second"), [("start", 0.068), ("mid", 0.0), ("end", -0.068)])
-def test_stamps_move_to_the_middle(log, stamp, second):
-    times = open_irradiance(log(1, 2), utc_offset_h=0, stamp=stamp)["irradiance_time"].values
-    assert (times[0] - np.datetime64("2024-05-21T12:00:01", "ns")) / np.timedelta64(1, "s") == pytest.approx(
-        second
-    )
-
-
-def test_the_averaging_window_can_be_said(log):
-    times = open_irradiance(log(1, 2), utc_offset_h=0, averaging_s=2.0)["irradiance_time"].values
-    assert times[0] == np.datetime64("2024-05-21T12:00:00", "ns")
+@pytest.mark.parametrize(
+    ("options", "second"),
+    [
+        ({"stamp": "start"}, 0.068),
+        ({"stamp": "mid"}, 0.0),
+        ({"stamp": "end"}, -0.068),
+        ({"averaging_s": 2.0}, -1.0),
+    ],
+)
+def test_stamps_move_to_the_middle(log, options, second):
+    times = open_irradiance(log(1, 2), utc_offset_h=0, **options)["irradiance_time"].values
+    elapsed = (times[0] - np.datetime64("2024-05-21T12:00:01", "ns")) / np.timedelta64(1, "s")
+    assert elapsed == pytest.approx(second)
 
 
 def test_a_logging_pc_five_hours_off(log):
@@ -185,12 +183,9 @@ def test_saturated_and_empty_samples_become_nan(log, write_asd):
     files.append(write_asd("dead.asd", COUNTS * 0, local=NOON + dt.timedelta(seconds=8), blocks=BLOCKS))
     with pytest.warns(PaintWarning) as found:
         series = open_irradiance(files, utc_offset_h=0)
-    messages = sorted(str(warning.message) for warning in found)
-    assert len(messages) == 2
-    assert "saturated" in messages[0]
-    assert "bright00000.asd" in messages[0]
-    assert "zero throughout" in messages[1]
-    assert "dead.asd" in messages[1]
+    saturated, empty = sorted(str(warning.message) for warning in found)
+    assert ("saturated" in saturated, "bright00000.asd" in saturated) == (True, True)
+    assert ("zero throughout" in empty, "dead.asd" in empty) == (True, True)
     missing = np.isnan(series["irradiance"]).all("irradiance_wavelength")
     np.testing.assert_array_equal(missing, [False, False, False, True, True])
 
@@ -204,61 +199,54 @@ def test_raw_counts_with_calibration_files(log, write_asd):
     np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
 
 
-def test_a_folder_prefers_binaries(log, tmp_path):
-    log(0, 2)
+def test_a_folder_prefers_binaries_and_a_single_sample_needs_a_gap(log, tmp_path):
+    files = log(0, 2)
     (tmp_path / "sky00000.asd.txt").write_text("Wavelength;sky00000.asd\n350;1\n")
     assert open_irradiance(tmp_path, utc_offset_h=0).sizes["irradiance_time"] == 2
-
-
-def test_a_single_sample_needs_a_gap(log):
-    files = log(0)
     with pytest.raises(TimeError, match="max_gap_s="):
-        open_irradiance(files, utc_offset_h=0)
-    assert open_irradiance(files, utc_offset_h=0, max_gap_s=5)["irradiance_max_gap"] == 5.0
+        open_irradiance(files[:1], utc_offset_h=0)
+    assert open_irradiance(files[:1], utc_offset_h=0, max_gap_s=5)["irradiance_max_gap"] == 5.0
+    (tmp_path / "sky.csv").write_text(CSV.format(z="Z"))
+    with pytest.raises(FormatError, match="formats-mixed"):
+        open_irradiance([files[0], tmp_path / "sky.csv"])
+    text = tmp_path / "only" / "a.txt"
+    text.parent.mkdir()
+    text.write_text("Wavelength;a.asd\n500;0.8\n501;0.8\n")
+    with pytest.raises(TimeError, match=r"a\.txt.*time-missing"):
+        open_irradiance(text.parent, "irradiance", utc_offset_h=0)
 
 
 def test_all_wrong_arguments_at_once():
+    wrong = {"stamp": "begin", "fwhm_nm": 0, "max_gap_s": -1, "averaging_s": -1, "clock_offset_s": np.nan}
     with pytest.raises(SchemaError) as raised:
-        open_irradiance(
-            "x", "radiance", stamp="begin", fwhm_nm=0, max_gap_s=-1, averaging_s=-1, clock_offset_s=np.nan
-        )
-    for name in ("quantity", "stamp", "fwhm_nm", "max_gap_s", "averaging_s", "clock_offset_s"):
-        assert f"{name}=" in str(raised.value)
-
-
-def test_exports_without_a_stamp_make_no_series(tmp_path):
-    (tmp_path / "a.txt").write_text("Wavelength;a.asd\n500;0.8\n501;0.8\n")
-    with pytest.raises(TimeError, match=r"a\.txt.*time-missing"):
-        open_irradiance(tmp_path, "irradiance", utc_offset_h=0)
+        open_irradiance("x", quantity="radiance", **wrong)
+    assert [name for name in ("quantity", *wrong) if f"{name}=" not in str(raised.value)] == []
 
 
 # --- units
 
 
-@pytest.mark.parametrize("factor", [1e6, 1e3, 100.0, 1e-4, 1e-6])
-def test_impossible_light_is_refused(log, factor):
-    """E in mW, uW, uW cm-2, W cm-2 or kW that is said to be W m-2 nm-1."""
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [
+        (1e6, "uW m-2 nm-1"),
+        (1e3, "mW m-2 nm-1"),
+        (100.0, "uW cm-2 nm-1"),
+        (1e-4, "W cm-2 nm-1"),
+        (1e-6, "W mm-2 nm-1"),
+    ],
+)
+def test_impossible_light_is_refused(log, factor, unit):
+    """E in mW, uW, uW cm-2, W cm-2 or W mm-2 that is said to be W m-2 nm-1."""
     files = log(0, 2, blocks={2: (0, LAMP * factor), 3: (136, LAMP_COUNTS)})
-    named = "irradiance-implausible"  # as likely as W mm-2
-    if factor > 1e-6:
-        unit = {1e6: "uW m-2 nm-1", 1e3: "mW m-2 nm-1", 100.0: "uW cm-2 nm-1", 1e-4: "W cm-2 nm-1"}[factor]
-        named = f"values in {unit} .*taken for W m-2 nm-1"
+    # W mm-2 is as likely as others
+    named = "irradiance-implausible" if factor == 1e-6 else f"values in {unit} .*taken for W m-2 nm-1"
     with pytest.raises(UnitsError, match=named):
         open_irradiance(files, utc_offset_h=0)
-    spelled = {
-        1e6: "uW m-2 nm-1",
-        1e3: "mW m-2 nm-1",
-        100.0: "uW cm-2 nm-1",
-        1e-4: "W cm-2 nm-1",
-        1e-6: "W mm-2 nm-1",
-    }
-    series = open_irradiance(files, utc_offset_h=0, units=spelled[factor])
+    series = open_irradiance(files, utc_offset_h=0, units=unit)
     np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
-
-
-def test_other_dimensions_are_refused(log):
     with pytest.raises(UnitsError, match="W m-2 sr-1 nm-1"):
-        open_irradiance(log(0, 2), utc_offset_h=0, units="W m-2 sr-1 nm-1")
+        open_irradiance(files, utc_offset_h=0, units="W m-2 sr-1 nm-1")
 
 
 # --- csv
@@ -340,12 +328,6 @@ def test_mutated_csv_raises_nothing_but_format_errors(tmp_path):
             assert table.values.shape == (len(table.times), len(table.wavelength))
 
 
-def test_csv_and_binaries_do_not_mix(log, tmp_path):
-    (tmp_path / "sky.csv").write_text(CSV.format(z="Z"))
-    with pytest.raises(FormatError, match="formats-mixed"):
-        open_irradiance([*log(0), tmp_path / "sky.csv"])
-
-
 # --- xarray and its stores
 
 
@@ -363,33 +345,38 @@ def test_every_time_resolution_comes_out_in_nanoseconds(resolution):
 
 def test_units_and_width_of_an_xarray_series():
     data = sky(utc("2024-05-21T12:00", "2024-05-21T12:01")) * 1000
-    with pytest.raises(UnitsError, match="units-missing"):
-        open_irradiance(data.drop_attrs(deep=False), fwhm_nm=3)
     data.attrs["units"] = "mW m-2 nm-1"
-    with pytest.raises(UnitsError, match="units-conflict"):
-        open_irradiance(data, fwhm_nm=3, units="W m-2 nm-1")
-    with pytest.raises(SchemaError, match="fwhm_nm="):
-        open_irradiance(data)
     width = xr.DataArray([0.003, 0.004, 0.005], dims="wavelength", attrs={"units": "um"})
     series = open_irradiance(data.to_dataset().assign(irradiance_fwhm=width))
     np.testing.assert_allclose(series["irradiance_fwhm"].values, [3, 4, 5])
     np.testing.assert_allclose(series["irradiance"].values, data.values / 1000, rtol=1e-6)
+    # a width that depends on wavelength
+    series = open_irradiance(data, fwhm_nm=[[400, 4.0], [600, 3.0], [601, 10.0]])
+    np.testing.assert_allclose(series.irradiance_fwhm, [3.5, 3.0, 10.0])
+    assert series.irradiance_fwhm.dims == ("irradiance_wavelength",)
 
 
-def test_what_is_no_series_is_refused():
-    times = utc("2024-05-21T12:00", "2024-05-21T12:01")
-    with pytest.raises(SchemaError, match="variable-missing"):
-        open_irradiance(sky(times).to_dataset(name="radiance"))
-    with pytest.raises(SchemaError, match="dims-wrong"):
-        open_irradiance(sky(times).rename(time="when"))
-    with refusal(TimeError, "type-wrong", "datetime64"):
-        open_irradiance(sky([1.0, 2.0]), fwhm_nm=3)
-    with refusal(TimeError, "value-out-of-range", "utc_offset_h=", "hours"):
-        open_irradiance(sky(times), fwhm_nm=3, utc_offset_h=-18000)
-    with pytest.raises(SchemaError, match="wavelength-unordered"):
-        open_irradiance(sky(times).isel(wavelength=slice(None, None, -1)), fwhm_nm=3)
-    with pytest.raises(TimeError, match="time-duplicate"):
-        open_irradiance(sky(times[[0, 0]]), fwhm_nm=3)
+@pytest.mark.parametrize(
+    ("change", "options", "error", "told"),
+    [
+        (lambda data: data.to_dataset(name="radiance"), {}, SchemaError, ("variable-missing",)),
+        (lambda data: data.rename(time="when"), {}, SchemaError, ("dims-wrong",)),
+        (lambda data: data.assign_coords(time=[1.0, 2.0]), {}, TimeError, ("type-wrong", "datetime64")),
+        (lambda data: data, {"utc_offset_h": -18000}, TimeError,
+         ("value-out-of-range", "utc_offset_h=", "hours")),
+        (lambda data: data.isel(wavelength=[2, 1, 0]), {}, SchemaError, ("wavelength-unordered",)),
+        (lambda data: data.isel(time=[0, 0]), {}, TimeError, ("time-duplicate",)),
+        (lambda data: data.drop_attrs(deep=False), {}, UnitsError, ("units-missing",)),
+        (lambda data: data, {"units": "mW m-2 nm-1"}, UnitsError, ("units-conflict",)),
+        (lambda data: data, {"fwhm_nm": None}, SchemaError, ("fwhm-missing", "fwhm_nm=")),
+        *((lambda data: data, {"fwhm_nm": wrong}, SchemaError, ("value-out-of-range",))
+          for wrong in ([[700, 3.0], [400, 3.0]], [[400, -1.0]], [3.0, 4.0], [[400, 3.0], [500]])),
+    ],
+)  # fmt: skip
+def test_what_is_no_series_is_refused(change, options, error, told):
+    data = sky(utc("2024-05-21T12:00", "2024-05-21T12:01"))
+    with refusal(error, *told):
+        open_irradiance(change(data), **{"fwhm_nm": 3, **options})
 
 
 @pytest.mark.parametrize(("name", "group"), [("s.zarr", None), ("s.zarr", "irradiance"), ("s.nc", None)])
@@ -423,24 +410,6 @@ def test_a_damaged_store_is_named(tmp_path):
         open_irradiance(tmp_path / "sky.zarr")
     with refusal(FormatError, "file-unreadable", "gone.zarr"):
         open_irradiance(tmp_path / "gone.zarr")
-
-
-def test_a_width_may_depend_on_wavelength() -> None:
-    sky = xr.DataArray(
-        np.full((2, 5), 0.8),
-        dims=("time", "wavelength"),
-        coords={
-            "time": np.array(["2024-05-21T12:00", "2024-05-21T12:01"], "datetime64[ns]"),
-            "wavelength": ("wavelength", [400.0, 700.0, 1000.0, 1001.0, 1400.0], {"units": "nm"}),
-        },
-        attrs={"units": "W m-2 nm-1"},
-    )
-    series = open_irradiance(sky, fwhm_nm=[[400, 4.0], [1000, 3.0], [1001, 10.0]])
-    np.testing.assert_allclose(series.irradiance_fwhm, [4.0, 3.5, 3.0, 10.0, 10.0])
-    assert series.irradiance_fwhm.dims == ("irradiance_wavelength",)
-    for wrong in ([[700, 3.0], [400, 3.0]], [[400, -1.0]], [3.0, 4.0], [[400, 3.0], [500]]):
-        with pytest.raises(SchemaError, match="value-out-of-range"):
-            open_irradiance(sky, fwhm_nm=wrong)
 
 
 @pytest.mark.real_data

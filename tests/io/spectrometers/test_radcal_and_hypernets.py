@@ -52,48 +52,38 @@ def test_damaged_calibrations_are_refused(tmp_path: Path, old: str, new: str, pr
         hp.io.read_radcal(path)
 
 
-@pytest.mark.parametrize("dim", ["series", "scan"])
-def test_hypernets_irradiance(tmp_path: Path, dim: str) -> None:
-    """Names and units as hypernets_processor writes them: no real file is at hand."""
+def _hypernets(path: Path, dim: str, level: list[float], time: np.ndarray, flags: list[int]) -> Path:
+    """Write a product with names and units as hypernets_processor writes them: no real file is at hand."""
     nm = np.arange(400.0, 1001.0, 5.0)
-    level = np.array([1000.0, 1010.0, 990.0])
+    values = np.outer(np.ones(nm.size), level)
     data = xr.Dataset(
         {
-            "irradiance": (
-                ("wavelength", dim),
-                np.outer(np.ones(nm.size), level),
-                {"units": "mW m^-2 nm^-1"},
-            ),
+            "irradiance": (("wavelength", dim), values, {"units": "mW m^-2 nm^-1"}),
             "bandwidth": ("wavelength", np.full(nm.size, 3.2)),
-            "acquisition_time": (
-                dim,
-                np.array([1717243200, 1717243210, 1717243220], np.uint32),
-                {"units": "s"},
-            ),
-            "quality_flag": (dim, np.zeros(3, np.uint32)),
+            "acquisition_time": (dim, time),
+            "quality_flag": (dim, np.array(flags, np.uint32)),
         },
         {"wavelength": ("wavelength", nm, {"units": "nm"})},
     )
-    path = tmp_path / "HYPERNETS_L_TEST_L1B_IRR_20240601T1200.nc"
+    if time.dtype.kind != "M":
+        data["acquisition_time"].attrs["units"] = "s"
     data.to_netcdf(path)
-    series = hp.open_irradiance(path)
-    np.testing.assert_allclose(series.irradiance[:, 0], level * 1e-3, rtol=1e-6)
+    return path
+
+
+@pytest.mark.parametrize("dim", ["series", "scan"])
+def test_hypernets_irradiance(tmp_path: Path, dim: str) -> None:
+    level, time = [1000.0, 1010.0, 990.0], np.array([1717243200, 1717243210, 1717243220], np.uint32)
+    path = tmp_path / "HYPERNETS_L_TEST_L1B_IRR_20240601T1200.nc"
+    series = hp.open_irradiance(_hypernets(path, dim, level, time, [0, 0, 0]))
+    np.testing.assert_allclose(series.irradiance[:, 0], np.multiply(level, 1e-3), rtol=1e-6)
     assert series.irradiance_time.values[0] == np.datetime64("2024-06-01T12:00:00")
     assert float(series.irradiance_fwhm.max()) == pytest.approx(3.2)
 
 
 def test_flagged_spectra_of_hypernets_are_left_out(tmp_path: Path) -> None:
     time = np.array(["2024-06-01T12:00:00", "NaT", "2024-06-01T12:00:20", "2024-06-01T12:00:30"], "M8[ns]")
-    data = xr.Dataset(
-        {
-            "irradiance": (("wavelength", "scan"), np.full((61, 4), 1000.0), {"units": "mW m^-2 nm^-1"}),
-            "bandwidth": ("wavelength", np.full(61, 3.2)),
-            "acquisition_time": ("scan", time),
-            "quality_flag": ("scan", np.array([0, 0, 4, 0], np.uint32)),
-        },
-        {"wavelength": ("wavelength", np.linspace(400.0, 1000.0, 61), {"units": "nm"})},
-    )
-    data.to_netcdf(tmp_path / "flagged.nc")
+    path = _hypernets(tmp_path / "flagged.nc", "scan", [1000.0] * 4, time, [0, 0, 4, 0])
     with pytest.warns(PaintWarning, match="samples-flagged"):
-        series = hp.open_irradiance(tmp_path / "flagged.nc")
+        series = hp.open_irradiance(path)
     np.testing.assert_array_equal(series.irradiance_time, time[[0, 3]])

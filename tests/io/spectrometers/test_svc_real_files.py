@@ -14,8 +14,7 @@ from support.svc_texts import german
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.cli.info_command import describe_path
-from hyperpaint.io.spectrometers.svc import open_svc
-from hyperpaint.io.spectrometers.svc_layout import read_svc
+from hyperpaint.io.spectrometers.svc import open_svc, read_svc
 
 pytestmark = pytest.mark.real_data
 
@@ -162,15 +161,12 @@ def test_raw_and_matched_files_do_not_mix_unless_trimmed_alike(folder: Path) -> 
         opened(both)
     for part in ("1024 from", "overlap kept: BNL13001_000.sig", "982 from", "joins=(970, 1901)"):
         assert part in str(raised.value)
+    with pytest.raises(FormatError, match="grid-mismatch"):
+        opened([folder / "ACPL_D2_P1_B_1_001.sig", both[0]])
     found = opened(both, overlap="trim", joins=(970, 1901))
     assert found.sizes == {"spectrum": 2, "wavelength": 982}
     assert found["overlap"].values.tolist() == ["trimmed @ 970, 1901 nm", "removed @ 970, 1901 nm"]
     assert found["overlap_matched"].values.tolist() == [False, True]
-
-
-def test_files_of_two_instruments_do_not_mix(folder: Path) -> None:
-    with pytest.raises(FormatError, match="grid-mismatch"):
-        opened([folder / "ACPL_D2_P1_B_1_001.sig", folder / "BNL13001_000.sig"])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -41,7 +41,7 @@ from hyperpaint.io.store.budget import (
     thread_space,
 )
 from hyperpaint.io.store.disk import check_disk, disk_needed
-from hyperpaint.workflows import pipeline
+from hyperpaint.workflows import pipeline, products
 
 MIB = 2**20
 Usage = namedtuple("Usage", "total used free")
@@ -206,7 +206,7 @@ def test_each_thread_costs_address_space() -> None:
 
 LIMITED = """
 import resource, sys
-import hyperpaint.io.collect.collect_opening, hyperpaint.workflows.pipeline
+import hyperpaint.io.collect.collect_toml, hyperpaint.workflows.pipeline
 import hyperpaint.radiometry.counts_to_reflectance, zarr, dask.array
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 300 * 2**20,) * 2)
@@ -349,7 +349,7 @@ def test_process_takes_fewer_threads_and_the_same_bits_come_out(
         threads.append(dask.config.get("num_workers", None))
 
     monkeypatch.setattr(budget, "fit", spy)
-    monkeypatch.setattr(pipeline, "_compute_first_slabs", rehearse)
+    monkeypatch.setattr(products, "check_room", rehearse)
     monkeypatch.setattr(pipeline, "CHUNK_LINES", 64)
     with dask.config.set(num_workers=3):
         wide = hp.process(collect, tmp_path / "wide.zarr", memory_limit="1 GiB")

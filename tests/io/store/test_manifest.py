@@ -18,7 +18,7 @@ import zarr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, StoreError
-from hyperpaint.io.store import list_groups, open_group, stage, verification, writer
+from hyperpaint.io.store import is_complete, list_groups, open_group, stage, verification, writer
 from hyperpaint.io.store.groups import listed_documents
 from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.manifest import (
@@ -90,6 +90,7 @@ def test_a_whole_run_is_whole_and_can_be_moved(store: Path, tmp_path: Path) -> N
     os.rename(store, tmp_path / "elsewhere.zarr")
     moved = tmp_path / "elsewhere.zarr"
     assert hp.verify(moved).ok
+    assert is_complete(moved, LINES[0])
     assert set(hp.open_store(moved)["flightlines"].children) == {"raw_0", "raw_1", "raw_2"}
     assert hp.open_store(moved, LINES[0]).counts.values[0, 0, 0] == 98
     consolidate(moved)
@@ -383,6 +384,7 @@ def test_a_lost_manifest_is_told_and_made_again(store: Path) -> None:
     before = manifest(store)
     shutil.rmtree(store / "hyperpaint")
     assert "is missing" in hp.verify(store).problems[0]
+    assert not is_complete(store, LINES[0])
     assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
     with pytest.raises(StoreError, match="manifest-lost"):
         hp.to_store(line(7), store, "signatures")
@@ -395,11 +397,12 @@ def test_a_lost_manifest_is_told_and_made_again(store: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "code"),
     [("raw_2", "raw_9", "manifest-damaged"), ('"crc32c": ', '"crc32c": 1', "manifest-damaged"),
-     ("{", "[", "metadata-damaged")],
+     ('"groups"', '"groupz"', "manifest-damaged"), ("{", "[", "metadata-damaged"),
+     ("", "{", "metadata-damaged"), ("", "[]", "metadata-damaged"), ("", "[" * 100_000, "metadata-damaged")],
 )  # fmt: skip
 def test_a_damaged_manifest_is_told(old: str, new: str, code: str, store: Path) -> None:
     place = store / "hyperpaint/zarr.json"
-    place.write_text(place.read_text().replace(old, new))
+    place.write_text(place.read_text().replace(old, new) if old else new)
     assert "is damaged" in problems(store)
     for act in (lambda: hp.open_store(store, LINES[0]), lambda: hp.to_store(line(7), store, "signatures")):
         with pytest.raises(hp.PaintError, match=code):

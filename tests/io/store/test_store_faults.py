@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
-from filelock._identity import host_name
 
 from hyperpaint.base.errors import IncompleteStoreError, StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
@@ -95,7 +94,9 @@ def chunks_built(path: Path) -> int:
 
 
 @pytest.mark.parametrize(
-    ("chunks_before_kill", "replacing"), [(0, False), (3, True), (12, False), (20, True), (20, False)]
+    # at random instants and before each call: campaigns/faults/interruptions.py
+    ("chunks_before_kill", "replacing"),
+    [(3, True), (12, False), (20, True)],
 )
 @pytest.mark.slow
 def test_killed_writer(chunks_before_kill: int, replacing: bool, tmp_path: Path) -> None:
@@ -153,26 +154,6 @@ def test_kill_before_the_root_is_consolidated(stage: str, store: Path) -> None:
     xr.open_zarr(store, group=GROUP)
 
 
-def test_copied_files_are_complete(store: Path) -> None:
-    shutil.copytree(store, store.parent / "copy.zarr")
-    assert verify(store.parent / "copy.zarr").ok
-    assert is_complete(store.parent / "copy.zarr", GROUP)
-
-
-def test_a_store_without_its_manifest_is_told(store: Path) -> None:
-    shutil.rmtree(store / "hyperpaint")
-    assert "is missing" in str(verify(store))
-    assert not is_complete(store, GROUP)
-
-
-def test_a_part_of_a_store_is_read_as_any_zarr(store: Path) -> None:
-    shutil.copytree(store / GROUP, store.parent / "part.zarr")
-    xr.testing.assert_equal(open_store(store.parent / "part.zarr"), open_store(store, GROUP))
-    report = verify(store.parent / "part.zarr")
-    assert report.ok
-    assert "copied from a store of hyperpaint" in report.notes[0]
-
-
 def test_missing_store_and_group_are_named(store: Path) -> None:
     with pytest.raises(StoreError, match="group-unknown"):
         open_store(store, "flightlines/raw_7")
@@ -181,7 +162,7 @@ def test_missing_store_and_group_are_named(store: Path) -> None:
             function(store.parent / "none.zarr")
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_bit_flip_is_seen_by_everyone(seed: int, store: Path) -> None:
     damaged = bytearray(chunk(store).read_bytes())
     place = int(np.random.default_rng(seed).integers(len(damaged) * 8))
@@ -194,39 +175,26 @@ def test_bit_flip_is_seen_by_everyone(seed: int, store: Path) -> None:
     )
 
 
-def _delete(store: Path) -> None:
-    chunk(store).unlink()
-
-
 def _swap(store: Path) -> None:
     one, two = chunk(store), chunk(store, "counts/c/0/0/0")
-    os.rename(one, one.with_name("t"))
-    os.rename(two, one)
-    os.rename(one.with_name("t"), two)
+    for old, new in ((one, one.with_name("t")), (two, one), (one.with_name("t"), two)):
+        os.rename(old, new)
 
 
-def _stale(store: Path) -> None:
-    shutil.copy(store / "flightlines/raw_1/counts/c/1/0/0", chunk(store))
+#: What happens to the chunks of a group, or to those of the other one in its place.
+CHUNKS: dict[str, Callable[[Path], object]] = {
+    "deleted": lambda store: chunk(store).unlink(),
+    "swapped": _swap,
+    "stale": lambda store: shutil.copy(store / "flightlines/raw_1/counts/c/1/0/0", chunk(store)),
+    "truncated": lambda store: chunk(store).write_bytes(chunk(store).read_bytes()[:100]),
+    "empty": lambda store: chunk(store).write_bytes(b""),
+    "stray": lambda store: shutil.copy(chunk(store), chunk(store).with_name("1")),
+    "small one deleted": lambda store: chunk(store, "frame/c/0").unlink(),
+}
 
 
-def _truncate(store: Path) -> None:
-    chunk(store).write_bytes(chunk(store).read_bytes()[:100])
-
-
-def _empty(store: Path) -> None:
-    chunk(store).write_bytes(b"")
-
-
-def _stray(store: Path) -> None:
-    shutil.copy(chunk(store), chunk(store).with_name("1"))
-
-
-def _delete_small(store: Path) -> None:
-    chunk(store, "frame/c/0").unlink()
-
-
-@pytest.mark.parametrize("damage", [_delete, _swap, _stale, _truncate, _empty, _stray, _delete_small])
-def test_damaged_chunks_are_seen_by_verify(damage: Callable[[Path], None], store: Path) -> None:
+@pytest.mark.parametrize("damage", CHUNKS.values(), ids=CHUNKS)
+def test_damaged_chunks_are_seen_by_verify(damage: Callable[[Path], object], store: Path) -> None:
     damage(store)
     report = verify(store)
     assert not report.ok
@@ -234,37 +202,9 @@ def test_damaged_chunks_are_seen_by_verify(damage: Callable[[Path], None], store
     assert len(report.problems) == 1
 
 
-def _array_gone(store: Path) -> None:
-    shutil.rmtree(store / GROUP / "radiance_gain")
-
-
-def _group_gone(store: Path) -> None:
-    shutil.rmtree(store / GROUP)
-
-
-def _metadata_changed(store: Path) -> None:
-    zarr.open_array(store / GROUP / "counts").attrs["units"] = "W"
-
-
-def _attributes_changed(store: Path) -> None:
-    zarr.open_group(store / GROUP).attrs["created"] = "long ago"
-
-
-def _json_damaged(store: Path) -> None:
-    (store / GROUP / "counts/zarr.json").write_text("[" * 100_000)
-
-
-def _array_of_another(store: Path) -> None:
-    shutil.copy(store / "flightlines/raw_1/counts/zarr.json", store / GROUP / "frame")
-
-
 def _group_of_another(store: Path) -> None:
     shutil.rmtree(store / GROUP)
     shutil.copytree(store / "flightlines/raw_1", store / GROUP)
-
-
-def _group_metadata_damaged(store: Path) -> None:
-    (store / GROUP / "zarr.json").write_text("")
 
 
 def _content_damaged(store: Path) -> None:
@@ -272,21 +212,23 @@ def _content_damaged(store: Path) -> None:
     path.write_text(path.read_text().replace('"hyperpaint_content"', '"hyperpaint_contend"'))
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        _array_gone,
-        _group_gone,
-        _metadata_changed,
-        _attributes_changed,
-        _json_damaged,
-        _array_of_another,
-        _group_of_another,
-        _content_damaged,
-        _group_metadata_damaged,
-    ],
-)
-def test_damaged_metadata(damage: Callable[[Path], None], store: Path) -> None:
+METADATA: dict[str, Callable[[Path], object]] = {
+    "array gone": lambda store: shutil.rmtree(store / GROUP / "radiance_gain"),
+    "group gone": lambda store: shutil.rmtree(store / GROUP),
+    "of an array changed": lambda store: zarr.open_array(store / GROUP / "counts").attrs.update(units="W"),
+    "attributes changed": lambda store: zarr.open_group(store / GROUP).attrs.update(created="long ago"),
+    "JSON damaged": lambda store: (store / GROUP / "counts/zarr.json").write_text("[" * 100_000),
+    "array of another": lambda store: shutil.copy(
+        store / "flightlines/raw_1/counts/zarr.json", store / GROUP / "frame"
+    ),
+    "group of another": _group_of_another,
+    "content damaged": _content_damaged,
+    "of the group damaged": lambda store: (store / GROUP / "zarr.json").write_text(""),
+}
+
+
+@pytest.mark.parametrize("damage", METADATA.values(), ids=METADATA)
+def test_damaged_metadata(damage: Callable[[Path], object], store: Path) -> None:
     damage(store)
     assert not verify(store).ok
     assert not is_complete(store, GROUP)
@@ -296,18 +238,6 @@ def test_damaged_metadata(damage: Callable[[Path], None], store: Path) -> None:
     assert is_complete(store, "flightlines/raw_1")
     to_store(open_store(store, "flightlines/raw_1").compute(), store, GROUP, overwrite=True)
     assert verify(store).ok
-
-
-def test_a_damaged_manifest_is_told_and_written_again(store: Path) -> None:
-    path = store / "hyperpaint/zarr.json"
-    for text in ("{", "[]", path.read_text().replace('"groups"', '"groupz"'), "[" * 100_000):
-        path.write_text(text)
-        assert not verify(store).ok
-        with pytest.raises(IncompleteStoreError):
-            open_store(store, GROUP)
-    whole = xr.open_zarr(store, group=GROUP).load()
-    to_store(whole, store, GROUP, overwrite=True)
-    assert is_complete(store, GROUP)
 
 
 def test_later_format_is_refused(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -326,31 +256,6 @@ def test_second_writer_is_refused(tmp_path: Path) -> None:
     assert writer.communicate(timeout=60)[0] == "done\n"
     to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
     assert verify(path).ok
-
-
-def test_lock_of_another_host_is_respected(tmp_path: Path) -> None:
-    lock = tmp_path / ".partial-lot.zarr" / "lock"
-    lock.parent.mkdir()
-    lock.write_text("1\nelsewhere\n")
-    with pytest.raises(StoreError, match="store-locked"):
-        to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lot.zarr")
-    assert lock.exists()
-
-
-@pytest.mark.parametrize("content", ["dead", "reused", "garbage"])
-def test_stale_lock_is_taken_over(content: str, tmp_path: Path) -> None:
-    lock = tmp_path / ".partial-lot.zarr" / "lock"
-    lock.parent.mkdir()
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait(timeout=30)
-    pid = dead.pid
-    if content == "reused":
-        if not Path("/proc/self/stat").exists():
-            pytest.skip("the start time of a process is only known on Linux")
-        pid = os.getpid()
-    lock.write_text("{" if content == "garbage" else f"{pid}\n{host_name()}\n1\n")
-    to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lot.zarr")
-    assert os.listdir(tmp_path) == ["lot.zarr"]
 
 
 def test_concurrent_writers_take_turns_or_are_refused(tmp_path: Path) -> None:

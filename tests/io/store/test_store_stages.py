@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.io.store.stages import in_stages
+from hyperpaint.io.store.computing import in_stages
 
 
 def _slabs_and_tiles(slabs: int, counted: list[int]) -> tuple[dict, dict]:

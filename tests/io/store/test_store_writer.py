@@ -416,11 +416,6 @@ def test_schedulers_write_the_same_bytes(scheduler: str, tmp_path: Path) -> None
         assert {key: value[1] for key, value in one.items()} == {key: value[1] for key, value in two.items()}
 
 
-def test_progress_bar(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    to_store(flightline(), tmp_path / "a.zarr", progress=True)
-    assert "100%" in capsys.readouterr().out
-
-
 def test_each_source_block_is_computed_once(tmp_path: Path) -> None:
     calls: list[int] = []
 

@@ -99,8 +99,7 @@ def test_members_and_paints_are_the_same_draws() -> None:
     np.testing.assert_allclose(drawn.reflectance, drawn.member_reflectance.mean("member"), rtol=1e-5)
     assert drawn.reflectance.dtype == drawn.member_reflectance.dtype == np.float32
     assert paints["signature"].values[8] == "paint 1 (synthetic 2)"
-    assert paints.parents.values[8] == '["paint 1"]'
-    assert set(paints.provenance.values) == {"synthetic"}
+    assert (paints.parents.values[8], set(paints.provenance.values)) == ('["paint 1"]', {"synthetic"})
     assert paints.make.values.tolist() == ["VW"] * 14
     assert paints.reflectance.attrs["mirror_reflection"] == "included"
 

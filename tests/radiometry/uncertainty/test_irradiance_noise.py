@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.noisy_collects import BANDS, noisy_collect
 
+from hyperpaint.light.illumination import matched_noise, noise_of_record
 from hyperpaint.radiometry.uncertainty import estimate_noise
-from hyperpaint.radiometry.uncertainty.irradiance_noise import matched_noise, noise_of_record
 
 CHANNELS = np.arange(350.0, 1051.0)
 

@@ -35,14 +35,14 @@ def pulls(draws: int, seed: int, shape: tuple[int, int, int], **options: Any) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("lines", "columns", "darks"),
+    ("lines", "columns", "darks", "draws"),
     # all twelve of regions and numbers of darks: tests/campaigns/region_means.py
-    [(400, 20, 10), (100, 20, 100), (400, 1, 100), (1, 400, 10)],
+    [(150, 20, 10, 120), (100, 20, 100, 120), (400, 1, 100, 120), (1, 120, 10, 200)],
 )
-def test_means_scatter_as_is_stated(lines: int, columns: int, darks: int) -> None:
-    ratios = pulls(200, 7000 + darks, (lines, columns, darks))
+def test_means_scatter_as_is_stated(lines: int, columns: int, darks: int, draws: int) -> None:
+    ratios = pulls(draws, 7000 + darks, (lines, columns, darks))
     assert 0.95 < np.sqrt(np.mean(ratios**2)) < 1.05
-    # 200 draws know the ratio of one band to 5 %
+    # 120 draws know the ratio of one band to 6.5 %
     assert np.abs(ratios - 1.0).max() < 0.2
 
 
@@ -53,8 +53,8 @@ def test_means_scatter_as_is_stated(lines: int, columns: int, darks: int) -> Non
     ids=["all of a flight", "pedestal", "two darks", "rounding"],
 )
 def test_means_scatter_as_is_stated_with_what_is_shared(options: dict[str, Any]) -> None:
-    ratios = pulls(300, 7100, (40, 10, 10), **options)
-    # what bands share is one draw a collect: known to 4 %
+    ratios = pulls(150, 7100, (40, 10, 10), **options)
+    # what bands share is one draw a collect: known to 6 %
     assert 0.85 < np.sqrt(np.mean(ratios**2)) < 1.15
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from support.transport_scenes import COMPILED, code, materials, staring, sun, suns, traced, weight_of
 
-from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
-from hyperpaint.simulation.transport.hits import waved
+from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry, waved
 
 SKY, SUN = 0, 2
 

@@ -7,6 +7,7 @@ import pytest
 from support.transport_scenes import COMPILED, materials
 
 from hyperpaint.simulation.rendering.materials import internal_reflectance
+from hyperpaint.simulation.transport.hierarchy import frame_of, from_frame, in_frame
 from hyperpaint.simulation.transport.surfaces import (
     ENDED,
     RECYCLED,
@@ -24,7 +25,6 @@ from hyperpaint.simulation.transport.surfaces import (
     scatter_coat,
     sun_weights,
 )
-from hyperpaint.simulation.transport.vectors import frame_of, from_frame, in_frame
 
 
 def fresnel_by_angles(cosine: np.ndarray, index: float) -> np.ndarray:

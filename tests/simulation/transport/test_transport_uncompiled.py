@@ -15,7 +15,7 @@ HERE = Path(__file__).resolve().parent
 
 @pytest.mark.slow
 def test_transport_runs_without_compilation() -> None:
-    subjects = ("hierarchy", "surfaces", "codes", "paths", "mixing")
+    subjects = ("hierarchy", "surfaces", "paths", "mixing")
     names = [HERE / f"test_transport_{subject}.py" for subject in subjects]
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, names)]
     found = subprocess.run(

@@ -1,0 +1,486 @@
+"""Formats of spectral libraries: `open_library` by content, `write_library` by name or suffix."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.arrays import Array, Floats, Progress
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, StoreError
+from hyperpaint.base.facts import documented, is_number
+from hyperpaint.base.input_files import head_of
+from hyperpaint.base.old_names import with_new_names
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.io.spectrometers.spectrum_files import find_paths
+from hyperpaint.io.store import list_groups, open_store, to_store
+from hyperpaint.io.store.reader import is_zarr
+
+from .csv_library import is_csv_library, read_csv_library, write_csv_library
+from .envi_library import read_envi_library, write_envi_library
+from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
+from .parquet_library import is_parquet, read_parquet_library, write_parquet_library
+from .records import CENTRE, checked_library, spectral_variables
+from .text_spectra import (
+    is_ecostress,
+    is_usgs,
+    is_usgs_axis,
+    read_ecostress,
+    read_plain_table,
+    read_usgs,
+    read_usgs_axis,
+    warn_of_light,
+)
+
+Path_ = str | os.PathLike[str]
+
+_HEAD_BYTES = 64 * 1024
+_MAX_SHOWN, _MAX_SHOWN_DIFFERENCES = 20, 10
+_ENVI_SUFFIXES = (".hdr", ".sli")
+_TEXT_SUFFIXES = (".txt", ".csv", ".tsv", ".asc")
+_ANCILLARY = ".ancillary.txt"
+_DIGITS = re.compile(r"(\d+)")
+_BAND_COORDINATES = ("wavelength", "fwhm", "good")
+
+
+class _Options(NamedTuple):
+    # Axes, scale and quantity from the caller
+    wavelength: Floats | None
+    fwhm: Floats | None
+    scale: float | None
+    is_reflectance: bool  # whether the caller declares the values as reflectance
+
+    def refuse_for(self, path: Path_) -> None:
+        # Raise if there is an option, for a file that hyperpaint wrote with its axes and scale
+        if any(option is not None for option in self[:3]):
+            raise FormatError(OWN_AXES.format(path), code="option-conflict")
+
+
+def open_library(
+    path: Path_ | Sequence[Path_],
+    *,
+    wavelength: Path_ | Any | None = None,
+    fwhm: Path_ | Any | None = None,
+    scale: float | None = None,
+    quantity: str | None = None,
+) -> xr.Dataset:
+    r"""Open a spectral library as a paint library.
+
+    Parameters
+    ----------
+    path
+        A file, a folder, a pattern (``"svc/*.txt"``), or a list of files:
+
+        * an ENVI spectral library (``.sli`` or its ``.hdr``), also those of the USGS, whose first records are
+          wavelengths and bandwidths;
+        * emissivity of DIRSIG (``.ems``), one opaque paint per file, its curves as members;
+        * text of the ECOSTRESS library (version 1), the ASTER library (version 2) or the USGS library, or a
+          table with wavelengths in its first column: several files with equal wavelengths become one
+          library;
+        * Parquet in the columns of OpenSpecLib (extra ``library``), with equal wavelengths in all rows;
+        * files of `hyperpaint.write_library`, including CSV and Zarr; any Zarr (folder, zip file, URL or
+          store object of zarr); a path inside a store names a group.
+    wavelength, fwhm
+        Axes of the bands [nm], or a file of the USGS library with them, in place of the axes in ``path``. By
+        default they are read for USGS text from files beside it and in the two folders above.
+    scale
+        Stored value of a reflectance of one (100 for percent). By default from the file: its scale factor,
+        units or headings. Without any of these, values that are not fractions are an error.
+    quantity
+        ``"reflectance"`` declares a text as reflectance whose headings or values look like another quantity,
+        or whose third column without a heading looks like a standard deviation.
+
+    Returns
+    -------
+    xarray.Dataset
+        `reflectance` (signature, band) float32 [1], NaN for missing samples; coordinates `signature`,
+        `wavelength` [nm] in the order of the file, which may be descending; `fwhm` [nm], `good`, and further
+        columns of the file. Names are as in the file, duplicates included. Error bars of the USGS are
+        `reflectance_u_random`. Attributes: `source`, `format`, and `notes` on inferred properties. A library
+        of hyperpaint is returned as it was written; a Zarr store lazily.
+
+    Raises
+    ------
+    FormatError
+        A file is damaged, in another format, not reflectance by its headings or values, without wavelengths
+        or of unknown scale; or several files have different wavelengths. All problems are listed.
+    StoreError
+        A Zarr store was never finished, or there is no store at the path.
+
+    Warns
+    -----
+    PaintWarning
+        The library is of hyperpaint 0.2 or before: its dimension `paint` is renamed `signature`. Names or
+        metadata are missing, or an inferred property may make values wrong. Spectra have the oxygen band of
+        sunlight, as radiance and irradiance do.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> file = Path(scratch.name) / "red.csv"
+    >>> _ = file.write_text("wavelength (nm),reflectance (%)\n450,10\n650,50\n")
+    >>> library = open_library(file)
+    >>> library["signature"].item(), library["reflectance"].values.tolist()
+    ('red', [[0.10000000149011612, 0.5]])
+    >>> scratch.cleanup()
+    """
+    if scale is not None and not (is_number(scale) and scale > 0):
+        raise FormatError(
+            f"scale is {scale}",
+            expected="the stored value of a reflectance of one, such as 100",
+            code="value-out-of-range",
+        )
+    if quantity not in (None, "reflectance"):
+        raise FormatError(
+            f"quantity={quantity!r}",
+            expected="'reflectance', as in every paint library",
+            mend="leave quantity= out",
+            code="choice-unknown",
+        )
+    axes: dict[str, Floats | None] = {}
+    for name, argument in (("wavelength", wavelength), ("fwhm", fwhm)):
+        if argument is None or isinstance(argument, str | os.PathLike):
+            axes[name] = None if argument is None else read_usgs_axis(Path(argument))[0]
+            continue
+        try:
+            values = np.asarray(argument, np.float64)
+        except (TypeError, ValueError):
+            values = np.empty(0)
+        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
+            raise FormatError(
+                f"{name}= is {str(argument)[:60]!r}",
+                expected="a finite number for every band [nm], or a file",
+                code="value-out-of-range",
+            )
+        axes[name] = values
+    options = _Options(**axes, scale=scale, is_reflectance=quantity is not None)
+    if is_zarr(path):
+        options.refuse_for(str(path))
+        return _read_store(path)
+    files = find_paths(
+        path,
+        lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in _TEXT_SUFFIXES]),
+        "text files of spectra, or the path of a library's file",
+        lambda matches: _spectra_among([file for file in matches if file.suffix.lower() != ".json"]),
+    )
+    if len(files) == 1:
+        return _opened(files[0], options)
+    problems = Problems("the library cannot be opened", FormatError)
+    opened = []
+    for file in files:
+        try:
+            opened.append((file, _opened(file, options)))
+        except (FormatError, StoreError) as error:
+            problems.add_error("", error)
+            if len(problems) == _MAX_SHOWN:
+                break
+    problems.raise_if_any()
+    return _joined(opened)
+
+
+# --- which files -------------------------------------------------------------------------------------------
+
+
+def _spectra_among(paths: Sequence[Path]) -> list[Path]:
+    # Files of spectra without companion files (ancillary texts of ECOSTRESS, wavelengths and bandwidths of
+    # the USGS, tables of classes), sorted by name with numbers in numeric order
+    candidates = []
+    for path in paths:
+        if not path.is_dir() and not path.name.startswith(".") and not path.name.endswith(_ANCILLARY):
+            head = _head(path)
+            is_table = head[:20].lower().startswith(("spectra names,", '"spectra names"'))
+            if not is_table and not is_usgs_axis(head):
+                candidates.append(path)
+    # a data file of ENVI is dropped, since its header is in the list
+    headers = {path.with_suffix("") for path in candidates if path.suffix.lower() == ".hdr"}
+    candidates = [
+        path
+        for path in candidates
+        if path.suffix.lower() in (".hdr", *_TEXT_SUFFIXES)
+        or (path.with_suffix("") not in headers and path not in headers)
+    ]
+
+    def numeric_key(path: Path) -> tuple[list[tuple[int, str]], str]:
+        # texts at even positions, numbers between them
+        pieces = enumerate(_DIGITS.split(path.stem.lower()))
+        return [(int(text[:18]), "") if at % 2 else (-1, text) for at, text in pieces], path.name
+
+    return sorted(candidates, key=numeric_key)
+
+
+def _head(path: Path) -> str:
+    return head_of(path, _HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
+
+
+# --- one file ----------------------------------------------------------------------------------------------
+
+
+def _opened(path: Path, options: _Options) -> xr.Dataset:
+    if not path.is_file():
+        fault = "not a regular file" if os.path.lexists(path) else "no such file"
+        raise FormatError(f"{path}: {fault}", expected="a spectral library", code="file-not-found")
+    suffix = path.suffix.lower()
+    nm, fwhm, scale, is_reflectance = options
+    try:
+        head = _head(path)
+        if suffix == ".ems":
+            from hyperpaint.io.dirsig import open_emissivity
+
+            return open_emissivity(path)
+        # formats of hyperpaint
+        for is_form, read_own in (
+            (is_parquet(head_of(path, 4)), read_parquet_library),
+            (suffix not in _ENVI_SUFFIXES and is_csv_library(head), read_csv_library),
+        ):
+            if is_form:
+                options.refuse_for(path)
+                return read_own(path)
+        # formats of other programs, and ENVI of hyperpaint
+        if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
+            library = read_envi_library(path, scale=scale, wavelength=nm, fwhm=fwhm)
+        elif is_usgs(head):
+            library = library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=fwhm))
+        else:
+            spectra = (
+                read_ecostress(path, scale=scale, wavelength=nm)
+                if is_ecostress(head)
+                else read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
+            )
+            library = library_of(spectra if fwhm is None else replace(spectra, fwhm=fwhm))
+    except StoreError:
+        raise
+    except OSError as error:
+        raise FormatError(
+            f"{path}: cannot be read ({error.strerror or error})", code="file-unreadable"
+        ) from error
+    if not is_reflectance and "hyperpaint" not in str(library.attrs.get("format", "")):
+        warn_of_light(library["wavelength"].values, library["reflectance"].values, path.name)
+    return library
+
+
+def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
+    # One library from several files, with the file of every paint in the coordinate `file`
+    libraries = [library for _, library in opened]
+    first_path, first = opened[0]
+    problems = Problems("the files cannot be joined to one library", FormatError)
+
+    def grid(library: xr.Dataset) -> str:
+        nm = library["wavelength"].values
+        return f"{nm.size} wavelengths from {nm[0]:g} to {nm[-1]:g} nm"
+
+    for path, library in opened:
+        if not np.array_equal(library["wavelength"].values, first["wavelength"].values):
+            problems.add(
+                f"{path.name} has {grid(library)}",
+                expected=f"{grid(first)} as in {first_path.name}",
+                code="grid-mismatch",
+            )
+        plain_dims = ((SIGNATURE, BAND), (SIGNATURE,))
+        if variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims):
+            problems.add(
+                f"{path.name} has {', '.join(variables)}",
+                expected="one spectrum per paint",
+                mend="open this file alone",
+                code="library-not-plain",
+            )
+        if len(problems) >= _MAX_SHOWN_DIFFERENCES:
+            break
+    problems.raise_if_any()
+    notes = list(dict.fromkeys(text for library in libraries if (text := library.attrs.get("notes"))))
+    variables_by_name: dict[Any, xr.Variable] = {}
+    for name in dict.fromkeys(name for library in libraries for name in library.variables):
+        arrays = [library.variables.get(name) for library in libraries]
+        present = [array for array in arrays if array is not None]
+        is_whole, kinds = len(present) == len(arrays), {array.dtype.kind for array in present}
+        dims, attrs = present[0].dims, present[0].attrs
+        if SIGNATURE in dims:
+            # where a library lacks a variable its numbers are NaN, its texts empty; other kinds become texts
+            is_number = kinds <= set("biuf")
+            is_native = is_number or (is_whole and kinds == {"M"})
+            fill: Any = np.nan if is_number else ""
+            dtype = object if not is_number else np.float32 if BAND in dims else np.float64
+            shapes = [(library.sizes[SIGNATURE], *present[0].shape[1:]) for library in libraries]
+            values: Array = np.concatenate(
+                [
+                    np.full(shape, fill, dtype)
+                    if array is None
+                    else (array.values if is_native else text_column(list(map(str, array.values))))
+                    for array, shape in zip(arrays, shapes, strict=True)
+                ]
+            )
+            if is_number and BAND not in dims and not (is_whole and len(kinds) == 1):
+                values = values.astype(np.float64)
+            variables_by_name[name] = xr.Variable(dims, values, attrs)
+        elif name in _BAND_COORDINATES:
+            if is_whole and all(np.array_equal(array.values, present[0].values) for array in present):
+                variables_by_name[name] = present[0]
+            else:
+                notes.append(f"{name} differs from file to file and is left out")
+    files = text_column([path.name for path, library in opened for _ in range(library.sizes[SIGNATURE])])
+    variables_by_name["file"] = xr.Variable(SIGNATURE, files, {"long_name": "File"})
+    forms = dict.fromkeys(str(library.attrs.get("format", "")) for library in libraries)
+    attrs = {
+        "title": "Spectral library",
+        "source": f"{len(opened)} files, {first_path.name} to {opened[-1][0].name}",
+        "format": ", ".join(filter(None, forms)),
+    }
+    if notes:
+        attrs["notes"] = "; ".join(notes[:_MAX_SHOWN_DIFFERENCES])
+    merged = xr.Dataset(variables_by_name, attrs=attrs)
+    return with_numbers_as_data(
+        merged.set_coords([name for name, array in merged.variables.items() if array.ndim == 1])
+    )
+
+
+# --- Zarr stores -------------------------------------------------------------------------------------------
+
+
+def _read_store(path: Any) -> xr.Dataset:
+    # Lazy library from the root group of a Zarr store
+    groups = list_groups(path)
+    if "" not in groups:
+        addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
+        raise FormatError(
+            f"{path} holds no paint library at its root (groups: {addresses})", code="library-missing"
+        )
+    library = with_new_names(open_store(path, ""))
+    rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
+    missing = [name for name in rows if name not in library.variables]
+    dim_problems = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
+    if missing or any(dim_problems):
+        texts = [str(problem) for problem in dim_problems if problem]
+        reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
+        raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
+    return library
+
+
+# --- writing -----------------------------------------------------------------------------------------------
+
+
+def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
+    total = library.sizes[SIGNATURE]
+    if progress is not None:
+        progress(0, total)
+    to_store(library, path, overwrite=overwrite)
+    if progress is not None:
+        progress(total, total)
+
+
+_WRITERS: dict[str, Callable[..., Any]] = {
+    "envi": write_envi_library,
+    "csv": write_csv_library,
+    "parquet": write_parquet_library,
+    "zarr": _write_store,
+}
+_FORMAT_OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
+
+
+@takes_quantities()
+@documented()
+def write_library(
+    library: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    format: str | None = None,
+    curves: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a paint library.
+
+    * ``envi``: ``x.sli`` (float32), its header ``x.hdr`` and metadata ``x.sli.json``; the header also lists
+      properties of the paints (``paint make = {...}``).
+    * ``csv``: ``x.csv``, a table for pandas, R, spreadsheets and EcoSIS: columns of the paint's name and
+      properties, then of reflectance [1] at wavelengths [nm]; units and all else in ``x.csv.json``.
+    * ``parquet``: ``x.parquet`` in the columns of OpenSpecLib, a row per spectrum, and ``x.parquet.json``;
+      needs the extra ``library`` (pyarrow).
+    * ``zarr``: a store, see `hyperpaint.to_store`.
+
+    `hyperpaint.open_library` opens all of them; with ``curves="all"`` it returns the library that was
+    written, bit for bit. Files appear under their names when all are complete. Lazy libraries are computed in
+    blocks of paints.
+
+    Parameters
+    ----------
+    library
+        A paint library, as of `hyperpaint.extract_signatures` or `hyperpaint.open_library`: `reflectance`
+        (signature, band), `wavelength` (band), and further properties of the paints.
+    path
+        The file, or the folder of ``zarr``. ``.sli`` is added where it is missing, ``.csv`` to a name without
+        a suffix.
+    format
+        One of the above; by default chosen by the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
+    curves
+        ``centre`` for one spectrum per paint, the default of all formats but ``zarr``: members, quantiles,
+        spread and uncertainties are not written. ``all`` for all of them, the default of ``zarr``.
+    overwrite
+        Replace an existing library. A folder with other files is never replaced.
+    progress
+
+    Returns
+    -------
+    pathlib.Path
+        Path for `hyperpaint.open_library`: the ``.sli`` or ``.csv`` file, or the folder.
+
+    Raises
+    ------
+    FormatError
+        The format is unknown, or the suffix belongs to no format.
+    SchemaError
+        ``curves`` is neither of the two; ``library`` is not a paint library; or names, values or attributes
+        cannot be written in the format; all problems are listed.
+    StoreError
+        The target exists, is being written by another process, or cannot be written; it stays unchanged.
+    UnitsError
+        Units cannot be read.
+    MissingExtraError
+        The format is ``parquet``, and pyarrow is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np, xarray as xr
+    >>> paints = xr.Dataset(
+    ...     {"reflectance": (("signature", "band"), np.float32([[0.1, 0.5], [0.2, 0.3]]), {"units": "1"})},
+    ...     {"signature": ["red, matt", "blue"], "wavelength": ("band", [450.0, 650.0], {"units": "nm"})},
+    ... )
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> path = write_library(paints, Path(scratch.name) / "paints.sli")
+    >>> sorted(file.name for file in path.parent.iterdir())
+    ['paints.hdr', 'paints.sli', 'paints.sli.json']
+    >>> open_library(path)["signature"].values.tolist()
+    ['red, matt', 'blue']
+    >>> scratch.cleanup()
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    chosen = _FORMAT_OF_SUFFIX.get(suffix) if format is None else format
+    if chosen not in _WRITERS:
+        requested = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
+        raise FormatError(
+            requested,
+            expected=f"format= one of {', '.join(_WRITERS)}, or suffix .sli, .csv, .parquet, .zarr",
+            code="choice-unknown",
+        )
+    if curves not in (None, "centre", "all"):
+        raise SchemaError(f"curves={curves!r}", expected=f"centre or all for {chosen}", code="choice-unknown")
+    # a suffix that `open_library` recognises
+    if chosen == "envi":
+        path = path.with_suffix(".sli") if suffix in _ENVI_SUFFIXES else path.with_name(f"{path.name}.sli")
+    elif chosen == "csv" and not suffix and not path.is_dir():
+        path = path.with_suffix(".csv")
+    library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
+    if curves == "centre" or (curves is None and chosen != "zarr"):
+        others = [name for name in spectral_variables(library) if name != CENTRE]
+        inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
+        library = library.drop_vars(others).drop_dims(inner, errors="ignore")
+    _WRITERS[chosen](library, path, overwrite=overwrite, progress=progress)
+    return path

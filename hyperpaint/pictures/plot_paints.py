@@ -1,0 +1,467 @@
+"""Paints as chips beside the scenes rendered with them."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Bools
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, Quality
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.paints.colours import paint_colours, srgb
+from hyperpaint.paints.signatures.extraction import EXCLUDED
+from hyperpaint.paints.signatures.pixel_statistics import excluded_of
+from hyperpaint.regions import Region, Regions, pixels_of, regions_from
+
+from .figures import (
+    columns_for,
+    ink_of,
+    label_for,
+    legend_below,
+    new_figure,
+    orientation_of,
+    save_figure,
+    show_picture,
+)
+from .plot import flag_label, percent, rgb
+from .plot_flags import draw_outlines
+from .plot_spectra import draw_band, draw_curve, find_usable, good_bands, styles_of
+
+MAX_CHIPS = 60
+_CHIP_PX = 16  # pixels along a chip's side; a pixel shows a member of the population
+_CHIP_INCH, _RENDER_INCH = 0.85, 4.2  # widths
+
+
+@takes_quantities()
+@documented(path="picture")
+def chips_and_renders(
+    paints: xr.Dataset,
+    renders: xr.Dataset | Mapping[str, xr.Dataset],
+    path: str | Path | None = None,
+    *,
+    columns: int = 7,
+    stretch: tuple[float, float] = (1.0, 99.0),
+) -> Any:
+    """Draw the paints of a library as chips above scenes rendered with them.
+
+    Parameters
+    ----------
+    paints
+        A paint library. The pixels of a chip show members of the paint's population, if the library has it.
+    renders
+        A render from `hyperpaint.simulation.relight` or a group of `hyperpaint.render_scene`; or several by
+        the name of their light.
+    path
+    columns
+        Chips side by side.
+    stretch
+        As for `hyperpaint.pictures.rgb`, for every render.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        At most 60 chips.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        The library is no paint library or has no paints; there is no render, or a render has fewer than three
+        visible bands; or matplotlib cannot write this type of picture.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> from hyperpaint.simulation import simulate_line
+    >>> paints, line = starter_library(members=0), simulate_line(lines=32, bands=40, columns=24)
+    >>> figure = chips_and_renders(paints.isel(signature=[0, 5]), line)
+    >>> [axes.get_title() for axes in figure.axes][:2]
+    ['Synthetic Polar White', 'Synthetic Signal Red']
+    """
+    paints, problems = find_usable(paints)
+    variables = schema.require(paints, ["reflectance", "wavelength"], "chips", schema.LIBRARY_VARIABLES)
+    lines: dict[str, Any] = {"": renders}
+    if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
+        lines = dict(renders)
+    if problems or not paints.sizes[SIGNATURE] or not lines:
+        reason = "; ".join(problems) or f"{paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
+        raise SchemaError(f"a collage needs a paint library and a render: {reason}", code="empty-input")
+    count = min(paints.sizes[SIGNATURE], MAX_CHIPS)
+    columns = max(1, min(columns, count))
+    rows = -(-count // columns)
+    orientations = {name: orientation_of(line) for name, line in lines.items()}
+    tallest = max(
+        min(orientation.height_of(_RENDER_INCH), 2.5 * _RENDER_INCH) for orientation in orientations.values()
+    )
+    chip_height = 1.25 * _CHIP_INCH * rows
+    width = max(_RENDER_INCH * len(lines), (_CHIP_INCH + 0.2) * columns)
+    figure = new_figure(
+        "a collage of chips and renders", figsize=(width, chip_height + tallest + 0.6), layout="constrained"
+    )
+    chip_figure, render_figure = figure.subfigures(2, 1, height_ratios=(chip_height, tallest + 0.4))
+    colours = paint_colours(paints)
+    for number, axes in enumerate(chip_figure.subplots(rows, columns, squeeze=False).ravel()):
+        axes.set_axis_off()
+        if number < count:
+            paint = paints.isel({SIGNATURE: number})
+            axes.imshow(
+                _chip(paint, variables["wavelength"].values, colours[number]), interpolation="nearest"
+            )
+            axes.set_title(label_for(str(paint[SIGNATURE].values), 26), fontsize=6, pad=2)
+    plots = render_figure.subplots(1, len(lines), squeeze=False)[0]
+    for axes, (name, line) in zip(plots, lines.items(), strict=True):
+        show_picture(axes, rgb(line, stretch=stretch).values, orientations[name])
+        axes.set_axis_off()
+        axes.set_title(label_for(name.replace("_", " ")), fontsize="small")
+    save_figure(figure, path, dpi=150)
+    return figure
+
+
+def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
+    # (row, column, rgb), 0 to 1; pixels show random members of the population, else the colour of the paint
+    uniform = np.broadcast_to(np.nan_to_num(colour), (_CHIP_PX, _CHIP_PX, 3))
+    if "member_reflectance" not in paint.variables:
+        return np.asarray(uniform)
+    is_visible = good_bands(paint) & (wavelength > 380.0) & (wavelength < 780.0)
+    members = np.asarray(paint["member_reflectance"].transpose(schema.MEMBER, schema.BAND).values)[
+        :, is_visible
+    ]
+    members = members[np.isfinite(members).all(axis=1)]
+    if len(members) < 2 or is_visible.sum() < 3:
+        return np.asarray(uniform)
+    numbers = np.random.default_rng(0).integers(len(members), size=_CHIP_PX**2)
+    return np.asarray(srgb(members, wavelength[is_visible])[numbers].reshape(_CHIP_PX, _CHIP_PX, 3)).clip(
+        0.0, 1.0
+    )
+
+
+# --- the card of a paint: its region, the excluded pixels, and its signature with the 95 % -----------------
+
+
+MARGIN = 0.6  # margin drawn around a region, relative to the longer side of the region
+MIN_MARGIN_PX = 14
+COVERAGE = 1.96  # standard uncertainties in half of a 95 % interval
+_CHARS_PER_INCH = 14.0  # of small text
+
+
+@takes_quantities()
+@documented(path="picture")
+def paint_card(
+    line: xr.Dataset, library: xr.Dataset, paint: str, path: str | Path | None = None, *, width: float = 12.0
+) -> Any:
+    r"""Draw one paint of a library on the flight line it was measured on.
+
+    The card shows the surroundings in true colour with the region; flags of the surroundings, and the pixels
+    used for the signature; the signature with the middle half of its pixels and its 95 % interval; and the
+    reasons stored with the region. Eager: only the lines around the region are read.
+
+    Parameters
+    ----------
+    line
+        The flight line, with ``reflectance`` and, to show flags, ``quality``.
+    library
+    paint
+        Name of the paint.
+    path
+    width
+        Width of the figure [inch]; below 9 the plots stand one above the other.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        The library is no paint library or lacks the paint; the paint has no region in sensor coordinates, or
+        the region contains no pixel of this line; or matplotlib cannot write this type of picture.
+
+    Notes
+    -----
+    The interval is :math:`\rho \pm 1.96 \sqrt{u_r^2 + u_s^2 + (u_l \rho)^2}` with the standard uncertainties
+    of the library, and :math:`u_l` that of the level (``level_uncertainty``, relative), where it states one.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import extract_signatures
+    >>> from hyperpaint.regions import Region
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> paints = extract_signatures(line, [Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)])])
+    >>> len(paint_card(line, paints, "grass").axes)
+    4
+    """
+    line, (signature, colour) = schema.rename_to_roles(line), _find_paint(library, paint)
+    region = _paint_region(signature)
+    surroundings, in_region = _surroundings(line, region)
+    is_wide = columns_for(width, 3.0, 3) == 3
+    # name, kind and finish of the paint, and the reasons stored with its region
+    properties = region.properties
+    head = [label_for(signature[SIGNATURE].item())]
+    head += [label_for(properties[name]) for name in ("kind", "finish") if properties.get(name)]
+    reasons, chars = properties.get("reasons", ()), int(_CHARS_PER_INCH * (width - 0.3))
+    reasons = reasons if isinstance(reasons, list | tuple) else ()
+    text = label_for("; ".join(map(str, reasons)), longest=6 * chars)
+    lines_of_text = ["  |  ".join(head), *textwrap.wrap(text, chars)]
+    text_height, body = 0.2 * len(lines_of_text) + 0.1, 4.4 if is_wide else 11.0
+    figure = new_figure("the card of a paint", figsize=(width, text_height + body), layout="constrained")
+    if is_wide:
+        ratios = {"width_ratios": (1.0, 1.0, 1.5), "height_ratios": (text_height, body)}
+        mosaic = [["text"] * 3, ["place", "used", "signature"]]
+    else:
+        ratios = {"height_ratios": (text_height, *[body / 3] * 3)}
+        mosaic = [["text"], ["place"], ["used"], ["signature"]]
+    plots = figure.subplot_mosaic(mosaic, **ratios)
+    plots["text"].set_axis_off()
+    plots["text"].text(0.0, 1.0, "\n".join(lines_of_text), fontsize="small", va="top", in_layout=False)
+    show_picture(plots["place"], np.asarray(rgb(surroundings).values), orientation_of(surroundings))
+    draw_outlines(plots["place"], [region], width=1.2, named=False)
+    plots["place"].set_title("region on the flight line", fontsize="small", loc="left")
+    # flags that the library excluded
+    names = set(str(library.attrs.get("exclude", "")).split())
+    excluded = sum(int(flag) for flag in Quality if str(flag.name).lower() in names)
+    _draw_exclusions(
+        plots["used"],
+        surroundings,
+        in_region,
+        region,
+        excluded_of(region, excluded if names else int(EXCLUDED)),
+    )
+    _draw_signature(plots["signature"], signature, colour)
+    save_figure(figure, path)
+    return figure
+
+
+def _paint_region(paint: xr.Dataset) -> Region:
+    name = str(paint[SIGNATURE].item())
+    if "region" not in paint.variables or not str(paint["region"].item()):
+        raise SchemaError(
+            f"paint {name!r} has no region", expected="a library from a flight line", code="region-missing"
+        )
+    if paint.attrs.get("coordinates_of_regions", "sensor") != "sensor":
+        raise SchemaError(
+            f"the region of paint {name!r} is on a map",
+            mend="draw its card from the flight line",
+            code="region-coordinates",
+        )
+    return regions_from(json.loads(str(paint["region"].item())))[0]
+
+
+def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
+    usable, _ = find_usable(library)
+    if "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims:
+        raise SchemaError(
+            "the card of a paint needs a paint library",
+            expected="reflectance (signature, band)",
+            code="library-missing",
+        )
+    names = [str(name) for name in usable[SIGNATURE].values]
+    if paint not in names:
+        raise SchemaError(
+            f"there is no paint {paint!r}", expected=", ".join(names[:20]), code="paint-unknown"
+        )
+    selection = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
+    return selection.isel({SIGNATURE: 0}), np.asarray(paint_colours(selection)[0])
+
+
+def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
+    # crop of the line around the region, and which of its pixels (line, column) are in the region
+    ((line_indices, column_indices),) = pixels_of(Regions((region,)), line)
+    if not line_indices.size:
+        raise SchemaError(f"region {region.name!r} contains no pixel of this line", code="region-empty")
+    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(line_indices), np.ptp(column_indices)) + 1)))
+    rows, columns = (
+        slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
+        for places in (line_indices, column_indices)
+    )
+    cropped = line.isel({ALONG_TRACK: rows, CROSS_TRACK: columns})
+    shape = cropped.sizes[ALONG_TRACK], cropped.sizes[CROSS_TRACK]
+    in_region = np.zeros(shape, bool)
+    in_region[line_indices - rows.start, column_indices - columns.start] = True
+    # centres of pixels have their numbers in the line, also if the line has no coordinates
+    numbers = {
+        dim: np.arange(span.start, span.start + size)
+        for dim, span, size in zip((ALONG_TRACK, CROSS_TRACK), (rows, columns), shape, strict=True)
+        if dim not in cropped.coords
+    }
+    return cropped.assign_coords(numbers), in_region
+
+
+def _draw_exclusions(axes: Any, around: xr.Dataset, in_region: Bools, region: Region, excluded: int) -> None:
+    from matplotlib.colors import to_rgb
+    from matplotlib.patches import Patch
+
+    orientation = orientation_of(around)
+    grey = np.asarray(rgb(around).values).mean(axis=2, keepdims=True)
+    picture = np.broadcast_to(0.35 + 0.5 * np.nan_to_num(grey), (*in_region.shape, 3)).copy()
+    bits = np.zeros(in_region.shape, np.uint16)
+    if "quality" in around.variables:
+        bits = around["quality"].transpose(ALONG_TRACK, CROSS_TRACK).values
+    is_used = in_region & ((bits & np.uint16(excluded)) == 0)
+    picture[is_used] = np.asarray(rgb(around).values)[is_used]
+    entries = {f"used  {is_used.sum()} px": Patch(facecolor="none", edgecolor="0.5", lw=0.5)}
+    shares = {flag: float(((bits & int(flag)) != 0)[in_region].mean()) for flag in Quality if flag & excluded}
+    for flag, share in sorted(shares.items(), key=lambda pair: -pair[1]):
+        has_flag = (bits & int(flag)) != 0
+        if not has_flag.any():
+            continue
+        picture[has_flag] = to_rgb(flag.colour)
+        name = f"{flag_label(flag)}  {percent(share) if share else 'outside only'}"
+        entries[name] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
+    show_picture(axes, picture, orientation)
+    axes.set(ylabel="")
+    draw_outlines(axes, [region], width=1.2, named=False)
+    axes.set_title("pixels used, and excluded pixels by flag", fontsize="small", loc="left")
+    legend_below(axes, entries=entries)
+
+
+def _draw_signature(axes: Any, signature: xr.Dataset, colour: Array) -> None:
+    wavelength, is_good = np.asarray(signature["wavelength"].values), good_bands(signature)
+    reflectance = np.where(is_good, signature["reflectance"].values, np.nan)
+    interval = _interval(signature)
+    (style,) = styles_of(colour[np.newaxis])
+    if interval is not None:
+        for sign, label in ((-1, "95 % interval"), (1, None)):
+            axes.plot(
+                wavelength, reflectance + sign * interval, color=ink_of(axes), lw=0.8, ls=":", label=label
+            )
+    draw_band(axes, signature, wavelength, is_good, "quantiles", style["color"])
+    count = f", n = {int(signature['n'])}" if "n" in signature.variables else ""
+    draw_curve(axes, wavelength, reflectance, style, f"signature{count}")
+    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize="small")
+    legend_below(axes)
+
+
+def _interval(signature: xr.Dataset) -> Array | None:
+    # half width of the 95 % interval (band,) [1]; None if the library has no uncertainty
+    names = ["reflectance_u_random", "reflectance_u_systematic"]
+    if "reflectance_u_coat" in signature.variables and not (
+        names[1] in signature.variables and np.isfinite(signature[names[1]]).any()
+    ):
+        names[1] = "reflectance_u_coat"  # already a part of the systematic uncertainty if that is known
+    uncertainties = [
+        np.nan_to_num(signature[name].values.astype(np.float64))
+        for name in names
+        if name in signature.variables
+    ]
+    if "level_uncertainty" in signature.variables and np.isfinite(signature["level_uncertainty"].item()):
+        uncertainties.append(
+            float(signature["level_uncertainty"]) * signature["reflectance"].values.astype(np.float64)
+        )
+    if not uncertainties or not any(u.any() for u in uncertainties):
+        return None
+    return np.asarray(COVERAGE * np.sqrt(sum(u**2 for u in uncertainties)))
+
+
+# --- receiver operating characteristics of paint detection -------------------------------------------------
+
+
+_COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
+
+
+@documented(path="picture")
+def detection_curve(
+    detections: xr.Dataset | Mapping[str, xr.Dataset],
+    truth: Any,
+    path: str | Path | None = None,
+    *,
+    width: float = 6.0,
+) -> Any:
+    """Draw the detection rate of paints against the false alarm rate, over all thresholds (ROC).
+
+    Eager.
+
+    Parameters
+    ----------
+    detections
+        Result of `hyperpaint.paints.detect`, or several by name, such as one per method.
+    truth
+        Pixels that show one of the paints, (along_track, cross_track) bool.
+    path
+    width
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One curve per result: along it the thresholds of all paints are shifted by the same amount. A dot
+        marks the detections after rejection of unknown paints; the vertical line is the requested false alarm
+        rate.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        The input holds no detections, or ``truth`` has another shape, or is True or False everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> pixel, unit = ("along_track", "cross_track"), {"units": "1"}
+    >>> result = xr.Dataset({"detection_score": (pixel, np.float32([[0.1, 0.9, 0.2, 0.8]]), unit),
+    ...                     "best_paint": (pixel, np.int16([[0, 0, 0, 0]])),
+    ...                     "score_threshold": ("signature", [0.5], unit),
+    ...                     "detected": (pixel, [[False, True, False, True]])})
+    >>> figure = detection_curve({"ACE": result}, [[False, True, False, False]])
+    >>> figure.axes[0].lines[0].get_ydata().tolist()
+    [1.0, 1.0, 1.0, 1.0]
+    """
+    by_name: Any = {"": detections} if "detected" in detections else detections
+    is_target = np.asarray(getattr(truth, "values", truth), bool)
+    figure = new_figure("a detection curve", figsize=(width, 0.8 * width), layout="constrained")
+    axes = figure.add_subplot()
+    for number, (name, result) in enumerate(dict[str, Any](by_name).items()):
+        alarms, hits, dot = _curve(result, is_target)
+        colour = _COLOURS[number % len(_COLOURS)]
+        axes.plot(alarms, hits, color=colour, label=name or str(result.attrs.get("method", "")))
+        axes.plot(max(dot[0], alarms[0]), dot[1], "o", color=colour)
+        rate = result.attrs.get("false_alarm_rate")
+        if rate is not None:
+            axes.axvline(rate, color=ink_of(axes, 0.5), linewidth=0.8, linestyle="--")
+    axes.set(xscale="log", ylim=(0.0, 1.02))
+    axes.set_xlabel("false alarm rate, share of other pixels [1]")
+    axes.set_ylabel("detection rate, share of the paint's pixels [1]")
+    legend_below(axes)
+    save_figure(figure, path)
+    return figure
+
+
+def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[float, float]]:
+    # false alarm and detection rates over all thresholds, and the two rates of the stored detections
+    names = ("detection_score", "best_paint", "score_threshold", "detected")
+    arrays = schema.require(schema.rename_to_roles(detections), names, "a detection curve")
+    score, paint, threshold, detected = (arrays[name].values for name in names)
+    if is_target.shape != score.shape:
+        raise SchemaError(
+            f"truth has shape {is_target.shape}",
+            expected=f"{score.shape}, as the detections",
+            code="grid-mismatch",
+        )
+    has_score = paint >= 0
+    margin = (score - threshold[paint])[has_score]
+    is_hit = is_target[has_score]
+    if not is_hit.any() or is_hit.all():
+        raise SchemaError(
+            f"truth is {bool(is_hit.any())} everywhere",
+            expected="True for pixels with a paint, False for all other pixels",
+            code="truth-uniform",
+        )
+    order = np.argsort(-margin, kind="stable")
+    hits, alarms = np.cumsum(is_hit[order]) / is_hit.sum(), np.cumsum(~is_hit[order]) / (~is_hit).sum()
+    dot = detected[has_score & ~is_target].mean(), detected[has_score & is_target].mean()
+    return np.maximum(alarms, 0.5 / (~is_hit).sum()), hits, dot
