@@ -15,8 +15,6 @@ import hyperpaint.workflows as workflows
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.io.collect.collect_toml import read_collect
-from hyperpaint.io.dirsig import read_materials
 from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
 from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
 from hyperpaint.io.flightline.headwall import exposure_seconds, read_frame_index, read_settings
@@ -248,6 +246,7 @@ def _first_names(names: Sequence[object]) -> str:
 
 
 def _materials(path: Path) -> Facts:
+    from hyperpaint.io.dirsig import read_materials
 
     materials = read_materials(path)
     yield "is", f"DIRSIG material list: {counted(len(materials), 'material')}"
@@ -324,6 +323,8 @@ def _settings(path: Path) -> Facts:
 
 
 def _collect(path: Path) -> Facts:
+
+    from hyperpaint.io.collect.collect_toml import read_collect
 
     collect = read_collect(path, need_irradiance=False)
     has_irradiance = collect.irradiance is not None
