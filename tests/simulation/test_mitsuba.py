@@ -45,7 +45,6 @@ for name, (arguments, options) in scenes.items():
     images[name] = numpy.array(mitsuba.render(mitsuba.load_dict(described), seed=1))
 numpy.savez("images.npz", **images)
 """
-DEPTH = 4
 
 
 def light(sun: float = 1.0, zenith: float = 50.0) -> Atmosphere:
@@ -56,7 +55,7 @@ def light(sun: float = 1.0, zenith: float = 50.0) -> Atmosphere:
     return Atmosphere(wavelength, sun * (1.0 + 0.3 * slope), 0.5 - 0.3 * slope, none, none, zenith, 240.0)
 
 
-def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int) -> np.ndarray:
+def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int, depth: int) -> np.ndarray:
     """Return radiance (strip, column, band) of a frame.
 
     Every strip of rows is the view of a camera that stands still for some lines of other random numbers.
@@ -66,7 +65,7 @@ def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int) 
     along = np.linspace(half, -half, STRIPS + 1) * camera.rows / camera.columns
     origin = np.broadcast_to(np.array(camera.position), (LINES, 2, 3))
     down = np.broadcast_to(matrices(0.0, 0.0, 0.0), (LINES, 2, 3, 3))
-    options = {"samples": samples, "depth": DEPTH, "slots": 256, "chunk_lines": 1, "sun_radius": 0.0}
+    options = {"samples": samples, "depth": depth, "slots": 256, "chunk_lines": 1, "sun_radius": 0.0}
     strips = []
     for strip in range(STRIPS):
         still = Platform(origin, down, across, along[[strip + 1, strip]], np.arange(LINES))
@@ -103,13 +102,20 @@ def car_park_with(coat: Coat | None) -> Scene:
     return replace(park, materials=tuple(materials))
 
 
-#: By name: how to make scene and light, camera, and samples of ours and of Mitsuba. Lit from a whole sky, a
-#: plane has no noise. Mitsuba's mirrors never show the sun, which is a point: smooth coats see the sky alone.
-SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int, int]] = {
-    "plane": (lambda: (plane(200.0, GREY), light()), FrameCamera((0, 0, 10), rows=16, columns=16), 64, 2048),
-    "adjacency": (lambda: (ADJACENCY, light()), BESIDE, 1024, 4096),
-    "lambert park": (lambda: (car_park_with(None), light()), ABOVE, 1024, 4096),
-    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 4096, 4096),
+#: By name: how to make scene and light, camera, samples of ours and of Mitsuba, bounces. Our plane
+#: has no noise. Mitsuba's mirrors never show the sun, which is a point: smooth coats see the sky alone.
+SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int, int, int]] = {
+    "plane": (
+        lambda: (plane(200.0, GREY), light()),
+        FrameCamera((0, 0, 10), rows=16, columns=16),
+        64,
+        2048,
+        4,
+    ),
+    "adjacency": (lambda: (ADJACENCY, light()), BESIDE, 1024, 4096, 4),
+    "lambert park": (lambda: (car_park_with(None), light()), ABOVE, 1024, 4096, 4),
+    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 4096, 4096, 4),
+    "one bounce": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 4096, 4096, 1),
 }
 
 
@@ -119,8 +125,8 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[np.ndarr
     folder = tmp_path_factory.mktemp("mitsuba")
     made = {name: make() for name, (make, *_) in SCENES.items()}
     jobs = {}
-    for name, (_, camera, _, samples) in SCENES.items():
-        options = {"wavelength": BANDS.wavelength, "fwhm": 6.0, "camera": camera, "depth": DEPTH}
+    for name, (_, camera, _, samples, depth) in SCENES.items():
+        options = {"wavelength": BANDS.wavelength, "fwhm": 6.0, "camera": camera, "depth": depth}
         jobs[name] = made[name], options | {"samples": samples}
     (folder / "scenes.pickle").write_bytes(pickle.dumps(jobs))
     command = [sys.executable, "-c", WORKER, str(Path(__file__).parents[1])]
@@ -128,7 +134,8 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[np.ndarr
         command, cwd=folder, stderr=subprocess.PIPE, text=True
     ) as process:  # meanwhile ours
         ours = {
-            name: our_image(*made[name], camera, samples) for name, (_, camera, samples, _) in SCENES.items()
+            name: our_image(*made[name], camera, samples, depth)
+            for name, (_, camera, samples, _, depth) in SCENES.items()
         }
         _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
