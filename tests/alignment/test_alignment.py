@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 from support.strategies import START, labelled
 
 import hyperpaint as hp
@@ -46,7 +46,7 @@ def line_of(
     noise: float = 0.0,
     lines: int = 10,
 ) -> xr.Dataset:
-    """Return radiance of surfaces (column, grid) whose wavelengths are `shift` longer than declared."""
+    # Return radiance of surfaces (column, grid) whose wavelengths are `shift` longer than declared
     sky = sum(Sky().irradiance(GRID)) if light is None else light
     radiance = responses(WAVELENGTH + shift, fwhm, shape) @ (rho * sky / np.pi).T
     rng = np.random.default_rng(5)
@@ -112,7 +112,7 @@ def test_smile_that_is_declared_is_not_found_again() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", ["gaussian", "slit"])
 def test_scatter_at_snr_100_under_the_simulated_sky(shape: str, record_property: Any) -> None:
-    """The light at 48 degrees from the zenith, one column a draw."""
+    # The light at 48 degrees from the zenith, one column a draw
     sky = sum(Sky(48.19).irradiance(GRID))
     line = line_of(grey(150), light=sky, shape=shape, shift=0.4, fwhm=6.2, noise=0.01)
     found = hp.alignment.align_to_irradiance(line)
@@ -135,7 +135,7 @@ def test_scatter_at_snr_100_under_the_simulated_sky(shape: str, record_property:
 def test_scatter_at_snr_100_under_the_reference_sun(
     shape: str, shared_data: Path, record_property: Any
 ) -> None:
-    """ASTM G173: 0.4 nm and 6.2 nm to 0.04 and 0.07 nm, as physics.md 5.5 has it."""
+    # ASTM G173: 0.4 nm and 6.2 nm to 0.04 and 0.07 nm, as physics.md 5.5 has it
     table = np.genfromtxt(shared_data / "downwelling" / "ASTMG173.csv", delimiter=",", skip_header=3)
     sun = np.interp(GRID, table[:, 0], table[:, 3])
     line = line_of(grey(200), light=sun, shape=shape, shift=0.4, fwhm=6.2, noise=0.01)
@@ -344,10 +344,18 @@ def test_one_wild_column_does_not_bend_the_others() -> None:
 def test_applying_what_does_not_belong_is_refused() -> None:
     line = line_of(grey(5))
     found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
-    with pytest.raises(SchemaError, match="grid-mismatch"):
-        hp.alignment.apply_alignment(line.isel(cross_track=slice(3)), found)
-    with pytest.raises(SchemaError, match="dim-missing"):
-        hp.alignment.apply_alignment(line[["wavelength", "fwhm"]], found)
+    expect_refusals(
+        (
+            SchemaError,
+            "grid-mismatch",
+            lambda: hp.alignment.apply_alignment(line.isel(cross_track=slice(3)), found),
+        ),
+        (
+            SchemaError,
+            "dim-missing",
+            lambda: hp.alignment.apply_alignment(line[["wavelength", "fwhm"]], found),
+        ),
+    )
     found["flag"][:4] = 2
     with pytest.raises(SchemaError, match=r"1 of 5.*columns-too-few"):
         hp.alignment.apply_alignment(line, found)

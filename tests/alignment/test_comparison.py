@@ -11,7 +11,7 @@ from hyperpaint.simulation import simulate_line
 
 @pytest.mark.slow
 def test_uncertainties_are_what_scatters() -> None:
-    """Eight scenes, noise and smile: nothing is wrong, and what is found lies within what is stated."""
+    # Eight scenes, noise and smile: nothing is wrong, and what is found lies within what is stated
     away = []
     for seed in range(420, 428):
         line = simulate_line(lines=16, columns=48, seed=seed, irradiance_noise=1e-3)
@@ -29,7 +29,7 @@ def test_a_record_too_short_for_any_window_is_not_compared() -> None:
 
 
 def test_air_below_the_camera_is_no_width_of_the_record() -> None:
-    """One per cent of the oxygen that the light has crossed lies between ground and camera: 150 m or more."""
+    # One per cent of the oxygen that the light has crossed lies between ground and camera: 150 m or more
     line = hp.radiance(simulate_line(lines=24, columns=32, seed=431, noise=False)).drop_vars("counts")
     light = line.irradiance.values.mean(axis=0).astype(float)
     nm = line.wavelength.values

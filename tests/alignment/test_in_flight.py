@@ -15,21 +15,21 @@ from hyperpaint.simulation import simulate_line
 
 
 def flown(**effects: Any) -> xr.Dataset:
-    """Return a line whose width of the record is what it is said to be."""
+    # Return a line whose width of the record is what it is said to be
     return simulate_line(**{"lines": 24, "columns": 32, "irradiance_noise": 1e-3, **effects})
 
 
 def misdeclared(
     line: xr.Dataset, *, fwhm: float = 3.0, record: float = 0.33, camera: float = 0.2
 ) -> xr.Dataset:
-    """Return a line that says another width of the record, and wavelengths that are off [nm]."""
+    # Return a line that says another width of the record, and wavelengths that are off [nm]
     channels, bands = line.irradiance_wavelength, line.wavelength
     told = line.assign_coords(irradiance_wavelength=channels - record, wavelength=bands + camera)
     return told.assign(irradiance_fwhm=xr.full_like(line.irradiance_fwhm, fwhm))
 
 
 def errors(line: xr.Dataset) -> tuple[float, float]:
-    """Return the largest relative error of the mean reflectance at the oxygen band, and at 420 to 740 nm."""
+    # Return the largest relative error of the mean reflectance at the oxygen band, and at 420 to 740 nm
     measured, truth = hp.reflectance(line).reflectance.values.astype(float), line.true_reflectance.values
     whole = np.isfinite(measured).all(axis=1, keepdims=True) & (truth > 0.02).all(axis=1, keepdims=True)
     ratio = np.where(whole, measured, 0).sum(axis=(0, 2)) / np.where(whole, truth, 0).sum(axis=(0, 2))
@@ -40,13 +40,13 @@ def errors(line: xr.Dataset) -> tuple[float, float]:
 
 @pytest.fixture(scope="module")
 def wide() -> xr.Dataset:
-    """A line whose record is 4 nm wide, and says so."""
+    # A line whose record is 4 nm wide, and says so
     return flown(seed=302, irradiance_fwhm_nm=4.0, irradiance_noise=0.0, noise=False)
 
 
 @pytest.fixture(scope="module")
 def told(wide: xr.Dataset) -> xr.Dataset:
-    """The same, said to be 3 nm wide and to stand elsewhere."""
+    # The same, said to be 3 nm wide and to stand elsewhere
     return misdeclared(wide)
 
 

@@ -21,7 +21,7 @@ SIGMA = 1 / (2 * np.sqrt(2 * np.log(2)))
 
 
 def oxygen_depth(wavelength: np.ndarray) -> np.ndarray:
-    """Return the relative optical depth of the A band: lines of the R and P branches as doublets."""
+    # Return the relative optical depth of the A band: lines of the R and P branches as doublets
     upper, lower, origin, width = 1.3912, 1.4377, 13122.0, 0.05  # cm-1
     wavenumber = 1e7 / wavelength
     total = np.zeros_like(wavelength)
@@ -39,7 +39,7 @@ def gaussian(centre: np.ndarray, fwhm: float) -> np.ndarray:
 
 
 def slit(centre: np.ndarray, fwhm: float, spacing: float) -> np.ndarray:
-    """A box one slit wide seen by a box one pixel wide: a trapezoid."""
+    # A box one slit wide seen by a box one pixel wide: a trapezoid
     edge = 0.5 * (fwhm + spacing) - np.abs(GRID - centre[:, None])
     return np.clip(edge, 0.0, min(fwhm, spacing))
 
@@ -61,7 +61,7 @@ def irradiance() -> np.ndarray:
 
 
 def grey_line(irradiance: np.ndarray, shape: str, shift: np.ndarray | None) -> tuple[xr.Dataset, np.ndarray]:
-    """Return counts of a grey target, and the record's plain interpolation at every element."""
+    # Return counts of a grey target, and the record's plain interpolation at every element
     spacing, fwhm = 600 / 271, 6.0
     wavelength = np.arange(722.0, 806.0, spacing)
     columns = 3 if shift is None else shift.size

@@ -35,7 +35,7 @@ def test_without_a_sun_what_is_believed_before_divides() -> None:
 
 @pytest.mark.real_data
 def test_a_real_field_spectrometer_stands_eight_tenths_off(shared_data: Path) -> None:
-    """Real irradiance of an ASD; its three windows agree to 0.15 nm. No other measurement of it is known."""
+    # Real irradiance of an ASD; its three windows agree to 0.15 nm. No other measurement of it is known.
     text = (shared_data / "asd_ascii" / "asd-e-irrad-sky.tsv").read_text(errors="replace")
     cells = [line.split("\t") for line in text.splitlines()]
     rows = [(float(one[0]), float(one[1])) for one in cells if len(one) == 2 and one[0].isdigit()]

@@ -44,7 +44,7 @@ pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing 
 
 @pytest.fixture
 def doubled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], Any]]:
-    """Return a function that imports the same kernel again, as another process would."""
+    # Return a function that imports the same kernel again, as another process would
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setattr(jit._Kernel, "_warned", False)
     source = tmp_path / "doubling.py"

@@ -122,7 +122,7 @@ def test_an_irradiance_counts_by_its_text_or_is_refused(text: str) -> None:
 
 
 def in_registry(line: xr.Dataset, units: Any, irradiance: str, gain: str, exposure: str) -> xr.Dataset:
-    """Return the line with float64 Quantities in other units, and attributes that say the old ones still."""
+    # Return the line with float64 Quantities in other units, and attributes that say the old ones still
     other = line.copy()
     for name, unit in (("irradiance", irradiance), ("radiance_gain", gain), ("exposure_time", exposure)):
         old = line[name].attrs["units"]

@@ -130,7 +130,7 @@ def test_elements_that_are_not_finite_are_bad(sweep: xr.Dataset) -> None:
 @pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")
 @pytest.mark.parametrize(("fwhm", "steps"), [(6.0, 31), (6.0, 61), (12.0, 31)])
 def test_bands_further_apart_than_they_are_wide__are_refused(fwhm: float, steps: int) -> None:
-    """Rationale: 40 bands 15 nm apart of 6 nm gave a calibration of 19 bands, wrong by tens of per cent."""
+    # Rationale: 40 bands 15 nm apart of 6 nm gave a calibration of 19 bands, wrong by tens of per cent
     sparse = {"bands": 40, "columns": 6, "steps": steps, "fwhm_nm": fwhm, "nonuniformity": 0}
     error = refusal_of(simulate_sweep(**sparse))
     assert error.codes == ("bands-undersampled",)
@@ -140,8 +140,8 @@ def test_bands_further_apart_than_they_are_wide__are_refused(fwhm: float, steps:
 @pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")
 @pytest.mark.parametrize("settings", [{"fwhm_nm": 16.0, "steps": 61}, {"monochromator_fwhm_nm": 18.5}])
 def test_bands_that_touch_or_wide_lines__are_calibrated(settings: dict[str, float]) -> None:
-    """Expected: the gain of the simulated camera, to a per cent in the median; also of narrow bands, where
-    the monochromator's line, as wide as the refusal asks for, reaches from one to the next."""
+    # Expected: the gain of the simulated camera, to a per cent in the median; also of narrow bands, where the
+    # monochromator's line, as wide as the refusal asks for, reaches from one to the next
     sweep = simulate_sweep(bands=40, columns=6, nonuniformity=0, **{"fwhm_nm": 6.0, "steps": 31, **settings})
     error = hp.calibrate(sweep).radiance_gain / sweep.true_radiance_gain - 1
     assert float(abs(error).median()) < 0.01

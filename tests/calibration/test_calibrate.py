@@ -30,7 +30,7 @@ def sweep_of(**effects: Any) -> xr.Dataset:
 
 
 def inside(sweep: xr.Dataset, width: float) -> np.ndarray:
-    """Bands at least 1.5 FWHM from both ends of array and sweep."""
+    # Bands at least 1.5 FWHM from both ends of array and sweep
     nm = sweep.true_wavelength.values
     margin = 1.5 * np.hypot(FWHM, width)
     low, high = max(nm[0], sweep.step_wavelength.values[0]), min(nm[-1], sweep.step_wavelength.values[-1])
@@ -38,7 +38,7 @@ def inside(sweep: xr.Dataset, width: float) -> np.ndarray:
 
 
 def errors(made: xr.Dataset, sweep: xr.Dataset, width: float) -> dict[str, float]:
-    """Largest errors: gain and FWHM relative, wavelengths in nm."""
+    # Largest errors: gain and FWHM relative, wavelengths in nm
     band = inside(sweep, width)
     gain = (made.radiance_gain / sweep.true_radiance_gain - 1).values[band]
     assert np.isfinite(gain).all()
@@ -114,7 +114,7 @@ def test_lines_at_the_edges_are_completed_and_nothing_is_extrapolated() -> None:
 
 
 def test_gain_does_not_depend_on_what_cancels() -> None:
-    """Flux and counts scaled together, and exposure and counts, leave the gain (physics 2.4, 2 and 4)."""
+    # Flux and counts scaled together, and exposure and counts, leave the gain (physics 2.4, 2 and 4)
     sweep = sweep_of(bands=136, **CLEAN)
     dark = sweep.dark_counts
     whole = hp.calibrate(sweep).radiance_gain

@@ -30,7 +30,7 @@ def table(path: Path, **options: object) -> np.ndarray:
 
 
 def fitted(signal: np.ndarray, near: int, half: int = 8) -> tuple[float, float]:
-    """Return the place of a line by hyperpaint's own fit, and its full width [pixel]."""
+    # Return the place of a line by hyperpaint's own fit, and its full width [pixel]
     values = signal[near - half : near + half + 1][None].copy()
     one = np.ones(1)
     window = Window(
@@ -88,7 +88,7 @@ def test_sphere_certificate_converts(lab: Path) -> None:
 
 
 def test_sphere_anchors_a_camera(lab: Path) -> None:
-    """A camera of flat gain, shown the certificate's radiance, gets that gain back."""
+    # A camera of flat gain, shown the certificate's radiance, gets that gain back
     radiance = sphere(lab)
     nm = np.arange(420.0, 900.0, 5.0)
     axis = {"units": "nm"}
@@ -119,7 +119,7 @@ def test_sphere_anchors_a_camera(lab: Path) -> None:
 
 
 def test_lamp_scans_give_the_response(lab: Path) -> None:
-    """response = lamp radiance / (mean lamp - mean dark), as FieldSpectroscopyCC does it."""
+    # response = lamp radiance / (mean lamp - mean dark), as FieldSpectroscopyCC does it
     scans = table(lab / "spectrometer_radcal_dn.csv")
     nm, lamp, dark = scans[:, 0], scans[:, 1:16], scans[:, 16:31]
     lamp_nm, level = table(lab / "spectrometer_radcal_lamp_radiance.csv").T

@@ -90,7 +90,7 @@ def test_other_stores_are_no_sweeps(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A collect flown with the camera of a sweep, which calibrates it."""
+    # A collect flown with the camera of a sweep, which calibrates it
     folder = tmp_path_factory.mktemp("collect")
     same = {"bands": 136, "columns": 6, "nonuniformity": 0}
     path = simulate_collect(folder / "c", scene="plan", lines=40, **same)

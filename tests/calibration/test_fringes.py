@@ -17,7 +17,7 @@ FINE = np.arange(430.0, 970.0, 0.5)
 
 
 def fringed(nm: np.ndarray, period: float, phase: float = 0.7) -> np.ndarray:
-    """Return the logarithm of a responsivity with fringes of 5 %."""
+    # Return the logarithm of a responsivity with fringes of 5 %
     return np.log1p(0.05 * np.cos(2 * np.pi * nm / period + phase)) - ((nm - 620.0) / 300.0) ** 2
 
 

@@ -45,7 +45,7 @@ def test_stray_light_of_the_sweep_mends_a_flight(share: float) -> None:
 @pytest.mark.filterwarnings("ignore:.*counts-averaged")
 @pytest.mark.parametrize("share", [0.01, 0.03])
 def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them(share: float) -> None:
-    """By default, by gain and matrix of one calibration, against a camera without wings."""
+    # By default, by gain and matrix of one calibration, against a camera without wings
     camera: dict[str, Any] = {"bands": 136, "columns": 24, "nonuniformity": 0.02, "seed": 21}
     flight: dict[str, Any] = {"lines": 24, "glint": 0.0, **camera, **EXACT}
 

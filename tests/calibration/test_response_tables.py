@@ -20,7 +20,7 @@ CHANNELS = np.arange(690.0, 841.0)
 
 
 def slit(offset: np.ndarray, tail: float = 0.0) -> np.ndarray:
-    """Return a slit of 6 nm before pixels of 2.22 nm, with a tail of exp(-x / tail) to longer wavelengths."""
+    # Return a slit of 6 nm before pixels of 2.22 nm, with a tail of exp(-x / tail) to longer wavelengths
     x = np.arange(-30.0, 30.001, 0.01)
     response = np.clip(0.5 * (6.0 + 2.22) - np.abs(x), 0.0, 2.22)
     if tail:
@@ -29,13 +29,13 @@ def slit(offset: np.ndarray, tail: float = 0.0) -> np.ndarray:
 
 
 def camera(tail: float) -> np.ndarray:
-    """Return the responses of all elements (band, column, grid)."""
+    # Return the responses of all elements (band, column, grid)
     centres = BANDS[:, None] + SHIFT
     return slit(GRID - centres[..., None], tail) * np.exp(-(((GRID - 650.0) / 260.0) ** 2))
 
 
 def sweep_of(elements: np.ndarray, light_nm: float = 2.0) -> xr.Dataset:
-    """Return a sweep of 2 nm lines: the frame of the simulator's, with counts that are sums over the grid."""
+    # Return a sweep of 2 nm lines: the frame of the simulator's, with counts that are sums over the grid
     size: dict[str, Any] = {"bands": BANDS.size, "columns": SHIFT.size, "steps": 19}
     sweep = simulate_sweep(
         **size, first_step_nm=705.0, last_step_nm=825.0, monochromator_fwhm_nm=light_nm,
@@ -53,7 +53,7 @@ def sweep_of(elements: np.ndarray, light_nm: float = 2.0) -> xr.Dataset:
 
 
 def error_in_flight(elements: np.ndarray, calibration: xr.Dataset) -> float:
-    """Return the largest relative error of reflectance from 745 to 785 nm."""
+    # Return the largest relative error of reflectance from 745 to 785 nm
     light = sum(Sky(48.2).irradiance(GRID))
     surface = 0.3 + 0.1 * np.tanh((GRID - 760.0) / 60.0)
     seen, lit, area = (

@@ -323,7 +323,7 @@ def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:
 
 
 def check_travel(change: Callable[[xr.Dataset], xr.Dataset]) -> None:
-    """The line keeps what its calibration says of counts and scale."""
+    # The line keeps what its calibration says of counts and scale
     from hyperpaint.io.flightline.calibration_store import scale_attrs
 
     made = change(xr.Dataset())

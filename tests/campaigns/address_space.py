@@ -47,11 +47,9 @@ IMPORTS = (
 
 
 def write_collect(folder: Path, cube_bytes: int, *, bands: int = 272, columns: int = 640) -> Path:
-    """Write a collect with one cube of at least so many bytes; return its ``collect.toml``.
-
-    Only a block of lines is simulated in full width. The cube repeats it, each time shifted, beside
-    the times, positions and sky of a simulated flight of the whole length.
-    """
+    # Write a collect with one cube of at least so many bytes; return its ``collect.toml``
+    # Only a block of lines is simulated in full width. The cube repeats it, each time shifted, beside the
+    # times, positions and sky of a simulated flight of the whole length.
     import hyperpaint as hp
 
     lines = -(-cube_bytes // (bands * columns * 2))
@@ -76,7 +74,7 @@ def write_collect(folder: Path, cube_bytes: int, *, bands: int = 272, columns: i
 
 
 def digests(store: Path) -> dict[str, str]:
-    """Return a digest of the bytes of every chunk."""
+    # Return a digest of the bytes of every chunk
     found = {}
     for file in sorted(store.rglob("*")):
         if file.is_file() and "c" in file.relative_to(store).parts:
@@ -122,7 +120,7 @@ def _child(collect: str, out: str, room: str) -> None:
 
 
 def _limit(size: int, collect: Path) -> None:
-    """Limit the address space, and make sure that the limit is one: the cube must not go into it."""
+    # Limit the address space, and make sure that the limit is one: the cube must not go into it
     import resource
 
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
@@ -139,7 +137,7 @@ def _status() -> dict[str, int]:
 
 
 def show(folder: Path, cube_bytes: int, room: int) -> bool:
-    """Process a collect without and with the limit, print what was measured, tell whether all is equal."""
+    # Process a collect without and with the limit, print what was measured, tell whether all is equal
     collect = write_collect(folder, cube_bytes)
     size = (collect.parent / "flight" / "raw_0").stat().st_size
     print(
@@ -162,7 +160,7 @@ def show(folder: Path, cube_bytes: int, room: int) -> bool:
 
 
 def main(arguments: list[str]) -> int:
-    """Do what the command line asks for, return the exit status."""
+    # Do what the command line asks for, return the exit status
     if arguments[:1] == ["--child"]:
         _child(*arguments[1:])
         return 0

@@ -49,7 +49,7 @@ MOST_SHOWN = 10
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run what the command line asks for, print the table, return the exit status."""
+    # Run what the command line asks for, print the table, return the exit status
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--only", default=",".join(CAMPAIGNS), help="campaigns, separated by commas")
     parser.add_argument("--scale", type=float, default=1.0, help="fraction of the full count")

@@ -41,7 +41,7 @@ DRAWS, PAINTS, OTHERS = 3, 6, 4000
 
 
 def library_of(bodies: dict[str, Any], wavelength: Any) -> Any:
-    """Return a paint library of spectra of bodies, by name."""
+    # Return a paint library of spectra of bodies, by name
     import xarray as xr
 
     attrs = {"units": "1", "mirror_reflection": "excluded"}
@@ -52,14 +52,14 @@ def library_of(bodies: dict[str, Any], wavelength: Any) -> Any:
 
 
 def fleet(numbers: range, wavelength: Any) -> dict[str, Any]:
-    """Return bodies of paints of the fleet, by name."""
+    # Return bodies of paints of the fleet, by name
     from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
     return {f"fleet-{number}": spectrum_of(f"fleet-{number}")(wavelength) for number in numbers}
 
 
 def scene_of(seed: int, cache: Path) -> tuple[Any, dict[int, tuple[str, Any]]]:
-    """Return a line, and names and bodies of the paints of its cars by their numbers in it."""
+    # Return a line, and names and bodies of the paints of its cars by their numbers in it
     from benchmarks.fleet_scenes import foreign_cars, rendered_cars
     from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
@@ -75,7 +75,7 @@ def scene_of(seed: int, cache: Path) -> tuple[Any, dict[int, tuple[str, Any]]]:
 
 
 def look(seed: int, cache: Path, *, ground: bool = False) -> list[dict[str, Any]]:
-    """Return shares of one scene, for every rate, draw and library."""
+    # Return shares of one scene, for every rate, draw and library
     import hyperpaint as hp
     from benchmarks.fleet_scenes import verdicts
     from hyperpaint.paints.signatures import EXCLUDED
@@ -108,7 +108,7 @@ def look(seed: int, cache: Path, *, ground: bool = False) -> list[dict[str, Any]
 
 
 def shares(found: Any, shown: Any, numbers: list[int]) -> dict[str, float]:
-    """Return shares above the threshold of the best paint, and detected, by what pixels show."""
+    # Return shares above the threshold of the best paint, and detected, by what pixels show
     best, detected = found["best_paint"].values, found["detected"].values
     above = found["detection_score"].values >= found["score_threshold"].values[best] - 1e-7
     target = np.isin(shown, numbers)
@@ -128,7 +128,7 @@ def shares(found: Any, shown: Any, numbers: list[int]) -> dict[str, float]:
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:
-    """Return the table as lines of text."""
+    # Return the table as lines of text
     from scipy.stats import t
 
     lines = [f"{'library':<8} {'claimed':>8}  {'share of pixels':<22} {'achieved':>9}  95 % interval"]
@@ -156,7 +156,7 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; return 1 where a rate is claimed that is below the interval of what was achieved."""
+    # Print the table; return 1 where a rate is claimed that is below the interval of what was achieved
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", choices=list(SEEDS), default="judge")
     parser.add_argument("--scenes", type=int, default=None, help="only so many of them")

@@ -46,12 +46,12 @@ Counts = dict[str, tuple[int, int, int]]
 
 
 def surroundings_of(seed: int) -> tuple[str, ...]:
-    """Return what stands around a scene."""
+    # Return what stands around a scene
     return ("walls", "trees") if seed % 2 else ("walls",)
 
 
 def surfaces_of(line: Any) -> Any:
-    """Return the place in `SURFACES` of what every pixel shows (along_track, cross_track)."""
+    # Return the place in `SURFACES` of what every pixel shows (along_track, cross_track)
     from hyperpaint.simulation.rendering.materials import KINDS
     from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
@@ -71,11 +71,9 @@ def surfaces_of(line: Any) -> Any:
 
 
 def true_layers(line: Any, sky: Any) -> dict[str, Any]:
-    """Return what the renderer knows of every pixel, of a line without noise.
-
-    ``glint`` whether it matters; ``indirect`` in reflectance [1]; ``shadow`` the blocked part of the beam,
-    ``mixed`` whether a pixel is.
-    """
+    # Return what the renderer knows of every pixel, of a line without noise
+    # ``glint`` whether it matters; ``indirect`` in reflectance [1]; ``shadow`` the blocked part of the beam,
+    # ``mixed`` whether a pixel is
     from scipy.ndimage import minimum_filter
 
     nm = line["wavelength"].values
@@ -130,17 +128,17 @@ def _three(found: Any, true: Any, where: Any) -> tuple[int, int, int]:
 
 
 def total(counts: list[Counts]) -> Counts:
-    """Return the sums over scenes."""
+    # Return the sums over scenes
     return {name: tuple(np.sum([each[name] for each in counts], axis=0).tolist()) for name in counts[0]}
 
 
 def precision_and_recall(both: int, found: int, true: int) -> tuple[float, float]:
-    """Return how many of the found are true, and of the true found; NaN of none."""
+    # Return how many of the found are true, and of the true found; NaN of none
     return both / found if found else float("nan"), both / true if true else float("nan")
 
 
 def rows_of(counts: Counts) -> list[str]:
-    """Return the table as lines of text."""
+    # Return the table as lines of text
     made = [
         f"{'flag':<7} {'pixels':<21} {'surface':<18} {'precision':>9} {'recall':>7} {'found':>7} {'true':>7}"
     ]
@@ -163,7 +161,7 @@ def rows_of(counts: Counts) -> list[str]:
 
 
 def look(seed: int, flakes: bool, samples: int) -> Counts:
-    """Render, survey and flag a scene, print a row, and return what was counted."""
+    # Render, survey and flag a scene, print a row, and return what was counted
     import hyperpaint as hp
     from campaigns.proposed_cars import render, seen_with_noise
 
@@ -182,7 +180,7 @@ def look(seed: int, flakes: bool, samples: int) -> Counts:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; return 1 where a flag's precision or recall, outside mixed pixels, is below 0.95."""
+    # Print the table; return 1 where a flag's precision or recall, outside mixed pixels, is below 0.95
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     parser.add_argument("--flakes", action="store_true", help="metallic paints too")

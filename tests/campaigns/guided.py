@@ -50,8 +50,7 @@ _SUSPECT_S = 0.5
 
 @dataclass(frozen=True)
 class Target:
-    """A parser, and the number of the seed whose place inputs take."""
-
+    # A parser, and the number of the seed whose place inputs take
     parser: str
     seed: int
 
@@ -66,7 +65,7 @@ class Target:
 
 
 def targets(names: Iterable[str], folder: Path) -> list[Target]:
-    """Return a target for every kind of file that a parser reads, told apart by its suffix."""
+    # Return a target for every kind of file that a parser reads, told apart by its suffix
     first: dict[tuple[str, str], Target] = {}
     for name in names:
         for number, path in enumerate(parsers.PARSERS[name].files(folder)):
@@ -78,7 +77,7 @@ def targets(names: Iterable[str], folder: Path) -> list[Target]:
 
 
 def corpus(target: Target) -> list[bytes]:
-    """Return the inputs that are kept of a target."""
+    # Return the inputs that are kept of a target
     archive = CORPUS / f"{target.parser}.zip"
     if not archive.is_file():
         return []
@@ -87,7 +86,7 @@ def corpus(target: Target) -> list[bytes]:
 
 
 def keep(target: Target, inputs: Sequence[bytes]) -> int:
-    """Make these inputs the corpus of a target; return how many were not in it before."""
+    # Make these inputs the corpus of a target; return how many were not in it before
     archive, before = CORPUS / f"{target.parser}.zip", set(corpus(target))
     others: dict[str, bytes] = {}
     if archive.is_file():
@@ -105,7 +104,7 @@ def keep(target: Target, inputs: Sequence[bytes]) -> int:
 
 
 def covering(read: Any, inputs: Iterable[bytes]) -> list[bytes]:
-    """Return the inputs, short ones first, each of which reaches a step that none before it does."""
+    # Return the inputs, short ones first, each of which reaches a step that none before it does
     reached: set[tuple[str, int, int]] = set()
     kept: list[bytes] = []
     room = _CORPUS_BYTES
@@ -119,7 +118,7 @@ def covering(read: Any, inputs: Iterable[bytes]) -> list[bytes]:
 
 
 def _steps(read: Any, data: bytes) -> set[tuple[str, int, int]]:
-    """Return the pairs of lines of hyperpaint that follow one another while an input is read."""
+    # Return the pairs of lines of hyperpaint that follow one another while an input is read
     steps: set[tuple[str, int, int]] = set()
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
@@ -150,16 +149,14 @@ def _steps(read: Any, data: bytes) -> set[tuple[str, int, int]]:
 
 @dataclass(frozen=True)
 class Bench:
-    """Where a child process works: whole seeds, the folder of its units, and that of wrong inputs."""
-
+    # Where a child process works: whole seeds, the folder of its units, and that of wrong inputs
     seeds: Path
     units: Path
     wrong: Path
 
 
 class Reading:
-    """Puts an input in its place and reads it; what is wrong is written down, once a place in the code."""
-
+    # Puts an input in its place and reads it; what is wrong is written down, once a place in the code
     def __init__(self, target: Target, path: Path, wrong: Path) -> None:
         self.target, self.path, self.wrong = target, path, wrong
         self.parser = parsers.PARSERS[target.parser]
@@ -185,7 +182,7 @@ class Reading:
 
 
 def fuzz(target: Target, bench: Bench, seconds: int) -> None:
-    """Let atheris look for inputs; it ends the process."""
+    # Let atheris look for inputs; it ends the process
     import atheris
 
     _quiet()
@@ -215,7 +212,7 @@ def fuzz(target: Target, bench: Bench, seconds: int) -> None:
 
 
 def dictionary(seeds: Iterable[bytes]) -> str:
-    """Return the words of whole files, as libFuzzer reads them: what a mutation may put in one piece."""
+    # Return the words of whole files, as libFuzzer reads them: what a mutation may put in one piece
     words = {word for seed in seeds for word in re.findall(rb"[A-Za-z_][A-Za-z0-9_-]{2,30}", seed[:20_000])}
     return "".join(f'"{word.decode()}"\n' for word in sorted(words)[:400])
 
@@ -232,8 +229,7 @@ def _quiet() -> None:
 
 @dataclass(frozen=True)
 class Result:
-    """What a target came to: inputs tried, processor time [s], inputs kept, those new, and wrong ones."""
-
+    # What a target came to: inputs tried, processor time [s], inputs kept, those new, and wrong ones
     target: Target
     runs: int
     seconds: float
@@ -252,7 +248,7 @@ HEADER = f"{'target':<24} {'inputs':>10} {'seconds':>8} {'corpus':>6} {'new':>6}
 
 
 def run(target: Target, seeds: Path, seconds: int, wrong: Path, *, kept: bool) -> Result:
-    """Fuzz one target in a child process; another judges, without instruments, what that calls wrong."""
+    # Fuzz one target in a child process; another judges, without instruments, what that calls wrong
     with tempfile.TemporaryDirectory() as scratch:
         bench = Bench(seeds, Path(scratch) / "units", wrong / f"{target.parser}-{target.seed}")
         bench.units.mkdir()
@@ -282,7 +278,7 @@ def _child(task: str, target: Target, bench: Bench, detail: str) -> subprocess.C
 
 
 def judge(target: Target, bench: Bench, *, kept: bool) -> None:
-    """Print a line for every input that is wrong, measured as `faults.parsers` does; then what is kept."""
+    # Print a line for every input that is wrong, measured as `faults.parsers` does; then what is kept
     _quiet()
     parser = parsers.PARSERS[target.parser]
     with tempfile.TemporaryDirectory() as own:
@@ -302,7 +298,7 @@ def judge(target: Target, bench: Bench, *, kept: bool) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run what the command line asks for, print the table, return the exit status."""
+    # Run what the command line asks for, print the table, return the exit status
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--only", default=",".join(parsers.PARSERS), help="parsers, separated by commas")
     parser.add_argument("--seconds", type=int, default=7200, help="of fuzzing, shared by all targets")
@@ -338,7 +334,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def child(task: str, name: str, *details: str) -> None:
-    """Do what `run` gives to a process of its own."""
+    # Do what `run` gives to a process of its own
     *places, detail = details
     target, bench = Target.of(name), Bench(*map(Path, places))
     if task == "fuzz":

@@ -36,7 +36,7 @@ HEADER = (
 def render(
     seed: int, flakes: bool, samples: int, neighbours: tuple[str, ...] = ("walls", "trees")
 ) -> tuple[Any, Any]:
-    """Return a flight line without noise, its truth beside it, and the atmosphere."""
+    # Return a flight line without noise, its truth beside it, and the atmosphere
     import hyperpaint as hp
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
@@ -61,7 +61,7 @@ def render(
 
 
 def seen_with_noise(line: Any, seed: int) -> Any:
-    """Return a render as it is seen: reflectance from noisy radiance."""
+    # Return a render as it is seen: reflectance from noisy radiance
     import hyperpaint as hp
 
     radiance = line["radiance"]
@@ -71,21 +71,21 @@ def seen_with_noise(line: Any, seed: int) -> Any:
 
 
 def whole_cars(line: Any) -> list[int]:
-    """Return the cars that do not touch the edge of the picture."""
+    # Return the cars that do not touch the edge of the picture
     car = line["car_id"].values
     cut = np.concatenate([car[0], car[-1], car[:, 0], car[:, -1]])
     return [int(one) for one in np.setdiff1d(car, cut) if one >= 0]
 
 
 def tilt_of(line: Any, along: Any, across: Any) -> float:
-    """Return the tilt of the plane through a region's pixels [degree]."""
+    # Return the tilt of the plane through a region's pixels [degree]
     x, y, z = (line[name].values[along, across] for name in ("east", "north", "up"))
     slope = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=1), z, rcond=None)[0][:2]
     return float(np.degrees(np.arctan(np.hypot(*slope))))
 
 
 def look(seed: int, flakes: bool, samples: int) -> tuple[int, int, int, int]:
-    """Print a scene's table; return whole cars, of them right and wrong, and wrong regions elsewhere."""
+    # Print a scene's table; return whole cars, of them right and wrong, and wrong regions elsewhere
     import hyperpaint as hp
     from hyperpaint.regions import pixels_of
     from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
@@ -133,7 +133,7 @@ def look(seed: int, flakes: bool, samples: int) -> tuple[int, int, int, int]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; return 1 where fewer than nine in ten cars are right, or any is wrong."""
+    # Print the table; return 1 where fewer than nine in ten cars are right, or any is wrong
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(200, 210)))
     parser.add_argument("--flakes", action="store_true", help="metallic paints too")

@@ -35,14 +35,14 @@ DARKS = (10, 100, 1000)
 
 
 def regions(parts: dict[str, tuple[int, int, int, int]]) -> Regions:
-    """Return rectangles: first and last line, first and last column."""
+    # Return rectangles: first and last line, first and last column
     return Regions(
         tuple(Region(name, [(x, y), (u, y), (u, v), (x, v)]) for name, (y, v, x, u) in parts.items())
     )
 
 
 def drawn(darks: int, draws: int, seed: int, **options: Any) -> dict[str, np.ndarray]:
-    """Return true over stated standard deviation by region: of every band, then of the ratios."""
+    # Return true over stated standard deviation by region: of every band, then of the ratios
     truth = true_reflectance(WAVELENGTH)
     places = [[int(np.abs(WAVELENGTH - nm).argmin()) for nm in pair] for pair in PAIRS]
     expected = np.concatenate([truth, [truth[p] / truth[q] for p, q in places]])
@@ -62,7 +62,7 @@ def drawn(darks: int, draws: int, seed: int, **options: Any) -> dict[str, np.nda
 
 
 def main() -> int:
-    """Print a row a region and number of darks."""
+    # Print a row a region and number of darks
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=400)
     parser.add_argument("--seed", type=int, default=9200)

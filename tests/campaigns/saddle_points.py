@@ -73,7 +73,7 @@ def fit_saddles(picture: Floats, expected: Floats, directions: Floats, reach: fl
 
 
 def _fit(seen: Floats, uv: Floats) -> tuple[Floats, Floats]:
-    """Return u0 and v0 of windows (corner, 2), and what is left; NaN where a fit runs away."""
+    # Return u0 and v0 of windows (corner, 2), and what is left; NaN where a fit runs away
     u, v = uv.T
     quarter = np.sign(u) * np.sign(v)
     mean = seen.mean(axis=1)

@@ -35,7 +35,7 @@ EXPOSURES = (0.003, 0.006, 0.012)
 
 
 def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 24) -> tuple[Any, Any, Any]:
-    """Return radiance of glossy and metallic cars in the sun, the flight, and the light."""
+    # Return radiance of glossy and metallic cars in the sun, the flight, and the light
     import hyperpaint as hp
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
@@ -52,7 +52,7 @@ def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 
 
 
 def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) -> tuple[Any, dict[str, Any]]:
-    """Return the flight line of a 12-bit camera, and what is true of its pixels."""
+    # Return the flight line of a 12-bit camera, and what is true of its pixels
     import hyperpaint as hp
     from hyperpaint.simulation.camera import Camera
     from hyperpaint.simulation.rendering.camera_bands import BandSet
@@ -81,20 +81,20 @@ def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) 
 
 
 def found_in(line: Any) -> Any:
-    """Return which pixels the chain flags as saturated (along_track, cross_track)."""
+    # Return which pixels the chain flags as saturated (along_track, cross_track)
     import hyperpaint as hp
 
     return (hp.radiance(line)["quality"].values & int(hp.Quality.SATURATED)) > 0
 
 
 def recall_and_precision(found: Any, true: Any) -> tuple[float, float]:
-    """Return how many of the true pixels are found, and how many of the found are true; 1 of none."""
+    # Return how many of the true pixels are found, and how many of the found are true; 1 of none
     both = float((found & true).sum())
     return both / max(int(true.sum()), 1), both / max(int(found.sum()), 1)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; return 1 for a missed clipped pixel, or 1 in 100 flags outside the margin."""
+    # Print the table; return 1 for a missed clipped pixel, or 1 in 100 flags outside the margin
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(300, 304)))
     asked = parser.parse_args(arguments)

@@ -29,7 +29,7 @@ Skies = dict[tuple[float, float], SkyRadiance]
 
 
 def functions(coefficients: np.ndarray, sun: float, sky: SkyRadiance) -> tuple[np.ndarray, np.ndarray]:
-    """Return the functions over the sky (3, zenith, azimuth) and at the zenith (3,), of unit level mean."""
+    # Return the functions over the sky (3, zenith, azimuth) and at the zenith (3,), of unit level mean
     cosine, azimuth = np.meshgrid(sky.cosine, sky.azimuth, indexing="ij")
     turn = sky_functions.scattering_cosine(cosine, azimuth, sun)
     parts, zenith = [np.ones_like(cosine)], [1.0]
@@ -44,7 +44,7 @@ def functions(coefficients: np.ndarray, sun: float, sky: SkyRadiance) -> tuple[n
 
 
 def fitted(parts: np.ndarray, zenith: np.ndarray, sky: SkyRadiance) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shares of the functions in a sky, and the residuals, relative."""
+    # Return the shares of the functions in a sky, and the residuals, relative
     scale = np.sqrt(2.0 * sky.cosine * sky.cosine_weight / sky.azimuth.size)[:, None] / sky.relative
     rows = np.vstack([(parts * scale).reshape(3, -1).T, ZENITH_WEIGHT * zenith / sky.zenith])
     target = np.append((sky.relative * scale).ravel(), ZENITH_WEIGHT)

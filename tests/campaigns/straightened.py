@@ -33,7 +33,7 @@ HEADER = (
 
 
 def fly(folder: Path, wobble: str, *, lines: int = 1500, columns: int = COLUMNS, **effects: Any) -> Any:
-    """Return a processed line, and the truth, of a flight over a checkerboard."""
+    # Return a processed line, and the truth, of a flight over a checkerboard
     import xarray as xr
 
     from hyperpaint.simulation import simulate_collect
@@ -49,18 +49,18 @@ def fly(folder: Path, wobble: str, *, lines: int = 1500, columns: int = COLUMNS,
 
 
 def located(line: Any, truth: Any) -> Any:
-    """Return the line with the place of every pixel, on the map of the truth."""
+    # Return the line with the place of every pixel, on the map of the truth
     names = ("ground", "boresight", "lever_arm", "crs")
     return line.paint.locate(**{name: truth.attrs[name] for name in names})
 
 
 def pixel_errors(placed: Any, truth: Any) -> np.ndarray[Any, Any]:
-    """Return by how much the places of pixels miss the truth, (along_track, cross_track) [pixel]."""
+    # Return by how much the places of pixels miss the truth, (along_track, cross_track) [pixel]
     return np.asarray(np.hypot(placed.east - truth.east, placed.north - truth.north) / GSD)
 
 
 def corner_errors(placed: Any, truth: Any, *, method: str, grid: str) -> np.ndarray[Any, Any]:
-    """Return by how much corners miss their places in a map, right and down (corner, 2) [pixel]."""
+    # Return by how much corners miss their places in a map, right and down (corner, 2) [pixel]
     import hyperpaint as hp
     from campaigns.saddle_points import misplacement
 
@@ -72,7 +72,7 @@ def corner_errors(placed: Any, truth: Any, *, method: str, grid: str) -> np.ndar
 
 
 def main() -> None:
-    """Print the figures."""
+    # Print the figures
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--lines", type=int, default=1500)
     parser.add_argument("--grids", nargs="+", default=["flight", "north"])

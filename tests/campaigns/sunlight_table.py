@@ -31,7 +31,7 @@ def inside(wavelength: np.ndarray, bands: tuple[tuple[int, int], ...]) -> np.nda
 
 
 def table() -> str:
-    """Return the text of the file."""
+    # Return the text of the file
     from pvlib.spectrum import get_reference_spectra
 
     coefficients = importlib.import_module("pvlib.spectrum.spectrl2")._SPECTRL2_COEFFS

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.campaign
 
 
 def run(function: Any, *arguments: Any) -> Outcome:
-    """Return the outcome of one fault, or of several: all but the first argument are passed on."""
+    # Return the outcome of one fault, or of several: all but the first argument are passed on
     made = Outcome("test")
     function(*arguments, made)
     return made

@@ -32,13 +32,13 @@ def seeds(guided: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _needs(parser: str) -> None:
-    """Skip where what reads the files of a parser is not installed."""
+    # Skip where what reads the files of a parser is not installed
     if parser.startswith("mesh-"):
         pytest.importorskip("trimesh")
 
 
 def _wrong(guided: Any, seeds: Path, own: Path, target: Any, inputs: list[bytes]) -> list[str]:
-    """Return what is wrong with how a parser takes inputs in the place of a seed."""
+    # Return what is wrong with how a parser takes inputs in the place of a seed
     parsers = guided.parsers
     parser = parsers.PARSERS[target.parser]
     own.mkdir()

@@ -19,7 +19,7 @@ SAMPLES, SEEDS = 64, 8
 
 
 def noise(sky: str) -> dict[str, tuple[float, float]]:
-    """Return the noise under a light by class: median over all pixels, and over pure ones."""
+    # Return the noise under a light by class: median over all pixels, and over pure ones
     park = car_park(seed=1)
     flight = pushbroom(24, 200, altitude=40.0, ground_sample=0.06, line_spacing=0.25)
     bands = BandSet(np.array([450.0, 550.0, 650.0, 850.0]), np.full(4, 6.0))

@@ -27,7 +27,7 @@ RIGHT = 200
 
 
 def said_of(path: Path, whole: bool = False) -> list[str]:
-    """Return all findings, or the error that stops the opening; of a ``whole`` run what process says."""
+    # Return all findings, or the error that stops the opening; of a ``whole`` run what process says
     from hyperpaint.base.errors import PaintError, PaintWarning
     from hyperpaint.workflows.pipeline import check_collect, process
 
@@ -43,7 +43,7 @@ def said_of(path: Path, whole: bool = False) -> list[str]:
 
 
 def judge_wrong(seed: int, only: str = "") -> dict[str, list[list[str]]]:
-    """Return what is said of every fault at its strengths."""
+    # Return what is said of every fault at its strengths
     from support.plausible_collects import FAULTS, wrong_collect
 
     said = {}
@@ -58,14 +58,14 @@ def judge_wrong(seed: int, only: str = "") -> dict[str, list[list[str]]]:
 
 
 def is_named(fault: str, texts: list[str]) -> bool:
-    """Tell whether one of the texts names a fault."""
+    # Tell whether one of the texts names a fault
     from support.plausible_collects import FAULTS
 
     return any(word in text for word in FAULTS[fault][1] for text in texts)
 
 
 def judge_right(seed: int, count: int = RIGHT, only: str = "") -> list[tuple[str, int, list[str]]]:
-    """Return the alarms of right collects of all kinds in turn: kind, seed, what is said."""
+    # Return the alarms of right collects of all kinds in turn: kind, seed, what is said
     from support.plausible_collects import RECIPES, right_collect
 
     alarms = []
@@ -80,7 +80,7 @@ def judge_right(seed: int, count: int = RIGHT, only: str = "") -> list[tuple[str
 
 
 def judge_real(data: Path) -> dict[str, list[str]]:
-    """Return what is said of real files: counts and darks of two cameras, cubes, a sky record, poses."""
+    # Return what is said of real files: counts and darks of two cameras, cubes, a sky record, poses
     import numpy as np
     import xarray as xr
 
@@ -153,7 +153,7 @@ def judge_real(data: Path) -> dict[str, list[str]]:
 
 
 def main() -> int:
-    """Print what was named and what alarmed; 1 where the promise is not kept."""
+    # Print what was named and what alarmed; 1 where the promise is not kept
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seed", type=int, default=JUDGING_SEED)
     parser.add_argument("--right", type=int, default=RIGHT)

@@ -24,7 +24,7 @@ for folder in (ROOT, ROOT / "tests"):  # run as a script: neither is importable 
 
 
 def check(flight: Any, made: Any) -> Any:
-    """Return the check of a line and its record."""
+    # Return the check of a line and its record
     import hyperpaint as hp
     from hyperpaint.geometry.navigation_checking import check_conventions
 
@@ -34,7 +34,7 @@ def check(flight: Any, made: Any) -> Any:
 
 
 def wrong_ones(seed: int, pitch: float) -> tuple[int, int, int]:
-    """Print the twelve; return how many were named, how many undecided, and false names."""
+    # Print the twelve; return how many were named, how many undecided, and false names
     from support.wrong_declarations import cases, flown
 
     flight = flown(seed, pitch=pitch)
@@ -54,7 +54,7 @@ def wrong_ones(seed: int, pitch: float) -> tuple[int, int, int]:
 
 
 def right_ones(count: int, pitch: float, first: int = 100) -> int:
-    """Print what is named of flights declared rightly; return of how many anything is."""
+    # Print what is named of flights declared rightly; return of how many anything is
     from support.wrong_declarations import flown, right
 
     false = 0

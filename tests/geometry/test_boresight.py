@@ -33,7 +33,7 @@ def flights(count: int = 4, wobble: str = "calm") -> dict[str, Flight]:
 def true_points(
     flown: dict[str, Flight], seed: int, count: int = 8, column: float | None = None
 ) -> xr.Dataset:
-    """Return points where they are seen, without error; some on things, some on the ground."""
+    # Return points where they are seen, without error; some on things, some on the ground
     rng = np.random.default_rng(seed)
     to_map = pyproj.Transformer.from_crs("EPSG:4979", CRS, always_xy=True)
     rows = []
@@ -82,7 +82,7 @@ def test_without_errors_it_is_exact() -> None:
 
 @pytest.mark.slow
 def test_eight_points_on_four_lines() -> None:
-    """As the benchmark has it for 100 repeats: 0.01 degrees, 0.1 degrees of heading, 2 ms."""
+    # As the benchmark has it for 100 repeats: 0.01 degrees, 0.1 degrees of heading, 2 ms
     both = [flights(4, wobble) for wobble in ("calm", "rough")]
     scores, within = [], 0
     for seed in range(12):
@@ -129,7 +129,7 @@ def test_points_in_one_column_do_not_tell_the_heading(column: float, named: str)
 
 
 def test_one_line_alone_and_what_was_flown_is_located() -> None:
-    """The solution, handed to `locate`, puts points where they are."""
+    # The solution, handed to `locate`, puts points where they are
     flown = flights(1, "rough")
     points = true_points(flown, 2)
     flight = flown["raw_0"]
@@ -180,7 +180,7 @@ def test_what_cannot_be_is_refused() -> None:
 @pytest.mark.parametrize("late", [-1.0, -0.3, 0.7])
 @pytest.mark.slow
 def test_a_clock_that_begins_with_another_swing_is_found(late: float) -> None:
-    """Every swing of the platform has a minimum of its own, which leaves 6 pixel and a pitch off by 2."""
+    # Every swing of the platform has a minimum of its own, which leaves 6 pixel and a pitch off by 2
     flown = flights(4)
     found = solved(flown, picked(true_points(flown, 0), 1), clock_offset_s=CLOCK + late)
     assert (np.abs(errors(found)) < LIMITS).all()

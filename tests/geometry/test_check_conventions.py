@@ -23,7 +23,7 @@ pytest.importorskip("pyproj")
 
 @functools.cache
 def flight_of(seed: int, lines: int = 600) -> tuple[Flight, xr.Dataset, xr.Dataset]:
-    """Return a flight, its line and its record."""
+    # Return a flight, its line and its record
     flight = flown(seed, lines=lines)
     return flight, flight.line(), flight.navigation()
 
@@ -124,7 +124,7 @@ def test_a_collect_with_a_wrong_sign_or_height_is_named_by_check() -> None:
 
 
 def test_shifts_of_rows_are_measured_to_a_tenth_of_a_pixel() -> None:
-    """The same row, moved by a known amount; a texture of sines has no interpolation of ours in it."""
+    # The same row, moved by a known amount; a texture of sines has no interpolation of ours in it
     rng = np.random.default_rng(1)
     waves, phases = rng.uniform(0.2, 1.2, 40), rng.uniform(0, 6, 40)
     shifts = rng.uniform(-5, 5, 600)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_refusals
 from support.wobbly_flights import START, Flight
 from support.wrong_declarations import DECLARED
 
@@ -59,7 +59,7 @@ PERIOD = 0.05
 
 
 def light(t: np.ndarray, depth: float, seed: int) -> np.ndarray:
-    """Return the level of the light: clouds with edges of some seconds."""
+    # Return the level of the light: clouds with edges of some seconds
     rng = np.random.default_rng([seed, 1])
     edges = rng.uniform(0, 120, 6)
     steps = sum((-1) ** k / (1 + np.exp(-(t - e) / 1.5)) for k, e in enumerate(np.sort(edges)))
@@ -67,7 +67,7 @@ def light(t: np.ndarray, depth: float, seed: int) -> np.ndarray:
 
 
 def lit(offset: float, depth: float, seed: int) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return a line of 120 s, and a record every 2 s whose stamps are ``offset`` early."""
+    # Return a line of 120 s, and a record every 2 s whose stamps are ``offset`` early
     rng = np.random.default_rng([seed, 2])
     t = PERIOD * np.arange(2400)
     ground = np.ones((t.size, 96))
@@ -125,7 +125,12 @@ def test_clouds_elsewhere_are_refused() -> None:
 
 def test_one_record_is_asked_for() -> None:
     line, record = lit(0.0, 0.5, 0)
-    with pytest.raises(SchemaError, match="option-conflict"):
-        estimate_clock_offset(line)
-    with refusal(SchemaError, "value-out-of-range", "max_offset_s"):
-        estimate_clock_offset(line, irradiance=record, max_offset_s=-1.0)
+    expect_refusals(
+        (SchemaError, "option-conflict", lambda: estimate_clock_offset(line)),
+        (
+            SchemaError,
+            "value-out-of-range",
+            "max_offset_s",
+            lambda: estimate_clock_offset(line, irradiance=record, max_offset_s=-1.0),
+        ),
+    )

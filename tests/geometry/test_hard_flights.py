@@ -18,14 +18,14 @@ PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 
 
 def steady(**pose: Any) -> xr.Dataset:
-    """Return a line that flies north with pixels of 8 mm, whose `number` tells lines and columns."""
+    # Return a line that flies north with pixels of 8 mm, whose `number` tells lines and columns
     line = flown(LINES, COLUMNS, **({"wobble": 0.15, "heading": 0.0} | pose)).drop_vars("counts")
     number = np.arange(LINES)[:, None] + np.arange(COLUMNS)[None, :] / 1000.0
     return line.assign(number=(("along_track", "cross_track"), number)).chunk(along_track=32)
 
 
 def mapped(line: xr.Dataset, **options: Any) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the located line, and its map, both computed, with what must be true of every one."""
+    # Return the located line, and its map, both computed, with what must be true of every one
     given: dict[str, Any] = {
         "ground": 0.0,
         "camera": CAMERA,
@@ -95,7 +95,7 @@ def test_a_pose_that_is_half_known(name: str) -> None:
 
 
 def test_attitudes_that_are_the_same_turn() -> None:
-    """A full turn more or less, or pitch over the top, is the same attitude, also halfway between rows."""
+    # A full turn more or less, or pitch over the top, is the same attitude, also halfway between rows
     line = steady(heading=np.mod(0.5 * np.sin(np.arange(LINES)), 360.0)).compute()
     bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
     between = bare.assign_coords(time=bare.time + PERIOD / 2).isel(along_track=slice(0, -1))
@@ -153,7 +153,7 @@ def test_rays_above_the_horizon() -> None:
 
 
 def test_a_real_raster_with_holes() -> None:
-    """Holes as rioxarray reads them, one inside, one at the edge, and a raster that ends under the line."""
+    # Holes as rioxarray reads them, one inside, one at the edge, and a raster that ends under the line
     line = steady()
     flat, whole = mapped(line)
     x0, y0 = float(flat.east.min()), float(flat.north.max())
@@ -193,7 +193,7 @@ def test_a_real_raster_with_holes() -> None:
 @pytest.mark.parametrize("grid", ["flight", "north"])
 @pytest.mark.parametrize("wobble", [0.15, 0.42])
 def test_no_hole_inside_the_hull_that_is_not_a_gap(wobble: float, grid: Any) -> None:
-    """The hull is drawn by shapely, of the lines' ends and all that lies between, and not by the kernel."""
+    # The hull is drawn by shapely, of the lines' ends and all that lies between, and not by the kernel
     import shapely
 
     heading = 31.0 + 7.0 * wobble * np.sin(np.arange(LINES) / 11.0)

@@ -33,7 +33,7 @@ def seen() -> Seen:
 
 
 def within(east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """Return which places lie well inside of what the line covers."""
+    # Return which places lie well inside of what the line covers
     x, y = east - EAST, north - NORTH
     return (x > 0.3) & (x < COLUMNS * SPACING - 0.3) & (y > 0.3) & (y < (LINES - 3) * SPACING)
 

@@ -31,7 +31,7 @@ def still(**pose: float) -> xr.Dataset:
 
 
 def offsets(line: xr.Dataset, **options: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far pixels are to the true east and north of the camera, with the map turned back."""
+    # Return how far pixels are to the true east and north of the camera, with the map turned back
     made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA, **options)
     lat, lon = float(line.latitude[0]), float(line.longitude[0])
     x, y = pyproj.Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(lon, lat)

@@ -24,7 +24,7 @@ START = np.datetime64("2021-07-20T17:10:00", "ns")
 def flown_line(
     number: int, heading: float, shift: tuple[float, float], *, lines: int = 90, chunk: int | None = 32
 ) -> xr.Dataset:
-    """Return a located line of random spectra, with flags, its own place, and its own time."""
+    # Return a located line of random spectra, with flags, its own place, and its own time
     flown = fly(lines, 50, "rough", heading=heading, seed=number)
     rng = np.random.default_rng(number)
     flown = type(flown)(
@@ -45,7 +45,7 @@ def flown_line(
 
 
 def flown_lines(**options: Any) -> dict[str, xr.Dataset]:
-    """Return four: two side by side on opposite courses, one that crosses both, one that lies apart."""
+    # Return four: two side by side on opposite courses, one that crosses both, one that lies apart
     places = {"a": (10.0, (0.0, 0.0)), "b": (190.0, (0.21, 0.05)), "c": (95.0, (0.1, 0.0))}
     return {
         name: flown_line(number, heading, shift, **options)
@@ -177,7 +177,7 @@ def test_seamlines_enclose_the_cells_of_each_line() -> None:
 
 
 def test_levelling_finds_the_gains_of_lines() -> None:
-    """Lines over one smooth ground, each with gains of its own; flagged pixels and some others are astray."""
+    # Lines over one smooth ground, each with gains of its own; flagged pixels and some others are astray
     rng = np.random.default_rng(3)
     gains = {name: rng.uniform(0.8, 1.25, 4) for name in ("a", "b", "c", "z")}
     lines = {**flown_lines(), "z": apart()}
@@ -207,7 +207,7 @@ def test_levelling_finds_the_gains_of_lines() -> None:
 
 
 def test_a_band_without_overlap_is_levelled_as_its_neighbours() -> None:
-    """A band that one line lacks: no step in the spectra of either."""
+    # A band that one line lacks: no step in the spectra of either
     waves = np.array([450.0, 500.0, 700.0, 750.0])
     lines = {name: line for name, line in flown_lines().items() if name != "c"}
     for name, gains in (("a", [0.9, 0.9, 0.9, 0.9]), ("b", [1.2, 1.2, 1.5, 1.5])):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.flown_lines import GSD, MAP, Flown, fly, hills, located, nearest_by_distance
+from support.refusals import expect_refusals
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -20,19 +21,19 @@ OFF = int(hp.Quality.OFF_SWATH)
 
 
 def coordinates(flown: Flown) -> Any:
-    """Return the coordinate cube: a band of east, and one of north."""
+    # Return the coordinate cube: a band of east, and one of north
     return (CUBE, np.stack([flown.east, flown.north], axis=1))
 
 
 def centres(made: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return where cells lie, by GDAL's transform alone."""
+    # Return where cells lie, by GDAL's transform alone
     c, a, b, f, d, e = map(float, made.spatial_ref.attrs["GeoTransform"].split())
     row, col = np.meshgrid(np.arange(made.sizes["y"]) + 0.5, np.arange(made.sizes["x"]) + 0.5, indexing="ij")
     return c + a * col + b * row, f + d * col + e * row
 
 
 def away(made: xr.Dataset) -> np.ndarray:
-    """Return how far what cells got lies from them [pixel]."""
+    # Return how far what cells got lies from them [pixel]
     east, north = centres(made)
     there = made.there.values
     return np.hypot(there[..., 0] - east, there[..., 1] - north) / made.attrs["gsd"]
@@ -110,7 +111,7 @@ def test_it_is_lazy_and_reads_the_lines_it_needs() -> None:
 
 
 def test_reflectance_and_map_can_be_made_in_either_order() -> None:
-    """Counts on the map, with the line and column that each is of, become the reflectance of the map."""
+    # Counts on the map, with the line and column that each is of, become the reflectance of the map
     flown = fly(24, 10, "rough", heading=20.0)
     line = flight(lines=24, columns=10).line
     line["counts"] = line.counts.astype(np.uint16).assign_attrs(line.counts.attrs)
@@ -303,16 +304,21 @@ def test_what_cannot_be_mapped_is_named_at_once() -> None:
     with pytest.raises(SchemaError) as refused:
         hp.geometry.orthorectify(line.assign(lamp=1.0), variables=["paint", "lamp"])
     assert refused.value.codes == ("variable-missing", "dim-missing")
-    with pytest.raises(SchemaError, match="option-conflict"):
-        hp.geometry.orthorectify(line, ground=0.0)
-    with pytest.raises(SchemaError, match="ground-not-seen"):
-        hp.geometry.orthorectify(line.assign_coords(east=line.east * np.nan), variables=[])
-    with pytest.raises(SchemaError, match="line-too-short"):
-        hp.geometry.orthorectify(line.isel(cross_track=[0]), variables=[])
-    with pytest.raises(SchemaError, match="map-too-large"):
-        hp.geometry.orthorectify(line, 1e-7, variables=[])
-    with pytest.raises(SchemaError, match="variable-missing"):
-        hp.geometry.map_report(line)
+    expect_refusals(
+        (SchemaError, "option-conflict", lambda: hp.geometry.orthorectify(line, ground=0.0)),
+        (
+            SchemaError,
+            "ground-not-seen",
+            lambda: hp.geometry.orthorectify(line.assign_coords(east=line.east * np.nan), variables=[]),
+        ),
+        (
+            SchemaError,
+            "line-too-short",
+            lambda: hp.geometry.orthorectify(line.isel(cross_track=[0]), variables=[]),
+        ),
+        (SchemaError, "map-too-large", lambda: hp.geometry.orthorectify(line, 1e-7, variables=[])),
+        (SchemaError, "variable-missing", lambda: hp.geometry.map_report(line)),
+    )
 
 
 def test_too_many_tiles_are_counted_before_they_are_made() -> None:

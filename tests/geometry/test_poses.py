@@ -25,7 +25,7 @@ SECOND = np.timedelta64(1_000_000_000, "ns")
 
 
 def record(rows: int = 60, period: float = 0.01, **fixed: Any) -> xr.Dataset:
-    """Return a smooth record that turns through north."""
+    # Return a smooth record that turns through north
     t = np.arange(rows) * period
     values = {
         "latitude": 34 + 1e-5 * t, "longitude": -81 + 2e-5 * np.sin(t), "altitude": 15 + 0.2 * np.cos(3 * t),

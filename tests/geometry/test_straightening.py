@@ -29,14 +29,14 @@ def straightened() -> Any:
 def flight(
     request: pytest.FixtureRequest, straightened: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return a processed line of 640 columns over a checkerboard, and its truth."""
+    # Return a processed line of 640 columns over a checkerboard, and its truth
     made: tuple[xr.Dataset, xr.Dataset] = straightened.fly(tmp_path_factory.mktemp("board"), request.param)
     return made
 
 
 @pytest.fixture(scope="module")
 def short(straightened: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[xr.Dataset, xr.Dataset, Path]:
-    """Return a shorter line whose frames are stamped by a clock that is 10 ms behind, and its collect."""
+    # Return a shorter line whose frames are stamped by a clock that is 10 ms behind, and its collect
     folder = tmp_path_factory.mktemp("short")
     line, truth = straightened.fly(
         folder, "rough", lines=300, columns=320, frame_clock_offset_s=0.01, course=250.0, navigation_rate=200
@@ -46,7 +46,7 @@ def short(straightened: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.31, -0.17)])
 def test_finder_of_corners(straightened: Any, shift: tuple[float, float]) -> None:
-    """Expected: of a board drawn 10 x 10 times finer than its pixels, with noise, what it was shifted by."""
+    # Expected: of a board drawn 10 x 10 times finer than its pixels, with noise, what it was shifted by
     from campaigns.saddle_points import misplacement
 
     size, fine, gsd, turn = 200, 10, 0.008, np.radians(27.0)
@@ -65,7 +65,7 @@ def test_finder_of_corners(straightened: Any, shift: tuple[float, float]) -> Non
 
 
 def test_pixels_are_where_they_are(flight: tuple[xr.Dataset, xr.Dataset], straightened: Any) -> None:
-    """Expected: what linear interpolation of 100 Hz leaves, 0.05 of a pixel for a rough flight."""
+    # Expected: what linear interpolation of 100 Hz leaves, 0.05 of a pixel for a rough flight
     line, truth = flight
     placed = straightened.located(line, truth)
     error = straightened.pixel_errors(placed, truth)
@@ -88,7 +88,7 @@ def test_corners_are_where_they_are(
 
 
 def test_store_says_all_but_the_height_of_the_ground(tmp_path: Path) -> None:
-    """Expected: a processed line of a camera that is mounted straight is located by the ground alone."""
+    # Expected: a processed line of a camera that is mounted straight is located by the ground alone
     path = simulate_collect(
         tmp_path / "board", lines=60, columns=80, bands=4, scene="checkerboard", swath=0.64, wobble="calm"
     )
@@ -107,7 +107,7 @@ def test_store_says_all_but_the_height_of_the_ground(tmp_path: Path) -> None:
 def test_clock_of_the_frames(
     short: tuple[xr.Dataset, xr.Dataset, Path], straightened: Any, record: str
 ) -> None:
-    """Expected: right with the offset, by 200 Hz of either file; a pixel and more off without."""
+    # Expected: right with the offset, by 200 Hz of either file; a pixel and more off without
     line, truth, folder = short
     options = {name: truth.attrs[name] for name in ("ground", "boresight", "lever_arm", "crs")}
     navigation = hp.open_navigation(
@@ -140,9 +140,8 @@ def test_what_is_wrong_is_seen(
 
 
 def test_cars_are_where_they_are(tmp_path: Path) -> None:
-    """Expected: pixels of level ground at the mean place of their rays, which scatter by a tenth of a pixel;
-    roofs are displaced away from the middle, by their height times the tangent of the view.
-    """
+    # Expected: pixels of level ground at the mean place of their rays, which scatter by a tenth of a pixel;
+    # roofs are displaced away from the middle, by their height times the tangent of the view
     path = simulate_collect(
         tmp_path / "lot", lines=120, columns=160, bands=4, wobble="rough", boresight=(0.4, -0.6, 0.8)
     )

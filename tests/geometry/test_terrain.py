@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 from scipy.ndimage import map_coordinates
 from support.geocentric_rays import UTM, exact_places, flown
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -24,7 +25,7 @@ LEVEL = {"roll": 0.0, "pitch": 0.0, "heading": 0.0}
 
 
 def dem(heights: np.ndarray, cell: float = 0.25, **attrs: Any) -> xr.DataArray:
-    """Return a raster around the place where `flown` lines start, rows from north to south."""
+    # Return a raster around the place where `flown` lines start, rows from north to south
     rows, cols = heights.shape
     y = CENTRE[1] + ((rows - 1) / 2 - np.arange(rows)) * cell
     x = CENTRE[0] + (np.arange(cols) - (cols - 1) / 2) * cell
@@ -35,8 +36,7 @@ def dem(heights: np.ndarray, cell: float = 0.25, **attrs: Any) -> xr.DataArray:
 
 
 def surface(raster: xr.DataArray) -> Any:
-    """Return the bilinear surface through a raster over longitude and latitude."""
-
+    # Return the bilinear surface through a raster over longitude and latitude
     def height(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
         x, y = TO_UTM.transform(longitude, latitude)
         step_x, step_y = (float(raster[name][1] - raster[name][0]) for name in ("x", "y"))
@@ -216,12 +216,21 @@ def test_rasters_that_cannot_be_used() -> None:
         hp.geometry.locate(line, dem=dem(heights, height_reference="geoid"), crs=UTM, camera=CAMERA)
     uneven = dem(heights)
     uneven = uneven.assign_coords(x=uneven.x.values + 0.01 * (np.arange(9) == 4))
-    with pytest.raises(SchemaError, match="grid-uneven"):
-        hp.geometry.locate(line, dem=uneven, crs=UTM, camera=CAMERA)
-    with pytest.raises(SchemaError, match="dim-missing"):
-        hp.geometry.locate(line, dem=dem(heights).rename(y="lat", x="lon"), crs=UTM, camera=CAMERA)
-    with pytest.raises(SchemaError, match="option-conflict"):
-        hp.geometry.locate(line, dem=dem(heights), ground=0.0, crs=UTM, camera=CAMERA)
+    expect_refusals(
+        (SchemaError, "grid-uneven", lambda: hp.geometry.locate(line, dem=uneven, crs=UTM, camera=CAMERA)),
+        (
+            SchemaError,
+            "dim-missing",
+            lambda: hp.geometry.locate(
+                line, dem=dem(heights).rename(y="lat", x="lon"), crs=UTM, camera=CAMERA
+            ),
+        ),
+        (
+            SchemaError,
+            "option-conflict",
+            lambda: hp.geometry.locate(line, dem=dem(heights), ground=0.0, crs=UTM, camera=CAMERA),
+        ),
+    )
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # affine 3 in rioxarray
@@ -242,7 +251,7 @@ def test_rasters_as_rioxarray_opens_them(tmp_path: Any, no_compute: Any) -> None
 
 @pytest.mark.parametrize(("longitude", "middle"), [(-81.0, 279.0), (-179.9999, 180.0), (179.9999, -180.0)])
 def test_longitudes_of_a_dem_may_count_from_elsewhere(longitude: float, middle: float) -> None:
-    """From 0 to 360, or across 180."""
+    # From 0 to 360, or across 180
     line = flown(4, COLUMNS)
     line = line.assign(longitude=line.longitude * 0.0 + longitude, latitude=line.latitude * 0.0 + 10.0)
     steps = np.arange(-300, 301) * 1e-5

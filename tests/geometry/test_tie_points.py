@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -26,7 +27,7 @@ CROSSING = ("north", "east", "south", "west")
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[xr.Dataset, xr.Dataset]]:
-    """Return lines that leave one place for the four quarters, one twice, with what is true of them."""
+    # Return lines that leave one place for the four quarters, one twice, with what is true of them
     folder = tmp_path_factory.mktemp("crossing")
     flown = {}
     for seed, (name, course) in enumerate(COURSES.items()):
@@ -105,10 +106,10 @@ def test_no_overlap_is_said(flight: Any) -> None:
         "a": lines["north"].isel(along_track=slice(0, 100)),
         "b": lines["north"].isel(along_track=slice(250, 384)),
     }
-    with pytest.raises(SchemaError, match="tie-points-missing"):
-        hp.geometry.find_tie_points(apart)
-    with pytest.raises(SchemaError, match="line-number"):
-        hp.geometry.find_tie_points(lines)
+    expect_refusals(
+        (SchemaError, "tie-points-missing", lambda: hp.geometry.find_tie_points(apart)),
+        (SchemaError, "line-number", lambda: hp.geometry.find_tie_points(lines)),
+    )
 
 
 @pytest.mark.slow

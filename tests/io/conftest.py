@@ -35,7 +35,7 @@ def asd_bytes(
     audit: tuple[str, ...] = (),
     trailer: bytes = b"",
 ) -> bytes:
-    """Return an ``.asd`` file, written field by field from the table of the format's description."""
+    # Return an ``.asd`` file, written field by field from the table of the format's description
     values = np.asarray(spectrum).astype(dtype)
     n = len(values)
     out = b"ASD" if version == 1 else b"as%d" % version
@@ -94,8 +94,7 @@ def _safe_array(items: list[bytes]) -> bytes:
 
 @pytest.fixture
 def write_asd(tmp_path: Path) -> Callable[..., Path]:
-    """Return a function that writes ``name`` into the test's folder with what `asd_bytes` takes."""
-
+    # Return a function that writes ``name`` into the test's folder with what `asd_bytes` takes
     def write(name: str, spectrum: Any, **fields: Any) -> Path:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -26,8 +26,7 @@ W = "W m-2 nm-1"
 def sky(
     values: Any = SUN, units: str = W, nm: Any = NM, zone: str = "Z", fwhm: float = 3.0, **options: Any
 ) -> Callable[[Path], Any]:
-    """Return what writes a series of irradiance as csv and opens it."""
-
+    # Return what writes a series of irradiance as csv and opens it
     def opened(folder: Path) -> Any:
         head = [f"# units: {units}"] if units else []
         rows = [
@@ -41,7 +40,7 @@ def sky(
 
 
 def cube(dtype: str, *header: str, **options: Any) -> Callable[[Path], Any]:
-    """Return what writes a cube of ENVI and opens it."""
+    # Return what writes a cube of ENVI and opens it
     return lambda folder: open_envi(write_cube(folder / "toy", toy(dtype), *header), **options)
 
 
@@ -49,8 +48,7 @@ def poses(
     latitude: float = 43.0, longitude: float = -77.6, altitude: float = 120.0, heading: float = 40.0,
     *, unit: str = "degree", time: str = "time", stamp: str = "2024-05-21T12:00:{:02d}Z",
 ) -> Callable[[Path], Any]:  # fmt: skip
-    """Return what writes a record of navigation, of a flight to the north-east, and opens it."""
-
+    # Return what writes a record of navigation, of a flight to the north-east, and opens it
     def opened(folder: Path) -> Any:
         angles = ",".join(f"{name} [{unit}]" for name in ("roll", "pitch", "heading"))
         rows = [f"{time},lat [degree],lon [degree],alt [m],{angles}"]
@@ -72,8 +70,7 @@ def certificate(text: str) -> Callable[[Path], Any]:
 
 
 def line(scaled: float | None = None, **variables: Any) -> Callable[[Path], Any]:
-    """Return what computes reflectance of a line with other variables, or a scaled record."""
-
+    # Return what computes reflectance of a line with other variables, or a scaled record
     def computed(folder: Path) -> Any:
         dataset = flight(lines=4, position=True).line.assign(variables)
         if scaled is not None:

@@ -105,8 +105,7 @@ READERS: Mapping[str, tuple[str, Callable[[Path], Any]]] = {
 
 
 def _number_respelt(text: str, spelling: str) -> str:
-    """Write decimal fractions in another way; dates, times, versions and names are left."""
-
+    # Write decimal fractions in another way; dates, times, versions and names are left
     def other(match: re.Match[str]) -> str:
         number = match[0]
         return f"{number}0" if spelling == "trailing zero" else f"{number}e0"
@@ -145,7 +144,7 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """Return what a reader returned as plain values, without what names files and checksums."""
+    # Return what a reader returned as plain values, without what names files and checksums
     if isinstance(value, xr.Dataset | xr.DataArray):
         value = value.to_dataset(name="values") if isinstance(value, xr.DataArray) else value
         return {
@@ -250,7 +249,7 @@ def _header(unit: str, factor: float, order: int, comma: str) -> str:
 
 
 def _poses(path: Path) -> xr.Dataset:
-    """Return navigation with its angles in degrees; it keeps the unit of the file."""
+    # Return navigation with its angles in degrees; it keeps the unit of the file
     poses = open_navigation(path, format="csv")
     radians = [name for name in poses.data_vars if poses[name].attrs.get("units") == "radian"]
     return poses.assign({name: np.degrees(poses[name]).assign_attrs(units="degree") for name in radians})
@@ -301,7 +300,7 @@ SAME: Mapping[str, tuple[str, str, str]] = {
 
 
 def _numbers(value: Any) -> Any:
-    """Return values to nine digits: what a factor of a unit may change in the last place is no difference."""
+    # Return values to nine digits: what a factor of a unit may change in the last place is no difference
     if isinstance(value, Mapping):
         return {key: _numbers(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -325,7 +324,7 @@ def test_other_units_and_notations_have_the_same_values(notation: str, tmp_path:
 
 
 def test_another_spelling_of_a_collect_is_the_same_collect(seeds: Path) -> None:
-    """Dotted keys for tables, literal strings."""
+    # Dotted keys for tables, literal strings
     path = seeds / "collect.toml"
     before = path.read_text()
     wanted = values_of(read_collect, path)

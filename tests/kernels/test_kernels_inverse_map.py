@@ -13,7 +13,7 @@ UNIT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])  # metres to the east are column
 
 
 def inverted(east, north, shape, *, rule=NADIR, longest=1e9, first=0, last=None, slab=None, corner=(0, 0)):
-    """Run the kernel, in slabs of lines where wanted."""
+    # Run the kernel, in slabs of lines where wanted
     place, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
     rank, hits = np.full(shape, np.inf), np.zeros(shape, np.uint16)
     last = first + len(east) - 1 if last is None else last
@@ -28,7 +28,7 @@ def inverted(east, north, shape, *, rule=NADIR, longest=1e9, first=0, last=None,
 
 
 def oracle(east, north, shape, rule=NADIR):
-    """Return the place of every cell: fsolve on the patch of each convex quadrilateral that holds it."""
+    # Return the place of every cell: fsolve on the patch of each convex quadrilateral that holds it
     place, hits = np.full((2, *shape), np.nan), np.zeros(shape, int)
     best = np.full(shape, np.inf)
     for i in range(east.shape[0] - 1):
@@ -61,7 +61,7 @@ def oracle(east, north, shape, rule=NADIR):
 
 
 def bent(seed, lines=6, columns=7):
-    """Return pixels of a crooked grid, some 2 cells apart."""
+    # Return pixels of a crooked grid, some 2 cells apart
     rng = np.random.default_rng(seed)
     north, east = np.meshgrid(2.0 * np.arange(lines), 2.0 * np.arange(columns), indexing="ij")
     return east + rng.uniform(-0.6, 0.6, east.shape) + 0.13, north + rng.uniform(-0.6, 0.6, east.shape) + 0.17

@@ -28,7 +28,7 @@ CASES = [
 
 
 def convolved(x: np.ndarray, width: float, source: float, shape: int, triangular: bool) -> np.ndarray:
-    """Return the profile by sums on a fine grid: an oracle that shares no formula with the kernel."""
+    # Return the profile by sums on a fine grid: an oracle that shares no formula with the kernel
     step = 0.002
     grid = np.arange(-20, 20 + step / 2, step)
     if shape == GAUSSIAN:

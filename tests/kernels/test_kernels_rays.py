@@ -20,7 +20,7 @@ def axis(direction: int, scale: float = 1.0, first: float = 0.0) -> np.ndarray:
 def placed(
     look: np.ndarray, origin: tuple[float, float, float], heights: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the places of one line at ``origin``, over level 0 or a raster with its first cell at (0, 0)."""
+    # Return the places of one line at ``origin``, over level 0 or a raster with its first cell at (0, 0)
     look = np.asarray(look, float)
     look = look / np.linalg.norm(look, axis=1, keepdims=True)
     out = np.full((PLACES, 1, len(look)), 7.0)
@@ -91,7 +91,7 @@ def bilinear(heights: np.ndarray, x: float, y: float) -> float:
 
 
 def march(look: np.ndarray, origin: np.ndarray, heights: np.ndarray, step: float = 2e-3) -> float:
-    """Return the height of the first hit, in steps so small that none is missed by more than they are."""
+    # Return the height of the first hit, in steps so small that none is missed by more than they are
     direction = look * [1, 1, -1] / np.linalg.norm(look)
     place = origin.copy()
     while place[2] > -1.0:

@@ -16,7 +16,7 @@ LINES, BANDS, COLUMNS = 4, 7, 11
 def problem(
     *, smile: int = 0, elements: bool = False, slope: bool = True, offset: bool = True, seed: int = 0
 ) -> dict[str, Any]:
-    """Return arguments of a slab with saturated samples, bad elements, signals under the dark, no light."""
+    # Return arguments of a slab with saturated samples, bad elements, signals under the dark, no light
     rng = np.random.default_rng(seed)
     counts = rng.integers(60, 4095, (LINES, BANDS, COLUMNS)).astype(np.uint16)
     counts[:, :, 6] = rng.integers(70, 110, (LINES, BANDS))
@@ -70,7 +70,7 @@ def run(p: dict[str, Any], cleared: int = 0) -> list[np.ndarray]:
 
 
 def oracle(p: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Return both uncertainties in float64, one sample after the other."""
+    # Return both uncertainties in float64, one sample after the other
     shape = p["counts"].shape
     lit, signal = np.full(shape, np.nan), np.full(shape, np.nan)
     for line, band, x in np.ndindex(shape):

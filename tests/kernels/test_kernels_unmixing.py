@@ -23,7 +23,7 @@ Array = npt.NDArray[Any]
 
 
 def scene(channels: int = 20) -> dict[str, Array]:
-    """Return a small block of lines, with one, two and no neighbours, and what is known of it."""
+    # Return a small block of lines, with one, two and no neighbours, and what is known of it
     body = RNG.integers(0, 3, (2, 6)).astype(np.int32)
     near = np.stack([(body + 1) % 3, np.where(body == 0, -1, (body + 2) % 3)], axis=2).astype(np.int32)
     near[0, :2] = -1
@@ -61,7 +61,7 @@ def unmix(given: dict[str, Array], evidence: float = 0.0, lean: float = 0.0) -> 
 
 
 def parts_of(given: dict[str, Array], place: tuple[int, ...]) -> Array:
-    """Return the spectra (channel, part) that a pixel's light is a sum of."""
+    # Return the spectra (channel, part) that a pixel's light is a sum of
     rho, diffuse, bodies = given["bodies"][given["body_of"][place]], given["diffuse"], given["bodies"]
     columns = [rho * (1 - diffuse), rho * diffuse, 1 - diffuse, *given["mirrored"]]
     for other in given["neighbours"][place]:
@@ -73,7 +73,7 @@ def parts_of(given: dict[str, Array], place: tuple[int, ...]) -> Array:
 def least(
     given: dict[str, Array], place: tuple[int, ...], lean: float = 0.0, without: tuple[int, ...] = ()
 ) -> tuple[Array, float]:
-    """Return the amounts by scipy, of all parts but some, and their sum of squares."""
+    # Return the amounts by scipy, of all parts but some, and their sum of squares
     parts = parts_of(given, place)
     used = parts.shape[1]
     spread = given["spread"][:used].copy()

@@ -15,7 +15,7 @@ from hyperpaint.light import level_irradiance
 
 
 def errors(flown: Leaning, record: xr.Dataset) -> np.ndarray:
-    """Return departures from a level sensor (sample, interval of 50 nm)."""
+    # Return departures from a level sensor (sample, interval of 50 nm)
     off = record.irradiance.values / flown.level - 1.0
     return off[:, :300].reshape(len(off), 12, 25).mean(axis=-1)
 

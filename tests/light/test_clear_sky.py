@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.clear_sky import ClearSky, ozone_mass, sunlight_table
@@ -21,7 +22,7 @@ AIR_MASS_OF_G173 = 48.19  # degree: 1.5
 
 @pytest.fixture(scope="module")
 def g173() -> tuple[np.ndarray, np.ndarray]:
-    """Return extraterrestrial and direct irradiance of the standard on the fine grid."""
+    # Return extraterrestrial and direct irradiance of the standard on the fine grid
     pvlib = pytest.importorskip("pvlib")
     table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")
     nm = table.index.values
@@ -63,7 +64,7 @@ def test_the_oxygen_band_is_as_deep_as_in_g173(g173: tuple[np.ndarray, np.ndarra
 
 
 def test_lines_leave_every_nanometre_its_light(g173: tuple[np.ndarray, np.ndarray]) -> None:
-    """The simulator's lines are finer than the table, and add nothing to it."""
+    # The simulator's lines are finer than the table, and add nothing to it
     cell = round(1.0 / GRID_STEP)
     lines = solar_irradiance(FINE)
     channels = np.arange(380.0, 1020.0)
@@ -123,7 +124,7 @@ def test_the_table_has_the_suns_power() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        ClearSky().irradiance(np.array([250.0, 400.0]))
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        ClearSky(91.0)
+    expect_refusals(
+        (SchemaError, "value-out-of-range", lambda: ClearSky().irradiance(np.array([250.0, 400.0]))),
+        (SchemaError, "value-out-of-range", lambda: ClearSky(91.0)),
+    )

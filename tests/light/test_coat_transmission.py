@@ -18,7 +18,7 @@ from hyperpaint.simulation.rendering.materials import (
 
 
 def plain_fresnel(angle: float, index: float) -> float:
-    """Return the mean of both polarisations by Snell's law and the tangent and sine laws."""
+    # Return the mean of both polarisations by Snell's law and the tangent and sine laws
     outside = np.radians(angle)
     inside = np.arcsin(np.sin(outside) / index)
     s = np.sin(outside - inside) ** 2 / np.sin(outside + inside) ** 2
@@ -55,7 +55,7 @@ def test_a_clear_sky_loses_more_than_a_uniform_one(sun: float) -> None:
 
 @pytest.mark.parametrize("albedo", [0.05, 0.5, 0.95])
 def test_returns_inside_the_coat_are_common_to_all_geometries(albedo: float) -> None:
-    """The renderer's coat with all its returns, over its near-normal factor, is C for any body."""
+    # The renderer's coat with all its returns, over its near-normal factor, is C for any body
     near = float(coated_reflectance(np.array([albedo]))[0])
     body = float(base_albedo(np.array([near]))[0])
     assert body == pytest.approx(albedo)
@@ -69,8 +69,7 @@ def test_returns_inside_the_coat_are_common_to_all_geometries(albedo: float) -> 
 
 
 def test_levels_of_white_and_silver_close() -> None:
-    """Panels that were seen at 60, 65 and 45 degrees, issue 16: 0.917 to 0.980 of their own."""
-
+    # Panels that were seen at 60, 65 and 45 degrees, issue 16: 0.917 to 0.980 of their own
     def share(sun: float, nm: float = 600.0) -> float:
         f, sky = diffuse_fraction([nm], sun), sky_reflectance([nm], sun)
         return float(transmitted_share(f, sky, sun)[0])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, TimeError
@@ -32,7 +32,7 @@ def spectrl2(zenith: float, aerosol: float, water: float = 1.5) -> tuple[np.ndar
 
 
 def moments(zenith: float) -> np.ndarray:
-    """Return two minutes in which the sun stands at a zenith angle over the equator, at 1 AU."""
+    # Return two minutes in which the sun stands at a zenith angle over the equator, at 1 AU
     morning = np.datetime64("2024-04-03T06:00", "ns") + np.arange(0, 6 * 3600, 4).astype("timedelta64[s]")
     start = int(np.abs(solar_position(morning, 0.0, 0.0)[0] - zenith).argmin())
     return morning[start : start + SAMPLES]
@@ -53,7 +53,7 @@ def words(one: xr.Dataset) -> set[str]:
 
 
 def inside(one: xr.Dataset, truth: np.ndarray) -> float:
-    """Return how often an interval of 95 % holds the truth."""
+    # Return how often an interval of 95 % holds the truth
     apart = np.abs(one.diffuse_fraction - truth)
     return float((apart < 1.96 * one.diffuse_fraction_u).mean())
 
@@ -149,10 +149,20 @@ def test_samples_without_data_and_a_sun_below_the_horizon() -> None:
 
 def test_refusals() -> None:
     light, time = np.ones(NM.size), moments(40.0)
-    with refusal(SchemaError, "value-out-of-range", "latitude "):
-        diffuse_from_record(record(light, time), np.nan, 0.0)
-    with refusal(SchemaError, "value-out-of-range", "calibration_uncertainty="):
-        split(light, time, calibration_uncertainty=0.0)
+    expect_refusals(
+        (
+            SchemaError,
+            "value-out-of-range",
+            "latitude ",
+            lambda: diffuse_from_record(record(light, time), np.nan, 0.0),
+        ),
+        (
+            SchemaError,
+            "value-out-of-range",
+            "calibration_uncertainty=",
+            lambda: split(light, time, calibration_uncertainty=0.0),
+        ),
+    )
     far = record(light, time).assign_coords(irradiance_wavelength=NM + 1000.0)
     with pytest.raises(SchemaError, match="irradiance-coverage"):
         diffuse_from_record(far, 0.0, 0.0)
@@ -160,7 +170,7 @@ def test_refusals() -> None:
 
 @pytest.mark.parametrize(("order", "match"), [([1, 0, 2], "time-unordered"), ([0, 1, 1], "time-duplicate")])
 def test_stamps_that_do_not_increase_are_refused(order: list[int], match: str) -> None:
-    """Sorted wrongly, a clear sky would read as broken clouds."""
+    # Sorted wrongly, a clear sky would read as broken clouds
     light, time = np.ones(NM.size), moments(40.0)
     with pytest.raises(TimeError, match=match):
         diffuse_from_record(record(light, time).isel(irradiance_time=order), 0.0, 0.0)

@@ -160,7 +160,7 @@ def test_widths_that_no_grid_holds_are_refused(narrow: float, wide: float) -> No
 
 
 def test_a_wider_detector_elsewhere_changes_nothing() -> None:
-    """A field spectrometer's channels beyond 1000 nm are wider; bands of the visible know nothing of it."""
+    # A field spectrometer's channels beyond 1000 nm are wider; bands of the visible know nothing of it
     channels = np.arange(500.0, 1400.0)
     widths = np.where(channels <= 1000.0, 3.0, 10.0)
     bands = Responses(np.linspace(600.0, 640.0, 8), np.full(8, 6.0))

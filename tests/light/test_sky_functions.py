@@ -26,7 +26,7 @@ LEVEL = COSINE / COSINE.sum()
 
 
 def sky(nm: float, sun: float, cosine: np.ndarray, azimuth: np.ndarray, aerosol: float = 0.1) -> np.ndarray:
-    """Return the sky of the package over a uniform one."""
+    # Return the sky of the package over a uniform one
     from_sun = scattering_cosine(cosine, azimuth, sun)
     parts = [relative_radiance(shape, cosine, from_sun) for shape in function_shapes(sun)]
     shares = clear_sky_shares([nm], sun, aerosol)[:, 0]
@@ -34,7 +34,7 @@ def sky(nm: float, sun: float, cosine: np.ndarray, azimuth: np.ndarray, aerosol:
 
 
 def visual_sky(sun: float) -> tuple[np.ndarray, float]:
-    """Return the luminance of the sky over its mean, of all directions and at the zenith."""
+    # Return the luminance of the sky over its mean, of all directions and at the zenith
     nm = np.arange(400.0, 700.0, 10.0)
     weight = ClearSky(sun).irradiance(nm)[1] * np.exp(-0.5 * ((nm - 556.0) / 42.0) ** 2)
     weight /= weight.sum()
@@ -60,7 +60,7 @@ def test_functions_have_the_light_of_a_uniform_sky(sun: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("sun", [33.0, 55.0, 73.0, 82.0])
 def test_the_whole_sky_is_that_of_the_monte_carlo(sun: float) -> None:
-    """At suns and wavelengths between those of the fit."""
+    # At suns and wavelengths between those of the fit
     for nm in (430.0, 620.0, 900.0):
         truth = sky_radiance(nm, sun, photons=6000)
         cosine, azimuth = np.meshgrid(truth.cosine, truth.azimuth, indexing="ij")
@@ -79,7 +79,7 @@ def test_other_aerosol_is_worse_known(aerosol: float, within: float) -> None:
 
 @pytest.mark.slow
 def test_the_monte_carlo_has_the_diffuse_light_of_spectrl2() -> None:
-    """The oracle itself, against a model that knows nothing of directions."""
+    # The oracle itself, against a model that knows nothing of directions
     pvlib = pytest.importorskip("pvlib")
     for sun in (25.0, 60.0):
         table = pvlib.spectrum.spectrl2(

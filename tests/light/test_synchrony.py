@@ -101,7 +101,7 @@ def test_sensitivity_is_the_worst_of_all_offsets(seed: int, samples: int, within
 
 
 def test_a_known_clock_lifts_the_flag() -> None:
-    """Light that falls by 10 % in 20 s: at 0.5 %/s a clock known to 2 s makes 1 %."""
+    # Light that falls by 10 % in 20 s: at 0.5 %/s a clock known to 2 s makes 1 %
     samples = np.arange(0.0, 101.0, 2.0)
     levels = 1.0 - 0.1 * np.clip((samples - 40) / 20, 0, 1)
     times = ns([10.0, 50.0, 95.0])
@@ -116,7 +116,7 @@ def test_a_known_clock_lifts_the_flag() -> None:
 
 
 def test_a_clear_sky_needs_no_clock() -> None:
-    """0.1 %/min, as near noon, is 0.07 % in 40 s."""
+    # 0.1 %/min, as near noon, is 0.07 % in 40 s
     samples = np.arange(0.0, 601.0, 2.0)
     light = line_light(ns([100.0, 300.0]), ns(samples), 1.0 - 0.001 * samples / 60, 5.0)
     assert not light.flags.any()

@@ -169,7 +169,7 @@ def to_mitsuba(
 
 
 def _spectral_mitsuba() -> Any:
-    """Return the module, with a variant in which spectra are spectra."""
+    # Return the module, with a variant in which spectra are spectra
     try:
         import mitsuba
     except ImportError as error:
@@ -218,7 +218,7 @@ def _warn(scene: Scene, atmosphere: Atmosphere) -> None:
 
 
 def _emitters(atmosphere: Atmosphere, low: float, high: float) -> dict[str, Any]:
-    """Return sun and sky between two wavelengths."""
+    # Return sun and sky between two wavelengths
     grid = atmosphere.wavelength
     here = slice(max(np.searchsorted(grid, low) - 1, 0), np.searchsorted(grid, high) + 1)
     (towards,) = sun_vectors([(atmosphere.sun_zenith, atmosphere.sun_azimuth)])
@@ -236,7 +236,7 @@ def _emitters(atmosphere: Atmosphere, low: float, high: float) -> dict[str, Any]
 
 
 def _irregular(wavelength: Floats, values: Floats) -> dict[str, str]:
-    """Return a spectrum of samples, linear between them and zero outside."""
+    # Return a spectrum of samples, linear between them and zero outside
     return {
         "type": "irregular",
         "wavelengths": ", ".join(f"{x:.9g}" for x in wavelength),
@@ -275,7 +275,7 @@ def _sensor(mitsuba: Any, camera: FrameCamera, bands: BandSet, samples: int) -> 
 def _surface(
     material: Material, grid: Floats, factor: Floats, flakes: dict[str, str] | None
 ) -> dict[str, Any]:
-    """Return a material as one of Mitsuba's surfaces, seen from both sides."""
+    # Return a material as one of Mitsuba's surfaces, seen from both sides
     if material.coat is None:
         return _two_sided({"type": "diffuse", "reflectance": _irregular(grid, factor)})
     index, roughness = material.coat.index, material.coat.roughness
@@ -307,7 +307,7 @@ def _two_sided(surface: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_mesh(scene: Scene, number: int, path: Path) -> None:
-    """Write the triangles of one material as a binary PLY file whose corners carry their own normals."""
+    # Write the triangles of one material as a binary PLY file whose corners carry their own normals
     faces = scene.faces[scene.face_material == number]
     corners = scene.vertices[faces]
     normals = scene.normals[faces]

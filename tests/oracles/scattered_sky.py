@@ -19,8 +19,7 @@ TOP_KM, MOLECULES_KM, AEROSOL_KM = 40.0, 8.0, 2.0
 
 
 class Air(NamedTuple):
-    """State of the air."""
-
+    # State of the air
     aerosol: float = 0.1  # optical depth at 500 nm
     angstrom: float = 1.14
     asymmetry: float = 0.65
@@ -34,7 +33,7 @@ def rayleigh_depth(nm: float) -> float:
 
 
 def _layers(nm: float, air: Air) -> tuple[np.ndarray, np.ndarray]:
-    """Return optical depths of molecules and aerosol of the layers, from above."""
+    # Return optical depths of molecules and aerosol of the layers, from above
     edges = TOP_KM * (1.0 - np.arange(LAYERS + 1) / LAYERS) ** 2
 
     def share(height: float) -> np.ndarray:
@@ -47,7 +46,7 @@ def _layers(nm: float, air: Air) -> tuple[np.ndarray, np.ndarray]:
 
 @numba.njit(cache=True)
 def _turned(u, v, w, cosine, angle):
-    """Return a direction turned by a polar angle's cosine and an azimuth."""
+    # Return a direction turned by a polar angle's cosine and an azimuth
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     ca, sa = math.cos(angle), math.sin(angle)
     if abs(w) > 0.99999:
@@ -62,7 +61,7 @@ def _turned(u, v, w, cosine, angle):
 
 @numba.njit(cache=True)
 def _radiance(depths, aerosol_share, g, albedo, ground, sun, view, photons, seed):
-    """Return the radiance of one direction for a sun of unit normal irradiance above the air."""
+    # Return the radiance of one direction for a sun of unit normal irradiance above the air
     random.seed(seed)
     total_depth = depths[-1]
     sx, sz = math.sin(sun), math.cos(sun)
@@ -120,8 +119,7 @@ def _radiance(depths, aerosol_share, g, albedo, ground, sun, view, photons, seed
 
 
 class SkyRadiance(NamedTuple):
-    """A sky over that of a uniform one of the same level irradiance."""
-
+    # A sky over that of a uniform one of the same level irradiance
     cosine: np.ndarray  # (zenith,) of the zenith angle
     cosine_weight: np.ndarray  # of Gauss's rule, 0 to 1
     azimuth: np.ndarray  # (azimuth,) from the sun, 0 to 180 degrees [rad], evenly
@@ -130,7 +128,7 @@ class SkyRadiance(NamedTuple):
     diffuse: float  # level irradiance over the sun's above the air
 
     def mean(self, values: np.ndarray) -> float:
-        """Return the mean of something over the sky, weighted as by level ground."""
+        # Return the mean of something over the sky, weighted as by level ground
         return float(2.0 * (self.cosine * self.cosine_weight) @ values.mean(axis=1))
 
 
@@ -143,7 +141,7 @@ def sky_radiance(
     zeniths: int = 12,
     azimuths: int = 12,
 ) -> SkyRadiance:
-    """Return the sky at one wavelength [nm] for a sun at a zenith angle [degree]."""
+    # Return the sky at one wavelength [nm] for a sun at a zenith angle [degree]
     air = Air() if air is None else air
     molecules, aerosol = _layers(nm, air)
     depths = np.concatenate([[0.0], np.cumsum(molecules + aerosol)])

@@ -36,7 +36,7 @@ BODY = 0.05 + 0.4 / (1.0 + np.exp(-(NM - 600.0) / 15.0))
 
 
 def leaning_part(lobe: Flakes | None, metal: float, leans: np.ndarray, direct: np.ndarray) -> np.ndarray:
-    """Return what pixels (pixel, band) of a panel send that lean towards the sun, seen from above."""
+    # Return what pixels (pixel, band) of a panel send that lean towards the sun, seen from above
     material, sun = Material("m", "m", "paint", Coat(), lobe), 45.0
     seen = []
     for lean in leans:

@@ -29,7 +29,7 @@ def signature(line: xr.Dataset, **options: Any) -> xr.Dataset:
 def scatter(
     draws: int, seed: int, size: tuple[int, int, int], truth: np.ndarray, smooth: Any = None, **options: Any
 ) -> np.ndarray:
-    """Return true over stated standard deviation of a signature (band,), then of band ratios (pair,)."""
+    # Return true over stated standard deviation of a signature (band,), then of band ratios (pair,)
     places = np.array([[np.abs(WAVELENGTH - nm).argmin() for nm in pair] for pair in PAIRS]).T
     errors, stated = [], []
     for number in range(draws):

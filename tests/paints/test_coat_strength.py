@@ -21,7 +21,7 @@ NM = np.linspace(420.0, 980.0, 60)
 def pixels(
     body: np.ndarray, strength: float, sun: float, *, noise: float = 1e-4, seed: int = 0
 ) -> np.ndarray:
-    """Return pixels of a panel that leans by some degrees everywhere, seen from straight above."""
+    # Return pixels of a panel that leans by some degrees everywhere, seen from straight above
     rng = np.random.default_rng(seed)
     lean, around = np.radians(rng.normal(0.0, 2.5, 200)), rng.uniform(0.0, 2.0 * np.pi, 200)
     normal = np.stack([np.sin(lean) * np.cos(around), np.sin(lean) * np.sin(around), np.cos(lean)], axis=1)

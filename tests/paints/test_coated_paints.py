@@ -27,7 +27,7 @@ def fresnel(angle: float, n: float) -> float:
 
 
 def line(sky: float, body: np.ndarray = BODY, n: float = 1.5) -> xr.Dataset:
-    """Return a coated panel under a clear sky of which the coat reflects ``sky``."""
+    # Return a coated panel under a clear sky of which the coat reflects ``sky``
     f = diffuse_fraction(NM, SUN)
     share = ((1.0 - f) * (1.0 - fresnel(SUN, n)) + f * (1.0 - sky)) / (1.0 - fresnel(0.0, n))
     seen = share * body + 0.04 * f * zenith_radiance(NM, SUN)
@@ -46,7 +46,7 @@ def signature(seen: xr.Dataset, **options: Any) -> xr.Dataset:
 
 
 def mean_sky(n: float) -> np.ndarray:
-    """Return a clear sky's mean of Fresnel's reflectance, by sums over its functions in steps of a degree."""
+    # Return a clear sky's mean of Fresnel's reflectance, by sums over its functions in steps of a degree
     from hyperpaint.light.sky_functions import clear_sky_shares, function_shapes, relative_radiance
 
     zenith, azimuth = np.meshgrid(np.arange(0.5, 90.0), np.arange(1.0, 360.0, 2.0), indexing="ij")

@@ -36,7 +36,7 @@ def red(paints: xr.Dataset) -> xr.Dataset:
 def make_line(
     library: xr.Dataset | None = None, *, lines: int = 96, columns: int = 40, seed: int = 3
 ) -> xr.Dataset:
-    """Return asphalt and grass with noise; of a library, each paint on 6 x 6 pixels under mirrored sky."""
+    # Return asphalt and grass with noise; of a library, each paint on 6 x 6 pixels under mirrored sky
     rng = np.random.default_rng(seed)
     asphalt, grass = 0.08 + 5e-5 * (NM - 400.0), 0.05 + 0.4 / (1.0 + np.exp((715.0 - NM) / 12.0))
     share = rng.beta(0.5, 2.0, (lines, 1, columns))

@@ -34,7 +34,7 @@ def line(flown: Flown) -> xr.Dataset:
 
 
 def drawn(flown: Flown) -> Regions:
-    """Return two turned outlines in the middle of the line, as QGIS would draw them."""
+    # Return two turned outlines in the middle of the line, as QGIS would draw them
     middle = np.array([flown.east[130, 60], flown.north[130, 60]])
     outlines = []
     for half, degrees in ((0.32, 20.0), (0.2, 70.0)):
@@ -45,13 +45,13 @@ def drawn(flown: Flown) -> Regions:
 
 
 def inside(region: Region, flown: Flown) -> Pairs:
-    """Return the pixels whose centre lies in an outline, by GEOS."""
+    # Return the pixels whose centre lies in an outline, by GEOS
     is_in = shapely.contains_xy(shapely.Polygon(region.polygon), flown.east, flown.north)
     return {(int(along), int(across)) for along, across in np.argwhere(is_in)}
 
 
 def used(library: xr.Dataset, paint: int) -> Pairs:
-    """Return the pixels of the flight line that a paint was made of, each of them once."""
+    # Return the pixels of the flight line that a paint was made of, each of them once
     names = ("member_along_track", "member_cross_track")
     places = np.stack([library[name].values[paint] for name in names], axis=-1)
     pairs = [(int(along), int(across)) for along, across in places if along >= 0]
@@ -215,7 +215,7 @@ def test_the_accessor_and_the_picture_of_a_map(flown: Flown, line: xr.Dataset, g
 
 
 def with_poses(flown: Flown, line: xr.Dataset) -> xr.Dataset:
-    """Return the line without places: positions, attitude, look angles, and what the signs mean."""
+    # Return the line without places: positions, attitude, look angles, and what the signs mean
     pyproj = pytest.importorskip("pyproj")
     back = pyproj.Transformer.from_crs(MAP, "EPSG:4979", always_xy=True)
     longitude, latitude = back.transform(*flown.position[:, :2].T)
@@ -250,7 +250,7 @@ def test_a_line_with_poses_is_located_for_regions_of_a_map(flown: Flown, line: x
 
 
 def test_degrees_without_a_crs_are_not_guessed_but_said(flown: Flown, line: xr.Dataset) -> None:
-    """GeoJSON as RFC 7946 has it, which names no reference system."""
+    # GeoJSON as RFC 7946 has it, which names no reference system
     pyproj = pytest.importorskip("pyproj")
     turned = pyproj.Transformer.from_crs(MAP, "OGC:CRS84", always_xy=True)
     features = [

@@ -18,7 +18,7 @@ DIMS = ("along_track", "cross_track")
 
 
 def flight_line(name: str, first: float, value: float, *, back: bool = False) -> xr.Dataset:
-    """Return a line of one paint, whose columns are east of ``first`` [m]; flown ``back`` to the south."""
+    # Return a line of one paint, whose columns are east of ``first`` [m]; flown ``back`` to the south
     step = -1 if back else 1
     north, east = (
         axis[::step, ::step].copy()
@@ -47,7 +47,7 @@ def flight_line(name: str, first: float, value: float, *, back: bool = False) ->
 
 @pytest.fixture(scope="module")
 def lines() -> dict[str, xr.Dataset]:
-    """Return two lines on opposite courses, side by side."""
+    # Return two lines on opposite courses, side by side
     return {"a": flight_line("a", 0.0, 0.2), "b": flight_line("b", 60.0, 0.8, back=True)}
 
 

@@ -178,7 +178,7 @@ def test_a_library_beyond_the_visible_has_no_colours() -> None:
 
 
 def test_holes_of_a_spectrum_are_not_bridged(paints: xr.Dataset) -> None:
-    """Rationale: a straight line over 300 nm of a red paint is another paint."""
+    # Rationale: a straight line over 300 nm of a red paint is another paint
     whole = paints.isel(signature=5).reflectance
     for hole in (
         whole.where(np.abs(whole.wavelength - 650.0) > 150.0),

@@ -20,7 +20,7 @@ from hyperpaint.simulation.paint_spectra import MATERIALS
 
 
 def patch_of(line: xr.Dataset, material: str) -> Region:
-    """Return a rectangle of pixels that all see one material."""
+    # Return a rectangle of pixels that all see one material
     here = line.surface.values == list(MATERIALS).index(material)
     best: tuple[int, ...] = (0, 0, 0, 0, 0)
     for row, column in np.argwhere(here):

@@ -22,7 +22,7 @@ ANGLES = ("view_zenith", "view_azimuth", "relative_azimuth")
 
 
 def with_camera(line: xr.Dataset, *, turned: float = 8.0, heading: float = 100.0) -> xr.Dataset:
-    """Return a line with look angles and an attitude that changes from line to line."""
+    # Return a line with look angles and an attitude that changes from line to line
     rng = np.random.default_rng(1)
     lines, columns = line.sizes["along_track"], line.sizes["cross_track"]
     angles = {
@@ -36,7 +36,7 @@ def with_camera(line: xr.Dataset, *, turned: float = 8.0, heading: float = 100.0
 
 
 def to_camera(line: xr.Dataset, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return the mean unit vector to the camera (east, north, up), by scipy's rotations."""
+    # Return the mean unit vector to the camera (east, north, up), by scipy's rotations
     attitude = np.stack([line[name].values[along] for name in ("heading", "pitch", "roll")], axis=1)
     look = np.radians(line["look_angle"].values[across])
     sight = np.stack([np.zeros_like(look), np.sin(look), np.cos(look)], axis=1)
@@ -191,7 +191,7 @@ CONVENTIONS = {
 
 
 def posed(declared: dict[str, Any], *, mounted: tuple[float, ...] = (0.0, 0.0, 0.0)) -> xr.Dataset:
-    """Return a line with poses, and the angles that its calibration and a table of the camera have."""
+    # Return a line with poses, and the angles that its calibration and a table of the camera have
     line = with_camera(made(), heading=70.0)
     place = {
         "latitude": (34.0, "degrees_north"),

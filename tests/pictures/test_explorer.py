@@ -26,7 +26,7 @@ PLACES = st.floats(-5.0, 30.0)
 
 @pytest.fixture
 def state() -> Explored:
-    """What an explorer shows of a line of 24 x 6 pixels."""
+    # What an explorer shows of a line of 24 x 6 pixels
     return Explored(flight().line, BEGIN, library=hp.paints.starter_library(members=0), flightline="raw_0")
 
 
@@ -342,7 +342,7 @@ def test_without_the_extra(package: str, monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.fixture
 def shown() -> Any:
-    """An explorer with its widget."""
+    # An explorer with its widget
     pytest.importorskip("panel")
     return flight().line.paint.explore(BEGIN)
 

@@ -41,8 +41,7 @@ CURVES = """() => {
 
 
 class Served(NamedTuple):
-    """A page that is served."""
-
+    # A page that is served
     address: str
     folder: Path
     process: subprocess.Popen[str]
@@ -50,7 +49,7 @@ class Served(NamedTuple):
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A store of two lines of 24 x 6 pixels, with some shadow, served from its folder."""
+    # A store of two lines of 24 x 6 pixels, with some shadow, served from its folder
     pytest.importorskip("panel")
     folder = tmp_path_factory.mktemp("served")
     line = flight().line.paint.reflectance()[["counts", *flight().line.data_vars, "quality"]].compute()
@@ -75,7 +74,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Chromium without a window."""
+    # Chromium without a window
     playwright = pytest.importorskip("playwright.sync_api")
     if CHROMIUM is None:
         pytest.skip("there is no Chromium to drive")
@@ -86,7 +85,7 @@ def browser() -> Iterator[Any]:
 
 
 def opened(browser: Any, served: Served, width: int = 1400, query: str = "") -> Any:
-    """Return a page once its picture is there, of which errors fail the test."""
+    # Return a page once its picture is there, of which errors fail the test
     page = browser.new_page(viewport={"width": width, "height": 900})
     page.problems = []
     page.on("pageerror", lambda error: page.problems.append(str(error)))
@@ -192,7 +191,7 @@ def test_a_line_that_is_not_there_is_the_first(browser: Any, served: Served) -> 
 
 
 def asked(served: Served, path: str, **headers: str) -> tuple[int, str]:
-    """Return the status and the body that a request of this machine gets; headers by their words."""
+    # Return the status and the body that a request of this machine gets; headers by their words
     address = urlsplit(served.address)
     connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=30)
     sent = {"Host": f"localhost:{address.port}", **headers}

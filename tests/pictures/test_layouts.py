@@ -59,8 +59,7 @@ def draw(
     agreement: Any,
     calibration: xr.Dataset,
 ) -> Draw:
-    """Return what draws one picture in a width [inch], None for that of a screen."""
-
+    # Return what draws one picture in a width [inch], None for that of a screen
     def own(width: float | None) -> dict[str, float]:
         return {} if width is None else {"width": width}
 
@@ -93,7 +92,7 @@ def draw(
     indirect=True,
 )  # fmt: skip
 def test_all_is_inside_and_apart(draw: Draw, width: float | None, theme: str) -> None:
-    """Expected: every text and axis inside of the figure; no axes over another; text seen on its ground."""
+    # Expected: every text and axis inside of the figure; no axes over another; text seen on its ground
     with pyplot.style.context(theme):
         drawn = draw(width)
         figure = drawn if hasattr(drawn, "savefig") else drawn.figure
@@ -121,7 +120,7 @@ def test_all_is_inside_and_apart(draw: Draw, width: float | None, theme: str) ->
 
 @pytest.mark.parametrize("width", [8.0, NARROW])
 def test_before_and_after_straightening(width: float) -> None:
-    """Expected: the line upright with all its lines, beside it the map, north up, in metres."""
+    # Expected: the line upright with all its lines, beside it the map, north up, in metres
     flown = fly(60, 30, "calm")
     values = np.random.default_rng(0).uniform(0.1, 0.6, (60, 4, 30)).astype("f4")
     cube = xr.DataArray(values, dims=("along_track", "band", "cross_track"), attrs={"units": "1"})

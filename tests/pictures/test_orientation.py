@@ -19,7 +19,7 @@ LINES, COLUMNS = 40, 20
 
 
 def on_screen(dataset: xr.Dataset) -> Any:
-    """Return what leads from the data coordinates of the picture to the screen [pixel]."""
+    # Return what leads from the data coordinates of the picture to the screen [pixel]
     axes = Figure(figsize=(6, 6)).add_subplot()
     lines, columns = (dataset.sizes[dim] for dim in ("along_track", "cross_track"))
     show_picture(axes, np.zeros((lines, columns, 3)), orientation_of(dataset))
@@ -35,8 +35,8 @@ def line_of(heading: float, turned: bool) -> xr.Dataset:
 @pytest.mark.parametrize("heading", [0.0, 60.0, 180.0, 290.0])
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_line_is_never_mirrored(heading: float, turned: bool) -> None:
-    """Expected: of three pixels, east and north turn the same way as right and up on the screen, whichever
-    way the flight goes and the columns run; the flight goes upwards; and lengths are those of the ground."""
+    # Expected: of three pixels, east and north turn the same way as right and up on the screen, whichever way
+    # the flight goes and the columns run; the flight goes upwards; and lengths are those of the ground
     line = line_of(heading, turned)
     axes, to_screen = on_screen(line)
     pixels = [(5, 3), (30, 3), (5, 16)]  # line, column

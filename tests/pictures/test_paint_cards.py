@@ -18,7 +18,7 @@ pytest.importorskip("matplotlib")
 
 @pytest.fixture(scope="module")
 def measured() -> tuple[xr.Dataset, xr.Dataset]:
-    """A line with glint on a corner of its one region, and the library of that."""
+    # A line with glint on a corner of its one region, and the library of that
     line = flight(lines=40).line.paint.reflectance().compute()
     quality = np.zeros((40, 6), np.uint16)
     quality[10:12, 1:3] = Quality.GLINT

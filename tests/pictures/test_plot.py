@@ -20,7 +20,7 @@ WHITE = (0.0, 100.0)
 
 
 def scene(spectra: np.ndarray) -> xr.Dataset:
-    """Return spectra (pixel, band) as a flight line one pixel wide."""
+    # Return spectra (pixel, band) as a flight line one pixel wide
     values = np.asarray(spectra, "f4")[:, :, None]
     return xr.Dataset(
         {"reflectance": (("along_track", "band", "cross_track"), values, {"units": "1"})},
@@ -98,7 +98,7 @@ def test_lazy_labelled_and_float32(no_compute: Any) -> None:
 
 
 def on_a_map(lines: int = 12, columns: int = 9) -> xr.Dataset:
-    """Return a map of three colours, as `orthorectify` makes it: north up, UTM, with a spatial_ref."""
+    # Return a map of three colours, as `orthorectify` makes it: north up, UTM, with a spatial_ref
     pyproj = pytest.importorskip("pyproj")
     values = np.random.default_rng(0).uniform(0.05, 0.6, (lines, columns, NM.size)).astype("f4")
     return xr.Dataset(
@@ -114,7 +114,7 @@ def on_a_map(lines: int = 12, columns: int = 9) -> xr.Dataset:
 
 @pytest.mark.parametrize("lazy", [False, True])
 def test_the_colours_clash_with_nothing(lazy: bool, tmp_path: Any) -> None:
-    """Rationale: of an array named as its own coordinate no Dataset is made, which hvplot and netCDF need."""
+    # Rationale: of an array named as its own coordinate no Dataset is made, which hvplot and netCDF need
     line = flight(lines=20).line
     made = rgb(line.chunk(along_track=8) if lazy else line).assign_coords(along_track=np.arange(100, 120))
     whole = made.to_dataset()
@@ -135,7 +135,7 @@ def test_index_coordinates_of_a_line_stay() -> None:
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray, of affine
 @pytest.mark.parametrize("called", [rgb, lambda cube: cube.paint.rgb()])
 def test_a_map_stays_a_map(called: Any) -> None:
-    """Expected: y, x, their coordinates and the CRS; rioxarray reprojects the picture as it does the cube."""
+    # Expected: y, x, their coordinates and the CRS; rioxarray reprojects the picture as it does the cube
     pytest.importorskip("rioxarray")
     cube = on_a_map()
     made = called(cube)
@@ -171,7 +171,7 @@ def test_quicklook_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_smile_does_not_tint_the_picture() -> None:
-    """Expected: one paint, seen by columns on their own wavelengths, has one colour."""
+    # Expected: one paint, seen by columns on their own wavelengths, has one colour
     shift = np.linspace(-3.0, 3.0, 7)
     edge = 0.1 + 0.6 / (1.0 + np.exp(-(NM[:, None] + shift - 590.0) / 12.0))
     cube = xr.Dataset(

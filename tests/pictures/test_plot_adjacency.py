@@ -27,7 +27,7 @@ NEAR, FAR = rectangle("near", (4, 8), (2, 4)), rectangle("far", (4, 8), (22, 24)
 
 
 def hood(added: float = 0.04) -> xr.Dataset:
-    """Return a grey hood whose first lines are lit by something red, less and less."""
+    # Return a grey hood whose first lines are lit by something red, less and less
     red = added * np.exp(-np.arange(30) / 6.0)[:, None] * (NM > 600)
     cube = np.repeat((0.2 + red)[..., None], 12, axis=2).astype(np.float32)
     dims = ("along_track", "band", "cross_track")

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from support.codecs import plain_zarr
-from support.refusals import refusal
+from support.refusals import expect_refusals
 
 from hyperpaint import calibrate
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
@@ -41,7 +41,7 @@ def figure(sweep: xr.Dataset, calibration: xr.Dataset) -> Any:
 
 
 def panel(figure: Any, title: str) -> Any:
-    """Return the axes whose title opens with these words."""
+    # Return the axes whose title opens with these words
     (found,) = (axes for axes in figure.axes if axes.get_title().startswith(title))
     return found
 
@@ -164,12 +164,23 @@ def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Data
     with pytest.raises(SchemaError) as refused:
         calibration_report(calibration, sweep.isel(step=slice(9)), column=9)
     assert refused.value.codes == ("grid-mismatch", "value-out-of-range")
-    with refusal(SchemaError, "variable-missing", "line_band"):
-        calibration_report(calibration.drop_vars("line_band"))
-    with refusal(SchemaError, "suffix-unknown", "cal.xls", ".pdf", ".png"):
-        check_picture(tmp_path / "cal.xls")
-    with pytest.raises(SchemaError, match="folder-missing"):
-        check_picture(tmp_path / "none" / "cal.png")
+    expect_refusals(
+        (
+            SchemaError,
+            "variable-missing",
+            "line_band",
+            lambda: calibration_report(calibration.drop_vars("line_band")),
+        ),
+        (
+            SchemaError,
+            "suffix-unknown",
+            "cal.xls",
+            ".pdf",
+            ".png",
+            lambda: check_picture(tmp_path / "cal.xls"),
+        ),
+        (SchemaError, "folder-missing", lambda: check_picture(tmp_path / "none" / "cal.png")),
+    )
 
 
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dataset) -> None:

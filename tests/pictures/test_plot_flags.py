@@ -28,7 +28,7 @@ def axes() -> object:
 
 @pytest.fixture(scope="module")
 def line() -> xr.Dataset:
-    """A flight line of 40 x 6 pixels, with flags and a layer of known places."""
+    # A flight line of 40 x 6 pixels, with flags and a layer of known places
     made = flight(lines=40, columns=6).line.paint.reflectance().compute()
     quality = np.zeros((40, 6), np.uint16)
     quality[3, 1] = Quality.GLINT
@@ -59,7 +59,7 @@ SEEN_BY = {
 
 @pytest.mark.parametrize("readers", SEEN_BY)
 def test_colours_of_flags_are_told_apart(readers: str) -> None:
-    """Expected: any two differ by 15 in CIEDE2000, of which 1 can just be seen; those before, by 1."""
+    # Expected: any two differ by 15 in CIEDE2000, of which 1 can just be seen; those before, by 1
     encoded = np.array([to_rgb(flag.colour) for flag in Quality])
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     lab = lab_of(encode_srgb(np.clip(linear @ SEEN_BY[readers].T, 0.0, 1.0)))

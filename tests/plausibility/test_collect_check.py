@@ -108,7 +108,7 @@ def test_a_record_that_stands_still_matters_to_reflectance_only(
 
 
 def test_darks_of_other_exposures_are_judged_as_they_are_used(collect: Path) -> None:
-    """Bias and rate are fitted to darks before and after at other exposures; their mean is no dark."""
+    # Bias and rate are fitted to darks before and after at other exposures; their mean is no dark
     line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
     dark, exposure = line["dark_counts"].squeeze(drop=True), float(line["exposure_time"].mean())
     bias = dark.transpose("band", "cross_track").values.astype(float)

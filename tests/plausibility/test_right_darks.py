@@ -17,7 +17,7 @@ def _said(dark: np.ndarray, scene: np.ndarray, uncertainty: np.ndarray | None = 
 
 
 def _daylight(level: float) -> np.ndarray:
-    """Return light with the lines of water and oxygen [count], (band, column)."""
+    # Return light with the lines of water and oxygen [count], (band, column)
     light = 1.0 - ((NM - 650.0) / 400.0) ** 2
     for line, depth in ((687.0, 0.2), (761.0, 0.5), (820.0, 0.15), (940.0, 0.4)):
         light *= 1.0 - depth * np.exp(-(((NM - line) / 8.0) ** 2))

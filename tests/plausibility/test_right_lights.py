@@ -18,7 +18,7 @@ def _seen(spectrum: np.ndarray, nm: np.ndarray) -> np.ndarray:
 
 
 def _lamps(*peaks: tuple[float, float, float]) -> np.ndarray:
-    """Return lamps of peaks: middle and width [nm], and height."""
+    # Return lamps of peaks: middle and width [nm], and height
     return np.sum([height * np.exp(-0.5 * ((FINE - at) / width) ** 2) for at, width, height in peaks], axis=0)
 
 

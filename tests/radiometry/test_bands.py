@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_refusals
 from support.strategies import flight
 
 from hyperpaint.base.errors import SchemaError
@@ -104,10 +105,10 @@ def test_no_smile_is_no_work() -> None:
 
 def test_refusals() -> None:
     dataset, _ = smiling()
-    with pytest.raises(SchemaError, match="variable-missing"):
-        to_nominal(dataset.drop_vars("reflectance"))
-    with pytest.raises(SchemaError, match="bands-too-few"):
-        to_nominal(dataset.isel(band=slice(0, 3)))
+    expect_refusals(
+        (SchemaError, "variable-missing", lambda: to_nominal(dataset.drop_vars("reflectance"))),
+        (SchemaError, "bands-too-few", lambda: to_nominal(dataset.isel(band=slice(0, 3)))),
+    )
     joined = dataset.isel(band=[0, 1, 2, 6, 5, 7, 8])
     with pytest.raises(SchemaError, match="wavelength-unordered"):
         to_nominal(joined)

@@ -21,7 +21,7 @@ from hyperpaint.radiometry.coarse_lines import coarse, coarse_reflectance
 
 
 def plain_means(cube: np.ndarray, side: int) -> np.ndarray:
-    """Return means of blocks of (line, band, column), NaN left out, by one loop over blocks."""
+    # Return means of blocks of (line, band, column), NaN left out, by one loop over blocks
     rows, columns = -(-cube.shape[0] // side), -(-cube.shape[2] // side)
     means = np.empty((rows, cube.shape[1], columns))
     with warnings.catch_warnings():

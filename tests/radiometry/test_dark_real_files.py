@@ -20,7 +20,7 @@ EXPOSURES_MS = (20, 30, 35, 40, 45, 55)
 
 @pytest.fixture(scope="module")
 def darks(shared_data: Path) -> dict[int, np.ndarray]:
-    """Return dark counts of every exposure [ms], each (band,)."""
+    # Return dark counts of every exposure [ms], each (band,)
     pytest.importorskip("h5netcdf", reason="the darks are netCDF, which h5netcdf reads")
     folder = shared_data / "dark_exposures"
     return {
@@ -30,7 +30,7 @@ def darks(shared_data: Path) -> dict[int, np.ndarray]:
 
 
 def left(darks: dict[int, np.ndarray], of: int, by: tuple[int, ...]) -> np.ndarray:
-    """Return what radiance leaves of a dark frame [count], by darks of other exposures (band,)."""
+    # Return what radiance leaves of a dark frame [count], by darks of other exposures (band,)
     several = np.stack([darks[ms] for ms in by])[..., None].astype(np.float32)
     line = labelled(
         {

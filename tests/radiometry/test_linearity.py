@@ -71,7 +71,7 @@ def test_chunks_change_no_bit(kind: str) -> None:
 
 
 def declared(line: xr.Dataset, curve: Linearity, on: str) -> xr.Dataset:
-    """Return the line of a calibration that declares a curve."""
+    # Return the line of a calibration that declares a curve
     if curve.measured is None:
         return line.assign_attrs(linearity=list(curve.coefficients), linearity_on=on)
     units = {"units": "count"}
@@ -81,7 +81,7 @@ def declared(line: xr.Dataset, curve: Linearity, on: str) -> xr.Dataset:
 
 
 def bent(line: xr.Dataset, loss: float) -> xr.Dataset:
-    """Return the line as a camera reads it that loses ``loss`` of a signal that would fill the converter."""
+    # Return the line as a camera reads it that loses ``loss`` of a signal that would fill the converter
     dark = line.dark_counts.mean("dark_time") if "dark_time" in line.dark_counts.dims else line.dark_counts
     signal = (line.counts.astype(np.float64) - dark).compute()
     full = float(line.saturation_count)

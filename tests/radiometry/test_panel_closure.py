@@ -19,7 +19,7 @@ SEED = 7301
 
 
 def closure_of(laid: Laid, **effects: Any) -> Any:
-    """Return the closure, what was noticed, and what was said."""
+    # Return the closure, what was noticed, and what was said
     line = flown_over(laid, seed=effects.pop("seed", SEED), **effects)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -30,7 +30,7 @@ def closure_of(laid: Laid, **effects: Any) -> Any:
 
 
 def bias(laid: Laid, right: Laid, **effects: Any) -> float:
-    """Return the largest departure of a panel's factor from that of one without its fault, each its own."""
+    # Return the largest departure of a panel's factor from that of one without its fault, each its own
     factors = []
     for each, own in ((laid, effects), (right, {k: v for k, v in effects.items() if k != "saturated"})):
         is_panel = ~(each.first(each.shaded) | each.first(each.asphalt))
@@ -86,7 +86,7 @@ def test_what_is_no_sunlit_panel_is_noticed_and_left_out(fault: dict[str, float]
 
 
 def test_a_panel_of_which_half_is_in_shade_is_refused() -> None:
-    """Which half is the panel, nothing tells."""
+    # Which half is the panel, nothing tells
     _, names, said = closure_of(Laid(shaded=0.5))
     assert "refused" in names
     assert "uneven" in said

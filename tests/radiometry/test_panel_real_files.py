@@ -29,8 +29,7 @@ EXPOSURE, SUBSECONDS, ISO, XMP, BLACK, EXIF = 33434, 37520, 34867, 700, 50714, 0
 
 
 class Frame(NamedTuple):
-    """One band of a capture."""
-
+    # One band of a capture
     radiance: np.ndarray  # (row, column) [W m-2 sr-1 nm-1]
     wavelength: float
     fwhm: float
@@ -44,11 +43,9 @@ def numbers(text: str, name: str) -> list[float]:
 
 
 def frame_of(path: Path) -> Frame:
-    """Return radiance by the maker's formula.
-
-    L = V a1 / g (p - p0) / (t + a2 y - a3 t y), p over 2^16, V one over a polynomial of the distance from the
-    centre of vignetting.
-    """
+    # Return radiance by the maker's formula
+    # L = V a1 / g (p - p0) / (t + a2 y - a3 t y), p over 2^16, V one over a polynomial of the distance from
+    # the centre of vignetting
     with Image.open(path) as image:
         counts = np.asarray(image, np.float64)
         (packet,) = image.tag_v2[XMP]
@@ -70,7 +67,7 @@ def frame_of(path: Path) -> Frame:
 
 @pytest.fixture(scope="module")
 def line(shared_data: Path) -> xr.Dataset:
-    """Return the panel and what is around it as a flight line under what the light sensor read."""
+    # Return the panel and what is around it as a flight line under what the light sensor read
     folder = shared_data / "rededge_panel"
     frames = sorted(
         (frame_of(folder / f"IMG_0000_{band}.tif") for band in range(1, 6)),
@@ -105,7 +102,7 @@ PANEL = hp.Panel(slice(None), slice(None), CERTIFIED)
 
 
 def test_closure_that_is_far_off_is_said(line: xr.Dataset) -> None:
-    """27 % too dark in the blue and 12 % too bright in the near infrared."""
+    # 27 % too dark in the blue and 12 % too bright in the near infrared
     with pytest.warns(PaintWarning, match="panel-doubtful") as caught:
         closure = panel_closure(line, PANEL).compute()
     factor = closure.panel_factor.values[0]

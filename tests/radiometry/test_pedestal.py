@@ -26,7 +26,7 @@ def declared(line: xr.Dataset, cover: np.ndarray = COVER, dims: Any = "cross_tra
 
 
 def drifting(line: xr.Dataset, counts: float = 20.0) -> xr.Dataset:
-    """Return the line with a pedestal that wanders by ``counts``, in whole counts where the line has them."""
+    # Return the line with a pedestal that wanders by ``counts``, in whole counts where the line has them
     drift = counts * (1 + np.sin(np.linspace(0, 7, line.sizes["along_track"]))) / 2
     drift = drift.round() if line.counts.dtype.kind == "u" else drift
     raised = line.counts + xr.DataArray(drift, dims="along_track")

@@ -46,7 +46,7 @@ def cache(monkeypatch: pytest.MonkeyPatch) -> planning.PlanCache:
 
 @pytest.fixture
 def plans(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return the plans that are made from now on."""
+    # Return the plans that are made from now on
     from hyperpaint.radiometry.planning import make_plan
 
     made: list[Any] = []

@@ -12,7 +12,7 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 
 def _line(factor: float = 1.0, *, position: bool = True, hours: int = 0) -> xr.Dataset:
-    """A line with a clear sky's level over it, times a factor, all stamps late by some hours."""
+    # A line with a clear sky's level over it, times a factor, all stamps late by some hours
     line = flight(lines=4, position=position).line
     delay = np.timedelta64(hours, "h")
     times = {name: (line[name].dims, line[name].values + delay) for name in ("time", "irradiance_time")}
@@ -32,7 +32,7 @@ def test_daylight_passes_without_a_word(factor: float, position: bool) -> None:
      (100.0, "values in uW cm-2 nm-1 that are taken"), (1e3, r"mW m-2 nm-1 \(W m-2 um-1\) that are taken")],
 )  # fmt: skip
 def test_what_no_daylight_is_is_refused_with_the_unit(factor: float, unit: str) -> None:
-    """Rationale: a millionth of the sun gave a reflectance of 203, and no flag."""
+    # Rationale: a millionth of the sun gave a reflectance of 203, and no flag
     lazily = reflectance(_line(factor))
     with pytest.raises(SchemaError, match=rf"{unit}.*irradiance-level"):
         lazily.reflectance.compute()
@@ -59,7 +59,7 @@ def test_light_of_noon_by_night_is_of_a_local_clock() -> None:
 
 
 def test_a_channel_that_is_undefined_is_said_with_the_bands_it_costs() -> None:
-    """Rationale: two of twelve bands had no reflectance, no flag and no word."""
+    # Rationale: two of twelve bands had no reflectance, no flag and no word
     line = _line()
     record = line.irradiance.values.copy()
     record[:, 150] = np.nan

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 from support.strategies import SHIFT, START, assert_same, flight, labelled, values
 
 import hyperpaint as hp
@@ -211,7 +211,7 @@ def test_a_dark_at_another_exposure_is_refused() -> None:
 
 
 def _line_with_darks_at(*exposures_ms: float) -> xr.Dataset:
-    """A line at 5 ms, with darks of 90 counts and 2 a millisecond."""
+    # A line at 5 ms, with darks of 90 counts and 2 a millisecond
     line = flight(exposure=5e-3).line
     element = np.ones((line.sizes["band"], line.sizes["cross_track"]), np.float32)
     dark = np.stack([(90.0 + 2.0 * ms) * element for ms in exposures_ms])
@@ -233,7 +233,7 @@ def test_darks_at_exposures_around_or_near_the_line_serve_in_silence(
 
 
 def test_darks_beyond_their_exposures_are_warned_of_and_far_beyond_refused() -> None:
-    """Rationale: darks of 1 and 2 ms served 20 ms in silence, at 26 times the noise of their means."""
+    # Rationale: darks of 1 and 2 ms served 20 ms in silence, at 26 times the noise of their means
     with pytest.warns(PaintWarning, match=r"5 ms, 3\.0 .*dark-exposure-differs"):
         radiance(_line_with_darks_at(1.0, 2.0)).radiance.compute()
     with pytest.warns(PaintWarning, match=r"5 ms, 1\.5 .*dark-exposure-differs"):
@@ -420,10 +420,21 @@ def test_arguments_that_cannot_be_heeded_are_refused() -> None:
     for tilt in ([5.0, 180.0], (5.0,), 5.0):
         with pytest.raises(SchemaError, match="type-wrong"):
             reflectance(line, tilt=tilt)  # type: ignore[arg-type]
-    with refusal(SchemaError, "value-out-of-range", "angle 120", "azimuth nan"):
-        reflectance(line, tilt=(120.0, float("nan")))
-    with refusal(SchemaError, "variable-missing", "'counts' with dark_counts"):
-        reflectance(line.drop_vars("counts"))
+    expect_refusals(
+        (
+            SchemaError,
+            "value-out-of-range",
+            "angle 120",
+            "azimuth nan",
+            lambda: reflectance(line, tilt=(120.0, float("nan"))),
+        ),
+        (
+            SchemaError,
+            "variable-missing",
+            "'counts' with dark_counts",
+            lambda: reflectance(line.drop_vars("counts")),
+        ),
+    )
 
 
 def test_lines_of_two_exposures_have_their_own_darks() -> None:
@@ -462,14 +473,14 @@ def test_panel_units_are_converted() -> None:
     )
     region = slice(3, 8), slice(1, 4)
     np.testing.assert_allclose(values(line, panel=Panel(*region, grey)), 0.4, rtol=1e-5)
-    with pytest.raises(UnitsError, match="units-missing"):
-        values(line, panel=Panel(*region, grey.drop_attrs()))
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        Panel(*region, 50.0)
+    expect_refusals(
+        (UnitsError, "units-missing", lambda: values(line, panel=Panel(*region, grey.drop_attrs()))),
+        (SchemaError, "value-out-of-range", lambda: Panel(*region, 50.0)),
+    )
 
 
 def test_choosing_bands_first_changes_nothing_for_a_slit() -> None:
-    """Rationale: the pixel's width is that of the camera, not the distance of the bands that are left."""
+    # Rationale: the pixel's width is that of the camera, not the distance of the bands that are left
     line = flight(bands=40).line.assign_attrs(srf_shape="slit")
     spacing = np.abs(np.gradient(line.wavelength.values))
     known = line.assign_coords(band_spacing=("band", spacing, {"units": "nm"}))

@@ -13,7 +13,7 @@ import hyperpaint as hp
 
 @pytest.fixture(scope="module")
 def scenes() -> Any:
-    """Return campaigns.saturated_pixels, and two of its scenes, by seed."""
+    # Return campaigns.saturated_pixels, and two of its scenes, by seed
     module = importlib.import_module("campaigns.saturated_pixels")
     return module, {seed: module.trace_scene(seed) for seed in (302, 303)}
 

@@ -23,7 +23,7 @@ LINES = 240
 
 @functools.cache
 def flown(drift: float = 0.0) -> xr.Dataset:
-    """Return a line of 12 s whose record rises by ``drift`` too much from its first to its last line."""
+    # Return a line of 12 s whose record rises by ``drift`` too much from its first to its last line
     line = flown_over(
         *PANELS,
         seed=SEED,
@@ -40,7 +40,7 @@ def flown(drift: float = 0.0) -> xr.Dataset:
 
 
 def departure(line: xr.Dataset, **options: object) -> np.ndarray:
-    """Return reflectance over the truth (along_track,), median over bands and columns beside the panels."""
+    # Return reflectance over the truth (along_track,), median over bands and columns beside the panels
     scaled = hp.reflectance(line, **options)
     beside = {"cross_track": slice(24, None), "band": slice(2, 18)}
     ratio = (scaled.reflectance / line.true_reflectance).isel(beside)

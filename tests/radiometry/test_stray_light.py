@@ -25,14 +25,14 @@ SECONDS = {"units": "s"}
 
 
 def wings(bands: int, share: float = 0.03) -> np.ndarray:
-    """Return light that strays to bands nearby and, evenly, to all; each source loses ``share``."""
+    # Return light that strays to bands nearby and, evenly, to all; each source loses ``share``
     apart = np.abs(np.subtract.outer(np.arange(bands), np.arange(bands)))
     near = np.exp(-apart / 5.0)
     return share * (0.5 * near / near.sum(axis=0) + 0.5 / bands)
 
 
 def seen_by(line: xr.Dataset, matrix: np.ndarray, shift: float) -> xr.Dataset:
-    """Return the line as a camera counts it that strays before its elements and smears behind them."""
+    # Return the line as a camera counts it that strays before its elements and smears behind them
     counts, dark = (
         line[name].transpose(..., "band", "cross_track").values for name in ("counts", "dark_counts")
     )

@@ -21,7 +21,7 @@ UNIFORM = 1.0 + (np.cos(np.radians(10.0)) ** 2 - 1.0) * (1.0 - 0.2)
 
 
 def _line(share: float) -> xr.Dataset:
-    """A line whose record is a share of a clear sky's global irradiance, of smooth colour."""
+    # A line whose record is a share of a clear sky's global irradiance, of smooth colour
     line = flight(position=True).line
     nm = line.irradiance_wavelength.values
     zenith, _ = solar_position(line.irradiance_time.values, 43.08, -77.67)
@@ -30,13 +30,13 @@ def _line(share: float) -> xr.Dataset:
 
 
 def _onto(line: xr.Dataset, tilt: Any) -> np.ndarray[Any, Any]:
-    """Return level over tilted reflectance: the light on the surface over that on level ground."""
+    # Return level over tilted reflectance: the light on the surface over that on level ground
     ratio = values(line) / values(line, tilt=tilt)
     return np.asarray(np.nanmean(ratio, axis=(0, 2)))
 
 
 def test_under_an_overcast_record_no_side_is_brighter() -> None:
-    """Rationale: the clear sky that was taken instead gave 1.056 where 0.976 is right."""
+    # Rationale: the clear sky that was taken instead gave 1.056 where 0.976 is right
     np.testing.assert_allclose(UNIFORM, 0.976, atol=5e-4)
     np.testing.assert_allclose(_onto(_line(0.25), TOWARDS_SUN), UNIFORM, atol=2e-3)
     np.testing.assert_allclose(_onto(_line(0.25), (20.0, 0.0)), UNIFORM, atol=2e-3)

@@ -19,7 +19,7 @@ LINES, CLEAR = 40, 0.1
 
 
 def seen(fraction: Any = CLEAR, dark: tuple[float, float] = (60.0, 90.0)) -> tuple[xr.Dataset, Any]:
-    """Return ground with a shadow of a diffuse fraction, its record with a cloud between two times [s]."""
+    # Return ground with a shadow of a diffuse fraction, its record with a cloud between two times [s]
     reflectance = np.full((LINES, NM.size, 60), 0.2)
     reflectance[5:35, :, 20:30] *= fraction
     seconds = np.arange(-60.0, 120.0)
@@ -48,11 +48,9 @@ def seen(fraction: Any = CLEAR, dark: tuple[float, float] = (60.0, 90.0)) -> tup
 
 
 def test_sun__is_free_far_from_the_edges_of_clouds() -> None:
-    """Rationale: at 8 m/s a shadow comes 80 m far in ten seconds, as far as a car may be from the receiver.
-
-    Expected: lines more than 10 s before a cloud at 30 s are in free sun, others not; clouds that take a
-    quarter of the light leave no shadow to tell them by, and nothing is free.
-    """
+    # Rationale: at 8 m/s a shadow comes 80 m far in ten seconds, as far as a car may be from the receiver
+    # Expected: lines more than 10 s before a cloud at 30 s are in free sun, others not; clouds that take a
+    # quarter of the light leave no shadow to tell them by, and nothing is free
     line, model = seen(dark=(30.0, 90.0))
     sun = sunny_lines(line, model, None, 30.0)
     assert sun is not None
@@ -68,10 +66,8 @@ def test_sun__is_free_far_from_the_edges_of_clouds() -> None:
 
 @pytest.mark.parametrize(("fraction", "word"), [(0.08, ""), (0.25, "a cloud covered the sun here")])
 def test_shadow_beside_a_car__shows_a_cloud(fraction: float, word: str) -> None:
-    """Rationale: under a cloud, a shadow keeps more of the light that is left.
-
-    Expected: no doubt where it is as dark as the record says; doubt under a cloud, and where no shadow lies.
-    """
+    # Rationale: under a cloud, a shadow keeps more of the light that is left
+    # Expected: no doubt where it is as dark as the record says; doubt under a cloud, and where no shadow lies
     line, model = seen(fraction)
     channels = line["reflectance"].values.transpose(0, 2, 1)[:, :, : model.channel_wavelength.size]
     window = np.s_[10:15, 35:40]

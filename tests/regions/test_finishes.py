@@ -19,7 +19,7 @@ NM = np.linspace(405.0, 995.0, 48)
 
 @pytest.fixture(scope="module")
 def models() -> dict[float, SceneModel]:
-    """Return models of a clear sky by the sun's zenith."""
+    # Return models of a clear sky by the sun's zenith
     import xarray as xr
 
     seen = np.full((30, NM.size, 30), 0.2)
@@ -29,10 +29,8 @@ def models() -> dict[float, SceneModel]:
 
 
 def picture_of(model: SceneModel, zenith: float, flakes: float) -> tuple[Picture, Floats]:
-    """Return a red roof whose light changes by 40 % across it, and its brightness over its middle's.
-
-    A share ``flakes`` of the change has the colour of the light.
-    """
+    # Return a red roof whose light changes by 40 % across it, and its brightness over its middle's
+    # A share ``flakes`` of the change has the colour of the light
     nm = model.channel_wavelength
     diffuse = model.diffuse_fraction
     body = np.where(nm > 600.0, 0.5, 0.06)
@@ -56,7 +54,7 @@ def stated(
 
 @pytest.mark.parametrize("flakes", [0.0, 0.25, 0.6])
 def test_difference__has_the_flat_share_of_flakes(models: dict[float, SceneModel], flakes: float) -> None:
-    """Expected: the share that is put in, whatever the sky that is mirrored, within 0.02."""
+    # Expected: the share that is put in, whatever the sky that is mirrored, within 0.02
     picture, relative = picture_of(models[45.0], 45.0, flakes)
     difference = difference_of(Piece(0, (0, 0), np.ones(relative.shape, bool)), picture, relative)
     assert difference is not None
@@ -102,7 +100,7 @@ def test_finish__is_stated_where_there_is_evidence(
     coloured: bool,
     expected: str,
 ) -> None:
-    """Expected: by change with lean over a solid paint's, and by the colour of the change."""
+    # Expected: by change with lean over a solid paint's, and by the colour of the change
     model = models[zenith]
     solid = Picture(model, np.empty(0), {}, zenith).direct_share * change_with_lean(zenith)
     level = Level(1.0, 0.01, along * solid, across * solid)
@@ -111,7 +109,7 @@ def test_finish__is_stated_where_there_is_evidence(
 
 
 def test_finish__of_a_dark_roof_or_under_clouds_is_unknown(models: dict[float, SceneModel]) -> None:
-    """Expected: nothing is stated of 0.02, nor where the sky is all the light there is."""
+    # Expected: nothing is stated of 0.02, nor where the sky is all the light there is
     from dataclasses import replace
 
     level = Level(1.0, 0.01, 9.0, 9.0)
@@ -122,7 +120,7 @@ def test_finish__of_a_dark_roof_or_under_clouds_is_unknown(models: dict[float, S
 
 @pytest.mark.parametrize("zenith", [0.0, 30.0, 60.0, 80.0])
 def test_change_with_lean__is_the_tangent_and_the_coat(zenith: float) -> None:
-    """Expected: tan(zenith) without a coat; with one more, by what Fresnel's reflectance rises there."""
+    # Expected: tan(zenith) without a coat; with one more, by what Fresnel's reflectance rises there
     from hyperpaint.light.coat_transmission import interface_reflectance
 
     reflected = interface_reflectance([zenith, zenith + 0.1])

@@ -15,7 +15,7 @@ NORTH = np.array([1.0, 0.0])
 
 
 def crowned(lean_deg: float) -> np.ndarray:
-    """Return ground with a roof of 1.2 x 1.6 m, whose ends lie 5 cm below its middle, leaning to the sun."""
+    # Return ground with a roof of 1.2 x 1.6 m, whose ends lie 5 cm below its middle, leaning to the sun
     y, x = (np.indices(SHAPE) - np.array(SHAPE)[:, None, None] / 2) * SPACING
     top = 1.5 - 0.05 * ((y / 0.6) ** 2 + (x / 0.8) ** 2) + y * np.tan(np.radians(lean_deg))
     roof = (np.abs(y) <= 0.6) & (np.abs(x) <= 0.8)
@@ -32,10 +32,8 @@ def lean_of(height: np.ndarray | None, prior: float = 1.1) -> tuple[float, float
 
 @pytest.mark.parametrize("lean", [-2.0, 0.0, 1.5])
 def test_lean__is_that_of_the_heights(lean: float) -> None:
-    """Rationale: z = -0.05 (y / 0.6)^2 + y tan(b) is level tan(b) 0.36 / 0.1 m from its middle.
-
-    Expected: that lean, and the way to where it is level, shortened by what was thought before.
-    """
+    # Rationale: z = -0.05 (y / 0.6)^2 + y tan(b) is level tan(b) 0.36 / 0.1 m from its middle
+    # Expected: that lean, and the way to where it is level, shortened by what was thought before
     sd, shift, angle = lean_of(crowned(lean))
     weight = 1.1**2 / (1.1**2 + 0.3**2)
     assert angle == pytest.approx(lean, abs=1e-6)
@@ -44,7 +42,7 @@ def test_lean__is_that_of_the_heights(lean: float) -> None:
 
 
 def test_noise__is_stated() -> None:
-    """Rationale: 1 cm of noise that is alike over 15 cm. Expected: found leans scatter as is stated."""
+    # Rationale: 1 cm of noise that is alike over 15 cm. Expected: found leans scatter as is stated.
     rng = np.random.default_rng(2)
     found, stated = [], []
     for _ in range(200):
@@ -57,7 +55,7 @@ def test_noise__is_stated() -> None:
 
 
 def test_bare_ground__says_nothing_of_a_roof() -> None:
-    """Rationale: most height models show the ground without cars. Expected: as if there were none."""
+    # Rationale: most height models show the ground without cars. Expected: as if there were none.
     bare = np.add.outer(0.02 * np.arange(40.0), np.zeros(50))
     assert lean_of(bare)[:2] == lean_of(None)[:2] == (1.1, 0.0)
 
@@ -70,7 +68,7 @@ def test_roof_that_does_not_bend_down__is_level_nowhere() -> None:
 
 
 def test_height_model__is_what_locate_adds() -> None:
-    """Expected: the spacing of pixels from their places; None of a line without places."""
+    # Expected: the spacing of pixels from their places; None of a line without places
     y, x = np.indices((5, 6)).astype(np.float64)
     dims = ("along_track", "cross_track")
     line = xr.Dataset(coords={"east": (dims, 0.1 * x), "north": (dims, 0.1 * y), "ground_height": (dims, y)})

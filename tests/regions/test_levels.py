@@ -19,24 +19,21 @@ CROWN_RAD = PLACE.crown / PLACE.half_width
 
 
 class Sun(NamedTuple):
-    """Where the sun stands over a roof that points to the right [degree]."""
-
+    # Where the sun stands over a roof that points to the right [degree]
     zenith: float
     azimuth: float
 
     @property
     def direction(self) -> Floats:
-        """Unit vector (along, across, up)."""
+        # Unit vector (along, across, up)
         zenith, azimuth = np.radians([self.zenith, self.azimuth])
         return np.array([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
 
 
 def crowned(sun: Sun, flakes: float = 0.0, shape: tuple[int, int] = (40, 80)) -> Floats:
-    """Return the brightness of a roof of constant curvature, 1 where it is level, seen from straight above.
-
-    A Lambertian body, and a share of flakes whose normals are spread by 12 degrees about the roof's, which
-    mirror the sun into the camera.
-    """
+    # Return the brightness of a roof of constant curvature, 1 where it is level, seen from straight above
+    # A Lambertian body, and a share of flakes whose normals are spread by 12 degrees about the roof's, which
+    # mirror the sun into the camera
     y, x = np.indices(shape, np.float64)
     # the car's own axes: across is line * axis[1] - column * axis[0]
     lean = np.stack([(x - PLACE.column) * CROWN_RAD[0], (y - PLACE.line) * CROWN_RAD[1], np.ones(shape)])
@@ -63,10 +60,8 @@ def level_of(brightness: Floats, place: Place = PLACE) -> Level:
 @pytest.mark.parametrize("flakes", [0.0, 0.3, 0.7])
 @pytest.mark.parametrize("sun", [Sun(20.0, 30.0), Sun(35.0, -90.0), Sun(45.0, 70.0), Sun(58.0, 180.0)])
 def test_level__is_that_of_the_level_place(sun: Sun, flakes: float) -> None:
-    """Rationale: over a roof the lobe of flakes is steep and bent, where a plane takes another level.
-
-    Expected: within 1.5 % of the truth and within its own uncertainty, with the noise of a camera.
-    """
+    # Rationale: over a roof the lobe of flakes is steep and bent, where a plane takes another level
+    # Expected: within 1.5 % of the truth and within its own uncertainty, with the noise of a camera
     noise = 1.0 + 0.01 * np.random.default_rng(1).normal(size=(40, 80))
     level = level_of(crowned(sun, flakes) * noise)
     assert abs(level.brightness - 1.0) < 0.015
@@ -76,19 +71,19 @@ def test_level__is_that_of_the_level_place(sun: Sun, flakes: float) -> None:
 @pytest.mark.parametrize("zenith", [25.0, 45.0, 60.0])
 @pytest.mark.parametrize("azimuth", [0.0, 35.0, 90.0])
 def test_change_with_lean__is_the_tangent_of_a_solid_paint(zenith: float, azimuth: float) -> None:
-    """Rationale: d ln(cos) = tan(zenith) towards the sun. Expected: that, whatever the azimuth, to 2 %."""
+    # Rationale: d ln(cos) = tan(zenith) towards the sun. Expected: that, whatever the azimuth, to 2 %.
     change = level_of(crowned(Sun(zenith, azimuth))).lean_change
     assert change == pytest.approx(np.tan(np.radians(zenith)), rel=0.02)
 
 
 def test_change_with_lean__is_more_of_flakes() -> None:
-    """Expected: more than three times that of a solid paint at 20 degrees from the mirror direction."""
+    # Expected: more than three times that of a solid paint at 20 degrees from the mirror direction
     sun = Sun(40.0, 90.0)
     assert level_of(crowned(sun, 0.7)).lean_change > 3.0 * level_of(crowned(sun)).lean_change
 
 
 def test_glint__is_left_out() -> None:
-    """Rationale: drops and dents mirror the sun, and only add. Expected: the level stays to 0.5 %."""
+    # Rationale: drops and dents mirror the sun, and only add. Expected: the level stays to 0.5 %.
     seen = crowned(Sun(40.0, 60.0))
     with_glint = seen.copy()
     with_glint[np.random.default_rng(4).random(seen.shape) < 0.08] *= 1.6
@@ -96,7 +91,7 @@ def test_glint__is_left_out() -> None:
 
 
 def test_level__scales_with_brightness() -> None:
-    """Expected: three times as bright is three times the level; sd and change with lean stay."""
+    # Expected: three times as bright is three times the level; sd and change with lean stay
     seen = crowned(Sun(50.0, 20.0), 0.4)
     one, other = level_of(seen), level_of(3.0 * seen)
     assert other.brightness == pytest.approx(3.0 * one.brightness)
@@ -104,14 +99,14 @@ def test_level__scales_with_brightness() -> None:
 
 
 def test_level__of_the_mirror_image_is_the_same() -> None:
-    """Expected: a picture flown the other way gives the same level, sd and change with lean."""
+    # Expected: a picture flown the other way gives the same level, sd and change with lean
     seen = crowned(Sun(50.0, 20.0), 0.4)
     mirrored = PLACE._replace(column=seen.shape[1] - 1.0 - PLACE.column)
     assert tuple(level_of(seen[:, ::-1], mirrored)) == pytest.approx(tuple(level_of(seen)))
 
 
 def test_level__is_as_unsure_as_its_place() -> None:
-    """Expected: relative change a pixel times how far the place may be off, where that is all there is."""
+    # Expected: relative change a pixel times how far the place may be off, where that is all there is
     seen = crowned(Sun(55.0, 90.0))
     slope = np.tan(np.radians(55.0)) * CROWN_RAD[1]
     level = level_of(seen, PLACE._replace(across_sd=2.0))
@@ -119,7 +114,7 @@ def test_level__is_as_unsure_as_its_place() -> None:
 
 
 def test_too_little__has_no_level() -> None:
-    """Expected: None of a roof of which 20 pixels are lit."""
+    # Expected: None of a roof of which 20 pixels are lit
     lit = np.zeros((40, 80), bool)
     lit[18:22, 38:43] = True
     assert level_light(crowned(Sun(40.0, 0.0)), lit, PLACE, AXIS) is None
@@ -129,7 +124,7 @@ def test_too_little__has_no_level() -> None:
 
 
 def roofed(middle: float, half: float, slope: float) -> tuple[Footprint, Roof]:
-    """Return a roof whose brightness falls by ``slope`` a pixel across, and its footprint."""
+    # Return a roof whose brightness falls by ``slope`` a pixel across, and its footprint
     y, x = np.indices((60, 90), np.float64)
     # what a pixel shows is the mean over it
     paint = np.clip(half + 0.5 - np.abs(y - middle), 0.0, 1.0)
@@ -153,7 +148,7 @@ def roofed(middle: float, half: float, slope: float) -> tuple[Footprint, Roof]:
 @pytest.mark.parametrize("slope", [0.0, 0.03, -0.06])
 @pytest.mark.parametrize("middle", [30.0, 29.3, 30.6])
 def test_axis__is_halfway_between_edges(middle: float, slope: float) -> None:
-    """Rationale: windows tell pixels, and shading moves an edge. Expected: 0.3 of one."""
+    # Rationale: windows tell pixels, and shading moves an edge. Expected: 0.3 of one.
     footprint, roof = roofed(middle, 13.0, slope)
     place = level_place(footprint, roof)
     assert (place.line, place.column) == (pytest.approx(middle, abs=0.3), pytest.approx(45.0))
@@ -161,7 +156,7 @@ def test_axis__is_halfway_between_edges(middle: float, slope: float) -> None:
 
 
 def test_axis__is_less_sure_without_edges() -> None:
-    """Expected: where windows say it is, and as surely, where paint ends nowhere."""
+    # Expected: where windows say it is, and as surely, where paint ends nowhere
     footprint, roof = roofed(30.0, 13.0, 0.02)
     endless = level_place(footprint._replace(brightness=np.ones((60, 90))), roof)
     assert (endless.line, endless.across_sd) == (31.0, pytest.approx(1.7 / np.sqrt(3.0)))
@@ -199,7 +194,7 @@ def test_axis__is_less_sure_without_edges() -> None:
 def test_roofs__are_told_by_proportions(
     windows: tuple[tuple[int, int], ...], beside: int, width: int, is_roof: bool
 ) -> None:
-    """Expected: a roof on one side of every threshold, none on the other; side windows begin the section."""
+    # Expected: a roof on one side of every threshold, none on the other; side windows begin the section
     level = np.full((width, 100), 0.5)
     for first, last in windows:
         level[6 : width - 6, first:last] = 0.02

@@ -30,7 +30,7 @@ RED = np.where(NM > 600.0, 0.6, 0.04)
 
 
 def drawn(bonnet: bool = True, rear: bool = True, noise: float = 0.005) -> xr.Dataset:
-    """Return asphalt with one red car: bonnet, windscreen, roof, rear window and boot."""
+    # Return asphalt with one red car: bonnet, windscreen, roof, rear window and boot
     split = diffuse_fraction(NM, ZENITH)
     seen = np.empty((70, NM.size, 130))
     seen[:] = (0.09 + 0.03 * (NM - 400.0) / 600.0)[:, None]
@@ -54,10 +54,8 @@ def parked(
     paint: npt.NDArray[np.float64] = RED,
     gain: float = 0.0,
 ) -> xr.Dataset:
-    """Return asphalt with a car from above: windows across it and along its sides, a crowned roof.
-
-    Along the roof, 5 pixels to either side of the windows' span, its light falls by ``gain`` a pixel.
-    """
+    # Return asphalt with a car from above: windows across it and along its sides, a crowned roof
+    # Along the roof, 5 pixels to either side of the windows' span, its light falls by ``gain`` a pixel
     split = diffuse_fraction(NM, ZENITH)
     seen = np.empty((width + 40, NM.size, length + 60))
     seen[:] = (0.09 + 0.03 * (NM - 400.0) / 600.0)[:, None]
@@ -83,13 +81,13 @@ def propose(line: xr.Dataset, **options: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def car() -> tuple[xr.Dataset, Any]:
-    """Return asphalt with one red car, and the proposals of it."""
+    # Return asphalt with one red car, and the proposals of it
     line = drawn()
     return line, propose(line, flightline="raw_0")
 
 
 def roof_of(level: float) -> Verdict:
-    """Return a roof of 64 pixels without a verdict."""
+    # Return a roof of 64 pixels without a verdict
     piece = Piece(0, (0, 0), np.ones((8, 8), bool))
     return Verdict(piece, Measures(piece.inside, np.full(24, level), {}, pixels=64), "roof")
 
@@ -99,10 +97,8 @@ def roof_of(level: float) -> Verdict:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_outline__holds_the_pixels_and_no_other(seed: int) -> None:
-    """Rationale: a polygon along the sides of pixels, with holes and corners that touch.
-
-    Expected: the pixels in it are those of the mask, for random connected masks.
-    """
+    # Rationale: a polygon along the sides of pixels, with holes and corners that touch
+    # Expected: the pixels in it are those of the mask, for random connected masks
     from scipy.ndimage import label
 
     parts, _ = label(np.random.default_rng(seed).random((18, 23)) > 0.42)
@@ -119,7 +115,7 @@ def test_outline__holds_the_pixels_and_no_other(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_footprint__is_the_convex_hull(seed: int) -> None:
-    """Rationale: what lies between the parts of a car. Expected: that of the half-planes, pixel by pixel."""
+    # Rationale: what lies between the parts of a car. Expected: that of the half-planes, pixel by pixel.
     from scipy.spatial import ConvexHull
 
     mask = np.zeros((30, 40), bool)
@@ -135,11 +131,9 @@ def test_footprint__is_the_convex_hull(seed: int) -> None:
 
 
 def test_proposals__are_the_roof_with_reasons(car: tuple[xr.Dataset, Any]) -> None:
-    """Rationale: of bonnet, roof and boot only the roof is level for sure.
-
-    Expected: one region between both windows, three pixels from their edges, with the paint's spectrum; its
-    signature has the region's pixels.
-    """
+    # Rationale: of bonnet, roof and boot only the roof is level for sure
+    # Expected: one region between both windows, three pixels from their edges, with the paint's spectrum; its
+    # signature has the region's pixels
     line, found = car
     (region,) = found
     along, across = pixels_of(found, line)[0]
@@ -156,10 +150,8 @@ def test_proposals__are_the_roof_with_reasons(car: tuple[xr.Dataset, Any]) -> No
 
 
 def test_refusals__say_why_and_name_scenery_last(car: tuple[xr.Dataset, Any]) -> None:
-    """Rationale: a bonnet may lean, and a dark car may be taken for a window: neither may vanish.
-
-    Expected: all refused have reasons, among them the lean or the better part of the car; windows come last.
-    """
+    # Rationale: a bonnet may lean, and a dark car may be taken for a window: neither may vanish
+    # Expected: all refused have reasons, among them the lean or the better part of the car; windows come last
     told = [" ".join(region.properties["refused"]) for region in car[1].refused]
     assert all(told)
     assert any("lean" in text or "same car" in text for text in told)
@@ -169,10 +161,8 @@ def test_refusals__say_why_and_name_scenery_last(car: tuple[xr.Dataset, Any]) ->
 
 
 def test_proposals__need_a_window() -> None:
-    """Rationale: a red sheet on the ground is no car.
-
-    Expected: nothing is proposed, and it is refused for want of a window.
-    """
+    # Rationale: a red sheet on the ground is no car
+    # Expected: nothing is proposed, and it is refused for want of a window
     line = drawn(bonnet=False)
     line["reflectance"][20:50, :, 20:112] = line["reflectance"].values[30:31, :, 70:71]
     found = propose(line)
@@ -182,10 +172,8 @@ def test_proposals__need_a_window() -> None:
 
 @pytest.mark.parametrize("windows", [((28, 42), (68, 84)), ((28, 42),)], ids=["both", "windscreen only"])
 def test_roof__is_found_by_its_windows(windows: tuple[tuple[int, int], ...]) -> None:
-    """Rationale: of vans and hatchbacks the rear window is hardly seen from above; windows run along a roof.
-
-    Expected: one region, behind the windscreen, and it is called a roof.
-    """
+    # Rationale: of vans and hatchbacks the rear window is hardly seen from above; windows run along a roof
+    # Expected: one region, behind the windscreen, and it is called a roof
     line = parked(windows=windows)
     found = propose(line)
     assert [region.properties["kind"] for region in found] == ["roof"]
@@ -194,10 +182,8 @@ def test_roof__is_found_by_its_windows(windows: tuple[tuple[int, int], ...]) -> 
 
 
 def test_roof__is_taken_where_it_is_level() -> None:
-    """Rationale: a crowned roof leans towards its ends, under this sun by 1 % of its light in two pixels.
-
-    Expected: the signature is that of its middle, although all of the roof is free of glint and shadow.
-    """
+    # Rationale: a crowned roof leans towards its ends, under this sun by 1 % of its light in two pixels
+    # Expected: the signature is that of its middle, although all of the roof is free of glint and shadow
     line = parked(gain=0.005)
     found = propose(line)
     assert len(found) == 1
@@ -208,10 +194,8 @@ def test_roof__is_taken_where_it_is_level() -> None:
 
 
 def test_roof_beside_a_sunroof__is_taken_at_the_sunroof() -> None:
-    """Rationale: a sunroof is the front half of a roof; what is left of it leans backwards.
-
-    Expected: pixels of the half that is nearer to the sunroof.
-    """
+    # Rationale: a sunroof is the front half of a roof; what is left of it leans backwards
+    # Expected: pixels of the half that is nearer to the sunroof
     line = parked(windows=((28, 55), (80, 90)), gain=0.004)
     (region,) = propose(line)
     _, across = pixels_of(hp.Regions((region,)), line)[0]
@@ -220,11 +204,9 @@ def test_roof_beside_a_sunroof__is_taken_at_the_sunroof() -> None:
 
 
 def test_roof_whose_far_side_is_dark__is_taken_at_its_axis() -> None:
-    """Rationale: under a low sun beside the car light falls by 2.5 % a pixel across it, and at the far rail
-    to a fifth, which is darker than paint elsewhere and no window.
-
-    Expected: the level is that of the middle between both rails; taken for glass, the far rail shifts it.
-    """
+    # Rationale: under a low sun beside the car light falls by 2.5 % a pixel across it, and at the far rail to
+    # a fifth, which is darker than paint elsewhere and no window
+    # Expected: the level is that of the middle between both rails; taken for glass, the far rail shifts it
     line = parked()
     row = np.arange(line.sizes["along_track"]) - 20.0 - 19.5
     light = 1.0 - 0.025 * row
@@ -240,10 +222,8 @@ def test_roof_whose_far_side_is_dark__is_taken_at_its_axis() -> None:
 
 
 def test_lean__is_smaller_across_a_car() -> None:
-    """Rationale: the sides of a car are alike, its ends are not.
-
-    Expected: least with the sun beside it; where the sun's side is not known, the larger one.
-    """
+    # Rationale: the sides of a car are alike, its ends are not
+    # Expected: least with the sun beside it; where the sun's side is not known, the larger one
     axis = np.array([0.0, 1.0])
     beside, behind, unknown = (
         lean_to_sun(axis, side) for side in (np.array([1.0, 0.0]), np.array([0.0, -1.0]), None)
@@ -252,11 +232,9 @@ def test_lean__is_smaller_across_a_car() -> None:
 
 
 def test_lobes_of_flakes__are_known_where_they_are_level() -> None:
-    """Rationale: metal flakes mirror the sun over a lobe that is wider than a roof.
-
-    Expected: of brightness that changes by 70 % along a roof a band across its middle, whose level is less
-    sure than 3 %.
-    """
+    # Rationale: metal flakes mirror the sun over a lobe that is wider than a roof
+    # Expected: of brightness that changes by 70 % along a roof a band across its middle, whose level is less
+    # sure than 3 %
     line = parked(gain=0.02)
     beside = {"sun_azimuth": 180.0, "heading": 0.0}
     (region,) = found = propose(line, **beside)
@@ -268,11 +246,9 @@ def test_lobes_of_flakes__are_known_where_they_are_level() -> None:
 
 
 def test_flakes__make_levels_uncertain() -> None:
-    """Rationale: a lean that nothing shows changes the light of flakes more than that of a solid paint.
-
-    Expected: four times the change of a solid paint is of a level less certain, eight times is refused, and
-    the reason names flakes.
-    """
+    # Rationale: a lean that nothing shows changes the light of flakes more than that of a solid paint
+    # Expected: four times the change of a solid paint is of a level less certain, eight times is refused, and
+    # the reason names flakes
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
     picture = Picture(model, np.empty(0), {}, 45.0)
     verdicts = [roof_of(0.3) for _ in range(3)]
@@ -285,11 +261,9 @@ def test_flakes__make_levels_uncertain() -> None:
 
 
 def test_haze__makes_dark_levels_uncertain() -> None:
-    """Rationale: a coat mirrors the zenith, whose brightness a hazy sky does not tell.
-
-    Expected: with twice the diffuse light of a clear sky grey paint of 0.08 is refused for the sky, white
-    paint is not, nor is either under a clear sky; under a covered one both are known to 3 %.
-    """
+    # Rationale: a coat mirrors the zenith, whose brightness a hazy sky does not tell
+    # Expected: with twice the diffuse light of a clear sky grey paint of 0.08 is refused for the sky, white
+    # paint is not, nor is either under a clear sky; under a covered one both are known to 3 %
     clear = hp.surroundings.survey(parked(), sun_zenith=45.0)
     covered = np.ones_like(clear.diffuse_fraction)
     models = [clear, replace(clear, diffuse_fraction=2.0 * clear.diffuse_fraction)]
@@ -307,7 +281,7 @@ def test_haze__makes_dark_levels_uncertain() -> None:
 
 
 def test_level_that_is_not_known__is_refused() -> None:
-    """Rationale: a comparison with NaN is False. Expected: an objection, and no region of a level of NaN."""
+    # Rationale: a comparison with NaN is False. Expected: an objection, and no region of a level of NaN.
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
     verdict = roof_of(0.3)
     judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level())
@@ -315,7 +289,7 @@ def test_level_that_is_not_known__is_refused() -> None:
 
 
 def test_options__are_those_of_the_survey_and_the_model_remembers_the_sun() -> None:
-    """Expected: a word that no survey knows is refused; beside a model its own sun is taken."""
+    # Expected: a word that no survey knows is refused; beside a model its own sun is taken
     line = parked()
     with pytest.raises(TypeError, match="sun_zenit"):
         hp.regions.propose_regions(line, sun_zenit=30.0)
@@ -325,11 +299,9 @@ def test_options__are_those_of_the_survey_and_the_model_remembers_the_sun() -> N
 
 
 def test_low_sun__makes_levels_uncertain_and_overcast_does_not() -> None:
-    """Rationale: a lean changes the light of a roof by f_dir tan(zenith), and by next to nothing in cloud.
-
-    Expected: under a sun at 80 degrees a roof is refused for its lean, with what to do; under an overcast sky
-    it is proposed, of a level within 2 %.
-    """
+    # Rationale: a lean changes the light of a roof by f_dir tan(zenith), and by next to nothing in cloud
+    # Expected: under a sun at 80 degrees a roof is refused for its lean, with what to do; under an overcast
+    # sky it is proposed, of a level within 2 %
     clear = hp.regions.propose_regions(parked(), sun_zenith=80.0, diffuse="model")
     assert len(clear) == 0
     assert any("higher sun" in text for one in clear.refused for text in one.properties["refused"])
@@ -338,21 +310,17 @@ def test_low_sun__makes_levels_uncertain_and_overcast_does_not() -> None:
 
 
 def test_black_paint__is_told_from_its_windows() -> None:
-    """Rationale: a black roof of 0.025 mirrors as much sky as its windows, of 0.012.
-
-    Expected: it is proposed; a car all of whose paint is as dark as its windows is not.
-    """
+    # Rationale: a black roof of 0.025 mirrors as much sky as its windows, of 0.012
+    # Expected: it is proposed; a car all of whose paint is as dark as its windows is not
     (region,) = propose(parked(paint=np.full(NM.size, 0.025)))
     assert region.properties["kind"] == "roof"
     assert len(propose(parked(paint=np.full(NM.size, 0.0125)))) == 0
 
 
 def test_van_without_side_windows__has_a_roof() -> None:
-    """Rationale: behind windscreen and bonnet, no other part is longer than half a car.
-
-    Expected: the rest is proposed as the roof; where the windscreen ends the car there is no bonnet, and it
-    is not.
-    """
+    # Rationale: behind windscreen and bonnet, no other part is longer than half a car
+    # Expected: the rest is proposed as the roof; where the windscreen ends the car there is no bonnet, and it
+    # is not
     (region,) = propose(drawn(rear=False))
     assert region.properties["kind"] == "roof"
     assert "all of the car behind" in region.properties["reasons"][0]
@@ -361,17 +329,15 @@ def test_van_without_side_windows__has_a_roof() -> None:
 
 @pytest.mark.parametrize("windows", [((28, 42),), ((28, 42), (94, 98))])
 def test_black_roof_behind_a_windscreen__is_one(windows: tuple[tuple[int, int], ...]) -> None:
-    """Rationale: an estate has nothing behind its roof, or a tail of a few centimetres.
-
-    Expected: its roof is proposed by the bonnet and by the windows along it; without a bonnet it is refused.
-    """
+    # Rationale: an estate has nothing behind its roof, or a tail of a few centimetres
+    # Expected: its roof is proposed by the bonnet and by the windows along it; without a bonnet it is refused
     (region,) = propose(parked(paint=np.full(NM.size, 0.03), windows=windows))
     assert region.properties["kind"] == "roof"
     assert len(propose(parked(paint=np.full(NM.size, 0.03), windows=((2, 16),)))) == 0
 
 
 def test_cars_of_one_colour_side_by_side__give_a_region_each() -> None:
-    """Rationale: lots are full of white cars. Expected: two regions, one on each car."""
+    # Rationale: lots are full of white cars. Expected: two regions, one on each car.
     one = parked()
     line = xr.concat([one, one.copy(deep=True)], "along_track", coords="minimal", compat="override")
     found = propose(line)
@@ -381,7 +347,7 @@ def test_cars_of_one_colour_side_by_side__give_a_region_each() -> None:
 
 @pytest.mark.slow
 def test_proposals__are_the_same_on_a_cluster(car: tuple[xr.Dataset, Any]) -> None:
-    """Rationale: layers come off workers in any order. Expected: the digest of a run without them."""
+    # Rationale: layers come off workers in any order. Expected: the digest of a run without them.
     distributed = pytest.importorskip("distributed")
     line, whole = car
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": ":0"}
@@ -394,10 +360,8 @@ def test_proposals__are_the_same_on_a_cluster(car: tuple[xr.Dataset, Any]) -> No
 
 
 def test_proposals__do_not_depend_on_chunks(car: tuple[xr.Dataset, Any]) -> None:
-    """Rationale: a survey, then pointwise layers, then rules on whole arrays.
-
-    Expected: equal digests for five chunkings, the last through the accessor.
-    """
+    # Rationale: a survey, then pointwise layers, then rules on whole arrays
+    # Expected: equal digests for five chunkings, the last through the accessor
     line, whole = car
     for chunks in ({"along_track": 32}, {"along_track": 7}, {"along_track": 70, "band": 5}):
         assert propose(line.chunk(chunks), flightline="raw_0").digest == whole.digest
@@ -418,7 +382,7 @@ def test_proposals__on_a_crop_have_the_numbers_of_the_line(car: tuple[xr.Dataset
 
 
 def test_proposals__go_into_a_file_and_back(car: tuple[xr.Dataset, Any], tmp_path: Any) -> None:
-    """Rationale: people edit proposals. Expected: GeoJSON as any regions, what is refused stays out of it."""
+    # Rationale: people edit proposals. Expected: GeoJSON as any regions, what is refused stays out of it.
     found = car[1]
     path = hp.write_regions(found, tmp_path / "cars.geojson")
     again = hp.read_regions(path)
@@ -427,11 +391,9 @@ def test_proposals__go_into_a_file_and_back(car: tuple[xr.Dataset, Any], tmp_pat
 
 
 def test_flags_that_a_region_names__are_those_left_out(car: tuple[xr.Dataset, Any]) -> None:
-    """Rationale: a proposed roof was judged by its brightness, and flags of glint on it are no news.
-
-    Expected: its pixels under a flag it does not name count; under one it names, none is left; flags that
-    there are not are refused by name.
-    """
+    # Rationale: a proposed roof was judged by its brightness, and flags of glint on it are no news
+    # Expected: its pixels under a flag it does not name count; under one it names, none is left; flags that
+    # there are not are refused by name
     line, found = car
     region = replace(found[0], flightline="")
     glint = xr.full_like(line["reflectance"][:, 0], int(hp.Quality.GLINT), np.uint16)
@@ -451,6 +413,6 @@ def test_limits_that_cannot_be__are_refused(car: tuple[xr.Dataset, Any], wrong: 
 
 
 def test_command__needs_no_regions() -> None:
-    """Expected: the option is there, and is not required."""
+    # Expected: the option is there, and is not required
     told = CliRunner().invoke(main, ["signatures", "--help"]).output
     assert "proposed by rule" in told

@@ -19,11 +19,9 @@ NM = np.linspace(405.0, 995.0, 48)
 
 @pytest.mark.slow
 def test_proposals_on_traced_cars__are_right_or_refused() -> None:
-    """Rationale: coats, cast shadows, glint and neighbours from geometry, which no rule here knows.
-
-    Expected: something is proposed, and every signature is its paint within max(0.03, 6 %), and within 0.01
-    in shape.
-    """
+    # Rationale: coats, cast shadows, glint and neighbours from geometry, which no rule here knows
+    # Expected: something is proposed, and every signature is its paint within max(0.03, 6 %), and within 0.01
+    # in shape
     sky = Atmosphere.clear(34.0, 105.0)
     park = car_park(length=14.0, width=32.0, seed=3, neighbours=(), margin=10.0, flakes=False, islands=False)
     flight = pushbroom(150, 200, altitude=15.0, ground_sample=0.06, line_spacing=0.06, start=(-0.1, 2.0))

@@ -13,16 +13,14 @@ from hyperpaint.regions import Region, Regions, pixels
 
 
 def zigzag(corners: int, lines: int, columns: int) -> Region:
-    """Return a comb whose teeth run across all lines."""
+    # Return a comb whose teeth run across all lines
     x = np.linspace(0.0, columns - 1.0, corners)
     return Region("comb", np.stack([x, np.where(np.arange(corners) % 2, lines - 1.0, 0.0)], axis=1))
 
 
 def test_pixels__of_a_wild_zigzag_are_refused_at_once() -> None:
-    """Rationale: 10,000 corners across 2.6 million pixels would take half an hour.
-
-    Expected: an error that names the region and says what to do.
-    """
+    # Rationale: 10,000 corners across 2.6 million pixels would take half an hour
+    # Expected: an error that names the region and says what to do
     line = xr.Dataset(coords={"along_track": np.arange(4000), "cross_track": np.arange(640)})
     with pytest.raises(SchemaError, match=r"(?s)'comb'.*too-complex"):
         pixels(zigzag(10_000, 4000, 640), line)
@@ -37,7 +35,7 @@ def test_pixels__of_holes_like_a_zigzag_are_refused_at_once() -> None:
 
 
 def test_pixels__of_many_corners_are_found() -> None:
-    """Expected: a circle of 10,000 corners holds the pixels within its radius."""
+    # Expected: a circle of 10,000 corners holds the pixels within its radius
     turn = np.linspace(0.0, 2.0 * np.pi, 10_000, endpoint=False)
     circle = Region("disc", 300.0 + 250.2 * np.stack([np.cos(turn), np.sin(turn)], axis=1))
     line = xr.Dataset(coords={"along_track": np.arange(600), "cross_track": np.arange(600)})

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.regions import Region, Regions, pixels, pixels_in_regions, pixels_of, region_mask
@@ -33,7 +34,7 @@ def on_edge(ring: Any, x: Fraction, y: Fraction) -> bool:
 
 
 def wound(ring: Any, x: Fraction, y: Fraction) -> bool:
-    """Tell whether a ray to the right crosses a ring an odd number of times, in rational numbers."""
+    # Tell whether a ray to the right crosses a ring an odd number of times, in rational numbers
     corners = rational(ring)
     crossings = 0
     for (x0, y0), (x1, y1) in pairwise([*corners, corners[0]]):
@@ -180,7 +181,7 @@ def test_mask_names_the_regions() -> None:
 
 
 def turned(lines: int = 12, columns: int = 9) -> tuple[np.ndarray, np.ndarray]:
-    """Return places of pixels on a grid that is turned and half a metre wide."""
+    # Return places of pixels on a grid that is turned and half a metre wide
     y, x = np.mgrid[0:lines, 0:columns].astype(float)
     return 300000 + 0.5 * (x - 0.3 * y), 4770000 + 0.5 * (y + 0.3 * x)
 
@@ -272,12 +273,11 @@ def test_regions_are_a_sequence() -> None:
     three = Regions(tuple(Region(name, SQUARE, flightline=name) for name in "abc"), "map", "EPSG:32618")
     assert (len(three), three[1].name, three[1:].names) == (3, "b", ("b", "c"))
     assert (three[1:].crs, three.flightlines) == ("EPSG:32618", ("a", "b", "c"))
-    with pytest.raises(SchemaError, match="region-name-duplicate"):
-        Regions((Region("a", SQUARE), Region("a", SQUARE)))
-    with pytest.raises(SchemaError, match="option-conflict"):
-        Regions((), "sensor", "EPSG:4326")
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        Regions((), "pixels")
+    expect_refusals(
+        (SchemaError, "region-name-duplicate", lambda: Regions((Region("a", SQUARE), Region("a", SQUARE)))),
+        (SchemaError, "option-conflict", lambda: Regions((), "sensor", "EPSG:4326")),
+        (SchemaError, "choice-unknown", lambda: Regions((), "pixels")),
+    )
 
 
 def test_digest_is_of_all_that_is_said() -> None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 
 from hyperpaint.base.errors import PaintError
-
-__all__ = ["refusal"]
 
 E = TypeVar("E", bound=PaintError)
 
@@ -25,3 +23,10 @@ def refusal(kind: type[E], code: str, *told: str) -> Iterator[pytest.ExceptionIn
     assert set(error.codes) == {code}, f"expected the code {code} of: {error}"
     text = str(error).replace(f"[{code}]", "")
     assert re.search(".*".join(map(re.escape, told)), text, re.DOTALL), f"expected {told} in: {text}"
+
+
+def expect_refusals(*rows: tuple[Any, ...]) -> None:
+    """Expect the error of every row: class, code, words of its message, and the call that raises it."""
+    for kind, code, *told, call in rows:
+        with refusal(kind, code, *told):
+            call()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -57,14 +57,26 @@ def test_the_light_of_every_pixel() -> None:
 
 def test_nothing_is_corrected_twice_or_out_of_range() -> None:
     once = hp.surroundings.remove_mirrored_sky(line(np.ones(NM.size)), sun_zenith=35.0)
-    with pytest.raises(SchemaError, match="corrected-before"):
-        hp.surroundings.remove_mirrored_sky(once, sun_zenith=35.0)
-    with refusal(SchemaError, "value-out-of-range", "strength=2", "sky_view_factor=-1"):
-        hp.surroundings.remove_mirrored_sky(
-            line(np.ones(NM.size)), strength=2.0, sky_view_factor=-1.0, sun_zenith=35.0
-        )
-    with refusal(SchemaError, "variable-missing", "'wavelength'"):
-        hp.surroundings.correct_light(line(np.ones(NM.size)).drop_vars("wavelength"), sun_zenith=35.0)
+    expect_refusals(
+        (SchemaError, "corrected-before", lambda: hp.surroundings.remove_mirrored_sky(once, sun_zenith=35.0)),
+        (
+            SchemaError,
+            "value-out-of-range",
+            "strength=2",
+            "sky_view_factor=-1",
+            lambda: hp.surroundings.remove_mirrored_sky(
+                line(np.ones(NM.size)), strength=2.0, sky_view_factor=-1.0, sun_zenith=35.0
+            ),
+        ),
+        (
+            SchemaError,
+            "variable-missing",
+            "'wavelength'",
+            lambda: hp.surroundings.correct_light(
+                line(np.ones(NM.size)).drop_vars("wavelength"), sun_zenith=35.0
+            ),
+        ),
+    )
 
 
 def test_uncertainties_are_divided_by_the_same_light() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from oracles.scattered_sky import Air, SkyRadiance, rayleigh_depth, sky_radiance
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -29,7 +30,7 @@ def truth(nm: float, sun: float) -> SkyRadiance:
 
 
 def diffuse_share(nm: float, sun: float) -> float:
-    """Return diffuse over global light of the Monte Carlo's air."""
+    # Return diffuse over global light of the Monte Carlo's air
     air, cosine = Air(), np.cos(np.radians(sun))
     depth = rayleigh_depth(nm) + air.aerosol * (nm / 500.0) ** -air.angstrom
     direct = cosine * np.exp(-depth / cosine)
@@ -38,7 +39,7 @@ def diffuse_share(nm: float, sun: float) -> float:
 
 
 def near_zenith(sky: SkyRadiance) -> float:
-    """Return what a slightly arched roof mirrors: the mean of the sky within twice its lean."""
+    # Return what a slightly arched roof mirrors: the mean of the sky within twice its lean
     inside = sky.cosine > np.cos(2.0 * ROOF_LEAN)
     ring = sky.relative[inside].mean() if inside.any() else sky.zenith
     return 0.5 * (sky.zenith + float(ring))
@@ -67,7 +68,7 @@ def test_black_paint_stays_black(sun: float) -> None:
 @pytest.mark.parametrize("sun", [30.0, 45.0, 60.0])
 @pytest.mark.parametrize("lean", [-8.0, 8.0])
 def test_a_leaning_panel_gets_the_light_of_its_side(sun: float, lean: float) -> None:
-    """Of a matt panel that leans towards the sun or away from it."""
+    # Of a matt panel that leans towards the sun or away from it
     tilt = np.radians(lean)
     c = np.cos(np.radians(sun - lean)) / np.cos(np.radians(sun))
     light, share = [], []
@@ -92,7 +93,7 @@ def test_a_leaning_panel_gets_the_light_of_its_side(sun: float, lean: float) -> 
 @pytest.mark.parametrize("sun", [30.0, 60.0])
 @pytest.mark.parametrize("turn", [0.0, 90.0, 180.0])
 def test_a_steep_slope_gets_the_light_of_its_side(sun: float, turn: float) -> None:
-    """Of any lean, and of any side: a windscreen, a boot, a door."""
+    # Of any lean, and of any side: a windscreen, a boot, a door
     tilt = np.radians(30.0)
     gains = []
     for nm in NM:
@@ -122,7 +123,15 @@ def test_an_overcast_sky_is_brighter_above() -> None:
 
 def test_a_clear_sky_needs_its_sun() -> None:
     seen = paint(np.full(NM.size, 0.3))
-    with pytest.raises(SchemaError, match="sun-unknown"):
-        hp.surroundings.remove_mirrored_sky(seen, diffuse=np.full(NM.size, 0.2), sky="clear")
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        hp.surroundings.remove_mirrored_sky(seen, sun_zenith=30.0, sky="blue")
+    expect_refusals(
+        (
+            SchemaError,
+            "sun-unknown",
+            lambda: hp.surroundings.remove_mirrored_sky(seen, diffuse=np.full(NM.size, 0.2), sky="clear"),
+        ),
+        (
+            SchemaError,
+            "choice-unknown",
+            lambda: hp.surroundings.remove_mirrored_sky(seen, sun_zenith=30.0, sky="blue"),
+        ),
+    )

@@ -31,7 +31,7 @@ LOOKED_FOR = Quality.GLINT | Quality.SHADOW | Quality.ADJACENCY | Quality.MIXED_
 
 
 def scene(*, placed: bool = True) -> xr.Dataset:
-    """Return a red panel on asphalt whose middle mirrors the sun."""
+    # Return a red panel on asphalt whose middle mirrors the sun
     time = np.datetime64("2020-06-21T15:19:00", "ns") + np.arange(LINES) * np.timedelta64(7, "ms")
     zenith = float(solar_position(time[0], 43.08, -77.67)[0]) if placed else 30.0
     seen = np.full((LINES, BANDS, COLUMNS), 0.1)
@@ -72,7 +72,7 @@ def run(*words: object) -> Result:
 
 @pytest.fixture
 def surveys(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """Return the options of every survey that is made."""
+    # Return the options of every survey that is made
     made: list[dict[str, Any]] = []
     real = scene_model.survey
 

@@ -33,7 +33,7 @@ STEPS: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
 
 @pytest.fixture(scope="module")
 def line() -> xr.Dataset:
-    """Return a line from counts, flagged, with every bit that is not of the counts set somewhere."""
+    # Return a line from counts, flagged, with every bit that is not of the counts set somewhere
     exposure = {"exposure_time_ms": 14.0, "frame_period_ms": 15.0}
     made = simulate_line(lines=32, bands=24, columns=20, smile_nm=0.6, seed=5, **exposure)
     made = made.drop_vars([name for name in made if str(name).startswith("true_")]).chunk(along_track=8)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -21,7 +22,7 @@ LINES = 8
 
 
 def flat(**own: Any) -> xr.Dataset:
-    """Return a grey line; ``own`` are variables of its light."""
+    # Return a grey line; ``own`` are variables of its light
     seen = np.full((LINES, NM.size, 6), 0.2, np.float32)
     cube = (("along_track", "band", "cross_track"), seen, {"units": "1"})
     units = {"units": "1"}
@@ -113,10 +114,14 @@ def test_a_sun_that_is_said_goes_before_the_clock() -> None:
 
 
 def test_words_that_are_none() -> None:
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        split_of(flat(), "guess", 30.0)
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        hp.surroundings.remove_mirrored_sky(flat(), diffuse="shadow", sun_zenith=30.0)
+    expect_refusals(
+        (SchemaError, "choice-unknown", lambda: split_of(flat(), "guess", 30.0)),
+        (
+            SchemaError,
+            "choice-unknown",
+            lambda: hp.surroundings.remove_mirrored_sky(flat(), diffuse="shadow", sun_zenith=30.0),
+        ),
+    )
 
 
 def test_signatures_take_the_split_that_they_state() -> None:

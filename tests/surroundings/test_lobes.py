@@ -24,7 +24,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 def panel(paint: Any, flakes: float, peak: float, width: float = 0.8) -> tuple[Any, Mask]:
-    """Return a panel on asphalt with a broad lobe of flakes and a spot of the sun, and where that matters."""
+    # Return a panel on asphalt with a broad lobe of flakes and a spot of the sun, and where that matters
     y, x = np.mgrid[:80, :104]
     far = (y - SPOT[0]) ** 2 + (x - SPOT[1]) ** 2
     inside = (y > 10) & (y < 70) & (x > 12) & (x < 92)

@@ -26,10 +26,8 @@ COATS = {"worn": (Coat(roughness=0.05, waviness=0.0), 1000), "fresh": (Coat(), 2
 
 
 def skies() -> dict[str, Atmosphere]:
-    """Return a clear sky as it is, and with its light spread evenly.
-
-    Around the sun a real sky is bright: what coats mirror of it there looks like glint.
-    """
+    # Return a clear sky as it is, and with its light spread evenly
+    # Around the sun a real sky is bright: what coats mirror of it there looks like glint
     clear = Atmosphere.clear(ZENITH, AZIMUTH)
     even = replace(clear, molecular=np.zeros_like(clear.sky), aureole=np.zeros_like(clear.sky))
     return {"uniform": even, "directional": clear}
@@ -37,7 +35,7 @@ def skies() -> dict[str, Atmosphere]:
 
 @pytest.fixture(scope="module", params=COATS)
 def traced(request: pytest.FixtureRequest) -> tuple[xr.Dataset, int]:
-    """Return solid paints on seed 103: no threshold was tuned on it, though faults seen on it were mended."""
+    # Return solid paints on seed 103: no threshold was tuned on it, though faults seen on it were mended
     coat, glinting_px = COATS[request.param]
     park = car_park(
         length=11.7, width=16.0, seed=103, neighbours=("walls",), margin=10.0, flakes=False, coat=coat

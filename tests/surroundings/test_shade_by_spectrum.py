@@ -31,7 +31,7 @@ Mask = npt.NDArray[np.bool_]
 def target(
     zenith: float, sky: float, turn: float, grey: float, penumbra: float = 4.0, split: Any = None
 ) -> tuple[Any, Any]:
-    """Return a flat grey target on asphalt, half of it in the shade of something unseen; its blocked beam."""
+    # Return a flat grey target on asphalt, half of it in the shade of something unseen; its blocked beam
     diffuse = diffuse_fraction(NM, zenith) if split is None else split
     y, x = np.mgrid[:96, :128]
     on = (y > 18) & (y < 78) & (x > 24) & (x < 104)

@@ -24,14 +24,14 @@ AWAY = np.array([1.0, 0.0])
 
 
 def shadow_of(body: np.ndarray, direct: float, sky: float, sent: float = 0.0) -> np.ndarray:
-    """Return a body in little light."""
+    # Return a body in little light
     return body * (direct * LIGHT.direct + sky * LIGHT.diffuse + sent * RED)
 
 
 def matched(
     number: np.ndarray, spectra: list[np.ndarray], side: np.ndarray | None = AWAY, light: Light = LIGHT
 ) -> list[int]:
-    """Return the segments that are taken for shadows on the first one."""
+    # Return the segments that are taken for shadows on the first one
     count = len(spectra)
     numbers = number.astype(np.int32)
     size = np.bincount(number.ravel(), minlength=count).astype(np.int64)

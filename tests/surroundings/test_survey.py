@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.analytic_scenes import as_line, bonnet, box_shadow, smooth_edge, wavelengths
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -172,10 +173,14 @@ def test_progress_is_told(shadow_line: xr.Dataset, capsys: pytest.CaptureFixture
 
 
 def test_a_survey_without_the_sun_says_what_is_missing(shadow_line: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match="sun-unknown"):
-        hp.surroundings.survey(shadow_line)
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        hp.surroundings.survey(shadow_line, diffuse="guess", sun_zenith=30.0)
+    expect_refusals(
+        (SchemaError, "sun-unknown", lambda: hp.surroundings.survey(shadow_line)),
+        (
+            SchemaError,
+            "choice-unknown",
+            lambda: hp.surroundings.survey(shadow_line, diffuse="guess", sun_zenith=30.0),
+        ),
+    )
 
 
 def test_missing_pixels_belong_to_nothing(shadow_line: xr.Dataset) -> None:
@@ -209,10 +214,10 @@ def test_channels_are_even_runs_of_good_bands() -> None:
 
 
 def test_a_measured_split_must_fit() -> None:
-    with pytest.raises(SchemaError, match="length-mismatch"):
-        measured_fraction(np.ones(3), NM)
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        measured_fraction(np.full(NM.size, 1.5), NM)
+    expect_refusals(
+        (SchemaError, "length-mismatch", lambda: measured_fraction(np.ones(3), NM)),
+        (SchemaError, "value-out-of-range", lambda: measured_fraction(np.full(NM.size, 1.5), NM)),
+    )
     given = xr.DataArray([0.4, 0.1], {"wavelength": ("w", [400.0, 1000.0])}, "w")
     np.testing.assert_allclose(measured_fraction(given, NM), np.linspace(0.4, 0.1, NM.size))
 

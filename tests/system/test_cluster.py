@@ -53,13 +53,13 @@ def cluster(workers: int = 2, **options: Any) -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
-    """Two workers in this process."""
+    # Two workers in this process
     with cluster(processes=False) as made:
         yield made
 
 
 def line_with(task: Any, **more: Any) -> xr.Dataset:
-    """Return a line whose slabs a task makes from their values and number."""
+    # Return a line whose slabs a task makes from their values and number
     values = np.random.default_rng(1).integers(0, 4096, (32 * SLABS, 3, 5), dtype="uint16")
     cube = da.from_array(values, chunks=(32, 3, 5))
     meta = np.empty((0, 0, 0), "uint16")
@@ -79,7 +79,7 @@ def raising(block: np.ndarray, error: BaseException, at: int, block_id: Any = ()
 def failing_at_first(
     block: np.ndarray, folder: str, times: int, error: BaseException, block_id: Any = ()
 ) -> np.ndarray:
-    """Fail a few times, then succeed, as a file system does that many nodes share."""
+    # Fail a few times, then succeed, as a file system does that many nodes share
     for attempt in range(times):
         with contextlib.suppress(FileExistsError):
             (Path(folder) / f"{block_id[0]}-{attempt}").touch(exist_ok=False)
@@ -99,7 +99,7 @@ def slow(block: np.ndarray) -> np.ndarray:
 
 
 def check_again(path: Path) -> None:
-    """Run once more without faults: the store is right, and nothing lies beside it."""
+    # Run once more without faults: the store is right, and nothing lies beside it
     hp.to_store(line_with(whole), path, GROUP, source_token="line")
     assert hp.verify(path).ok
     np.testing.assert_array_equal(
@@ -341,7 +341,7 @@ def test_campaign_of_killed_workers(tmp_path: Path) -> None:
 
 
 def compile_and_count(_: int = 0) -> dict[str, int]:
-    """Calibrate a slab; return what the kernel found on disk."""
+    # Calibrate a slab; return what the kernel found on disk
     from hyperpaint.kernels.radiometry import calibrate_slab
     from hyperpaint.simulation import simulate_line
 
@@ -369,7 +369,7 @@ print(len(doubled.stats.cache_hits), len(doubled.stats.cache_misses))
 
 @pytest.fixture
 def read_only_package(tmp_path: Path) -> Path:
-    """Return a folder with a kernel beside which nothing can be written, not even by root."""
+    # Return a folder with a kernel beside which nothing can be written, not even by root
     package = tmp_path / "kernels"
     package.mkdir()
     shutil.copy(ROOT / "hyperpaint/base/jit.py", package)

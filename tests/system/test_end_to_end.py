@@ -19,7 +19,7 @@ LINES, BANDS, COLUMNS = 70, 272, 24
 
 @pytest.fixture(scope="module", params=["gaussian", "slit"])
 def store(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A collect without noise, in the instruments' formats, processed from its files."""
+    # A collect without noise, in the instruments' formats, processed from its files
     folder = tmp_path_factory.mktemp(request.param)
     collect = hp.simulate_collect(
         folder,
@@ -43,7 +43,7 @@ def store(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def lines(store: Path) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
-    """Yield every flight line of a store beside its truth."""
+    # Yield every flight line of a store beside its truth
     truth = xr.open_zarr(store.parent / "truth.zarr").load().swap_dims(along_track="frame")
     for name in sorted(path.name for path in (store / "flightlines").iterdir() if path.is_dir()):
         line = xr.open_zarr(store, group=f"flightlines/{name}")
@@ -51,10 +51,8 @@ def lines(store: Path) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
 
 
 def test_twelve_bits_without_noise__close(store):
-    """Rationale: with everything known, the converter's steps and the spectrometer's resolution are left.
-
-    Expected: bias below 0.002 and RMSE below 0.005 over reflectance from 0.03 to 0.9.
-    """
+    # Rationale: with everything known, the converter's steps and the spectrometer's resolution are left
+    # Expected: bias below 0.002 and RMSE below 0.005 over reflectance from 0.03 to 0.9
     errors, seen = [], []
     for line, truth in lines(store):
         made = line.paint.reflectance()
@@ -74,10 +72,8 @@ def test_twelve_bits_without_noise__close(store):
 
 
 def test_dropped_frames_and_clocks__leave_every_line_its_own_light(store):
-    """Rationale: three clocks, two cubes and missing frames must not shift light from line to line.
-
-    Expected: line times are those of the simulator, to the nanosecond.
-    """
+    # Rationale: three clocks, two cubes and missing frames must not shift light from line to line
+    # Expected: line times are those of the simulator, to the nanosecond
     for line, truth in lines(store):
         np.testing.assert_array_equal(line["time"].values, truth["time"].values)
         assert (np.diff(line["frame"].values) > 0).all()
@@ -86,10 +82,8 @@ def test_dropped_frames_and_clocks__leave_every_line_its_own_light(store):
 
 @pytest.mark.filterwarnings("ignore:.*counts-averaged")
 def test_exact_irradiance__closes_to_single_precision():
-    """Rationale: float32 counts that were never quantised, and the irradiance each element saw itself.
-
-    Expected: pi L / E is the true reflectance to 1e-5.
-    """
+    # Rationale: float32 counts that were never quantised, and the irradiance each element saw itself
+    # Expected: pi L / E is the true reflectance to 1e-5
     from hyperpaint.simulation import simulate_line
 
     line = simulate_line(
@@ -116,7 +110,7 @@ CHUNKS = (
 
 @pytest.fixture(scope="module")
 def made():
-    """Return what makes the bits of a line in some chunks, all at once."""
+    # Return what makes the bits of a line in some chunks, all at once
     import dask
 
     from hyperpaint.simulation import simulate_line
@@ -133,10 +127,8 @@ def made():
 @pytest.mark.slow
 @pytest.mark.parametrize("scheduler", ["threads", "processes", "cluster"])
 def test_one_result__whatever_the_chunks_and_the_scheduler(made, scheduler):
-    """Rationale: a result that depends on how it was computed cannot be checked by anyone.
-
-    Expected: the same bits for five chunkings on threads, on processes and on a cluster of two workers.
-    """
+    # Rationale: a result that depends on how it was computed cannot be checked by anyone
+    # Expected: the same bits for five chunkings on threads, on processes and on a cluster of two workers
     import dask
 
     expected = made(CHUNKS[2])

@@ -45,7 +45,7 @@ def assert_same(parts: list[xr.Dataset] | xr.Dataset, wanted: xr.Dataset) -> Non
 
 
 def calibrated(store: str, first: int) -> xr.Dataset:
-    """Return a slab of a stored line, as a task of any engine makes it."""
+    # Return a slab of a stored line, as a task of any engine makes it
     line = xr.open_zarr(store, group=GROUP, chunks=None)
     return hp.slab(line.isel(along_track=slice(first, first + SLAB)))[
         ["reflectance", "quality", "irradiance_age"]
@@ -86,7 +86,7 @@ def test_ray(store: Path, wanted: xr.Dataset) -> None:
 
 
 def calibrated_block(block: Any, block_id: Any = None, line: Any = None) -> Any:
-    """Return the reflectance of a block of counts, a slab of whole lines."""
+    # Return the reflectance of a block of counts, a slab of whole lines
     first = block_id[0] * SLAB
     rest = line.isel(along_track=slice(first, first + len(block)))
     return hp.slab(

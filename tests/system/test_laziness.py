@@ -19,7 +19,7 @@ from hyperpaint.radiometry.panels import Panel
 
 @pytest.fixture(scope="module")
 def hard_line() -> xr.Dataset:
-    """Every branch at once: smile, two darks, saturation, bad elements, a dropped frame, a gap."""
+    # Every branch at once: smile, two darks, saturation, bad elements, a dropped frame, a gap
     line = flight(lines=40, bands=12, columns=6, dtype=np.uint16, smile=SHIFT, position=True, drift=0.01).line
     rng = np.random.default_rng(4)
     line["counts"].values[rng.random((40, 12, 6)) < 0.01] = 4095
@@ -144,7 +144,7 @@ def test_two_tasks_a_slab_at_the_most(tmp_path: Any) -> None:
 
 
 def test_graph_of_a_long_line_computes_nothing(no_compute: Any) -> None:
-    """How long it takes, benchmarks/bench_graph.py measures."""
+    # How long it takes, benchmarks/bench_graph.py measures
     line = flight(lines=1, bands=272, columns=640).line
     lines = 100_000
     long = line.drop_dims("along_track").assign_coords(

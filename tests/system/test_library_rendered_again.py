@@ -23,7 +23,7 @@ PLATE = 3.0
 
 
 def plates() -> Scene:
-    """Return three level coated plates on asphalt, far enough apart to throw little light on one another."""
+    # Return three level coated plates on asphalt, far enough apart to throw little light on one another
     things = [plane(60.0)]
     for number, _ in enumerate(PAINTS):
         paint = Material(f"paint of car_{number}", "white", "paint", Coat(1.5, 0.004))
@@ -33,7 +33,7 @@ def plates() -> Scene:
 
 
 def flown(paints: xr.Dataset, seed: int) -> xr.Dataset:
-    """Return the flight line over the plates in these paints."""
+    # Return the flight line over the plates in these paints
     flight = pushbroom(180, 32, altitude=15.0, ground_sample=0.1, centre=(0.0, 0.0))
     traced = hp.simulation.trace(plates(), flight, ["noon"], samples=32, seed=seed)
     cars = {f"car_{number}": str(name) for number, name in enumerate(paints["signature"].values)}
@@ -41,7 +41,7 @@ def flown(paints: xr.Dataset, seed: int) -> xr.Dataset:
 
 
 def signatures(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return the library of regions that lie well inside the plates."""
+    # Return the library of regions that lie well inside the plates
     seen = hp.reflectance(line)
     regions = []
     for number, name in enumerate(names):

@@ -29,7 +29,7 @@ Pairs = set[tuple[int, int]]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a processed line, and its regions in both kinds of coordinates."""
+    # Return a folder with a processed line, and its regions in both kinds of coordinates
     pytest.importorskip("pyproj")
     folder = tmp_path_factory.mktemp("lot")
     collect = hp.simulate_collect(
@@ -63,7 +63,7 @@ def ground_of(folder: Path) -> float:
 
 
 def signatures(folder: Path, store: str, regions: str, *options: object) -> xr.Dataset:
-    """Return the library that the command writes, with all pixels as members."""
+    # Return the library that the command writes, with all pixels as members
     out = folder / "paints.zarr"
     words = ("--no-flags", "--members", 10_000, "--overwrite", *options)
     run("signatures", folder / store, "--regions", folder / regions, "--out", out, *words)
@@ -80,7 +80,7 @@ def pixels_of(library: xr.Dataset) -> dict[str, Pairs]:
 
 
 def agreement(one: dict[str, Pairs], other: dict[str, Pairs]) -> float:
-    """Return the least share of pixels that both have, of all that either has."""
+    # Return the least share of pixels that both have, of all that either has
     assert set(one) == set(other) == set(OUTLINES)
     return min(len(one[name] & other[name]) / len(one[name] | other[name]) for name in one)
 

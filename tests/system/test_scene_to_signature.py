@@ -32,8 +32,7 @@ OVERCAST: dict[str, Any] = {
 
 @dataclass
 class Roof:
-    """Signatures of one roof, by band from 420 to 980 nm."""
-
+    # Signatures of one roof, by band from 420 to 980 nm
     paint: str
     pixels: int
     recovered: np.ndarray
@@ -87,7 +86,7 @@ def roofs(tmp_path_factory: pytest.TempPathFactory) -> list[Roof]:
 
 
 def paints_at_elements(settings: SimulationSettings) -> dict[str, np.ndarray]:
-    """Return the paints as the camera's elements see them in that light, (band, cross_track) each."""
+    # Return the paints as the camera's elements see them in that light, (band, cross_track) each
     flight = RenderedFlight(settings)
     light = flight.sky.sum(axis=0)
     spectra = flight.paint_reflectance(flight.paints, flight.grid)
@@ -100,10 +99,8 @@ def rms(ratio: np.ndarray) -> float:
 
 
 def test_signature_of_a_roof__is_what_was_rendered(roofs: list[Roof]) -> None:
-    """Rationale: through counts, noise, twelve bits, dark, calibration and matched irradiance.
-
-    Expected: within 0.5 % rms over the bands of the truth of the same pixels, for every paint.
-    """
+    # Rationale: through counts, noise, twelve bits, dark, calibration and matched irradiance
+    # Expected: within 0.5 % rms over the bands of the truth of the same pixels, for every paint
     assert len(roofs) >= 4
     assert len({roof.paint for roof in roofs}) >= 3
     for roof in roofs:
@@ -112,11 +109,9 @@ def test_signature_of_a_roof__is_what_was_rendered(roofs: list[Roof]) -> None:
 
 
 def test_signature_of_a_roof__is_the_spectrum_of_its_paint(roofs: list[Roof]) -> None:
-    """Rationale: nothing was told to the chain but files; a factor pi, a wrong time or dark would show.
-
-    Expected: the shape of the paint's own spectrum within 0.3 % rms over the bands where no neighbour is
-    higher, its level at most 0.8 % below: a roof is curved, and below the horizon there is no sky.
-    """
+    # Rationale: nothing was told to the chain but files; a factor pi, a wrong time or dark would show
+    # Expected: the shape of the paint's own spectrum within 0.3 % rms over the bands where no neighbour is
+    # higher, its level at most 0.8 % below: a roof is curved, and below the horizon there is no sky
     free = [roof for roof in roofs if not roof.is_lower and roof.own.mean() > 0.05]
     assert len(free) >= 2
     for roof in free:
@@ -126,10 +121,8 @@ def test_signature_of_a_roof__is_the_spectrum_of_its_paint(roofs: list[Roof]) ->
 
 
 def test_what_neighbours_take_of_the_sky__is_grey(roofs: list[Roof]) -> None:
-    """Rationale: lost sky scales a signature and leaves its shape.
-
-    Expected: every roof within 3 % of its paint, a little below, and within 0.6 % in shape.
-    """
+    # Rationale: lost sky scales a signature and leaves its shape
+    # Expected: every roof within 3 % of its paint, a little below, and within 0.6 % in shape
     for roof in (roof for roof in roofs if roof.own.mean() > 0.05):
         ratio = roof.recovered / roof.own
         assert 0.97 < ratio.mean() < 1.003, roof.paint
@@ -137,10 +130,8 @@ def test_what_neighbours_take_of_the_sky__is_grey(roofs: list[Roof]) -> None:
 
 
 def test_a_wrong_chain_would_be_seen(roofs: list[Roof]) -> None:
-    """Rationale: a tolerance that nothing can leave proves nothing.
-
-    Expected: one per cent of gain is outside of it, and every other paint far outside.
-    """
+    # Rationale: a tolerance that nothing can leave proves nothing
+    # Expected: one per cent of gain is outside of it, and every other paint far outside
     bright = max(roofs, key=lambda roof: roof.own.mean())
     assert rms(1.01 * bright.recovered / bright.rendered) > 0.005
     others = [roof for roof in roofs if roof.paint != bright.paint]

@@ -34,7 +34,7 @@ def reference(folder: Path) -> xr.Dataset:
 
 
 def laboratory(folder: Path, name: str) -> tuple[xr.Dataset, np.ndarray]:
-    """Return a laboratory's library, and its RMSE by a plain interpolation (sample,)."""
+    # Return a laboratory's library, and its RMSE by a plain interpolation (sample,)
     table = np.loadtxt(folder / f"{name}.csv")
     table = table[(table[:, 0] >= 420.0) & (table[:, 0] <= 950.0)]
     known = np.loadtxt(folder / "pigment_panel_reference.csv")
@@ -46,7 +46,7 @@ def laboratory(folder: Path, name: str) -> tuple[xr.Dataset, np.ndarray]:
 
 
 def validated(paints: xr.Dataset, references: xr.Dataset) -> tuple[np.ndarray, list[str]]:
-    """Return the RMSE of every paint, and what was said."""
+    # Return the RMSE of every paint, and what was said
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         agreement = hp.validate(paints, references)

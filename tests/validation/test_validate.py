@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
@@ -280,8 +281,8 @@ def test_instruments_are_compared_apart() -> None:
 
 
 def test_instruments_are_compared_with_each_other() -> None:
-    """Expected: plain numpy of both on the coarser's channels, whatever the signature is; the mean of
-    repeated readings; and a verdict that decides nothing about the signature."""
+    # Expected: plain numpy of both on the coarser's channels, whatever the signature is; the mean of repeated
+    # readings; and a verdict that decides nothing about the signature
     nm = np.arange(390.0, 1011.0, 1.5)
     paints = library(2.0 * seen(NM, 6.0))
     asd = field(np.outer([0.98, 1.02], seen(np.arange(380.0, 1021.0), 3.0)), ["hood_0", "hood_1"])
@@ -309,7 +310,7 @@ def test_instruments_are_compared_with_each_other() -> None:
 @pytest.mark.parametrize("level", [0.003, 0.008, 0.015, 0.03, 0.06, 0.2, 0.5])
 @pytest.mark.parametrize("error", [1.7, 1.0 / 1.7])
 def test_seventy_percent_too_high_never_passes(level: float, error: float) -> None:
-    """Rationale: an RMSE of 0.02 passed a black that was 70 % too high."""
+    # Rationale: an RMSE of 0.02 passed a black that was 70 % too high
     nm = np.arange(380.0, 1021.0)
     paints, truth = library(np.full(NM.size, level * error)), field(np.full(nm.size, level))
     found = hp.validate(paints, truth)
@@ -324,7 +325,7 @@ def test_seventy_percent_too_high_never_passes(level: float, error: float) -> No
 
 @pytest.mark.parametrize("level", [0.02, 0.1, 0.8])
 def test_the_limit_is_a_share_of_the_level_and_a_floor(level: float) -> None:
-    """Expected: 0.005 + 5 %, just inside passes and just outside fails; other shares as they are said."""
+    # Expected: 0.005 + 5 %, just inside passes and just outside fails; other shares as they are said
     nm = np.arange(380.0, 1021.0)
     truth = field(np.full(nm.size, level))
     for tolerance, limit in ((None, 0.005 + 0.05 * level), ({"relative": 0.1, "floor": 0.0}, 0.1 * level)):
@@ -359,10 +360,10 @@ def test_a_panel_scales_what_is_relative() -> None:
     absolute = references.assign(
         reflectance=references["reflectance"].assign_attrs(reflectance_scale="absolute")
     )
-    with pytest.raises(SchemaError, match="option-conflict"):
-        hp.validate(signatures, absolute, panel=panel)
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        hp.validate(signatures, references, panel=panel * 100)
+    expect_refusals(
+        (SchemaError, "option-conflict", lambda: hp.validate(signatures, absolute, panel=panel)),
+        (SchemaError, "value-out-of-range", lambda: hp.validate(signatures, references, panel=panel * 100)),
+    )
     narrow = panel.assign_coords(wavelength=("wavelength", [500.0, 600.0], {"units": "nm"}))
     left = hp.validate(signatures, references, panel=narrow).spectra[0]
     assert not left["used"].values[(NM < 500) | (NM > 600)].any()

@@ -45,7 +45,7 @@ def scale(*pair: xr.Dataset) -> float:
     ("geometry", "included"), [("d/8", True), ("d/8", False), ("0/0", True), ("45/0", False)]
 )
 def test_readings_of_the_outside_are_brought_to_the_body(geometry: str, included: bool) -> None:
-    """What instruments read of a base under a coat is the renderer's."""
+    # What instruments read of a base under a coat is the renderer's
     theirs = {"d/8": "d/0", "45/0": "0/45"}.get(geometry, geometry)
     seen = coated_reflectance(ALBEDO, geometry=theirs, specular_included=included)
     assert np.abs(seen / NEAR - 1.0).max() > 0.001

@@ -18,7 +18,7 @@ LEVEL = seen(FIELD_NM, 3.0)
 
 
 def red() -> xr.Dataset:
-    """Return a library of one paint, red."""
+    # Return a library of one paint, red
     return library(seen(NM, 6.0), ("red",))
 
 

@@ -25,7 +25,7 @@ def _bands(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.real_data
 def test_field_spectra_at_the_bands_of_a_real_camera(shared_data: Path) -> None:
-    """The width that is missing between an ASD and AVIRIS-NG, by a plain convolution."""
+    # The width that is missing between an ASD and AVIRIS-NG, by a plain convolution
     folder = shared_data / "radiance_vs_field"
     lawn = _insitu(folder / "insitu_BeckmanLawn.txt")
     at = lawn["wavelength"].values
@@ -47,7 +47,7 @@ def test_field_spectra_at_the_bands_of_a_real_camera(shared_data: Path) -> None:
 
 @pytest.mark.real_data
 def test_red_turf_from_the_air_against_the_field(shared_data: Path) -> None:
-    """AVIRIS-NG with the lawn for a panel: colour as on the ground, level to some per cent."""
+    # AVIRIS-NG with the lawn for a panel: colour as on the ground, level to some per cent
     folder = shared_data / "radiance_vs_field"
     centre, fwhm = _bands(folder)
     field_lawn, field_red = (
@@ -67,7 +67,7 @@ def test_red_turf_from_the_air_against_the_field(shared_data: Path) -> None:
 
 @pytest.mark.real_data
 def test_real_files_of_an_svc_before_and_after_matching(shared_data: Path) -> None:
-    """The vendor's matching moves reflectance below the join; which file that is, the result says."""
+    # The vendor's matching moves reflectance below the join; which file that is, the result says
     folder = shared_data / "svc_sig"
     raw, matched = (hp.open_svc(folder / f"BNL13001_000{end}.sig", utc_offset_h=0.0) for end in ("", "_moc"))
     found = []

@@ -14,7 +14,7 @@ PAINT = seen(NM, 6.0)
 
 
 def readings(count: int, **spreads: float) -> hp.validation.Validation:
-    """Compare a paint with readings that are nearly the same, of known uncertainty."""
+    # Compare a paint with readings that are nearly the same, of known uncertainty
     values = LEVEL + 1e-5 * np.arange(count)[:, None]
     made = field(values, ["hood"] * count)
     for name, value in spreads.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -85,7 +86,11 @@ def test_widths_of_channels_have_bounds(wrong: float) -> None:
     widths = np.full(references.sizes["wavelength"], 3.0)
     widths[150] = wrong
     bad = references.assign_coords(fwhm=("wavelength", widths, {"units": "nm"}))
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        hp.validate(signatures, bad)
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        hp.validate(signatures, references, reference_fwhm=wrong)
+    expect_refusals(
+        (SchemaError, "value-out-of-range", lambda: hp.validate(signatures, bad)),
+        (
+            SchemaError,
+            "value-out-of-range",
+            lambda: hp.validate(signatures, references, reference_fwhm=wrong),
+        ),
+    )

@@ -59,7 +59,7 @@ class Bomb(NamedTuple):
     then: Callable[[Path], Path] | None = None
 
     def make(self, folder: Path) -> Path:
-        """Write the bomb into an empty folder; return the path for the door."""
+        # Write the bomb into an empty folder; return the path for the door
         if self.store is not None:
             whole_store(folder, **self.store)
         for place, content in self.files.items():
@@ -69,7 +69,7 @@ class Bomb(NamedTuple):
 
 
 def put(path: Path, content: Any) -> None:
-    """Write a file of a bomb, in the place of what is there."""
+    # Write a file of a bomb, in the place of what is there
     path.parent.mkdir(parents=True, exist_ok=True)
     if isinstance(content, dict):
         content = json.dumps({**json.loads(path.read_bytes()), **content})
@@ -93,7 +93,7 @@ def put(path: Path, content: Any) -> None:
 def many(
     text: str | bytes, count: int, head: str | bytes = "", tail: str | bytes = ""
 ) -> Callable[[Path], Any]:
-    """Return a text that is made when it is written: a piece many times between two others."""
+    # Return a text that is made when it is written: a piece many times between two others
     return lambda _: type(text)().join([head or type(text)(), text * count, tail or type(text)()])
 
 
@@ -101,7 +101,7 @@ def many(
 
 
 def cube(extra: Any = "", data: Any = bytes(800), **values: object) -> dict[str, Any]:
-    """Return the files of a cube whose header has other entries, and more text."""
+    # Return the files of a cube whose header has other entries, and more text
     fields: dict[str, object] = {"samples": 10, "lines": 10, "bands": 4, "header offset": 0}
     fields |= {"data type": 12, "interleave": "bil", "byte order": 0}
     fields |= {key.replace("_", " "): value for key, value in values.items()}
@@ -112,8 +112,7 @@ def cube(extra: Any = "", data: Any = bytes(800), **values: object) -> dict[str,
 def asd(
     changes: Mapping[int, bytes], tail: Callable[[Path], bytes] = lambda _: b"", cut: int | None = None
 ) -> Any:
-    """Return an ASD file that would be right but for ``changes``: offset to bytes."""
-
+    # Return an ASD file that would be right but for ``changes``: offset to bytes
     def content(path: Path) -> bytes:
         from hyperpaint.simulation import simulate_collect
 
@@ -294,7 +293,7 @@ BOMBS: dict[str, Bomb] = {
 
 
 def whole_store(folder: Path, zarr_format: int = 3, *, ours: bool = False) -> Path:
-    """Write what is no bomb: by plain xarray, or `hyperpaint.to_store`."""
+    # Write what is no bomb: by plain xarray, or `hyperpaint.to_store`
     import xarray as xr
 
     import hyperpaint as hp
@@ -391,13 +390,13 @@ class _Canary:
 
 
 def hidden_code(chunk: Path) -> bytes:
-    """Return the first chunk of the gain as a pickle that runs code."""
+    # Return the first chunk of the gain as a pickle that runs code
     canary = chunk.parents[1 if chunk.name == "0.0" else 3].with_name("canary")
     return pickle.dumps(np.array([_Canary(canary)] * 24, dtype=object))
 
 
 def array(label: str, entries: dict[str, Any], zarr_format: int) -> dict[str, Any]:
-    """Return the files that change an array of a store."""
+    # Return the files that change an array of a store
     name = label.partition(":")[2] or NAME
     files: dict[str, Any] = {f"lot.zarr/{name}/{'zarr.json' if zarr_format == 3 else '.zarray'}": entries}
     return files | (
@@ -437,8 +436,7 @@ BOMBS |= {
 
 
 def zipped(**more: int) -> Callable[[Path], Path]:
-    """Return what packs a store, with entries of blanks, by name and size."""
-
+    # Return what packs a store, with entries of blanks, by name and size
     def pack(store: Path) -> Path:
         path = Path(shutil.make_archive(str(store), "zip", store))
         with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as file:
@@ -452,7 +450,7 @@ def zipped(**more: int) -> Callable[[Path], Path]:
 
 
 def listed_in_the_manifest(store: Path) -> Path:
-    """Let the manifest of a store of ours fit the metadata of its gain, as somebody would who knows how."""
+    # Let the manifest of a store of ours fit the metadata of its gain, as somebody would who knows how
     from hyperpaint.io.store.location import Location
     from hyperpaint.io.store.manifest import Manifest, document_checksum
 
@@ -467,8 +465,7 @@ def listed_in_the_manifest(store: Path) -> Path:
 
 
 def nested(name: str, depth: int, zarr_format: int = 3) -> Callable[[Path], Path]:
-    """Return what writes groups in groups, by steps: the whole path may be longer than the system takes."""
-
+    # Return what writes groups in groups, by steps: the whole path may be longer than the system takes
     def nest(store: Path) -> Path:
         here = os.open(store, os.O_RDONLY)
         file, document = (".zgroup", {}) if zarr_format == 2 else ("zarr.json", {"node_type": "group"})

@@ -38,8 +38,7 @@ _RUNS_CODE = ("os.system", "subprocess.Popen", "os.exec", "os.posix_spawn")
 
 
 class Door(NamedTuple):
-    """A public way in, which reads all there is to read, and the errors that its documentation names."""
-
+    # A public way in, which reads all there is to read, and the errors that its documentation names
     read: Callable[[Path], object]
     errors: tuple[type[PaintError], ...]
 
@@ -90,13 +89,12 @@ DOORS: Mapping[str, Door] = {
 
 
 def tries() -> list[tuple[str, str]]:
-    """Return every try: name of a bomb, and name of a door that it is put through."""
+    # Return every try: name of a bomb, and name of a door that it is put through
     return [(name, door) for name, bomb in BOMBS.items() for door in bomb.doors.split()]
 
 
 def _watch(bait: Path, found: list[str]) -> None:
-    """Note from now on when the interpreter runs a program, or opens the bait."""
-
+    # Note from now on when the interpreter runs a program, or opens the bait
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
         if event in _RUNS_CODE:
             found.append(f"{event} {arguments!r:.60}")
@@ -109,7 +107,7 @@ def _watch(bait: Path, found: list[str]) -> None:
 
 
 def _judge(door: Door, path: Path, bait: Path) -> dict[str, Any]:
-    """Read a bomb under limits; return what happened."""
+    # Read a bomb under limits; return what happened
     import dask
 
     # a pool of threads that the parent started is dead here
@@ -137,7 +135,7 @@ def _judge(door: Door, path: Path, bait: Path) -> dict[str, Any]:
 
 
 def _in_child(door: Door, path: Path, bait: Path) -> dict[str, Any]:
-    """Return what `_judge` tells from a child; of one that died or hung, that."""
+    # Return what `_judge` tells from a child; of one that died or hung, that
     reading, writing = os.pipe()
     sys.stdout.flush()
     sys.stderr.flush()
@@ -160,7 +158,7 @@ def _in_child(door: Door, path: Path, bait: Path) -> dict[str, Any]:
 
 
 def run_bomb(name: str, door: str, outcome: Outcome, doors: Mapping[str, Door] = DOORS) -> None:
-    """Make a bomb, put it through a door, and note what came of it."""
+    # Make a bomb, put it through a door, and note what came of it
     bomb: Bomb = BOMBS[name]
     with tempfile.TemporaryDirectory() as scratch:
         folder, bait = Path(scratch) / "given", Path(scratch) / "bait"
@@ -185,7 +183,7 @@ def run_bomb(name: str, door: str, outcome: Outcome, doors: Mapping[str, Door] =
 
 
 def warm_up() -> None:
-    """Import what the readers import, so that a child's time and memory are those of the bomb."""
+    # Import what the readers import, so that a child's time and memory are those of the bomb
     for module in (
         *(f"hyperpaint.io.{name}" for name in ("collect.collect_toml", "envi.envi_cubes", "library")),
         *(f"hyperpaint.io.{name}" for name in ("flightline.calibration_store", "store.verification")),
@@ -210,7 +208,7 @@ def _run(numbers: range) -> list[Outcome]:
 
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every part; each bomb is tried once: none is left for ``first`` above 0."""
+    # Yield the outcome of every part; each bomb is tried once: none is left for ``first`` above 0
     if not first:
         numbers = range(0, len(tries()), max(1, round(1 / scale)))
         yield from in_parallel(_run, parts_of(numbers, _PART))

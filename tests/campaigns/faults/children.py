@@ -52,13 +52,12 @@ CONTEXT.set_forkserver_preload(
 
 @dataclass(frozen=True)
 class Fault:
-    """What happens at a call that changes files: the process ends, or the call fails."""
-
+    # What happens at a call that changes files: the process ends, or the call fails
     number: int
     code: int | None = None  # errno; None ends the process
 
     def arm(self, folder: Path) -> Iterator[int]:
-        """Let it happen at a call of this process below a folder; return the counter of such calls."""
+        # Let it happen at a call of this process below a folder; return the counter of such calls
         counter = itertools.count(1)
 
         def hook(event: str, arguments: tuple[Any, ...]) -> None:
@@ -111,7 +110,7 @@ def start(
 
 
 def end_of(process: Any) -> tuple[int, str, int]:
-    """Wait for a child; return its exit status, its error, and how many of its calls change files."""
+    # Wait for a child; return its exit status, its error, and how many of its calls change files
     process.join(_END_S)
     if process.is_alive():
         process.kill()
@@ -132,11 +131,9 @@ def _run(
     work: Callable[..., object],
     *arguments: Any,
 ) -> None:
-    """Work; a signal is an exception, an error of hyperpaint a status of its own.
-
-    Before the first message and after the end a signal would only meet the start and the end of
-    `multiprocessing`, which answers an interrupt there with a status of 1.
-    """
+    # Work; a signal is an exception, an error of hyperpaint a status of its own
+    # Before the first message and after the end a signal would only meet the start and the end of
+    # `multiprocessing`, which answers an interrupt there with a status of 1
     import dask
 
     if common:

@@ -55,7 +55,7 @@ def call(*command: object) -> None:
 
 @contextlib.contextmanager
 def small_disk(folder: Path, image: Path | None = None) -> Iterator[Path]:
-    """Mount a small disk in memory, or a file system in an image; its folder is anyone's to write."""
+    # Mount a small disk in memory, or a file system in an image; its folder is anyone's to write
     folder.mkdir(exist_ok=True)
     if image is None:
         call("mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES},mode=777", "tmpfs", folder)
@@ -72,7 +72,7 @@ def small_disk(folder: Path, image: Path | None = None) -> Iterator[Path]:
 
 
 def cut_power(disk: Path) -> None:
-    """Let nothing that is still in memory reach the disk."""
+    # Let nothing that is still in memory reach the disk
     descriptor = os.open(disk, os.O_RDONLY)
     try:
         fcntl.ioctl(descriptor, _SHUTDOWN, struct.pack("I", _WITHOUT_FLUSH))
@@ -81,7 +81,7 @@ def cut_power(disk: Path) -> None:
 
 
 def can_mount() -> bool:
-    """Tell whether disks can be made here."""
+    # Tell whether disks can be made here
     try:
         with tempfile.TemporaryDirectory() as scratch, small_disk(Path(scratch)):
             return True
@@ -90,7 +90,7 @@ def can_mount() -> bool:
 
 
 def can_cut() -> bool:
-    """Tell whether disks can be made and cut off here."""
+    # Tell whether disks can be made and cut off here
     try:
         with tempfile.TemporaryDirectory() as scratch:
             with small_disk(Path(scratch) / "disk", Path(scratch) / "image") as disk:
@@ -106,7 +106,7 @@ def used_bytes(disk: Path) -> int:
 
 
 def fill_disk(disk: Path, leave: int) -> None:
-    """Let a file of somebody else take the disk's room, but for so many bytes."""
+    # Let a file of somebody else take the disk's room, but for so many bytes
     size = DISK_BYTES - used_bytes(disk) - max(0, leave) // PAGE_BYTES * PAGE_BYTES
     if size > 0:
         with open(disk / "somebody else's", "wb") as file:
@@ -120,7 +120,7 @@ def _logged_slab(
     seed: int, shape: tuple[int, ...], delay: float, log: str, at: int, share: float, total: int,
     block_id: tuple[int, ...] = (),
 ) -> Any:  # fmt: skip
-    """Return a slab; number ``at`` first lets the disk fill up but for ``share`` of what is lacking."""
+    # Return a slab; number ``at`` first lets the disk fill up but for ``share`` of what is lacking
     with open(log, "a") as file:
         file.write(f"{block_id[0]}\n")
     if block_id[0] == at:
@@ -136,7 +136,7 @@ def store(path: Path, log: Path, at: int = -1, share: float = 1.0, total: int = 
 
 
 def process_slowly(collect: Path, out: Path, delay: float = 0.0) -> None:
-    """Process a collect, slowly enough for something to happen meanwhile."""
+    # Process a collect, slowly enough for something to happen meanwhile
     from hyperpaint.io.store import chunks
 
     plain = chunks.write_chunk
@@ -150,12 +150,12 @@ def process_slowly(collect: Path, out: Path, delay: float = 0.0) -> None:
 
 
 def chunks_begun(path: Path) -> int:
-    """Return how many chunks of the counts an unfinished run has finished."""
+    # Return how many chunks of the counts an unfinished run has finished
     return len(list(path.parent.glob(f".partial-{path.name}/build-*/counts/c/*/0/0")))
 
 
 def looks_finished(path: Path, group: str = GROUP) -> bool:
-    """Tell whether any of our readers takes a group for whole."""
+    # Tell whether any of our readers takes a group for whole
     if is_complete(path, group):
         return True
     for takes in (
@@ -175,14 +175,14 @@ def _wait(found: Callable[[], object], seconds: float = 60.0) -> None:
 
 
 def undisturbed(folder: Path) -> tuple[dict[str, bytes], int]:
-    """Return the chunks of a run on a disk with room, and the bytes of the disk that it took."""
+    # Return the chunks of a run on a disk with room, and the bytes of the disk that it took
     with small_disk(folder / "log.disk") as disk:
         store(disk / "lot.zarr", folder / "log.txt")
         return chunks_of(disk / "lot.zarr" / GROUP), used_bytes(disk)
 
 
 def processed(folder: Path) -> tuple[Path, dict[str, bytes]]:
-    """Return a small collect's folder, and the chunks of an undisturbed run."""
+    # Return a small collect's folder, and the chunks of an undisturbed run
     size = {"lines": SHAPE[0] * SLABS, "bands": 12, "columns": 16}
     hp.simulate_collect(folder / "collect", scene="plan", seed=3, truth=False, **size)
     hp.process(folder / "collect" / "collect.toml", folder / "whole.zarr")
@@ -190,7 +190,7 @@ def processed(folder: Path) -> tuple[Path, dict[str, bytes]]:
 
 
 def _judge(fault: str, path: Path, end: tuple[int, str, int], word: str, outcome: Outcome) -> bool:
-    """Note what is wrong with a run that was disturbed; tell whether it was refused."""
+    # Note what is wrong with a run that was disturbed; tell whether it was refused
     status, text, _ = end
     stopped = status == REFUSED
     outcome.notes["stopped" if stopped else "written"] += 1
@@ -204,7 +204,7 @@ def _judge(fault: str, path: Path, end: tuple[int, str, int], word: str, outcome
 def _again(
     fault: str, path: Path, log: Path, expected: dict[str, bytes], outcome: Outcome, *, stopped: bool
 ) -> None:
-    """Run once more; what was finished is not computed again, and the same bytes come out."""
+    # Run once more; what was finished is not computed again, and the same bytes come out
     finished = chunks_begun(path) if stopped and not path.joinpath(GROUP).exists() else None
     before = len(log.read_text().split()) if log.exists() else 0
     status, text, _ = end_of(start(store, path, log))
@@ -232,7 +232,7 @@ def _again(
 
 
 def run_full(number: int, folder: Path, expected: dict[str, bytes], total: int, outcome: Outcome) -> None:
-    """Let a disk fill up: half of the levels are shares of what is lacking, half its last pages."""
+    # Let a disk fill up: half of the levels are shares of what is lacking, half its last pages
     rng, level, fault = random.Random(f"full:{number}"), number % LEVELS, f"full {number}"
     at = rng.randrange(SLABS)
     share, pages = (level / LEVELS, 0) if level % 2 == 0 else (1.0, level // 2)
@@ -298,7 +298,7 @@ FOLDERS: dict[str, Callable[[Path, Path], object]] = {
 
 
 def run_folder(number: int, folder: Path, expected: dict[str, bytes], outcome: Outcome) -> None:
-    """Let something happen to a folder while a store is written into it, mend it, and run again."""
+    # Let something happen to a folder while a store is written into it, mend it, and run again
     rng, name = random.Random(f"folder:{number}"), list(FOLDERS)[number % len(FOLDERS)]
     fault, log = f"folder {number} ({name})", folder / "log.txt"
     from_start = name.startswith("read-only") and rng.random() < 0.4
@@ -348,7 +348,7 @@ SOURCES: dict[str, Callable[[Path], object]] = {
 def run_source(
     number: int, folder: Path, collect: Path, expected: dict[str, bytes], outcome: Outcome
 ) -> None:
-    """Let something happen to a cube while its collect is processed, put it back, and run again."""
+    # Let something happen to a cube while its collect is processed, put it back, and run again
     rng, name = random.Random(f"source:{number}"), list(SOURCES)[number % len(SOURCES)]
     fault, own, path = f"source {number} ({name})", folder / "collect", folder / "lot.zarr"
     shutil.copytree(collect, own, copy_function=shutil.copy2)
@@ -372,7 +372,7 @@ def run_source(
 
 
 def run_cut(number: int, folder: Path, expected: dict[str, bytes], duration: float, outcome: Outcome) -> None:
-    """Cut the power while a store is written, or every third time just after; look, run again, compare."""
+    # Cut the power while a store is written, or every third time just after; look, run again, compare
     rng, fault, image = random.Random(f"cut:{number}"), f"cut {number}", folder / "image"
     outcome.count += 1
     with small_disk(folder / "disk", image) as disk:
@@ -411,7 +411,7 @@ def run_cut(number: int, folder: Path, expected: dict[str, bytes], duration: flo
 
 
 def disks(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every fault; disks that cannot be mounted are an outcome, too."""
+    # Yield the outcome of every fault; disks that cannot be mounted are an outcome, too
     numbers = numbers_of(LEVELS, scale, first)
     with tempfile.TemporaryDirectory() as scratch:
         collect, whole = processed(Path(scratch))
@@ -425,7 +425,7 @@ def disks(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
 
 
 def cuts(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every cut of the power; that none can be made is an outcome, too."""
+    # Yield the outcome of every cut of the power; that none can be made is an outcome, too
     if not can_cut():
         yield Outcome("power cuts (no right to mount disks)")
         return

@@ -75,7 +75,7 @@ def scene_line(
     slab: Any = _slab,
     **options: Any,
 ) -> xr.Dataset:
-    """Return a line whose slabs take their time, so that most kills fall among them."""
+    # Return a line whose slabs take their time, so that most kills fall among them
     import dask.array as da
 
     chunks = ((shape[0],) * slabs, *((size,) for size in shape[1:]))
@@ -99,7 +99,7 @@ def scene_line(
 def _group(
     slabs: int, delay: float, group: str | None, exchanging: bool, _: Path, version: str, home: Path
 ) -> None:
-    """Store a scene; without ``exchanging`` the system cannot let two folders change places at once."""
+    # Store a scene; without ``exchanging`` the system cannot let two folders change places at once
     from hyperpaint.io.store import stage
 
     if not exchanging:
@@ -121,7 +121,7 @@ def _process(overwrite: bool, inputs: Path, version: str, home: Path) -> None:
 
 
 def _command(words: str, inputs: Path, version: str, home: Path) -> None:
-    """Run a command of the command line: its words name its inputs and the home of the product."""
+    # Run a command of the command line: its words name its inputs and the home of the product
     from hyperpaint.cli.program import main
 
     called = words.format(inputs=inputs / version, home=home).split("|")
@@ -131,7 +131,7 @@ def _command(words: str, inputs: Path, version: str, home: Path) -> None:
 
 
 def _lots(folder: Path) -> None:
-    """Write inputs of the commands in two versions."""
+    # Write inputs of the commands in two versions
     from support.flown_lines import fly, located
 
     from hyperpaint.simulation import simulate_collect
@@ -169,21 +169,19 @@ def _lots(folder: Path) -> None:
 
 
 def chunks_of(path: Path) -> dict[str, bytes]:
-    """Return the bytes of every chunk below a folder."""
+    # Return the bytes of every chunk below a folder
     files = (file for file in sorted(path.rglob("*")) if file.is_file() and "c" in file.parts)
     return {str(file.relative_to(path)): file.read_bytes() for file in files}
 
 
 def digest_of(path: Path) -> str:
-    """Return a checksum of all chunks below a folder."""
+    # Return a checksum of all chunks below a folder
     return hashlib.sha256(repr(chunks_of(path)).encode()).hexdigest()
 
 
 def stored(group: str | None, home: Path) -> str:
-    """Return a checksum of the chunks of a store, empty where no reader takes it for whole.
-
-    ``group`` is the one that was written, "" the root, None all of a tree.
-    """
+    # Return a checksum of the chunks of a store, empty where no reader takes it for whole
+    # ``group`` is the one that was written, "" the root, None all of a tree
     path = home / "lot.zarr"
     if not path.exists():
         return ""
@@ -203,7 +201,7 @@ def stored(group: str | None, home: Path) -> str:
 
 
 def files(places: tuple[str, ...], home: Path) -> str:
-    """Return a checksum of the files of a product, empty without the last one, by which it is opened."""
+    # Return a checksum of the files of a product, empty without the last one, by which it is opened
     key = home / places[-1]
     if not key.exists():
         return ""
@@ -324,8 +322,7 @@ WORKS: Mapping[str, Work] = {
 
 
 class Writer:
-    """A row of the table at work: its inputs, and what undisturbed children make of both versions."""
-
+    # A row of the table at work: its inputs, and what undisturbed children make of both versions
     def __init__(self, name: str, folder: Path, work: Work | None = None) -> None:
         self.name, self.work, self.inputs = name, work or WORKS[name], folder / "inputs"
         self.inputs.mkdir()
@@ -355,7 +352,7 @@ class Writer:
         return start(_after, wait, self.work.write, self.inputs, version, home, fault=fault, folder=home)
 
     def begin(self, home: Path) -> Path:
-        """Make a home before a fault."""
+        # Make a home before a fault
         if self.work.replacing:
             shutil.copytree(self.older, home)
         else:
@@ -363,12 +360,12 @@ class Writer:
         return home
 
     def found(self, home: Path) -> str:
-        """Return the version in a home; what it is else."""
+        # Return the version in a home; what it is else
         content = self.work.content(home)
         return self.contents.get(content, f"mixed ({content:.300})")
 
     def judge(self, fault: str, home: Path, outcome: Outcome, *, again: bool = True) -> None:
-        """Note what is wrong with what a disturbed run left, and with what the next run makes of it."""
+        # Note what is wrong with what a disturbed run left, and with what the next run makes of it
         found = self.found(home)
         outcome.notes[f"{found.partition(' ')[0]} left"] += 1
         if found not in self.allowed:
@@ -383,20 +380,20 @@ class Writer:
 
 
 def _after(wait: Any, write: Callable[..., object], *arguments: Any) -> None:
-    """Write, at once or when others are ready."""
+    # Write, at once or when others are ready
     if wait is not None:
         wait.wait()
     write(*arguments)
 
 
 def _entries(home: Path) -> list[str]:
-    """Return what lies in a home, and what is hidden anywhere below."""
+    # Return what lies in a home, and what is hidden anywhere below
     found = {*home.iterdir(), *home.glob("seams/*"), *home.rglob(".*")}
     return sorted(str(path.relative_to(home)) for path in found)
 
 
 def run_kills(number: int, folder: Path, writer: Writer, outcome: Outcome) -> None:
-    """End runs at random instants by signals, each run of a row going on where the last was ended."""
+    # End runs at random instants by signals, each run of a row going on where the last was ended
     home = writer.begin(folder / "home")
     for kill in range(number, number + writer.work.in_a_row):
         rng, which = random.Random(f"{writer.name}:{kill}"), SIGNALS[kill % len(SIGNALS)]
@@ -416,7 +413,7 @@ def run_kills(number: int, folder: Path, writer: Writer, outcome: Outcome) -> No
 
 
 def run_call(number: int, folder: Path, writer: Writer, code: int | None, outcome: Outcome) -> None:
-    """Let one call of a run end it, or fail."""
+    # Let one call of a run end it, or fail
     home = writer.begin(folder / "home")
     status, text, _ = end_of(writer.start(home, fault=Fault(number, code)))
     how = "killed" if code is None else errno.errorcode[code]
@@ -431,7 +428,7 @@ def run_call(number: int, folder: Path, writer: Writer, code: int | None, outcom
 
 
 def run_race(number: int, folder: Path, writer: Writer, outcome: Outcome) -> None:
-    """Start two writers of different versions at once; one of them is what the home holds."""
+    # Start two writers of different versions at once; one of them is what the home holds
     home, barrier = folder / "home", CONTEXT.Barrier(2)
     home.mkdir()
     children = {version: writer.start(home, version, wait=barrier) for version in VERSIONS}
@@ -453,14 +450,14 @@ def _writers(names: Iterable[str]) -> Iterator[Writer]:
 
 
 def kills(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every kill at a random instant."""
+    # Yield the outcome of every kill at a random instant
     for writer in _writers(name for name, work in WORKS.items() if work.kills):
         numbers = numbers_of(writer.work.kills, scale, first, writer.work.in_a_row)
         yield from each(f"killed: {writer.name}", numbers, run_kills, writer)
 
 
 def calls(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every call that ends a run, or fails."""
+    # Yield the outcome of every call that ends a run, or fails
     for writer in _writers(name for name, work in WORKS.items() if work.calls != 0):
         least = 1 if writer.work.calls is None else writer.calls / writer.work.calls
         step = max(1, round(least / scale))
@@ -470,6 +467,6 @@ def calls(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
 
 
 def races(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every race."""
+    # Yield the outcome of every race
     for writer in _writers(["slow group"]):
         yield from each("two writers", numbers_of(RACES, scale, first), run_race, writer)

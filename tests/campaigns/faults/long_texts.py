@@ -38,7 +38,7 @@ BINARY = ("asd", "sbet", "geotiff", "mesh-ply", "mesh-glb")
 
 
 def text_of(piece: str, seed: bytes, size: int) -> bytes:
-    """Return a text of ``size`` bytes: of one piece, or a whole file whose last lines come again."""
+    # Return a text of ``size`` bytes: of one piece, or a whole file whose last lines come again
     if piece != "beginning":
         return (PIECES[piece] * (size // len(PIECES[piece]) + 1))[:size]
     lines = seed.splitlines(keepends=True)[-2:]
@@ -47,7 +47,7 @@ def text_of(piece: str, seed: bytes, size: int) -> bytes:
 
 
 def measure(name: str, path: Path, results: Any) -> None:
-    """Send seconds, the growth of memory and how it ended; what is imported is in memory already."""
+    # Send seconds, the growth of memory and how it ended; what is imported is in memory already
     warnings.simplefilter("ignore")
     gc.freeze()  # objects of the process that was forked are not the reader's to walk through, and to copy
     before = begin_peak()
@@ -63,7 +63,7 @@ def measure(name: str, path: Path, results: Any) -> None:
 
 
 def measured(name: str, path: Path, limit_s: float) -> dict[str, Any]:
-    """Return what a process of its own measures; it is stopped after a time."""
+    # Return what a process of its own measures; it is stopped after a time
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=measure, args=(name, path, sender))
@@ -79,7 +79,7 @@ def measured(name: str, path: Path, limit_s: float) -> dict[str, Any]:
 
 
 def judge(name: str, piece: str, sizes: Sequence[int], folder: Path, seeds: Path) -> list[str]:
-    """Return what is wrong with how a reader takes longer and longer texts of one kind."""
+    # Return what is wrong with how a reader takes longer and longer texts of one kind
     (warm, seed), *_ = parsers.placed(parsers.PARSERS[name], seeds, folder)
     path = warm.with_name(f"{'long' if piece != 'beginning' else 'more'}-{warm.name}")
     with warnings.catch_warnings():
@@ -109,7 +109,7 @@ def judge(name: str, piece: str, sizes: Sequence[int], folder: Path, seeds: Path
 
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every reader and kind of text; none is left for ``first`` above 0."""
+    # Yield the outcome of every reader and kind of text; none is left for ``first`` above 0
     sizes = [max(10**6, round(size * scale)) for size in SIZES]
     names = [name for name in parsers.PARSERS if name not in BINARY and not first]
     with tempfile.TemporaryDirectory() as scratch:

@@ -74,7 +74,7 @@ def _flip(data: bytearray, rng: random.Random) -> None:
 
 
 def _early_flip(data: bytearray, rng: random.Random) -> None:
-    """Damage the first bytes, where binary formats hold their sizes."""
+    # Damage the first bytes, where binary formats hold their sizes
     if data:
         data[rng.randrange(min(len(data), 600))] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)))
 
@@ -85,7 +85,7 @@ def _burst(data: bytearray, rng: random.Random) -> None:
 
 
 def _integer(data: bytearray, rng: random.Random) -> None:
-    """Write an integer or a float at the edge of its type over some bytes."""
+    # Write an integer or a float at the edge of its type over some bytes
     place = rng.randrange(min(len(data), rng.choice((600, 2**31))) + 1)
     value = rng.choice((0, 1, 2**7, 2**15 - 1, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1))
     raw = value.to_bytes(8, "little")
@@ -126,7 +126,7 @@ def _insert(data: bytearray, rng: random.Random) -> None:
 
 
 def _exchange(data: bytearray, rng: random.Random) -> None:
-    """Put one token, or line, in the place of another."""
+    # Put one token, or line, in the place of another
     pick = rng.choice((_token, _line))
     piece = bytes(data[pick(data, rng)])
     data[pick(data, rng)] = piece
@@ -137,7 +137,7 @@ def _remove(data: bytearray, rng: random.Random) -> None:
 
 
 def _scale(data: bytearray, rng: random.Random) -> None:
-    """Change a number to another one of its kind."""
+    # Change a number to another one of its kind
     span = _token(data, rng)
     try:
         value = float(data[span])

@@ -78,7 +78,7 @@ class Outcome:
 
 
 def total(parts: Iterable[Outcome]) -> list[Outcome]:
-    """Return one outcome a campaign, in the order in which the campaigns first appear."""
+    # Return one outcome a campaign, in the order in which the campaigns first appear
     sums: dict[str, Outcome] = {}
     for part in parts:
         known = sums.setdefault(part.campaign, Outcome(part.campaign, allowed=part.allowed))
@@ -92,7 +92,7 @@ def total(parts: Iterable[Outcome]) -> list[Outcome]:
 
 
 def in_parallel(function: Callable[[_Part], list[Outcome]], parts: Sequence[_Part]) -> Iterator[Outcome]:
-    """Yield the outcomes of all parts, worked on by two processes that share nothing."""
+    # Yield the outcomes of all parts, worked on by two processes that share nothing
     ignore = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who counts
     with multiprocessing.get_context("spawn").Pool(2, initializer=signal.signal, initargs=ignore) as pool:
         for done, made in enumerate(pool.imap(function, parts), start=1):
@@ -104,17 +104,17 @@ def in_parallel(function: Callable[[_Part], list[Outcome]], parts: Sequence[_Par
 
 
 def numbers_of(full: int, scale: float, first: int = 0, step: int = 1) -> range:
-    """Return the numbers of faults: a fraction of the full count, at least one."""
+    # Return the numbers of faults: a fraction of the full count, at least one
     return range(first, first + max(1, round(full * scale)), step)
 
 
 def parts_of(numbers: range, size: int) -> list[range]:
-    """Return numbers as parts that one process works on."""
+    # Return numbers as parts that one process works on
     return [numbers[start : start + size] for start in range(0, len(numbers), size)]
 
 
 def each(title: str, numbers: range, run: Callable[..., None], *arguments: Any) -> Iterator[Outcome]:
-    """Yield the outcome of each number: ``run`` takes it, an empty folder, the arguments, and the outcome."""
+    # Yield the outcome of each number: ``run`` takes it, an empty folder, the arguments, and the outcome
     for number in numbers:
         outcome = Outcome(title)
         with tempfile.TemporaryDirectory(dir=SCRATCH) as folder:
@@ -123,7 +123,7 @@ def each(title: str, numbers: range, run: Callable[..., None], *arguments: Any) 
 
 
 def resident(key: str) -> int:
-    """Return ``VmRSS`` or its peak ``VmHWM`` [byte]; 0 where the system does not tell."""
+    # Return ``VmRSS`` or its peak ``VmHWM`` [byte]; 0 where the system does not tell
     try:
         text = Path("/proc/self/status").read_text()
     except OSError:
@@ -132,7 +132,7 @@ def resident(key: str) -> int:
 
 
 def begin_peak() -> int:
-    """Let the peak of the resident memory begin anew; return the memory at its beginning."""
+    # Let the peak of the resident memory begin anew; return the memory at its beginning
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
     return resident("VmRSS")

@@ -75,12 +75,12 @@ class Parser:
     mended: Callable[[bytes], bytes] | None = None
 
     def damaged(self, seed: bytes, name: str, number: int) -> bytes:
-        """Return damaged version ``number`` of a seed."""
+        # Return damaged version ``number`` of a seed
         data = mutated(seed, name, number)
         return self.mended(data) if self.mended is not None and number % 2 else data
 
     def files(self, folder: Path) -> list[Path]:
-        """Return the seeds as paths, in an order that no machine changes."""
+        # Return the seeds as paths, in an order that no machine changes
         real = [path for pattern in self.real for path in sorted(SHARED_DATA.glob(pattern))]
         real = [path for path in real if path.stat().st_size <= _MOST_SEED_BYTES]
         return [*(folder / name for name in self.seeds), *real]
@@ -276,7 +276,7 @@ PARSERS: Mapping[str, Parser] = {
 
 
 def placed(parser: Parser, folder: Path, own: Path) -> list[tuple[Path, bytes]]:
-    """Copy the seeds with their neighbours into a worker's own folder; return where, and their bytes."""
+    # Copy the seeds with their neighbours into a worker's own folder; return where, and their bytes
     copies = []
     for number, file in enumerate(parser.files(folder)):
         room = own / str(number)
@@ -301,8 +301,7 @@ class _Hangs(BaseException):
 
 @contextlib.contextmanager
 def limits() -> Iterator[None]:
-    """Let memory grow by little more than is allowed, and stop what hangs."""
-
+    # Let memory grow by little more than is allowed, and stop what hangs
     def stop(*_: Any) -> None:
         raise _Hangs
 
@@ -318,7 +317,7 @@ def limits() -> Iterator[None]:
 
 
 def _measured(read: Callable[[Path], object], path: Path) -> tuple[BaseException | None, float]:
-    """Return what left the parser, and its processor time."""
+    # Return what left the parser, and its processor time
     signal.setitimer(signal.ITIMER_REAL, _HANGS)
     begun = time.process_time()
     raised: BaseException | None = None
@@ -332,7 +331,7 @@ def _measured(read: Callable[[Path], object], path: Path) -> tuple[BaseException
 
 
 def _complaint(parser: Parser, raised: BaseException | None, seconds: float, memory: int = 0) -> str:
-    """Return what is wrong with how a parser took an input; empty where nothing is."""
+    # Return what is wrong with how a parser took an input; empty where nothing is
     if raised is not None and not (type(raised) in parser.errors and str(raised)):
         return f"{type(raised).__name__}: {raised}"
     if seconds > MOST_SECONDS or memory > MOST_BYTES:
@@ -341,14 +340,14 @@ def _complaint(parser: Parser, raised: BaseException | None, seconds: float, mem
 
 
 def complaint(parser: Parser, path: Path) -> str:
-    """Read a file and return what is wrong with how the parser took it; empty where nothing is."""
+    # Read a file and return what is wrong with how the parser took it; empty where nothing is
     before = begin_peak()
     raised, seconds = _measured(parser.read, path)
     return _complaint(parser, raised, seconds, resident("VmHWM") - before)
 
 
 def run_part(name: str, folder: Path, numbers: range) -> Outcome:
-    """Mutate, read and judge inputs ``numbers`` of one parser."""
+    # Mutate, read and judge inputs ``numbers`` of one parser
     parser = PARSERS[name]
     made = Outcome(f"parser {name}", seconds=0.0, memory=0)
     memory_disk = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
@@ -388,7 +387,7 @@ def _run(part: tuple[str, Path, range]) -> list[Outcome]:
 
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every part; ``first`` resumes, or continues an earlier campaign."""
+    # Yield the outcome of every part; ``first`` resumes, or continues an earlier campaign
     numbers = numbers_of(COUNT, scale, first)
     with tempfile.TemporaryDirectory() as folder:
         prepare(Path(folder))

@@ -51,13 +51,13 @@ def _sentence(body: bytes) -> bytes:
 
 
 def sentences_mended(log: bytes) -> bytes:
-    """Return a damaged log with right checksums, without which a reader looks at none of its sentences."""
+    # Return a damaged log with right checksums, without which a reader looks at none of its sentences
     lines = (line.lstrip(b"$").rpartition(b"*")[0] or line for line in log.split(b"\r\n"))
     return b"\r\n".join(_sentence(line) if line else b"" for line in lines)
 
 
 def prepare(folder: Path) -> None:
-    """Write the simulated seeds: a small collect, and the variants of its files that other programs write."""
+    # Write the simulated seeds: a small collect, and the variants of its files that other programs write
     from hyperpaint.simulation import simulate_collect
 
     simulate_collect(folder, scene="plan", lines=24, bands=4, columns=6, overwrite=True)
@@ -112,7 +112,7 @@ def sixs_text(micron: float) -> str:
 
 
 def _sky_texts() -> dict[str, str]:
-    """Return light at the ground by name of a file, in every format that is read."""
+    # Return light at the ground by name of a file, in every format that is read
     cosines, azimuths = np.cos(np.radians(np.arange(5.0, 86.0, 20.0))), "0.0 60.0 120.0 180.0"
     sky = "".join(f" {-cosine:.6f} 0.0 {'40.0 ' * 4}\n" for cosine in cosines)
     tape = "FREQ TOT_TRANS THRML_EM THRML_SCT SURF_EMIS MULT_SCAT SING_SCAT GRND_RFLT DRCT_RFLT"
@@ -132,7 +132,7 @@ def _sky_texts() -> dict[str, str]:
 
 
 def _write_navigation(folder: Path) -> None:
-    """Write a short flight in every format of navigation but Headwall's."""
+    # Write a short flight in every format of navigation but Headwall's
     rows = np.arange(30.0)
     seconds = 300_000.0 + rows / 100.0
     flat = np.zeros_like(rows)
@@ -163,7 +163,7 @@ def _write_navigation(folder: Path) -> None:
 
 
 def _write_libraries(folder: Path) -> None:
-    """Write a small paint library in every format whose files are read."""
+    # Write a small paint library in every format whose files are read
     import xarray as xr
 
     from hyperpaint.io.library import write_library
@@ -202,7 +202,7 @@ def _write_libraries(folder: Path) -> None:
 
 
 def _write_side_inputs(folder: Path) -> None:
-    """Write one small file of every kind."""
+    # Write one small file of every kind
     texts = {
         "flight.nmea": "".join(_sentence(each.encode()).decode() + "\r\n" for each in _SENTENCES),
         "radcal.txt": RADCAL,
@@ -281,7 +281,7 @@ def _glb() -> bytes:
 
 
 def _write_rasters(folder: Path) -> None:
-    """Write rasters of heights."""
+    # Write rasters of heights
     import rasterio
 
     heights = np.arange(12, dtype=np.float32).reshape(3, 4)

@@ -43,7 +43,7 @@ Damage = Mapping[Path, bytes | None]
 
 
 def build(folder: Path) -> None:
-    """Write a store of a line and its irradiance, and the same with another scene, for stale chunks."""
+    # Write a store of a line and its irradiance, and the same with another scene, for stale chunks
     from hyperpaint.simulation import simulate_line
 
     for name, seed in (("store.zarr", 1), ("older.zarr", 2)):
@@ -77,7 +77,7 @@ _IN_PLACE: Mapping[str, Callable[[bytearray, int, random.Random], None]] = {
 def _make(
     kind: str, files: Mapping[Path, bytes], older: Mapping[Path, bytes], rng: random.Random
 ) -> Damage | None:
-    """Return a fault of a kind, or None where this draw would change nothing."""
+    # Return a fault of a kind, or None where this draw would change nothing
     # every array and document is as likely as any other: chosen by folder first
     folder = rng.choice(sorted({path.parent for path in files}))
     path = rng.choice([path for path in files if path.parent == folder])
@@ -96,7 +96,7 @@ def _make(
 
 
 def _means_the_same(damaged: bytes, whole: bytes) -> bool:
-    """Tell whether two files are equal, or JSON that differs in blanks only."""
+    # Tell whether two files are equal, or JSON that differs in blanks only
     if damaged == whole:
         return True
     try:
@@ -106,7 +106,7 @@ def _means_the_same(damaged: bytes, whole: bytes) -> bool:
 
 
 def _verify(store: Path) -> str:
-    """Return what `hyperpaint.verify` says: ``found``, ``missed``, or the error that it should not raise."""
+    # Return what `hyperpaint.verify` says: ``found``, ``missed``, or the error that it should not raise
     try:
         return "missed" if hp.verify(store).ok else "found"
     except PaintError:
@@ -116,7 +116,7 @@ def _verify(store: Path) -> str:
 
 
 def _opened(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
-    """Return what `open_store` hands out: ``refused`` by us or by zarr, ``same`` values, or ``missed``."""
+    # Return what `open_store` hands out: ``refused`` by us or by zarr, ``same`` values, or ``missed``
     try:
         loaded = {name: hp.open_store(store, name).load() for name in whole}
     except Exception:  # zarr and its codecs have errors of their own
@@ -129,7 +129,7 @@ def _opened(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
 
 
 def _plain(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
-    """Return what a plain reader notices: ``error``, ``same`` values, or ``missed``."""
+    # Return what a plain reader notices: ``error``, ``same`` values, or ``missed``
     try:
         loaded = {name: xr.open_zarr(store, group=name).load() for name in whole}
     except Exception:
@@ -138,7 +138,7 @@ def _plain(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
 
 
 def run_part(folder: Path, kind: str, numbers: range) -> list[Outcome]:
-    """Try faults ``numbers`` of a kind, each on a whole store; return what verify and two readers saw."""
+    # Try faults ``numbers`` of a kind, each on a whole store; return what verify and two readers saw
     older = _files(folder / "older.zarr")
     verified, plain = Outcome(f"store, verify: {kind}"), Outcome(f"store, xr.open_zarr: {kind}")
     ours = Outcome(f"store, open_store: {kind}")
@@ -186,7 +186,7 @@ def _run(part: tuple[Path, str, range]) -> list[Outcome]:
 
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcomes of every part."""
+    # Yield the outcomes of every part
     with tempfile.TemporaryDirectory() as scratch:
         build(Path(scratch))
         yield from in_parallel(

@@ -47,8 +47,7 @@ STOPS = (None, None, 0, 1, 2, "seal")
 
 
 class StoreSequence(RuleBasedStateMachine):
-    """A store of a collect of three lines in two versions, and what a user adds to it."""
-
+    # A store of a collect of three lines in two versions, and what a user adds to it
     def __init__(self) -> None:
         super().__init__()
         self.folder = Path(tempfile.mkdtemp(dir=SCRATCH))
@@ -66,7 +65,7 @@ class StoreSequence(RuleBasedStateMachine):
         self.moves = 0
 
     def is_lacking(self, labels: dict[str, tuple[str, str]]) -> bool:
-        """Tell whether a write that did not end is halfway."""
+        # Tell whether a write that did not end is halfway
         untouched = all(name in self.recorded and self.at(name) == self.recorded[name] for name in labels)
         return not untouched and any(self.at(name) != label for name, label in labels.items())
 
@@ -74,7 +73,7 @@ class StoreSequence(RuleBasedStateMachine):
         return self.present.get(name)
 
     def settle(self) -> None:
-        """Take up what writes that are over have put in place."""
+        # Take up what writes that are over have put in place
         for write in list(self.writes):
             if not self.is_lacking(write[1]):
                 self.writes.remove(write)
@@ -91,7 +90,7 @@ class StoreSequence(RuleBasedStateMachine):
         stop=st.sampled_from(STOPS),
     )
     def process(self, kind: str, overwrite: bool, stop: Any) -> None:
-        """Process a version, to the end or until a kill before a group gets its place, or before the seal."""
+        # Process a version, to the end or until a kill before a group gets its place, or before the seal
         lines = {name: (name, kind) for name in LINES}
         known = {name: {self.recorded.get(name)} | {w[1].get(name) for w in self.writes} for name in LINES}
         pending = [name for name in LINES if self.at(name) != lines[name] or lines[name] not in known[name]]
@@ -147,7 +146,7 @@ class StoreSequence(RuleBasedStateMachine):
 
     @rule(name=st.sampled_from(("signatures", "map", LINES[0])), value=st.integers(1, 2))
     def add(self, name: str, value: int) -> None:
-        """Add a group of a user's, or replace what is there."""
+        # Add a group of a user's, or replace what is there
         hp.to_store(xr.Dataset({"a": ("x", np.full(2, value))}), self.path, name, overwrite=True)
         label = (name, f"user {value}")
         self.settle()
@@ -157,7 +156,7 @@ class StoreSequence(RuleBasedStateMachine):
     @precondition(lambda self: self.present)
     @rule(data=st.data(), again=st.booleans())
     def delete(self, data: Any, again: bool) -> None:
-        """Delete a group, and list the rest anew."""
+        # Delete a group, and list the rest anew
         name = data.draw(st.sampled_from(sorted(self.present)))
         shutil.rmtree(self.path / name)
         del self.present[name]
@@ -167,7 +166,7 @@ class StoreSequence(RuleBasedStateMachine):
     @precondition(lambda self: {LINES[0], LINES[1]} <= set(self.present))
     @rule()
     def swap(self) -> None:
-        """Let two lines change places."""
+        # Let two lines change places
         spare = self.path / "flightlines" / "spare"
         for source, target in ((LINES[0], spare), (LINES[1], LINES[0]), (spare, LINES[1])):
             os.rename(self.path / source, self.path / target)
@@ -177,14 +176,14 @@ class StoreSequence(RuleBasedStateMachine):
     @precondition(lambda self: LINES[2] in self.present and "copied" not in self.present)
     @rule()
     def copy_in(self) -> None:
-        """Copy a group to where none was written."""
+        # Copy a group to where none was written
         shutil.copytree(self.path / LINES[2], self.path / "copied")
         self.present["copied"] = self.present[LINES[2]]
 
     @precondition(lambda self: self.path.exists())
     @rule()
     def consolidate(self) -> None:
-        """List all metadata with zarr alone."""
+        # List all metadata with zarr alone
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             zarr.consolidate_metadata(self.path)
@@ -192,7 +191,7 @@ class StoreSequence(RuleBasedStateMachine):
     @precondition(lambda self: self.path.exists() and len(list(self.folder.iterdir())) == 2)
     @rule()
     def move(self) -> None:
-        """Give the store another name."""
+        # Give the store another name
         self.moves += 1
         os.rename(self.path, self.path.with_name(f"lot-{self.moves}.zarr"))
         self.path = self.path.with_name(f"lot-{self.moves}.zarr")
@@ -220,7 +219,7 @@ class StoreSequence(RuleBasedStateMachine):
 
 
 def run_sequences(examples: int, steps: int = 8, *, derandomize: bool = False) -> None:
-    """Draw sequences until one goes wrong, which is shown."""
+    # Draw sequences until one goes wrong, which is shown
     run_state_machine_as_test(  # type: ignore[no-untyped-call]
         StoreSequence,
         settings=settings(
@@ -236,7 +235,7 @@ def run_sequences(examples: int, steps: int = 8, *, derandomize: bool = False) -
 
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of sequences of up to eight steps; each call draws others."""
+    # Yield the outcome of sequences of up to eight steps; each call draws others
     examples = max(1, round(SEQUENCES * scale))
     outcome = Outcome("sequences of a store", examples)
     try:

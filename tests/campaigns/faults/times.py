@@ -40,13 +40,13 @@ _Change = Callable[[Path, random.Random], None]
 
 
 def _rows(path: Path, change: Callable[[list[str]], list[str]]) -> None:
-    """Change the rows of a table under its header."""
+    # Change the rows of a table under its header
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([head, *change(rows)]) + "\n")
 
 
 def _spectra(folder: Path) -> list[Path]:
-    """Return the files of the samples around the middle of the line, in order of time."""
+    # Return the files of the samples around the middle of the line, in order of time
     files = sorted((folder / "asd").glob("*.asd"))
     middle = len(files) // 2
     return files[middle - 2 : middle + 3]
@@ -64,8 +64,7 @@ def _later_sky(folder: Path, seconds: float) -> None:
 
 
 def _redate(folder: Path, change: Callable[[float], float]) -> None:
-    """Change the seconds of navigation since its first row."""
-
+    # Change the seconds of navigation since its first row
     def rows_of(rows: list[str]) -> list[str]:
         cells = [row.split("\t") for row in rows]
         dates = [dt.datetime.strptime(row[7], _DATE) for row in cells]
@@ -99,7 +98,7 @@ def _gap(folder: Path, rng: random.Random) -> None:
 
 
 def _spoil(path: Path, change: Callable[[Any], None], flag: int = 0) -> None:
-    """Change the spectrum of a binary file, and set bits of its saturation flags."""
+    # Change the spectrum of a binary file, and set bits of its saturation flags
     from hyperpaint.io.spectrometers.asd import read_asd
 
     data, count = bytearray(path.read_bytes()), len(read_asd(path).spectrum)
@@ -123,7 +122,7 @@ def _offset(folder: Path, rng: random.Random) -> None:
 
 
 def _known_offset(folder: Path, rng: random.Random) -> None:
-    """Shift the sky by less than what is declared of its clock."""
+    # Shift the sky by less than what is declared of its clock
     _later_sky(folder, rng.choice((-1, 1)) * rng.uniform(0.2, 2.0))
     _replace(folder / "collect.toml", "[irradiance]\n", "[irradiance]\nclock_uncertainty_s = 2.0\n")
 
@@ -163,7 +162,7 @@ def _frame_count(folder: Path, rng: random.Random) -> None:
 
 
 def _dropped(folder: Path, rng: random.Random) -> None:
-    """Take frames out of the index that the cube holds as blank lines, or of the cube as well."""
+    # Take frames out of the index that the cube holds as blank lines, or of the cube as well
     gone = set(rng.sample(range(1, _LINES - 1), rng.randrange(1, 6)))
     _rows(folder / "flight/frameIndex_0.txt", lambda rows: [r for i, r in enumerate(rows) if i not in gone])
     if rng.random() < 0.5:
@@ -239,7 +238,7 @@ def _simulate(folder: Path, rng: random.Random, *, cloudy: bool, known_clock: fl
 
 
 def _process(folder: Path) -> tuple[Any, list[str]]:
-    """Return the line with its reflectance, in memory, and the warnings on the way."""
+    # Return the line with its reflectance, in memory, and the warnings on the way
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         tree = hp.open_collect(folder / "collect.toml")
@@ -249,7 +248,7 @@ def _process(folder: Path) -> tuple[Any, list[str]]:
 
 
 def _effects(made: Any, whole: Any, telling: int) -> tuple[float, float]:
-    """Return the largest relative error of a line, and that of a line that none of these flags tells of."""
+    # Return the largest relative error of a line, and that of a line that none of these flags tells of
     rows = {frame: row for row, frame in enumerate(whole.frame.values.tolist())}
     errors, untold = [0.0], [0.0]
     for row, frame in enumerate(made.frame.values.tolist()):
@@ -265,7 +264,7 @@ def _effects(made: Any, whole: Any, telling: int) -> tuple[float, float]:
 
 
 def _faulty(number: int, made: Outcome) -> None:
-    """Make a fault and note whether its effect was told."""
+    # Make a fault and note whether its effect was told
     rng = random.Random(f"time:{number}")
     kind = list(FAULTS)[number % len(FAULTS)]
     with tempfile.TemporaryDirectory() as scratch:
@@ -299,7 +298,7 @@ def _faulty(number: int, made: Outcome) -> None:
 
 
 def _clean(number: int, made: Outcome) -> None:
-    """Process a flight without any fault and note what is said all the same."""
+    # Process a flight without any fault and note what is said all the same
     with tempfile.TemporaryDirectory() as scratch:
         _simulate(Path(scratch) / "whole", random.Random(f"clean:{number}"), cloudy=False)
         made.count += 1
@@ -314,7 +313,7 @@ def _clean(number: int, made: Outcome) -> None:
 
 
 def _cloudy(number: int, made: Outcome) -> None:
-    """Process a flight under clouds with known clocks; light that hardly changes meanwhile sets no flag."""
+    # Process a flight under clouds with known clocks; light that hardly changes meanwhile sets no flag
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "whole"
         rate = _simulate(folder, random.Random(f"cloudy:{number}"), cloudy=True, known_clock=_KNOWN_CLOCK)
@@ -327,7 +326,7 @@ def _cloudy(number: int, made: Outcome) -> None:
 
 
 def run_part(clean: bool, numbers: range) -> list[Outcome]:
-    """Fly ``numbers``; one outcome a kind of fault."""
+    # Fly ``numbers``; one outcome a kind of fault
     made: dict[str, Outcome] = {}
     for number in numbers:
         kind = "clean flights" if clean else list(FAULTS)[number % len(FAULTS)]
@@ -344,7 +343,7 @@ def _run(part: tuple[bool, range]) -> list[Outcome]:
 
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcomes of every part."""
+    # Yield the outcomes of every part
     yield from in_parallel(
         _run,
         [

@@ -42,13 +42,12 @@ _NAMED = re.compile(r"/[\w/]+, \w+ \d+ to \d+ of \w+|the first lines of /[\w/]+"
 
 
 def kills_in(number: int) -> int:
-    """Return how many workers die in a run: 100 in 30."""
+    # Return how many workers die in a run: 100 in 30
     return 3 + (number % 3 == 0)
 
 
 class Cluster(contextlib.ExitStack):
-    """Two workers, each with a nanny that starts it again; a context manager."""
-
+    # Two workers, each with a nanny that starts it again; a context manager
     def __enter__(self) -> Cluster:
         import dask
         from distributed import Client, LocalCluster
@@ -66,7 +65,7 @@ class Cluster(contextlib.ExitStack):
         return self
 
     def kill(self, which: int) -> None:
-        """Kill one of the workers; wait for it to be there first."""
+        # Kill one of the workers; wait for it to be there first
         until = time.monotonic() + _WAIT
         while time.monotonic() < until:
             nanny = list(self.local.workers.values())[which]
@@ -79,8 +78,7 @@ class Cluster(contextlib.ExitStack):
 
 
 class Task:
-    """What is written, what an undisturbed run writes, and how long that takes on the cluster."""
-
+    # What is written, what an undisturbed run writes, and how long that takes on the cluster
     def __init__(self, write: Callable[[Path], Any], folder: Path, seconds: float | None = None) -> None:
         import dask
 
@@ -108,17 +106,17 @@ def _store_line(path: Path) -> None:
 
 
 def storing(folder: Path, seconds: float | None = None) -> Task:
-    """Return `to_store` of a line whose slabs take their time."""
+    # Return `to_store` of a line whose slabs take their time
     return Task(_store_line, folder, seconds)
 
 
 def processing(folder: Path) -> Task:
-    """Return `process` of a collect of two lines."""
+    # Return `process` of a collect of two lines
     return Task(functools.partial(hp.process, simulate_collect(folder / "raw", **_COLLECT)), folder)
 
 
 def run_kills(number: int, folder: Path, cluster: Cluster, task: Task, outcome: Outcome) -> None:
-    """Kill workers at random instants of a run; run again after an error, until the store is there."""
+    # Kill workers at random instants of a run; run again after an error, until the store is there
     rng, path = random.Random(f"workers:{number}"), folder / "lot.zarr"
     instants = sorted((rng.uniform(0.0, task.seconds), rng.randrange(2)) for _ in range(kills_in(number)))
     scheduler: Any = cluster.local.scheduler
@@ -165,7 +163,7 @@ def run_kills(number: int, folder: Path, cluster: Cluster, task: Task, outcome: 
 
 
 def _look_at(error: Exception, number: int, task: Task, path: Path, outcome: Outcome) -> None:
-    """Note an error that does not name the block, and a group that is taken for complete and is not."""
+    # Note an error that does not name the block, and a group that is taken for complete and is not
     outcome.notes["clean errors"] += 1
     if not isinstance(error, PaintError) or not _NAMED.search(str(error)):
         outcome.wrong.append(f"run {number}: {type(error).__name__}: {error!s:.300}")
@@ -180,7 +178,7 @@ def _look_at(error: Exception, number: int, task: Task, path: Path, outcome: Out
 
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
-    """Yield the outcome of every run; every third three of them are a whole `process`."""
+    # Yield the outcome of every run; every third three of them are a whole `process`
     with tempfile.TemporaryDirectory() as scratch, Cluster() as cluster:
         tasks = [make(Path(scratch)) for make in (storing, processing)]
         for number in numbers_of(RUNS, scale, first):

@@ -76,7 +76,7 @@ def test_instruments_are_not_mixed(collect: Path) -> None:
 
 @pytest.mark.slow
 def test_another_reference_is_other_input(collect: Path, tmp_path: Path) -> None:
-    """Texts count by what they say: a store is the same in another process, and differs by a name."""
+    # Texts count by what they say: a store is the same in another process, and differs by a name
     out = tmp_path / "lot.zarr"
     assert set(run(collect, out).written) >= {"references/svc", "references/asd"}
     assert run(collect, out).written == ()

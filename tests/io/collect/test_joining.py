@@ -19,20 +19,20 @@ CAMERA = {"scene": "plan", "lines": 60, "bands": 8, "columns": 6, "seed": 4, "tr
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
-    """The line of one cube."""
+    # The line of one cube
     path = hp.simulate_collect(tmp_path_factory.mktemp("whole"), **CAMERA)
     return hp.open_collect(path)["flightlines/raw_0"].to_dataset()
 
 
 @pytest.fixture(scope="module")
 def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same flight cut into five cubes; its ``collect.toml`` with one table for all."""
+    # The same flight cut into five cubes; its ``collect.toml`` with one table for all
     path = hp.simulate_collect(tmp_path_factory.mktemp("cut"), cubes=5, **CAMERA)
     return with_lines(path, 'cube = "flight/raw_*.hdr"')
 
 
 def with_lines(path: Path, *tables: str) -> Path:
-    """Replace the tables [[flightlines]] of a collect."""
+    # Replace the tables [[flightlines]] of a collect
     text = re.sub(r"\[\[flightlines\]\][^\[]*", "", path.read_text(encoding="utf-8"))
     text += "".join(f"\n[[flightlines]]\n{table}\n" for table in tables)
     path.write_text(text, encoding="utf-8")
@@ -86,7 +86,7 @@ def test_a_store_of_joined_cubes_is_the_store_of_one(cut: Path, whole: xr.Datase
 
 
 def test_blank_lines_of_lost_frames_do_not_part_a_flight(tmp_path: Path) -> None:
-    """They have no time: the period is that of the lines that have one, and blank ones take a period each."""
+    # They have no time: the period is that of the lines that have one, and blank ones take a period each
     path = hp.simulate_collect(tmp_path, cubes=3, **CAMERA)
     tree = hp.open_collect(path)["flightlines"]
     lines = {name: tree[name].to_dataset() for name in ("raw_0", "raw_20", "raw_40")}
@@ -143,7 +143,7 @@ def test_flights_of_one_day_may_have_cubes_of_the_same_names(cut: Path, tmp_path
 def test_a_frame_lost_between_two_cubes_is_a_blank_line_as_within_one(
     tmp_path: Path, whole: xr.Dataset
 ) -> None:
-    """Against the flight in one cube, which lost the same frame."""
+    # Against the flight in one cube, which lost the same frame
     path = hp.simulate_collect(tmp_path, cubes=3, **CAMERA)
     folder = path.parent / "flight"
     header = (folder / "raw_20.hdr").read_text(encoding="utf-8")

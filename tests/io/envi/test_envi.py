@@ -31,7 +31,7 @@ from hyperpaint.io.envi.envi_cubes import EnviArray, open_envi
 
 @pytest.fixture
 def bytes_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Record the bytes of each read of a data file."""
+    # Record the bytes of each read of a data file
     seen: list[int] = []
     original = EnviArray._fill
 
@@ -220,7 +220,7 @@ def test_file_cut_while_it_is_read_is_noticed(tmp_path: Path, monkeypatch: pytes
 
 @pytest.fixture
 def long_header(tmp_path: Path) -> Path:
-    """Return a 100,000-line cube of 35 GB that takes no room on the disk."""
+    # Return a 100,000-line cube of 35 GB that takes no room on the disk
     header = write_cube(tmp_path / "raw_0", np.zeros((1, 272, 640), "u2"))
     header.write_text(header.read_text().replace("lines = 1\n", "lines = 100000\n"))
     line_bytes = 272 * 640 * 2
@@ -326,7 +326,7 @@ def test_installed_plugin_opens_by_itself(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_declared_entry_point_opens_by_itself(tmp_path: Path) -> None:
-    """As if installed: the entry point that pyproject.toml declares, in a fresh interpreter."""
+    # As if installed: the entry point that pyproject.toml declares, in a fresh interpreter
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
     points = "\n".join(f"{key} = {value}" for key, value in declared["xarray.backends"].items())
     made = tmp_path / "site" / "hyperpaint_declared-0.dist-info"
@@ -358,7 +358,7 @@ def test_declared_entry_point_opens_by_itself(tmp_path: Path) -> None:
 
 @pytest.fixture
 def toy_variants(tmp_path: Path) -> list[tuple[Path, Path]]:
-    """Return header and data file of the toy cube in every interleave and byte order."""
+    # Return header and data file of the toy cube in every interleave and byte order
     made = []
     for interleave, order in itertools.product(FROM_LBS, "<>"):
         path = tmp_path / f"toy_{interleave}_{'<>'.index(order)}"
@@ -396,7 +396,7 @@ def test_gdal_places_pixels_alike(tmp_path: Path, reference: str) -> None:
 
 
 def test_scaled_reflectance_against_spectral_python(tmp_path: Path) -> None:
-    """SPy divides the ignore value as well; everything else agrees."""
+    # SPy divides the ignore value as well; everything else agrees
     pytest.importorskip("spectral")
     from spectral.io import envi as spy
 

@@ -28,7 +28,7 @@ BASE = {
 
 
 def header_text(*lines: str, **changed: str | None) -> str:
-    """Return a small sound header with keys changed (``byte_order=None`` drops one) and lines added."""
+    # Return a small sound header with keys changed (``byte_order=None`` drops one) and lines added
     fields = {**BASE, **{key.replace("_", " "): value for key, value in changed.items()}}
     said = [f"{key} = {value}" for key, value in fields.items() if value is not None]
     return "\n".join(["ENVI", *said, *lines]) + "\n"
@@ -239,7 +239,7 @@ def test_foreign_files(tmp_path: Path, content: bytes) -> None:
 
 
 def test_damaged_headers_raise_format_error_only(shared_data: Path) -> None:
-    """Random bytes changed, cut out, doubled and swapped in real headers."""
+    # Random bytes changed, cut out, doubled and swapped in real headers
     dice = random.Random(20260)
     pieces = [b"{", b"}", b"=", b",", b";", b"\n", b"\0", b"\xff", b"nan", b"-", b"1e400", b"9" * 40, b"ENVI"]
     pieces += [b"1", b"4", b" ", b"a", b""]

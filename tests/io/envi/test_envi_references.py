@@ -37,7 +37,7 @@ def test_offsets_count_from_the_line_a_slab_begins_at() -> None:
 
 
 def _cube(folder: Path, interleave: str, code: int, dtype: str, offset: int) -> np.ndarray[Any, Any]:
-    """Write a cube; return its samples in the order of the file."""
+    # Write a cube; return its samples in the order of the file
     order = {"bil": (0, 1, 2), "bip": (0, 2, 1), "bsq": (1, 0, 2)}[interleave]
     samples = np.arange(np.prod(SHAPE)).reshape(SHAPE).transpose(order).astype(dtype)
     (folder / "raw_0").write_bytes(bytes(offset) + samples.tobytes())

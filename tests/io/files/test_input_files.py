@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError
@@ -104,7 +104,7 @@ WORDS = {
 
 @pytest.fixture
 def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str], str]]:
-    """Return what gives the name of a kind with a suffix, in a folder where short names suffice."""
+    # Return what gives the name of a kind with a suffix, in a folder where short names suffice
     monkeypatch.chdir(tmp_path)
     sockets = []
 
@@ -162,12 +162,22 @@ def test_a_plain_file_is_read(tmp_path: Path) -> None:
     assert input_path(path) == path
     assert read_limited(path, 9, "a series") == b"time,550\n"
     assert head_of(path, 4) == b"time"
-    with refusal(FormatError, "file-too-large", "9 bytes", "a series of at most 8 bytes"):
-        read_limited(path, 8, "a series")
-    with refusal(FormatError, "file-special", "a folder", "a series"):
-        open_input(tmp_path, "a series")
-    with refusal(FormatError, "file-unreadable", "No such file"):
-        open_input(tmp_path / "other.csv", "a series")
+    expect_refusals(
+        (
+            FormatError,
+            "file-too-large",
+            "9 bytes",
+            "a series of at most 8 bytes",
+            lambda: read_limited(path, 8, "a series"),
+        ),
+        (FormatError, "file-special", "a folder", "a series", lambda: open_input(tmp_path, "a series")),
+        (
+            FormatError,
+            "file-unreadable",
+            "No such file",
+            lambda: open_input(tmp_path / "other.csv", "a series"),
+        ),
+    )
 
 
 def test_a_file_that_turns_into_a_pipe_is_not_waited_for(

@@ -112,7 +112,7 @@ WHOLE = ["map.geojson", "map.json", "map.tif", "seams"]
 
 
 def places(home: Path) -> list[Path]:
-    """Return the places of a map: its item beside it, its seamlines in another folder, the map itself."""
+    # Return the places of a map: its item beside it, its seamlines in another folder, the map itself
     return [home / "map.json", home / "seams" / "map.geojson", home / "map.tif"]
 
 
@@ -131,7 +131,7 @@ def names(home: Path) -> list[str]:
 
 
 def failing(function: Callable[..., None], step: int) -> Callable[..., None]:
-    """Return a function whose call number ``step`` fails, as on a disk that is full for a moment."""
+    # Return a function whose call number ``step`` fails, as on a disk that is full for a moment
     left = [step]
 
     def call(*arguments: Any, **options: Any) -> None:
@@ -171,7 +171,7 @@ def test_a_failing_rename_brings_the_old_files_back(
 
 
 def killed(home: Path, call: int) -> bool:
-    """Write in a process that ends before a call that changes files; return whether there was such a call."""
+    # Write in a process that ends before a call that changes files; return whether there was such a call
     child = os.fork()
     if not child:
         left = [call]
@@ -190,7 +190,7 @@ def killed(home: Path, call: int) -> bool:
 
 
 def judge_kills(home: Path) -> list[str]:
-    """Kill a writer before each call, and return what is wrong with what is there then."""
+    # Kill a writer before each call, and return what is wrong with what is there then
     wrong, call = [], 0
     for there in (True, False):
         for call in range(1, 1000):
@@ -220,7 +220,7 @@ def judge_kills(home: Path) -> list[str]:
 
 
 def test_a_kill_at_any_call_leaves_no_mixed_product() -> None:
-    """Rationale: in a process of its own, which has no threads when it forks."""
+    # Rationale: in a process of its own, which has no threads when it forks
     code = (
         f"import json, pathlib, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "import test_publishing; print(json.dumps(test_publishing.judge_kills(pathlib.Path(sys.argv[1]))))"
@@ -234,7 +234,7 @@ def test_a_kill_at_any_call_leaves_no_mixed_product() -> None:
 
 
 def planted(home: Path) -> Path:
-    """Return a folder like that of a swap that was cut short."""
+    # Return a folder like that of a swap that was cut short
     with staging(home / "map.tif") as stage:
         swap = stage.folder / "swap"
         swap.mkdir()

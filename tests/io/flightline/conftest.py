@@ -17,7 +17,7 @@ def counts() -> np.ndarray[Any, Any]:
 
 @pytest.fixture
 def folder(tmp_path: Path, counts: np.ndarray[Any, Any]) -> Path:
-    """A flight of one cube, its dark cube and navigation."""
+    # A flight of one cube, its dark cube and navigation
     flight = tmp_path / "flight"
     write_cube(flight, "raw_0", counts, ";Exposure (ms) = 5\n;Serial Number = G4-426\n")
     (flight / "settings.txt").write_bytes(b"Exposure (ms) = 5.0\r\n")

@@ -22,6 +22,7 @@ from support.headwall_flights import (
     write_index,
     write_nav,
 )  # fmt: skip
+from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
 from hyperpaint.io.flightline.calibration_store import open_calibration
@@ -122,10 +123,10 @@ def test_calibration_stores(tmp_path: Path, suffix: str) -> None:
 
 
 def test_what_is_no_calibration_store(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="file-not-found"):
-        open_calibration(tmp_path / "none.zarr")
-    with pytest.raises(FormatError, match="file-unreadable"):
-        open_calibration(tmp_path)
+    expect_refusals(
+        (FormatError, "file-not-found", lambda: open_calibration(tmp_path / "none.zarr")),
+        (FormatError, "file-unreadable", lambda: open_calibration(tmp_path)),
+    )
     (tmp_path / "a.nc").write_bytes(b"CDF\x01 is not enough")
     with pytest.raises(FormatError, match="file-unreadable"):
         open_calibration(tmp_path / "a.nc")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import FormatError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
@@ -75,10 +76,10 @@ def test_exposure_that_is_none(pairs: dict[str, str]) -> None:
 
 
 def test_settings_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="file-unreadable"):
-        read_settings(tmp_path / "settings.txt")
-    with pytest.raises(FormatError, match="file-special"):
-        read_settings(tmp_path)
+    expect_refusals(
+        (FormatError, "file-unreadable", lambda: read_settings(tmp_path / "settings.txt")),
+        (FormatError, "file-special", lambda: read_settings(tmp_path)),
+    )
 
 
 # --- frame index -------------------------------------------------------------------------------------------

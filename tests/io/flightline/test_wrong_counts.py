@@ -42,7 +42,7 @@ def test_otherwise_they_are_refused_with_the_ways_out(folder: Path, counts: np.n
 def test_integers_with_units_of_radiance_are_no_counts(
     folder: Path, counts: np.ndarray[Any, Any], said: dict[str, Any]
 ) -> None:
-    """Rationale: a vendor's radiance in integers opened as counts, and its units were of no account."""
+    # Rationale: a vendor's radiance in integers opened as counts, and its units were of no account
     _rewrite(folder, counts)
     said = {"radiance_units": "uW m-2 sr-1 nm-1", "dark": None, "calibration": None, **said}
     line = open_line(folder, **said, fwhm_nm=6.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, StoreError
@@ -291,10 +291,22 @@ def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None
     assert library["signature"].item() == "Red paint GDS1"
     np.testing.assert_array_equal(library["reflectance"].values, np.float32([[0.1, np.nan, 0.3]]))
     other = write_text(chapter, usgs("splib07a Record=9: Red paint XYZa AREF", values), "b.txt")
-    with refusal(FormatError, "wavelength-ambiguous", "w_Wavelengths_ASD.txt", "w_Wavelengths_BECK.txt"):
-        hp.open_library(other)
-    with pytest.raises(FormatError, match="quantity-wrong"):
-        hp.open_library(write_text(chapter, usgs("splib07a Record=9: Glass NIC4a TRAN", values), "c.txt"))
+    expect_refusals(
+        (
+            FormatError,
+            "wavelength-ambiguous",
+            "w_Wavelengths_ASD.txt",
+            "w_Wavelengths_BECK.txt",
+            lambda: hp.open_library(other),
+        ),
+        (
+            FormatError,
+            "quantity-wrong",
+            lambda: hp.open_library(
+                write_text(chapter, usgs("splib07a Record=9: Glass NIC4a TRAN", values), "c.txt")
+            ),
+        ),
+    )
 
 
 # --- which files ---

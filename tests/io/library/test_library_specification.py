@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from support.library_examples import declared_library
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
@@ -162,10 +163,10 @@ def test_signatures_and_the_starter_library_say_what_is_asked_for():
 
 
 def test_a_word_that_is_none_is_refused(library):
-    with pytest.raises(hp.SchemaError, match="choice-unknown"):
-        hp.io.declare_library(library, color="red")
-    with pytest.raises(hp.SchemaError, match="choice-unknown"):
-        hp.io.declare_library(library, quantity="albedo")
+    expect_refusals(
+        (hp.SchemaError, "choice-unknown", lambda: hp.io.declare_library(library, color="red")),
+        (hp.SchemaError, "choice-unknown", lambda: hp.io.declare_library(library, quantity="albedo")),
+    )
 
 
 @pytest.mark.parametrize("suffix", ["csv", "sli", "parquet"])

@@ -18,7 +18,7 @@ from support.navigation_files import (
     write_csv,
     write_sbet,
 )
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
@@ -72,10 +72,10 @@ def test_a_date_gives_the_week_and_is_checked(tmp_path: Path) -> None:
         flight = hp.open_navigation(path, date=date)
         assert flight.attrs["gps_week"] == 2158
         assert str(flight.navigation_time.values[0]).startswith("2021-05-20T11:59:42")
-    with pytest.raises(TimeError, match="date-conflict"):
-        hp.open_navigation(path, date="2021-05-17")
-    with pytest.raises(TimeError, match="gps-week-missing"):
-        hp.open_navigation(path)
+    expect_refusals(
+        (TimeError, "date-conflict", lambda: hp.open_navigation(path, date="2021-05-17")),
+        (TimeError, "gps-week-missing", lambda: hp.open_navigation(path)),
+    )
 
 
 def test_a_record_runs_on_over_the_end_of_the_week(tmp_path: Path) -> None:
@@ -427,10 +427,10 @@ def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
         column_order="right_to_left",
         stamp_reference="end",
     )
-    with refusal(SchemaError, "units-conflict", "radian"):
-        hp.open_navigation(path, convention=Convention())
-    with pytest.raises(SchemaError, match="key-unknown"):
-        hp.open_navigation(path, convention={"colour": "red"})
+    expect_refusals(
+        (SchemaError, "units-conflict", "radian", lambda: hp.open_navigation(path, convention=Convention())),
+        (SchemaError, "key-unknown", lambda: hp.open_navigation(path, convention={"colour": "red"})),
+    )
 
 
 def test_files_of_no_known_kind_are_refused(tmp_path: Path) -> None:

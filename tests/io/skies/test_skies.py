@@ -27,7 +27,7 @@ ZENITHS, AZIMUTHS = np.arange(5.0, 86.0, 10.0), np.arange(0.0, 181.0, 20.0)
 
 
 def sky_of(nm: float) -> np.ndarray:
-    """Return the package's sky over a uniform one, (zenith, azimuth)."""
+    # Return the package's sky over a uniform one, (zenith, azimuth)
     zenith, azimuth = np.meshgrid(np.radians(ZENITHS), np.radians(AZIMUTHS), indexing="ij")
     from_sun = scattering_cosine(np.cos(zenith), azimuth, SUN)
     parts = [relative_radiance(shape, np.cos(zenith), from_sun) for shape in function_shapes(SUN)]
@@ -36,7 +36,7 @@ def sky_of(nm: float) -> np.ndarray:
 
 
 def uvspec_text(order: int = 1) -> str:
-    """Return lines of disort with umu and phi; a row of downward umu first, as angles increase."""
+    # Return lines of disort with umu and phi; a row of downward umu first, as angles increase
     lines = []
     for nm, edir, edn in ((450.0, 500.0, 180.0), (850.0, 420.0, 40.0)):
         lines.append(f" {nm:.3f} {edir:.4e} {edn:.4e} 6.1e+01 7.9e+01 4.5e+01 1.2e+01")
@@ -184,7 +184,7 @@ def test_csv_of_radiances(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_foreign_sky_is_fitted_and_the_misfit_said() -> None:
-    """The Monte Carlo's radiances at a wavelength; the zenith comes out as that of the built-in sky."""
+    # The Monte Carlo's radiances at a wavelength; the zenith comes out as that of the built-in sky
     truth = sky_radiance(550.0, SUN, photons=8000)
     zenith, azimuth = np.degrees(np.arccos(truth.cosine)), np.degrees(truth.azimuth)
     radiance = np.stack([truth.relative, truth.relative]) * 0.2 / np.pi

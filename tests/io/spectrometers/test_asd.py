@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.io.spectrometers.asd import Cursor, open_asd, read_asd, read_asd_text
@@ -147,7 +147,7 @@ def test_real_radiance_ends_at_the_splice(shared_data):
 
 @pytest.mark.real_data
 def test_of_an_unknown_zone_the_time_is_nat(shared_data, write_asd):
-    """Rationale: as `open_svc` does; a spectrum of a paint is of use without its time."""
+    # Rationale: as `open_svc` does; a spectrum of a paint is of use without its time
     path = shared_data / "asd_binary" / "v7sample00000.asd"
     with pytest.warns(PaintWarning, match="zone-missing"):
         opened = open_asd(path)
@@ -255,10 +255,16 @@ def test_absolute_reflectance(write_asd):
     np.testing.assert_array_equal(opened.values[0], PANEL / 2)
     assert opened.attrs["panel"] == "x.ref"
     other_grid = {"absolute": write_asd("y.ref", PANEL[:-1])}
-    with refusal(FormatError, "grid-mismatch", "a.asd", "b.asd"):
-        open_asd(paths, absolute=True, utc_offset_h=0, calibration=other_grid)
-    with pytest.raises(SchemaError, match="option-conflict"):
-        open_asd(paths, "counts", absolute=True)
+    expect_refusals(
+        (
+            FormatError,
+            "grid-mismatch",
+            "a.asd",
+            "b.asd",
+            lambda: open_asd(paths, absolute=True, utc_offset_h=0, calibration=other_grid),
+        ),
+        (SchemaError, "option-conflict", lambda: open_asd(paths, "counts", absolute=True)),
+    )
 
 
 def test_spectra_have_names(write_asd, tmp_path):
@@ -348,10 +354,10 @@ def test_files_that_do_not_match_are_refused(write_asd):
         write_asd("a.asd", COUNTS, data_type=1, reference=COUNTS),
         write_asd("b.asd", COUNTS, data_type=8),
     ]
-    with pytest.raises(FormatError, match="quantity-ambiguous"):
-        open_asd(paths, utc_offset_h=0)
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        open_asd(paths, "dn")
+    expect_refusals(
+        (FormatError, "quantity-ambiguous", lambda: open_asd(paths, utc_offset_h=0)),
+        (SchemaError, "choice-unknown", lambda: open_asd(paths, "dn")),
+    )
     paths[1] = write_asd("c.asd", COUNTS, first=325.0)
     with pytest.raises(FormatError, match=r"a\.asd.*grid-mismatch"):
         open_asd(paths, "counts", utc_offset_h=0)
@@ -407,7 +413,7 @@ def test_mutated_files_raise_nothing_but_format_errors(tmp_path, write_asd, data
 
 
 def test_declared_sizes_are_not_believed(write_asd, monkeypatch):
-    """A million-fold count in each place that holds one costs neither work nor memory."""
+    # A million-fold count in each place that holds one costs neither work nor memory
     path = write_asd("a.asd", COUNTS, version=8, reference=COUNTS, labels=("x",), audit=("y",), blocks=BLOCKS)
     whole = path.read_bytes()
     tail = 484 + 2 * 8 * len(COUNTS) + 20

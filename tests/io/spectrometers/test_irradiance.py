@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.codecs import plain_zarr
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 
 from hyperpaint.base.errors import (
     FormatError,
@@ -34,8 +34,7 @@ def utc(*texts):
 
 @pytest.fixture
 def log(write_asd):
-    """Return a function that writes a series of .asd files, one a given second after noon."""
-
+    # Return a function that writes a series of .asd files, one a given second after noon
     def write(*seconds, prefix="sky", **fields):
         fields = {"data_type": 4, "blocks": BLOCKS, **fields}
         return [
@@ -138,7 +137,7 @@ def test_stamps_move_to_the_middle(log, options, second):
 
 
 def test_a_logging_pc_five_hours_off(log):
-    """The zone comes from the white reference; a wrong clock on top of it from the user."""
+    # The zone comes from the white reference; a wrong clock on top of it from the user
     files = log(0, 2, reference=COUNTS, reference_epoch=1716300000, utc_offset_h=-5.0)
     series = open_irradiance(files, stamp="mid", clock_offset_s=37.25)
     np.testing.assert_array_equal(
@@ -237,7 +236,7 @@ def test_all_wrong_arguments_at_once():
     ],
 )
 def test_impossible_light_is_refused(log, factor, unit):
-    """E in mW, uW, uW cm-2, W cm-2 or W mm-2 that is said to be W m-2 nm-1."""
+    # E in mW, uW, uW cm-2, W cm-2 or W mm-2 that is said to be W m-2 nm-1
     files = log(0, 2, blocks={2: (0, LAMP * factor), 3: (136, LAMP_COUNTS)})
     # W mm-2 is as likely as others
     named = "irradiance-implausible" if factor == 1e-6 else f"values in {unit} .*taken for W m-2 nm-1"
@@ -406,10 +405,10 @@ def test_an_unfinished_group_of_a_collect_is_refused(log, tmp_path):
 def test_a_damaged_store_is_named(tmp_path):
     (tmp_path / "sky.zarr").mkdir()
     (tmp_path / "sky.zarr" / "zarr.json").write_text("{")
-    with pytest.raises(FormatError, match="file-unreadable"):
-        open_irradiance(tmp_path / "sky.zarr")
-    with refusal(FormatError, "file-unreadable", "gone.zarr"):
-        open_irradiance(tmp_path / "gone.zarr")
+    expect_refusals(
+        (FormatError, "file-unreadable", lambda: open_irradiance(tmp_path / "sky.zarr")),
+        (FormatError, "file-unreadable", "gone.zarr", lambda: open_irradiance(tmp_path / "gone.zarr")),
+    )
 
 
 @pytest.mark.real_data

@@ -53,7 +53,7 @@ def test_damaged_calibrations_are_refused(tmp_path: Path, old: str, new: str, pr
 
 
 def _hypernets(path: Path, dim: str, level: list[float], time: np.ndarray, flags: list[int]) -> Path:
-    """Write a product with names and units as hypernets_processor writes them: no real file is at hand."""
+    # Write a product with names and units as hypernets_processor writes them: no real file is at hand
     nm = np.arange(400.0, 1001.0, 5.0)
     values = np.outer(np.ones(nm.size), level)
     data = xr.Dataset(

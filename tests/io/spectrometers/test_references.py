@@ -17,7 +17,7 @@ pytest.importorskip(
 
 @pytest.fixture
 def specim(shared_data: Path) -> dict[str, xr.DataArray]:
-    """Raw counts of a Specim FX10, whose own names for the dims are sample, point and wavelength."""
+    # Raw counts of a Specim FX10, whose own names for the dims are sample, point and wavelength
     names = {schema.ALONG_TRACK: "sample", schema.CROSS_TRACK: "point"}
     found = {}
     for name in ("capture", "white", "black"):
@@ -29,12 +29,10 @@ def specim(shared_data: Path) -> dict[str, xr.DataArray]:
 
 @pytest.mark.real_data
 def test_specim_counts_give_the_four_published_ratios(specim):
-    """Rationale: real counts of another camera, dark and white frames, and ratios its users published.
-
-    Expected: line 0 peaks at 0.7786328655500226 and bottoms at 0.125; its pixel 0 is 0.28365385 at the band
-    nearest 1000 nm and 0.61686938 on the mean over wavelength. A float32 dark, as stores hold it, moves a
-    count by no more than rounding does.
-    """
+    # Rationale: real counts of another camera, dark and white frames, and ratios its users published
+    # Expected: line 0 peaks at 0.7786328655500226 and bottoms at 0.125; its pixel 0 is 0.28365385 at the band
+    # nearest 1000 nm and 0.61686938 on the mean over wavelength. A float32 dark, as stores hold it, moves a
+    # count by no more than rounding does.
     dark = specim["black"].mean(schema.ALONG_TRACK, keep_attrs=True)
     single, above, white = (
         (specim[name].astype(level.dtype) - level).transpose(*schema.CUBE)

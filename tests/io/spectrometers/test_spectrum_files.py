@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.spectrometers.spectrum_files import find_paths, for_all, name_spectra, same_grids
@@ -58,7 +59,7 @@ def test_files_folders_globs_and_lists(tmp_path) -> None:
     assert find(tmp_path) == ["a.sig", "b.sig"]
     assert find([tmp_path / "c.txt", str(tmp_path / "**" / "*.sig")]) == ["c.txt", "a.sig", "b.sig", "d.sig"]
     assert find(tmp_path / "gone.sig") == ["gone.sig"]  # to read it is the error that names it
-    with pytest.raises(FormatError, match="file-not-found"):
-        find([str(tmp_path / "one*"), str(tmp_path / "two*")])
-    with pytest.raises(FormatError, match="empty-input"):
-        find([])
+    expect_refusals(
+        (FormatError, "file-not-found", lambda: find([str(tmp_path / "one*"), str(tmp_path / "two*")])),
+        (FormatError, "empty-input", lambda: find([])),
+    )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 from support.svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 
 import hyperpaint as hp
@@ -190,10 +190,10 @@ def test_old_firmware_and_bytes_of_windows(write, tmp_path) -> None:
 def test_a_file_without_white_reference(write, blank) -> None:
     path = write(panel=np.full(len(GRID), float(blank)), percent=np.zeros(len(GRID)))
     assert list(open_svc(path)) == ["radiance"]
-    with pytest.raises(FormatError, match="reference-missing"):
-        open_svc(path, "reflectance")
-    with pytest.raises(FormatError, match="reference-missing"):
-        open_svc(path, "radiance", scan="reference")
+    expect_refusals(
+        (FormatError, "reference-missing", lambda: open_svc(path, "reflectance")),
+        (FormatError, "reference-missing", lambda: open_svc(path, "radiance", scan="reference")),
+    )
 
 
 @pytest.mark.parametrize("word", ["NaN", "n. def.", "Infinity", "\u221e", "1.#INF", "-1.#IND", "0.00"])

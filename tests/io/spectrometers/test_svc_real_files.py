@@ -32,7 +32,7 @@ def folder(shared_data: Path) -> Path:
 
 
 def opened(paths: object, **options: object) -> xr.Dataset:
-    """Open files whose clocks are no matter, without the warnings that they deserve."""
+    # Open files whose clocks are no matter, without the warnings that they deserve
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
         return open_svc(paths, **options)

@@ -102,7 +102,7 @@ def test_what_is_no_gps_time(text) -> None:
     wrong=st.integers(-1800, 1800),
 )
 def test_gps_time_finds_its_date(moment, zone, wrong) -> None:
-    """Anywhere on earth, with a local clock that is up to half an hour wrong."""
+    # Anywhere on earth, with a local clock that is up to half an hour wrong
     hours = zone / 4.0
     longitude = max(-180.0, min(180.0, 15.0 * hours))
     local = moment + dt.timedelta(hours=hours, seconds=wrong)

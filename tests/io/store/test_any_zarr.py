@@ -107,7 +107,7 @@ USES: dict[str, tuple[Callable[[], xr.Dataset], Callable[[Any], xr.Dataset]]] = 
 
 
 def encodings(dataset: xr.Dataset, zarr_format: int, codec: str) -> dict[Any, dict[str, Any]]:
-    """Return the encoding of a codec for the numbers of a dataset; ``default`` leaves it to xarray."""
+    # Return the encoding of a codec for the numbers of a dataset; ``default`` leaves it to xarray
     import numcodecs
     from zarr.codecs import BloscCodec, GzipCodec, ZstdCodec
 
@@ -126,7 +126,7 @@ def encodings(dataset: xr.Dataset, zarr_format: int, codec: str) -> dict[Any, di
 
 
 def contained(dataset: xr.Dataset, container: str, folder: Path, **options: Any) -> Any:
-    """Write a dataset by plain xarray into a container; return what a user would open."""
+    # Write a dataset by plain xarray into a container; return what a user would open
     path = folder / "plain.zarr"
     plain = dataset.drop_encoding()
     if container == "icechunk":

@@ -20,6 +20,7 @@ import psutil
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from support.refusals import expect_refusals
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -50,7 +51,7 @@ Held = namedtuple("Held", "rss vms")
 
 
 def load(lines: int = 6400) -> Load:
-    """The load of a flight line of 272 bands and 640 columns."""
+    # The load of a flight line of 272 bands and 640 columns
     return Load(scan_line=272 * 640 * 6, light=34_816, encoded=33_423_360, shared=4_000_000, lines=lines)
 
 
@@ -103,10 +104,10 @@ def test_lines_a_task_go_first_then_threads() -> None:
 def test_what_never_fits_is_refused_with_the_figure() -> None:
     wished: dict[str, Any] = {"lines": 32, "threads": 4, "fixed": 200 * MIB}
     loads = {"flightlines/small": load(lines=8), "flightlines/large": load()}
-    with pytest.raises(StoreError, match="memory-short"):
-        fit(loads, limit=250 * MIB, **wished)
-    with pytest.raises(StoreError, match="memory-short"):
-        fit(loads, limit=400 * MIB, least_threads=4, **wished)
+    expect_refusals(
+        (StoreError, "memory-short", lambda: fit(loads, limit=250 * MIB, **wished)),
+        (StoreError, "memory-short", lambda: fit(loads, limit=400 * MIB, least_threads=4, **wished)),
+    )
     assert fit({}, limit=1, **wished).needed == 0  # nothing to do needs nothing
 
 
@@ -131,7 +132,7 @@ def write(folder: Path, **files: str | int) -> None:
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A machine of which 8 GB are available."""
+    # A machine of which 8 GB are available
     monkeypatch.setattr(psutil, "virtual_memory", lambda: Available(8_000_000 * 1024))
 
 
@@ -366,10 +367,10 @@ def test_process_takes_fewer_threads_and_the_same_bits_come_out(
 @pytest.mark.slow
 def test_process_refuses_what_cannot_fit(collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
-    with pytest.raises(StoreError, match="memory-short"):
-        hp.process(collect, out, memory_limit="10 MiB")
-    with pytest.raises(SchemaError, match="size-unreadable"):
-        hp.process(collect, out, memory_limit="much")
+    expect_refusals(
+        (StoreError, "memory-short", lambda: hp.process(collect, out, memory_limit="10 MiB")),
+        (SchemaError, "size-unreadable", lambda: hp.process(collect, out, memory_limit="much")),
+    )
     assert not out.exists()
     hp.process(collect, out)
     hp.process(collect, out, memory_limit="10 MiB")  # there is nothing left to do
@@ -444,7 +445,7 @@ def test_measured_peaks_stay_below_the_model(large: Path, tmp_path: Path, thread
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A collect of the camera's whole size."""
+    # A collect of the camera's whole size
     folder = tmp_path_factory.mktemp("large")
     return hp.simulate_collect(folder, scene="plan", lines=320, bands=272, columns=640, seed=3, truth=False)
 

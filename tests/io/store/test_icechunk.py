@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 
@@ -28,7 +29,7 @@ PRODUCT = "products/raw_0"
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A processed collect in a folder."""
+    # A processed collect in a folder
     folder = tmp_path_factory.mktemp("collect")
     collect = hp.simulate_collect(folder / "sim", scene="plan", lines=96, bands=12, columns=16, seed=4)
     return hp.process(collect, folder / "lot.zarr")
@@ -202,11 +203,10 @@ def test_a_session_is_opened_as_any_store(plain: Path, repository: Any) -> None:
 def test_verify_says_what_to_do_instead(plain: Path, tmp_path: Path) -> None:
     folder = tmp_path / "lot.icechunk"
     repository = ingest(plain, icechunk.local_filesystem_storage(str(folder)))
-    with pytest.raises(hp.StoreError, match="store-unreadable"):
-        hp.verify(folder)
-    with pytest.raises(hp.StoreError, match="type-wrong"):
-        hp.verify(repository.readonly_session("main").store)
-    with pytest.raises(hp.StoreError, match="store-unknown"):
-        open_group(repository, LINE).paint.verify()
+    expect_refusals(
+        (hp.StoreError, "store-unreadable", lambda: hp.verify(folder)),
+        (hp.StoreError, "type-wrong", lambda: hp.verify(repository.readonly_session("main").store)),
+        (hp.StoreError, "store-unknown", lambda: open_group(repository, LINE).paint.verify()),
+    )
     with pytest.raises(hp.StoreError, match="store-foreign"):
         hp.to_store(xr.Dataset(), folder)

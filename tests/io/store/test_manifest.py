@@ -46,7 +46,7 @@ def run(
     path: Path, settings: str = "a", *, lines: tuple[str, ...] = LINES, stop: int | None = None,
     command: str = COMMAND, last: Callable[[], object] = bool,
 ) -> None:  # fmt: skip
-    """Write lines as `process` does; stop before one of them, or call ``last`` after them."""
+    # Write lines as `process` does; stop before one of them, or call ``last`` after them
     value = 1 + ord(settings[0])
     named = {SETTINGS: settings}
     groups = {name: line(value).assign_attrs({INPUTS: f"{name}-{settings}", **named}) for name in lines}
@@ -99,7 +99,7 @@ def test_a_whole_run_is_whole_and_can_be_moved(store: Path, tmp_path: Path) -> N
 
 
 def test_the_manifest_names_what_lies_on_the_disk(store: Path) -> None:
-    """What the writer noted as it went along is what its files say."""
+    # What the writer noted as it went along is what its files say
     location = Location.of(store)
     entries = manifest(store).groups
     assert set(entries) == {"", "flightlines", *LINES}
@@ -283,7 +283,7 @@ def test_texts_of_a_manifest_do_no_harm(store: Path) -> None:
 
 
 def test_what_came_from_another_store_is_whole_where_it_goes(store: Path, tmp_path: Path) -> None:
-    """Attributes travel with a dataset; those that say of which run it is are the old store's."""
+    # Attributes travel with a dataset; those that say of which run it is are the old store's
     counts = hp.open_store(store, LINES[0])
     hp.to_store(xr.DataTree.from_dict({f"/{LINES[1]}": counts}), tmp_path / "tree.zarr")
     hp.to_store(counts, tmp_path / "one.zarr", "counts")

@@ -37,7 +37,7 @@ def _has_its_counts(tree: xr.DataTree) -> None:
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_store_of_an_older_format_opens_and_is_noted(number: int, tmp_path: Path) -> None:
-    """Two lines as 0.1 and 0.2 began to write them; that of format 2 has a group of a user."""
+    # Two lines as 0.1 and 0.2 began to write them; that of format 2 has a group of a user
     path = _unpacked(number, tmp_path)
     report = hp.verify(path)
     assert report.ok, str(report)
@@ -74,7 +74,7 @@ def test_a_store_of_format_3_is_whole(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")  # of later numerics
 def test_a_store_of_release_0_2_is_whole_and_gives_its_reflectance(tmp_path: Path) -> None:
-    """A simulated line as `process` of 0.2.0 stored it, with its collect and calibration."""
+    # A simulated line as `process` of 0.2.0 stored it, with its collect and calibration
     path = _unpacked("release_0_2", tmp_path)
     report = hp.verify(path)
     assert report.ok, str(report)

@@ -229,7 +229,7 @@ def test_what_is_not_of_the_store_is_told(store: Path) -> None:
 
 
 def array_of(store: Path, **changes: object) -> None:
-    """Add an array of another program whose metadata have other entries."""
+    # Add an array of another program whose metadata have other entries
     zarr.create_array(store / GROUP / "a", shape=(4,), chunks=(2,), dtype="f4", dimension_names=["x"])
     path = store / GROUP / "a/zarr.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))

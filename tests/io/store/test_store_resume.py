@@ -49,7 +49,7 @@ def slab(log: str | None, block_id: tuple[int, ...] = ()) -> np.ndarray[Any, Any
 
 
 def line(log: str | None = None, lines: int = 32) -> xr.Dataset:
-    """Two cubes of one source, a map of tiles, times and a small array, all lazy but the last."""
+    # Two cubes of one source, a map of tiles, times and a small array, all lazy but the last
     made = da.map_blocks(
         slab, log, chunks=((32,) * BLOCKS, (4,), (50,)), dtype="uint16", meta=np.empty((0, 0, 0), "uint16")
     )
@@ -92,7 +92,7 @@ def _fresh() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What an uninterrupted run leaves."""
+    # What an uninterrupted run leaves
     path = tmp_path_factory.mktemp("whole") / "lot.zarr"
     with dask.config.set(scheduler="synchronous"):
         to_store(line(), path, GROUP, source_token=TOKEN)
@@ -100,7 +100,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def content(path: Path) -> dict[str, Any]:
-    """Return every file of a store but its manifest, without the time it was made."""
+    # Return every file of a store but its manifest, without the time it was made
     found: dict[str, Any] = {}
     for file in sorted(path.rglob("*")):
         if file.is_file() and file.parent != path / MANIFEST_NODE:
@@ -121,7 +121,7 @@ def partial(path: Path) -> Path:
 
 
 def leftover(path: Path) -> Path:
-    """Return the one group under construction."""
+    # Return the one group under construction
     (found,) = partial(path).glob("build-*")
     return found
 
@@ -139,7 +139,7 @@ def interrupt(*_: object) -> None:
 
 
 def cut_short(path: Path, count: int = 7, error: BaseException | None = None) -> list[int]:
-    """Fail after some blocks of the source; return those that are left to do."""
+    # Fail after some blocks of the source; return those that are left to do
     before.append(fail_after(count, error or OSError(errno.ENOSPC, "No space left on device")))
     with pytest.raises((StoreError, KeyboardInterrupt, MemoryError)):
         to_store(line(), path, GROUP, source_token=TOKEN)

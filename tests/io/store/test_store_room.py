@@ -163,8 +163,7 @@ def test_blocks_that_cannot_fit_are_refused(tmp_path: Path, monkeypatch: pytest.
 
 
 class Flushed:
-    """Which files and folders have been flushed since they were last written."""
-
+    # Which files and folders have been flushed since they were last written
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.order: list[str] = []
         plain = os.fsync

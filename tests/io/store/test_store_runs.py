@@ -36,7 +36,7 @@ def line(name: str, at_compute: Any = None) -> xr.Dataset:
 
 
 def run(path: Path, at_compute: Any = None) -> None:
-    """Write lines as `process` does; ``at_compute`` is called as the second one is computed."""
+    # Write lines as `process` does; ``at_compute`` is called as the second one is computed
     groups = {name: line(name, at_compute if name == LINES[1] else None) for name in LINES}
     with whole_run(
         path, run_contents(groups), groups, {}, command="hyperpaint process lot.toml", overwrite=False
@@ -47,7 +47,7 @@ def run(path: Path, at_compute: Any = None) -> None:
 
 @pytest.fixture
 def publish(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """What is called with the group before one gets its place; append to it."""
+    # What is called with the group before one gets its place; append to it
     calls: list[Any] = []
     plain = Staging.publish
 

@@ -209,7 +209,7 @@ def lock(tmp_path: Path) -> Path:
 
 
 def record(pid: object, host: str | None = None, start: int | None = None) -> str:
-    """Return what a writer leaves in its lock."""
+    # Return what a writer leaves in its lock
     lines = [str(pid), host or host_name(), *([] if start is None else [str(start)])]
     return "".join(f"{line}\n" for line in lines)
 

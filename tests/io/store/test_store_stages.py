@@ -12,8 +12,7 @@ from hyperpaint.io.store.computing import in_stages
 
 
 def _slabs_and_tiles(slabs: int, counted: list[int]) -> tuple[dict, dict]:
-    """Return a graph in which a tile reads two slabs of which the next reads one, and the tiles' stages."""
-
+    # Return a graph in which a tile reads two slabs of which the next reads one, and the tiles' stages
     def slab(number: int) -> np.ndarray:
         counted.append(number)
         return np.full(3, number)

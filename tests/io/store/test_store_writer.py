@@ -67,7 +67,7 @@ def flightline(lines: int = 70, seed: int = 0, *, lazy: bool = True) -> xr.Datas
 
 
 def assert_same(stored: xr.Dataset, source: xr.Dataset) -> None:
-    """Bit for bit, dtypes included."""
+    # Bit for bit, dtypes included
     assert set(stored.variables) == set(source.variables)
     assert set(stored.coords) == set(source.coords)
     for name, variable in source.variables.items():

@@ -20,7 +20,7 @@ WHITE, BLACK, RED = "Synthetic Polar White", "Synthetic Carbon Black", "Syntheti
 
 
 def library_of(spectra: dict[str, list[float]], mirror: str | None = "excluded") -> xr.Dataset:
-    """Return a library of a few bands."""
+    # Return a library of a few bands
     bands = len(next(iter(spectra.values())))
     attrs = {"units": "1", **({} if mirror is None else {"mirror_reflection": mirror})}
     return xr.Dataset(
@@ -211,7 +211,7 @@ def test_depths_that_cannot_be(paints: xr.Dataset, depths: Any) -> None:
 
 
 def with_members(counts: dict[str, list[int]], members: int = 4) -> xr.Dataset:
-    """Return paints of two bands that have the members said, all of the reflectance of their paint."""
+    # Return paints of two bands that have the members said, all of the reflectance of their paint
     library = library_of({name: [0.2 + 0.1 * k, 0.5] for k, name in enumerate(counts)})
     stack = np.full((len(counts), members, 2), np.nan, np.float32)
     for number, held in enumerate(counts.values()):

@@ -14,7 +14,7 @@ from hyperpaint.paints.mixing.synthetic_paints import draw_variants
 
 
 def population(count: int = 60, seed: int = 3) -> np.ndarray:
-    """Return pixels of a red paint: brightness, hue and noise vary, and a third is in half shade."""
+    # Return pixels of a red paint: brightness, hue and noise vary, and a third is in half shade
     rng = np.random.default_rng(seed)
     nm = np.linspace(400.0, 1000.0, 40)
     edge = 605.0 + 3.0 * rng.standard_normal((count, 1))
@@ -26,7 +26,7 @@ def population(count: int = 60, seed: int = 3) -> np.ndarray:
 
 
 def library_of(*members: np.ndarray) -> xr.Dataset:
-    """Return a library of populations."""
+    # Return a library of populations
     stack = np.float32(np.stack(members))
     return xr.Dataset(
         {
@@ -140,7 +140,7 @@ def test_a_library_without_a_population_is_refused() -> None:
 
 @pytest.mark.parametrize(("level", "noise"), [(0.015, 0.01), (0.02, 0.006), (0.985, 0.01)])
 def test_noise_near_black_and_white_is_kept(level: float, noise: float) -> None:
-    """Rationale: on a logit scale with a margin below the noise, tails grew three times too long."""
+    # Rationale: on a logit scale with a margin below the noise, tails grew three times too long
     rng = np.random.default_rng(0)
     own = level + noise * rng.standard_normal((300, 40))
     drawn = draw_variants(own, 4000, rng)

@@ -13,7 +13,7 @@ CHANNELS = np.arange(350.0, 1051.0)
 
 
 def record(samples: int, seed: int, noise: float = 0.004) -> tuple[np.ndarray, np.ndarray]:
-    """Return spectra with a band of absorption under light that changes by 20 %, and their times."""
+    # Return spectra with a band of absorption under light that changes by 20 %, and their times
     rng = np.random.default_rng(seed)
     seconds = 2.0 * np.arange(samples) + rng.uniform(-0.2, 0.2, samples)
     sky = 1.0 - 0.3 * np.exp(-(((CHANNELS - 760.0) / 5.0) ** 2))

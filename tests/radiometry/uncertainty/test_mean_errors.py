@@ -23,7 +23,7 @@ def computed(line: xr.Dataset) -> xr.Dataset:
 
 
 def pulls(draws: int, seed: int, shape: tuple[int, int, int], **options: Any) -> np.ndarray:
-    """Return true over stated standard deviation of a region's mean (band,)."""
+    # Return true over stated standard deviation of a region's mean (band,)
     errors, stated = [], []
     for number in range(draws):
         line = noisy_collect(np.random.default_rng([seed, number]), *shape, **options)

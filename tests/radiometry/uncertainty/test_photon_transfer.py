@@ -26,7 +26,7 @@ def z_of(found: xr.Dataset, name: str, truth: float) -> float:
     [(20.0, 0.5, 0.02), (8.0, 1.5, 0.02), (40.0, 3.0, 0.02), (20.0, 0.5, 0.05), (20.0, 0.5, 0.0)],
 )
 def test_a_flight_tells_its_camera(k: float, read_noise: float, texture: float) -> None:
-    """Texture of 2 to 5 % is up to sixty times the shot noise's variance, and must not count."""
+    # Texture of 2 to 5 % is up to sixty times the shot noise's variance, and must not count
     line = simulate_line(
         lines=64, bands=60, columns=100, seed=2, electrons_per_count=k, read_noise=read_noise, texture=texture
     )
@@ -74,7 +74,7 @@ def test_what_it_returns_goes_into_reflectance() -> None:
 
 
 def frames_of(levels: np.ndarray, n: int, k: float, read_noise: float, seed: int = 0) -> np.ndarray:
-    """Return whole counts (level, frame, band, column) above a dark of 100."""
+    # Return whole counts (level, frame, band, column) above a dark of 100
     rng = np.random.default_rng(seed)
     signal = levels[:, None, None, None] * rng.uniform(0.5, 1.5, (1, 1, 12, 20))
     spread = np.sqrt(signal / k + read_noise**2)

@@ -52,12 +52,10 @@ def test_random_part_covers_one_collect() -> None:
 
 
 def many_draws(draws: int, *, seed: int = 0) -> tuple[xr.Dataset, np.ndarray]:
-    """Return a line each of whose lines is a flight of its own errors, and its true reflectance.
-
-    Four columns of reflectance 0.03 to 0.9 that grow with wavelength, under light that falls; every line
-    meets an irradiance sample of its own, and an instrument whose gain, dark and wavelengths are not as
-    calibrated.
-    """
+    # Return a line each of whose lines is a flight of its own errors, and its true reflectance
+    # Four columns of reflectance 0.03 to 0.9 that grow with wavelength, under light that falls; every line
+    # meets an irradiance sample of its own, and an instrument whose gain, dark and wavelengths are not as
+    # calibrated
     rng = np.random.default_rng(seed)
     u = {**SYSTEMATIC, "radiance_gain_u_random": 0.01}
     bands, levels = 5, np.array([0.03, 0.2, 0.5, 0.9])
@@ -124,7 +122,7 @@ def test_total_covers_many_calibrations_and_lights() -> None:
 
 
 def test_wavelength_acts_on_the_slope_of_the_light() -> None:
-    """At the oxygen band an error of the wavelength scale is an error of the light that is divided by."""
+    # At the oxygen band an error of the wavelength scale is an error of the light that is divided by
     line = simulate_line(lines=2, bands=272, columns=6, noise=False, quantise=False, smile_nm=0.0)
     known = with_noise(line, wavelength_u=0.1)
     made = reflectance(known, uncertainty=True).compute()
@@ -368,7 +366,7 @@ def test_values_that_cannot_be(name: str, value: float, word: str) -> None:
 
 
 def test_darks_that_are_extrapolated_are_less_sure() -> None:
-    """At three times the first exposure the second dark counts twice, and the first is taken off."""
+    # At three times the first exposure the second dark counts twice, and the first is taken off
     line = simulate_line(lines=4, bands=24, columns=6, glint=0.0).drop_vars(
         "dark_counts_u_random", errors="ignore"
     )
