@@ -15,16 +15,6 @@ import hyperpaint.workflows as workflows
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
-from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
-from hyperpaint.io.flightline.headwall import exposure_seconds, read_frame_index, read_settings
-from hyperpaint.io.maps.geotiff import read_geotiff_header
-from hyperpaint.io.navigation.navigation_formats import is_eph_att, is_navigation_csv, is_nmea
-from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
-from hyperpaint.io.navigation.navigation_records import read_imu_gps
-from hyperpaint.io.spectrometers.asd import read_asd, read_asd_text, sniff
-from hyperpaint.io.spectrometers.irradiance import read_irradiance_csv
-from hyperpaint.io.spectrometers.svc import error_bits, overlap_of, pair, position_of, read_svc
 from hyperpaint.io.store import is_complete, list_groups, open_group, open_unverified
 from hyperpaint.io.store.manifest import store_state
 from hyperpaint.io.store.raw_references import (
@@ -103,6 +93,11 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
 
 def _envi(path: Path) -> Facts:
 
+    from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
+    from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
+    from hyperpaint.io.flightline.headwall import exposure_seconds
+    from hyperpaint.io.navigation.navigation_formats import is_eph_att
+
     header_path, data = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     if header.is_spectral_library:
@@ -123,6 +118,8 @@ def _envi(path: Path) -> Facts:
 
 
 def _geotiff(path: Path) -> Facts:
+
+    from hyperpaint.io.maps.geotiff import read_geotiff_header
 
     header = read_geotiff_header(path)
     yield "is", f"GeoTIFF, {size_of(path.stat().st_size)}"
@@ -157,6 +154,8 @@ def _regions(path: Path) -> Facts:
 
 def _asd(path: Path) -> Facts:
 
+    from hyperpaint.io.spectrometers.asd import read_asd
+
     file = read_asd(path)
     yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
     panel = "" if file.reference is None else ", white reference"
@@ -174,6 +173,8 @@ def _asd(path: Path) -> Facts:
 
 
 def _svc(path: Path) -> Facts:
+
+    from hyperpaint.io.spectrometers.svc import error_bits, overlap_of, pair, position_of, read_svc
 
     file = read_svc(path)
     overlap = overlap_of(file.header)
@@ -196,6 +197,8 @@ def _svc(path: Path) -> Facts:
 
 def _asd_text(path: Path) -> Facts:
 
+    from hyperpaint.io.spectrometers.asd import read_asd_text
+
     text = read_asd_text(path)
     yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
     likely = text.likely_quantity
@@ -207,6 +210,8 @@ def _asd_text(path: Path) -> Facts:
 
 
 def _irradiance_csv(path: Path) -> Facts:
+
+    from hyperpaint.io.spectrometers.irradiance import read_irradiance_csv
 
     series: Any = read_irradiance_csv(path)
     shape = np.shape(series.values)
@@ -255,6 +260,8 @@ def _materials(path: Path) -> Facts:
 
 def _frame_index(path: Path) -> Facts:
 
+    from hyperpaint.io.flightline.headwall import read_frame_index
+
     frames = read_frame_index(path).frame
     missing = int(frames[-1] - frames[0] + 1 - frames.size)
     yield "is", "Headwall frame index"
@@ -262,6 +269,8 @@ def _frame_index(path: Path) -> Facts:
 
 
 def _navigation(path: Path) -> Facts:
+
+    from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     record = read_imu_gps(path)
     yield "is", f"navigation record: {record.rows.size} rows"
@@ -273,6 +282,8 @@ def _navigation(path: Path) -> Facts:
 
 def _is_pose_table(path: Path) -> bool:
 
+    from hyperpaint.io.navigation.navigation_formats import is_navigation_csv, is_nmea
+
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
     head = head_of(path, _HEAD_BYTES)
@@ -282,6 +293,8 @@ def _is_pose_table(path: Path) -> bool:
 
 
 def _poses(path: Path) -> Facts:
+
+    from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
 
     kind = navigation_format(path)
     if kind == "imu_gps":
@@ -312,6 +325,8 @@ def _poses(path: Path) -> Facts:
 
 
 def _settings(path: Path) -> Facts:
+
+    from hyperpaint.io.flightline.headwall import exposure_seconds, read_settings
 
     pairs = read_settings(path)
     exposure = exposure_seconds(pairs, path.name)
@@ -475,6 +490,8 @@ _BY_CONTENT = {"binary": _asd, "text": _asd_text, "csv": _irradiance_csv}
 
 
 def _file(path: Path) -> Facts:
+    from hyperpaint.io.spectrometers.asd import sniff
+
     name, suffix = path.name.lower(), path.suffix.lower()
     reader = _BY_SUFFIX.get(suffix) or (_poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path)))
     if reader is None:
