@@ -22,6 +22,23 @@ settings.load_profile("hyperpaint")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 _REAL: dict[str, int] = {"ran": 0, "without an oracle": 0, "skipped": 0}
+_SKIPPED: dict[str, bool] = {}  # of every test that was reported
+SKIPPED_RECORD = "hyperpaint/skipped"  # in pytest's cache: tests that the runs so far skipped
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--skipped", action="store_true",
+        help="run the tests that earlier runs skipped, which more packages may allow; without such runs, all tests",
+    )  # fmt: skip
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    skipped = set(config.cache.get(SKIPPED_RECORD, [])) if config.option.skipped else None
+    if skipped:
+        chosen = [item for item in items if {item.nodeid, item.nodeid.split("::")[0]} & skipped]
+        config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
+        items[:] = chosen
 
 
 @pytest.fixture(scope="session")
@@ -56,7 +73,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return WorkStealingScheduling(config, log)
 
 
+def pytest_collectreport(report: pytest.CollectReport) -> None:
+    _SKIPPED[report.nodeid] = report.skipped
+
+
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    _SKIPPED[report.nodeid] = _SKIPPED.get(report.nodeid, False) or report.skipped
     if "real_data" not in report.keywords:
         return
     if report.skipped:
@@ -79,5 +101,8 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     required = os.environ.get("HYPERPAINT_REQUIRE_REAL_DATA") and not session.config.option.collectonly
     if hasattr(session.config, "workerinput"):  # one of several processes: the one that starts them counts
         return
+    earlier = set(session.config.cache.get(SKIPPED_RECORD, []))
+    skipped = earlier - _SKIPPED.keys() | {test for test, was_skipped in _SKIPPED.items() if was_skipped}
+    session.config.cache.set(SKIPPED_RECORD, sorted(skipped))
     if required and session.exitstatus == 0 and (_REAL["skipped"] or not _REAL["ran"]):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
