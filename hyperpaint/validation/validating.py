@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,7 +11,7 @@ import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.units import takes_quantities
 
@@ -229,7 +228,7 @@ def validate(
             for row in np.flatnonzero(outside.any(axis=1))
         ]
     for code, text in dict.fromkeys(messages):
-        warnings.warn(PaintWarning(text, code=code), stacklevel=2)
+        warn_user(text, code)
     return Validation(
         statistics=_statistics(compared, parts, limits, user_parts=user_parts),
         spectra=tuple(comparison.dataset() for comparison in compared),

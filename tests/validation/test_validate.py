@@ -388,8 +388,9 @@ def test_mirrored_sky_on_one_side_only_warns() -> None:
     signatures, references = agreeing()
     body = signatures.assign(reflectance=signatures["reflectance"].assign_attrs(mirror_reflection="excluded"))
     whole = references.assign_attrs(mirror_reflection="included")
-    with pytest.warns(PaintWarning, match="mirrored-sky-differs"):
+    with pytest.warns(PaintWarning, match="mirrored-sky-differs") as noted:
         hp.validate(body, whole)
+    assert noted[0].filename == __file__  # the line of the caller
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         hp.validate(body, references)

@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import re
-import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import jinja2
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, StoreError, warn_user
 from hyperpaint.base.facts import documented, is_number, one_of
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
@@ -381,10 +380,7 @@ def write_dirsig(
             paints = f"in {sum(map(bool, counts))} of {len(records)} paints"
             messages.append(f"{sum(counts)} {change} ({paints})")
     if messages:
-        warnings.warn(
-            PaintWarning(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", code="spectra-changed"),
-            stacklevel=2,
-        )
+        warn_user(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", "spectra-changed")
     numbers = ("curves", "complete", "clipped", "centre_clipped", "interpolated", "centre_interpolated")
     summary = summary_of(
         records,

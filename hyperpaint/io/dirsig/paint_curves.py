@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Variable, require
 
@@ -161,7 +160,7 @@ class Axis:
                 "wavelengths of detectors overlap: bands are sorted, so that samples of both alternate; "
                 "keep one detector per wavelength, as open_svc(overlap='trim') does"
             )
-            warnings.warn(PaintWarning(msg, code="wavelength-unordered"), stacklevel=3)
+            warn_user(msg, "wavelength-unordered")
         micrometres = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
         if equal := np.flatnonzero(np.diff(micrometres) <= 0.0).tolist():
             examples = ", ".join(f"{self.wavelength[band]:.4f}" for band in equal[:8])

@@ -21,7 +21,6 @@ import json
 import math
 import os
 import re
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +34,7 @@ from xarray.core import indexing
 
 from hyperpaint.base import schema, units
 from hyperpaint.base.arrays import Array, Ints
-from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, needs_extra
+from hyperpaint.base.errors import FormatError, Problem, Problems, needs_extra, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
@@ -408,9 +407,7 @@ def open_envi(
     if lines != header.lines:
         doubts.append(f"{lines} whole lines are kept where the header says {header.lines}")
     if doubts:
-        warnings.warn(
-            PaintWarning(f"{data_path.name}: {'; '.join(doubts)}", code="header-doubtful"), stacklevel=2
-        )
+        warn_user(f"{data_path.name}: {'; '.join(doubts)}", "header-doubtful")
     # axes of the file, and of the array
     name, attrs = _quantity(header, quantity, unsaid, data_path)
     sizes = {"l": lines, "b": header.bands, "s": header.samples}

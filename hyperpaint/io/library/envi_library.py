@@ -12,7 +12,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -20,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, warn_user
 from hyperpaint.base.input_files import open_input, read_limited
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.envi.envi_cubes import find_pair
@@ -234,7 +233,7 @@ def _foreign(
         )
     check_wavelengths(nm, source)
     if warned:
-        warnings.warn(PaintWarning(f"{source}: {'; '.join(warned)}", code="header-incomplete"), stacklevel=6)
+        warn_user(f"{source}: {'; '.join(warned)}", "header-incomplete")
     # stored value of a reflectance of one, from the header; the last title is that of the values, the title
     # of the wavelengths may contain commas
     header_scale = header.reflectance_scale_factor

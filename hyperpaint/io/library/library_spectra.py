@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,7 +11,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Floats32
-from hyperpaint.base.errors import FormatError, PaintWarning
+from hyperpaint.base.errors import FormatError, warn_user
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_attrs
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
@@ -172,7 +171,7 @@ def reflectances(
     if is_missing.any():
         count, example = int(is_missing.sum()), float(values[is_missing][0])
         msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
-        warnings.warn(PaintWarning(msg, code="values-far-below-zero"), stacklevel=6)
+        warn_user(msg, "values-far-below-zero")
         values[is_missing] = np.nan
     if divisor is None:
         _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not is_reflectance else 1.0)
@@ -182,7 +181,7 @@ def reflectances(
         # the scale is doubtful if many values exceed `_BRIGHT`, or all are near 0
         if finite.any() and ((finite > _BRIGHT).mean() > _MAX_BRIGHT_SHARE or finite.max() < _MIN_BRIGHTEST):
             msg = f"{source}: reflectance up to {finite.max():.3g} with a scale of {divisor:g}; pass scale="
-            warnings.warn(PaintWarning(msg, code="scale-doubtful"), stacklevel=6)
+            warn_user(msg, "scale-doubtful")
     with np.errstate(over="ignore"):
         reflectance = values.astype(np.float32)
     if not np.isfinite(reflectance[np.isfinite(values)]).all() or np.isinf(values).any():
@@ -228,4 +227,4 @@ def _judge_fractions(values: Floats, source: str, max_bright_share: float) -> No
             f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
             f"{_MAX_MEDIAN:g}, up to {magnitudes.max():g}, and no scale; {advice}"
         )
-        warnings.warn(PaintWarning(msg, code="scale-missing"), stacklevel=7)
+        warn_user(msg, "scale-missing")

@@ -13,7 +13,6 @@ import json
 import math
 import re
 import unicodedata
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import NoneType
@@ -25,7 +24,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, warn_user
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, quality_attrs
@@ -467,7 +466,7 @@ def restored(
         about = read_metadata(sidecar, {SIGNATURE: paints, BAND: bands})
     else:
         text = f"{source}: {sidecar.name} is missing: names and columns are from the file, without units"
-        warnings.warn(PaintWarning(text, code="metadata-missing"), stacklevel=6)
+        warn_user(text, "metadata-missing")
     for first, block in rows:
         records = slice(first, first + len(block))
         for number, values in enumerate(data.values()):
@@ -481,7 +480,7 @@ def restored(
             f"{source}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
             "the table"
         )
-        warnings.warn(PaintWarning(text, code="metadata-differ"), stacklevel=6)
+        warn_user(text, "metadata-differ")
     # names in the table of variables are excluded: their columns have no units
     reserved = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
     added = {}

@@ -14,7 +14,6 @@ import csv
 import itertools
 import json
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32, Ints
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems
+from hyperpaint.base.errors import FormatError, Problems, warn_user
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.io.files.reading import decoded_text, number, numbers, read_limited_text
 
@@ -320,7 +319,7 @@ def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_
                 f"{source}: three columns without headings; the third is taken for the standard deviation of "
                 "the second; add headings, or pass quantity='reflectance' if the third is a paint"
             )
-            warnings.warn(PaintWarning(text, code="spread-assumed"), stacklevel=6)
+            warn_user(text, "spread-assumed")
             roles[:] = 1, _IS_SPREAD
     return roles
 
@@ -351,7 +350,7 @@ def _without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[I
     if difference <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
         return starts, values[starts], [f"{text}: one of the equal rows is kept"]
     text = f"{text}: their values, which differ by up to {difference:.3g}, are averaged"
-    warnings.warn(PaintWarning(f"{source}: {text}", code="wavelength-duplicate"), stacklevel=6)
+    warn_user(f"{source}: {text}", "wavelength-duplicate")
     return starts, means, [text]
 
 
@@ -378,7 +377,7 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
             f"{source}: {light.size} of {len(values)} spectra have the oxygen band of sunlight at 760 nm "
             f"({depth:.0%} deep), which reflectance does not have: are they radiance or irradiance? {_SAY_SO}"
         )
-        warnings.warn(PaintWarning(text, code="sunlight-in-reflectance"), stacklevel=6)
+        warn_user(text, "sunlight-in-reflectance")
 
 
 # --- ECOSTRESS and ASTER -----------------------------------------------------------------------------------

@@ -358,8 +358,9 @@ def test_detectors_that_overlap(tmp_path: Path) -> None:
     nm = NM.copy()
     nm[5:] -= 160.0
     paints = library().assign_coords(wavelength=("band", nm, {"units": "nm"}))
-    with pytest.warns(PaintWarning, match="wavelength-unordered"):
+    with pytest.warns(PaintWarning, match="wavelength-unordered") as noted:
         hp.write_dirsig(paints, tmp_path / "out")
+    assert noted[0].filename == __file__  # the line of the caller
     micrometres = strict_ems(tmp_path / "out/emissivity/paint_0.ems")[1]
     np.testing.assert_allclose(micrometres, np.sort(nm) / 1000, atol=6e-8)
     nm[5] = nm[2]

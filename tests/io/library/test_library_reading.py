@@ -403,8 +403,9 @@ def test_a_dark_paint_in_percent_is_no_bright_one(tmp_path: Path) -> None:
 
 def test_a_bright_paint_among_dark_ones_tells_of_percent(tmp_path: Path) -> None:
     text = "wavelength (nm),black,soot,white\n450,0.8,0.7,80\n550,0.9,0.6,81\n650,0.8,0.6,82\n"
-    with pytest.warns(PaintWarning, match="scale-missing"):
+    with pytest.warns(PaintWarning, match="scale-missing") as noted:
         hp.open_library(write_text(tmp_path, text, "few.csv"))
+    assert noted[0].filename == __file__  # the line of the caller
 
 
 @pytest.mark.parametrize(

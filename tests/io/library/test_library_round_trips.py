@@ -200,8 +200,9 @@ def test_without_metadata__spectra_and_members_still_lead_back(
 ) -> None:
     path = hp.write_library(library, tmp_path / name, curves="all")
     path.with_name(path.name + ".json").unlink()
-    with pytest.warns(PaintWarning, match="metadata-missing"):
+    with pytest.warns(PaintWarning, match="metadata-missing") as noted:
         found = hp.open_library(path)
+    assert noted[0].filename == __file__  # the line of the caller
     for variable in ("reflectance", "member_reflectance", "reflectance_quantiles", "reflectance_sd"):
         np.testing.assert_array_equal(found[variable].values, library[variable].values)
         assert found[variable].dims == library[variable].dims
