@@ -155,7 +155,9 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         srs = f" -a_srs {os.path.basename(stem)}.prj" if has_prj else ""
         missing = [item for item in ("a transform", "a crs") if is_missing[item]]
         block_rows, block_columns = raster.block_shapes[0]
-        block_bytes = block_rows * block_columns * np.dtype(raster.dtypes[0]).itemsize
+        is_complex = raster.dtypes[0].startswith("complex")  # numpy lacks some of these types
+        itemsize = 0 if is_complex else np.dtype(raster.dtypes[0]).itemsize
+        block_bytes = block_rows * block_columns * itemsize
         for is_wrong, found, expected, mend, code in (
             (
                 raster.count != 1,
@@ -164,6 +166,7 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
                 "extract that band with gdal_translate -b",
                 "band-count",
             ),
+            (is_complex, f": cells of {raster.dtypes[0]}", "heights", "", "type-wrong"),
             (
                 b or d or not a or not e,
                 f": its rows do not run east, by its transform {(a, b, c, d, e, f)}",

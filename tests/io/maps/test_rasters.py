@@ -70,6 +70,7 @@ TURNED = rasterio.Affine(0.0, 1.0, 500000.0, 1.0, 0.0, 3700000.0)
         ({}, {"offsets": (np.nan,)}, "scale-wrong"),
         ({}, {"transform": rasterio.Affine(np.inf, 0.0, 1.0, 0.0, -1.0, 2.0)}, "not-finite"),
         ({"count": 2}, {}, "band-count"),
+        ({"dtype": "complex_int16"}, {}, "type-wrong"),
         ({"transform": TURNED}, {}, "grid-rotated"),
         ({"transform": rasterio.Affine.identity()}, {}, "place-unknown"),
         ({"crs": None}, {}, "place-unknown"),
