@@ -468,7 +468,7 @@ def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
             if not name.isidentifier() or name in reserved:
                 raise ValueError("expected a new identifier")
             row = LIBRARY_VARIABLES.get(name)
-            dtype = {str: "str", int: "int64"}.get(type(value), "float64")
+            dtype = {str: "str", int: "int64", bool: "bool"}.get(type(value), "float64")
             is_known = row is not None and row.dims == (SIGNATURE,)
             columns[name] = typed_values([value], row.dtype if row is not None and is_known else dtype)
     except (ValueError, AttributeError, OverflowError, RecursionError) as error:

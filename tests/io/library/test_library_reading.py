@@ -235,7 +235,10 @@ Additional Information: none
 
 
 def test_ecostress__spellings_of_units(tmp_path: Path) -> None:
-    library = hp.open_library(write_text(tmp_path, ECOSTRESS))
+    ours = ': hyperpaint metadata {"matt": true, "n": 7, "year": null}'
+    library = hp.open_library(write_text(tmp_path, ECOSTRESS.replace(": none", ours)))
+    assert [library[name].item() for name in ("matt", "n")] == [True, 7]
+    assert np.isnan(library["year"]).all()
     np.testing.assert_allclose(library["reflectance"].values, [[0.3, 0.2, 0.1]], rtol=1e-6)
     np.testing.assert_allclose(library["wavelength"].values, [650, 550, 450])
     fraction = ECOSTRESS.replace("percentage", "fraction").replace(" 30", " .3").replace(" 20", " .2")
