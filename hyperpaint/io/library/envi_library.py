@@ -208,7 +208,8 @@ def _foreign(
     nm = header.wavelength if wavelength is None else wavelength
     width = header.fwhm if fwhm is None else fwhm
     # leading records that are wavelengths and bandwidths (USGS libraries)
-    axis, axes = stored[0].astype(np.float64), 0
+    with np.errstate(invalid="ignore"):  # signalling NaNs of a damaged file
+        axis, axes = stored[0].astype(np.float64), 0
     if (
         len(names) > 2
         and _WAVELENGTHS.match(names[0])

@@ -17,6 +17,7 @@ from hyperpaint.base.errors import FormatError
 
 GREY = 0.3 + 0.1 * np.sin(NM / 90.0)
 LIGHT = sunlight()
+SIGNALLING = np.array(0x7F800001, np.uint32).view(np.float32)
 
 
 def tabled(
@@ -126,6 +127,7 @@ RIGHT_LIBRARIES = [
     Case("a sharp dip elsewhere", text(GREY * (1 - 0.5 * np.exp(-(((NM - 690) / 3) ** 2)))), ""),
     Case("vegetation", text(0.04 + 0.4 / (1 + np.exp(-(NM - 715) / 9))), ""),
     Case("a library", sli(GREY), ""),
+    Case("a library with a signalling NaN", sli(np.where(NM == 700, SIGNALLING, np.float32(GREY))), ""),
     Case("a library in percent", sli(100 * GREY, "z plot titles = {Wavelength, Reflectance (%)}"), ""),
     Case("ECOSTRESS text", ecostress(100 * GREY, "Reflectance (percent)"), ""),
 ]  # fmt: skip
