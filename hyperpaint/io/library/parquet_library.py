@@ -311,7 +311,9 @@ def _keys(properties: Sequence[Any], source: str) -> list[Key]:
                 code="record-unmatched",
             ) from error
     paints = sum(key[0] == CENTRE for key in keys)
-    if sorted({key[1] for key in keys}) != list(range(paints)) or any(key[2] < -1 for key in keys):
+    if sorted({key[1] for key in keys}) != list(range(paints)) or any(
+        not -1 <= key[2] < _MAX_ROWS for key in keys
+    ):
         raise FormatError(
             f"{source}: rows of a paint are missing", mend="write the library again", code="record-unmatched"
         )

@@ -89,5 +89,14 @@ def test_paints_of_one_name_stay_apart(tmp_path):
         .isel(signature=[0, 1, 2])
         .assign_coords(signature=["a", "a", "b"])
     )
-    back = hp.open_library(hp.write_library(starter, tmp_path / "p.parquet", curves="all"))
-    xr.testing.assert_identical(back, starter)
+    path = hp.write_library(starter, tmp_path / "p.parquet", curves="all")
+    xr.testing.assert_identical(hp.open_library(path), starter)
+    # a number beyond 64 bits
+    rows = pq.read_table(path)
+    keys = [
+        text.replace('"place": 2', f'"place": {10**30}') for text in rows["additional_properties"].to_pylist()
+    ]
+    at = rows.schema.get_field_index("additional_properties")
+    pq.write_table(rows.set_column(at, rows.schema.field(at), pa.array(keys)), path)
+    with pytest.raises(hp.FormatError, match="record-unmatched"):
+        hp.open_library(path)
