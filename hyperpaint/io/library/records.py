@@ -223,7 +223,7 @@ def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
     owners = {"the library": document["attrs"], **{name: entry["attrs"] for name, entry in entries.items()}}
     for owner, key, value in [(name, *item) for name, attrs in owners.items() for item in attrs.items()]:
         try:
-            _json(value)
+            _json({key: value})
         except (TypeError, ValueError, RecursionError):
             problems.add(
                 f"attribute {key!r} of {owner} is {str(value)[:60]!r}",
@@ -252,7 +252,8 @@ def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
         entries[name] |= {"dtype": dtype, "data": data.tolist()}
     problems.raise_if_any()
     # xarray gathers coordinates from sets, whose order differs from run to run
-    parts = {key: dict(sorted(document.pop(key).items())) for key in ("coords", "data_vars")}
+    names = ("coords", "data_vars")
+    parts = {part: dict(sorted((str(k), v) for k, v in document.pop(part).items())) for part in names}
     document["dims"] = dict(sorted(document["dims"].items()))
     lines = [f"  {_json(key)}: {_json(value)}" for key, value in document.items()]
     for part, variables in parts.items():
@@ -373,8 +374,11 @@ def _decoded(name: str, entry: Mapping[str, Any]) -> dict[str, Any]:
             raise ValueError("expected nested lists of equal lengths, one level per dim")
         values = typed_values(nested.ravel().tolist(), entry["dtype"]).reshape(nested.shape)
     else:
-        if not all(type(size) is int and 0 <= size < 2**31 for size in entry["shape"]):
-            raise ValueError("expected sizes from 0 to 2147483647")
+        # only spectra lack values; an axis without values would fill the memory with its index
+        if not (
+            {SIGNATURE, BAND} <= {*dims} and all(type(s) is int and 0 <= s < 2**31 for s in entry["shape"])
+        ):
+            raise ValueError("expected values, or a spectrum with sizes from 0 to 2147483647")
         values = np.broadcast_to(np.float32(np.nan), entry["shape"])
     if name == "quality":
         attrs["flag_masks"] = quality_attrs()["flag_masks"]

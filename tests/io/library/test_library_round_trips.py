@@ -220,8 +220,13 @@ def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path:
         hp.open_library(path)
     fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
-    with pytest.raises(FormatError, match="metadata-damaged"):
-        hp.open_library(path)
+    # an axis without values, which an index would fill the memory with
+    metadata = json.loads(whole := path.with_name(path.name + ".json").read_text(encoding="utf-8"))
+    metadata["coords"]["x"] = {"dims": ["x"], "attrs": {}, "dtype": "float32", "shape": [2**31 - 1]}
+    for text, message in ((whole, "sizes"), (json.dumps(metadata), "'x': expected values")):
+        path.with_name(path.name + ".json").write_text(text, encoding="utf-8")
+        with pytest.raises(FormatError, match=rf"{message}.*metadata-damaged"):
+            hp.open_library(path)
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])
