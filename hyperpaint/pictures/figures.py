@@ -130,14 +130,14 @@ def label_for(text: object, longest: int = _MAX_LABEL_CHARS) -> str:
     return f" {label}" if label.startswith("_") else label
 
 
-def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
-    """Write a figure to ``path``, if any; an existing file is replaced atomically.
+def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> Any:
+    """Write a figure to ``path``, if any, and return it; an existing file is replaced atomically.
 
     Raises `SchemaError` if matplotlib does not write this file type, `StoreError` if the file cannot be
     written.
     """
     if path is None:
-        return
+        return figure
     path = Path(path)
     if not path.suffix:  # as matplotlib does
         path = path.with_name(f"{path.name}.{figure.canvas.get_default_filetype()}")
@@ -146,6 +146,7 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
             figure.savefig(target, dpi=dpi)
         except ValueError as error:
             raise SchemaError(f"{path}: {error}", code="picture-unwritable") from error
+    return figure
 
 
 def check_picture(path: Path) -> None:

@@ -16,6 +16,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
+from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 
 from .figures import (
@@ -323,19 +324,24 @@ def quicklook(
     heights = (1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0)
     plots = figure.subplot_mosaic(mosaic, height_ratios=heights)
     show_picture(plots["picture"], rgb(dataset).values, orientation)
-    line_text = f", every {step}th line" if step > 1 else ""
-    name = label_for(dataset.attrs.get("name", "flight line"))
-    plots["picture"].set_title(
-        f"{name}: {'true colour' if cube_name == 'reflectance' else cube_name}{line_text}"
-    )
+    title = f"{label_for(dataset.attrs.get('name', 'flight line'))}: "
+    title += "true colour" if cube_name == "reflectance" else cube_name
+    plots["picture"].set_title(title + (f", every {step}th line" if step > 1 else ""))
+    # bars of the share of pixels with each flag
+    axes = plots["flags"]
     if has_flags:
-        _draw_flags(plots["flags"], flags_of(dataset))
+        shares = schema.flag_shares(flags_of(dataset))
+        names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
+        lengths = [100 * share for share in shares.values()] or [0.0]
+        bars = axes.barh(names, lengths, height=0.6, color="#b5543c")
+        axes.bar_label(bars, [f" {percent(share)}" for share in shares.values()] or [""], fontsize="small")
+        axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
+        axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
     else:
-        plots["flags"].set_axis_off()
+        axes.set_axis_off()
     draw_irradiance(plots["light"], dataset)
     draw_spread(plots["spectra"], dataset, cube_name)
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def flags_of(dataset: xr.Dataset) -> Array:
@@ -366,15 +372,6 @@ def percent(share: float) -> str:
     return f"{float(f'{100 * share:.2g}'):g} %"
 
 
-def _draw_flags(axes: Any, quality: Array) -> None:
-    shares = schema.flag_shares(quality)
-    names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
-    bars = axes.barh(names, [100 * share for share in shares.values()] or [0.0], height=0.6, color="#b5543c")
-    axes.bar_label(bars, [f" {percent(share)}" for share in shares.values()] or [""], fontsize="small")
-    axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
-    axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
-
-
 def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     """Draw irradiance over time at three wavelengths, and the time of the line, if known."""
     if "irradiance" not in dataset.variables:
@@ -402,8 +399,7 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
         axes.axvspan(line_seconds.min(), line_seconds.max(), color=ink_of(axes, 0.15), zorder=0, label="line")
     day, _, clock = str(start)[:19].partition("T")
     axes.set(title=f"irradiance, {day}", xlabel=f"time after {clock} UTC [s]")
-    axes.set_ylabel("irradiance [W m$^{-2}$ nm$^{-1}$]")
-    axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
+    axes.set(ylabel="irradiance [W m$^{-2}$ nm$^{-1}$]", ylim=(0, 1.05 * axes.get_ylim()[1]))
     legend_below(axes)
 
 
@@ -415,16 +411,23 @@ def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> No
     values = (
         sample.transpose(..., schema.BAND).astype(np.float32).values.reshape(-1, sample.sizes[schema.BAND])
     )
-    quantiles = finite_quantiles(values, (0.05, 0.25, 0.5, 0.75, 0.95))
-    wavelength = dataset["wavelength"].values
-    axes.fill_between(wavelength, quantiles[0], quantiles[4], color=ink_of(axes, 0.12), label="5 to 95 %")
-    axes.fill_between(wavelength, quantiles[1], quantiles[3], color=ink_of(axes, 0.3), label="middle half")
-    axes.plot(wavelength, quantiles[2], color=ink_of(axes, 0.9), label="median")
+    draw_quantiles(axes, dataset["wavelength"].values, values, [ink_of(axes, s) for s in (0.12, 0.3, 0.9)])
     units = label_for(dataset[name].attrs.get("units", "count"))
     unit = "reflectance factor [1]" if name == "reflectance" else f"{name} [{units}]"
-    axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=unit)
-    axes.set_ylim(bottom=0)
+    axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=unit, ylim=(0, None))
     legend_below(axes)
+
+
+def draw_quantiles(axes: Any, wavelength: Array, values: Array, colours: Sequence[Any]) -> None:
+    """Draw median, middle half and 5 to 95 % of samples (sample, band).
+
+    ``colours``: of the 5 to 95 %, of the middle half, and of the median.
+    """
+    quantiles = finite_quantiles(values, QUANTILES)
+    for lower, label in enumerate(("5 to 95 %", "middle half")):
+        edges = quantiles[lower], quantiles[4 - lower]
+        axes.fill_between(wavelength, *edges, color=colours[lower], lw=0, label=label)
+    axes.plot(wavelength, quantiles[2], color=colours[2], lw=1.6, label="median")
 
 
 def finite_quantiles(values: Array, levels: Sequence[float]) -> Array:

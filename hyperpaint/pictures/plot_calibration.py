@@ -17,6 +17,7 @@ from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
 from hyperpaint.calibration.calibration_dataset import fitted_lines
 
 from .figures import axes_width, check_picture, columns_for, ink_of, legend_below, new_figure, save_figure
+from .plot import finite_quantiles
 
 Values = dict[str, Any]
 
@@ -122,8 +123,7 @@ def calibration_report(
     _draw_uncertainty(figure.add_subplot(grid[5]), values)
     for axes in figure.axes:
         axes.set_title(textwrap.fill(axes.get_title(), int(9 * width / columns)))
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
@@ -291,7 +291,7 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
 
     wavelength = values["wavelength"]
     random, systematic = (
-        _median_of_columns(100 * values[f"radiance_gain_u_{kind}"]) for kind in _UNCERTAINTIES
+        finite_quantiles(100 * values[f"radiance_gain_u_{kind}"].T, [0.5])[0] for kind in _UNCERTAINTIES
     )
     axes.semilogy(wavelength, np.hypot(random, systematic), color=ink_of(axes), lw=2.5, label="both")
     axes.semilogy(
@@ -307,24 +307,13 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     legend_below(axes)
 
 
-def _median_of_columns(values: Array) -> Array:
-    has_value = np.isfinite(values).any(axis=1)
-    median = np.full(len(values), np.nan)
-    median[has_value] = np.nanmedian(values[has_value], axis=1)
-    return median
-
-
 def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
     """Draw gain and band width over wavelength, and smile over columns."""
     names = ["radiance_gain", "wavelength", "fwhm", "wavelength_shift"]
     values = schema.require(calibration, [n for n in names if n in calibration.variables], "a calibration")
     nm, gain = values["wavelength"].values, values["radiance_gain"].values
     plots = figure.subplots(1, 3)
-    lowest, median, highest = (np.full(len(gain), np.nan) for _ in range(3))
-    has_gain = np.isfinite(gain).any(axis=1)
-    lowest[has_gain], median[has_gain], highest[has_gain] = np.nanpercentile(
-        gain[has_gain], (5, 50, 95), axis=1
-    )
+    lowest, median, highest = finite_quantiles(gain.T, (0.05, 0.5, 0.95))
     plots[0].fill_between(nm, lowest, highest, color=_BLUE, alpha=0.25, lw=0)
     plots[0].semilogy(nm, median, color=_BLUE, lw=1.6)
     plots[0].set_title("gain, 5 to 95 % of the columns", fontsize="medium")

@@ -17,7 +17,6 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.pixel_gathering import gather
-from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.regions import pixels_of, regions_from
 
@@ -31,7 +30,7 @@ from .figures import (
     save_figure,
     show_picture,
 )
-from .plot import finite_quantiles, rgb
+from .plot import draw_quantiles, rgb
 from .plot_spectra import checked_places, draw_pixels, good_bands
 
 MAX_REGION_PIXELS = 4096  # pixels drawn in a triptych; larger regions are subsampled
@@ -127,22 +126,34 @@ def triptych(
         )
         draw_pixels(plots, dataset, spectra, values["quality"], places)
     else:
-        line_indices, column_indices, spectra = _pixels_of_region(
-            figure, dataset, cubes, calibrated["quality"], region, exclude
+        outlined = regions_from(region)
+        if len(outlined) != 1:
+            raise SchemaError(
+                f"a triptych shows one region, found {len(outlined)}",
+                mend="choose one, such as regions[0]",
+                code="region-number",
+            )
+        line_indices, column_indices = pixels_of(outlined, dataset)[0]
+        step = max(1, -(-line_indices.size // MAX_REGION_PIXELS))
+        line_indices, column_indices = line_indices[::step], column_indices[::step]
+        spectra, values = gather(
+            cubes, {"quality": calibrated["quality"]}, line_indices, column_indices, slice(None), {}
         )
+        # pixels without excluded flags that have a reflectance
+        is_used = (values["quality"] & int(EXCLUDED if exclude is None else exclude)) == 0
+        is_used &= np.isfinite(spectra["reflectance"]).any(axis=1)
+        name, count = outlined[0].name, line_indices.size
+        if not is_used.any():
+            raise SchemaError(
+                f"region {name!r}: all {count} pixels are flagged",
+                mend="draw the region elsewhere, or pass fewer flags as exclude",
+                code="region-empty",
+            )
+        figure.suptitle(f"{label_for(name)}: {int(is_used.sum())} of {count} pixels")
+        line_indices, column_indices = line_indices[is_used], column_indices[is_used]
         for axes, cube in zip(plots, spectra.values(), strict=True):
-            quantiles = finite_quantiles(np.where(good_bands(dataset), cube, np.nan), QUANTILES)
-            for lower, upper, alpha, label in ((0, 4, 0.2, "5 to 95 %"), (1, 3, 0.4, "middle half")):
-                axes.fill_between(
-                    wavelength,
-                    quantiles[lower],
-                    quantiles[upper],
-                    color=_BLUE,
-                    alpha=alpha,
-                    lw=0,
-                    label=label,
-                )
-            axes.plot(wavelength, quantiles[2], color=_BLUE, lw=1.6, label="median")
+            samples = np.where(good_bands(dataset), cube[is_used], np.nan)
+            draw_quantiles(axes, wavelength, samples, [(_BLUE, 0.2), (_BLUE, 0.4), _BLUE])
     # dark counts of these columns, and the saturation count
     dark, saturation = (dataset.variables.get(name) for name in ("dark_counts", "saturation_count"))
     if dark is not None and dark.dims == (BAND, CROSS_TRACK):
@@ -152,48 +163,9 @@ def triptych(
         plots[0].axhline(float(saturation), color="#D55E00", lw=1, ls=":", label="saturation")
     _draw_white(plots[1], dataset, line_indices)
     for axes, name in zip(plots, cubes, strict=True):
-        axes.set(title=name, xlabel="wavelength [nm]", ylabel=_LABELS[name])
-        axes.set_ylim(bottom=0)
+        axes.set(title=name, xlabel="wavelength [nm]", ylabel=_LABELS[name], ylim=(0, None))
         legend_below(axes)
-    save_figure(figure, path)
-    return figure
-
-
-def _pixels_of_region(
-    figure: Any,
-    dataset: xr.Dataset,
-    cubes: dict[str, xr.DataArray],
-    quality: xr.DataArray,
-    region: Any,
-    exclude: Quality | int | None,
-) -> tuple[Array, Array, dict[str, Array]]:
-    # line and column indices of the pixels used, and their spectra (pixel, band)
-    outlined = regions_from(region)
-    if len(outlined) != 1:
-        raise SchemaError(
-            f"a triptych shows one region, found {len(outlined)}",
-            mend="choose one, such as regions[0]",
-            code="region-number",
-        )
-    line_indices, column_indices = pixels_of(outlined, dataset)[0]
-    step = max(1, -(-line_indices.size // MAX_REGION_PIXELS))
-    line_indices, column_indices = line_indices[::step], column_indices[::step]
-    spectra, values = gather(cubes, {"quality": quality}, line_indices, column_indices, slice(None), {})
-    is_used = (values["quality"] & int(EXCLUDED if exclude is None else exclude)) == 0
-    is_used &= np.isfinite(spectra["reflectance"]).any(axis=1)
-    name = outlined[0].name
-    if not is_used.any():
-        raise SchemaError(
-            f"region {name!r}: all {line_indices.size} pixels are flagged",
-            mend="draw the region elsewhere, or pass fewer flags as exclude",
-            code="region-empty",
-        )
-    figure.suptitle(f"{label_for(name)}: {int(is_used.sum())} of {line_indices.size} pixels")
-    return (
-        line_indices[is_used],
-        column_indices[is_used],
-        {key: cube[is_used] for key, cube in spectra.items()},
-    )
+    return save_figure(figure, path)
 
 
 def _draw_white(axes: Any, dataset: xr.Dataset, line_indices: Array) -> None:
@@ -291,5 +263,4 @@ def straightening(
         show_picture(axes, rgb(subsample).values, orientations[number])
         axes.set_title(title)
     figure.suptitle(label_for(line.attrs.get("name", "flight line")))
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)

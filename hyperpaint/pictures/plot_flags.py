@@ -337,8 +337,7 @@ def adjacency_figure(
             distance, adjacency, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]"
         )
     _label_adjacency(plots, without is not None)
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def _label_adjacency(plots: dict[str, Any], compared: bool) -> None:

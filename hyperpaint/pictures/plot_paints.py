@@ -123,8 +123,7 @@ def chips_and_renders(
         show_picture(axes, rgb(line, stretch=stretch).values, orientations[name])
         axes.set_axis_off()
         axes.set_title(label_for(name.replace("_", " ")), fontsize="small")
-    save_figure(figure, path, dpi=150)
-    return figure
+    return save_figure(figure, path, dpi=150)
 
 
 def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
@@ -240,8 +239,7 @@ def paint_card(
         excluded_of(region, excluded if names else int(EXCLUDED)),
     )
     _draw_signature(plots["signature"], signature, colour)
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def _paint_region(paint: xr.Dataset) -> Region:
@@ -437,8 +435,7 @@ def detection_curve(
     axes.set_xlabel("false alarm rate, share of other pixels [1]")
     axes.set_ylabel("detection rate, share of the paint's pixels [1]")
     legend_below(axes)
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[float, float]]:

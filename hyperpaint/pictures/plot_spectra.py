@@ -369,8 +369,7 @@ def library_overview(
         axes.set_ylabel("reflectance factor [1]", fontsize="small")
     if count > shown_count:
         figure.suptitle(f"the first {shown_count} of {count} paints")
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:

@@ -108,8 +108,7 @@ def validation_figure(
     ending = f", the {len(paints)} worst of {count} shown" if count > len(paints) else ""
     title = textwrap.fill(label_for(validation.verdict, longest=150) + ending, max(30, int(13 * size[0])))
     figure.suptitle(title, fontsize="small")
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def _pairs_by_paint(validation: Validation) -> list[list[int]]:
@@ -246,8 +245,7 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
         )
     figure = new_figure("a picture of panels", figsize=(width, 0.45 * width), layout="constrained")
     draw_panels(figure.add_subplot(), closure)
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def state_text(state: int) -> str:
