@@ -237,7 +237,6 @@ class Explorer:
         lines, columns = state.shape
         self._selected: Place | str | None = (min(lines, columns) // 2, columns // 2)
         self._make_widgets()
-        self.view = self._layout()
         self._connect()
         self._update_pictures()
         self._select(state.drawn.names[-1] if len(state.drawn) else None)
@@ -292,9 +291,7 @@ class Explorer:
             panel.pane.HTML("", **FULL_WIDTH) for _ in range(3)
         )
 
-    def _layout(self) -> Any:
-        import panel
-
+        # layout of the widgets
         def pane(figure: Any) -> Any:
             return panel.pane.Bokeh(figure, **FULL_WIDTH)
 
@@ -304,14 +301,14 @@ class Explorer:
         def card(title: str, *parts: Any) -> Any:
             return column("1 1 230px", panel.pane.HTML(f"<b>{title}</b>", **FULL_WIDTH), *parts)
 
-        lines, columns = self._state.shape
+        lines, columns = state.shape
         navigator = [pane(self._picture.navigator())] if lines > 3 * columns else []
         flag_card = (
-            self._flag_boxes if self._state.flag_shares else panel.pane.HTML("no flags stored", **FULL_WIDTH)
+            self._flag_boxes if state.flag_shares else panel.pane.HTML("no flags stored", **FULL_WIDTH)
         )
         heading = panel.pane.HTML("<b>Nearest paints</b>: spectral angle, and scale factor", **FULL_WIDTH)
         buttons = panel.Row(self._box_button, self._undo_button, self._remove_button, **FULL_WIDTH)
-        return panel.Column(
+        self.view = panel.Column(
             panel.FlexBox(
                 column("3 1 340px", self._mode, pane(self._picture.plot), *navigator, self._caption_pane),
                 column(

@@ -94,7 +94,8 @@ class NearPaint(NamedTuple):
 class Explored:
     """An opened flight line and the regions drawn on it, in positions on the picture.
 
-    Takes the arguments of `hyperpaint.pictures.explore`.
+    Takes the arguments of `hyperpaint.pictures.explore`. ``drawn`` holds the regions of this line in
+    positions on the picture; ``others`` the regions of other flight lines, which are saved with them.
     """
 
     def __init__(
@@ -123,9 +124,13 @@ class Explored:
         self.library = library
         self.flightline = flightline
         self._excluded = int(EXCLUDED if exclude is None else exclude)
-        self._files = RegionFiles(regions)  # takes checksums before the regions are read
-        line_regions, self._others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
-        self._regions = renumbered(line_regions, self._numbered, back=True)
+        # checksums of region files, taken before the regions are read: changes by other programs are kept
+        self._digests: dict[str, str] = {}
+        if isinstance(regions, str | os.PathLike) and is_plain_file(regions):
+            with contextlib.suppress(OSError):  # reading the regions reports an unreadable file
+                self._digests[os.path.realpath(regions)] = _digest(Path(regions))
+        line_regions, self.others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
+        self.drawn = renumbered(line_regions, self._numbered, back=True)
         self._saved_digest = self._all_regions.digest
         self._linear = functools.lru_cache(6)(self._read_linear)
         self._spectra: dict[Any, Spectrum] = {}
@@ -134,21 +139,11 @@ class Explored:
     @property
     def regions(self) -> Regions:
         """Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels."""
-        return renumbered(self._regions, self._numbered)
-
-    @property
-    def drawn(self) -> Regions:
-        """Regions drawn on this line, in positions on the picture."""
-        return self._regions
-
-    @property
-    def others(self) -> tuple[Region, ...]:
-        """Regions of other flight lines, which are saved together with the regions of this line."""
-        return self._others
+        return renumbered(self.drawn, self._numbered)
 
     @property
     def _all_regions(self) -> Regions:
-        return Regions((*self.regions, *self._others)) if self._others else self.regions
+        return Regions((*self.regions, *self.others)) if self.others else self.regions
 
     @property
     def is_saved(self) -> bool:
@@ -158,13 +153,23 @@ class Explored:
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the regions of this and of other lines as GeoJSON; see `hyperpaint.write_regions`."""
         file = write_regions(self._all_regions, path, overwrite=overwrite)
-        self._files.remember(file)
+        self._digests[os.path.realpath(file)] = _digest(file)
         self._saved_digest = self._all_regions.digest
         return file
 
     def save_again(self, path: Path) -> Path:
-        """Save to a new file, or replace a file unless another program has changed it."""
-        return self.save(path, overwrite=self._files.may_replace(path))
+        """Save to a new file, or replace a file; `StoreError` if another program has changed it."""
+        is_old = is_plain_file(path)
+        digest = self._digests.get(os.path.realpath(path))
+        if is_old and digest != _digest(path):
+            raise StoreError(
+                f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
+                "so regions are not saved to it",
+                mend="move it away or choose another file, and save again",
+                option="move it away and save again, or begin anew with --regions and another file",
+                code="file-changed",
+            )
+        return self.save(path, overwrite=is_old)
 
     # --- regions -------------------------------------------------------------------------------------------
 
@@ -176,7 +181,7 @@ class Explored:
         number = 1
         while (name := f"region {number}") in self._all_regions.names:
             number += 1
-        self._regions = Regions((*self._regions, Region(name, corners, flightline=self.flightline)))
+        self.drawn = Regions((*self.drawn, Region(name, corners, flightline=self.flightline)))
         return name
 
     def move(self, name: str, along: Sequence[float], across: Sequence[float]) -> bool:
@@ -188,24 +193,22 @@ class Explored:
 
     def rename(self, name: str, new: str) -> str | None:
         """Rename a region; return the problem if that fails, else None."""
-        regions = self._regions
+        regions = self.drawn
         try:
             self._replace(name, name=new.strip())
             _ = self._all_regions  # raises if a region of another line has this name
         except PaintError as error:
-            self._regions = regions
+            self.drawn = regions
             return str(error)
         return None
 
     def drop(self, name: str) -> None:
         """Remove a region."""
-        self._regions = Regions(tuple(region for region in self._regions if region.name != name))
+        self.drawn = Regions(tuple(region for region in self.drawn if region.name != name))
 
     def _replace(self, old_name: str, **changes: Any) -> None:
-        self._regions = Regions(
-            tuple(
-                replace(region, **changes) if region.name == old_name else region for region in self._regions
-            )
+        self.drawn = Regions(
+            tuple(replace(region, **changes) if region.name == old_name else region for region in self.drawn)
         )
 
     # --- spectra -------------------------------------------------------------------------------------------
@@ -223,9 +226,9 @@ class Explored:
         return _cached(self._uncertainties, self._uncertainty, place)
 
     def _spectrum(self, place: Place) -> Spectrum:
-        return self._median_spectrum(place) if isinstance(place, Region) else self._pixel_spectrum(*place)
-
-    def _pixel_spectrum(self, along: int, across: int) -> Spectrum:
+        if isinstance(place, Region):
+            return self._median_spectrum(place)
+        along, across = place
         pixel = pixels(self.line, along, across)
         shift = pixel["wavelength_shift"].values if "wavelength_shift" in pixel.coords else 0.0
         values = np.where(good_bands(self.line), pixel["reflectance"].values, np.float32(np.nan))
@@ -536,35 +539,6 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
             code="region-holes",
         )
     return outlines, tuple(others)
-
-
-class RegionFiles:
-    """Checksums of region files, so that changes by other programs are not overwritten."""
-
-    def __init__(self, regions: Any) -> None:
-        self._digests: dict[str, str] = {}
-        if isinstance(regions, str | os.PathLike) and is_plain_file(regions):
-            with contextlib.suppress(OSError):  # reading the regions reports an unreadable file
-                self.remember(Path(regions))
-
-    def remember(self, path: Path) -> None:
-        """Store the checksum of a file that was read or saved by this object's owner."""
-        self._digests[os.path.realpath(path)] = _digest(path)
-
-    def may_replace(self, path: Path) -> bool:
-        """Return whether a file exists and may be replaced; `StoreError` if another program changed it."""
-        if not is_plain_file(path):
-            return False
-        digest = self._digests.get(os.path.realpath(path))
-        if digest != _digest(path):
-            raise StoreError(
-                f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
-                "so regions are not saved to it",
-                mend="move it away or choose another file, and save again",
-                option="move it away and save again, or begin anew with --regions and another file",
-                code="file-changed",
-            )
-        return True
 
 
 def _digest(path: Path) -> str:

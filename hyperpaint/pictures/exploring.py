@@ -145,7 +145,15 @@ def serve_explorer(
     MissingExtraError
         panel or bokeh is not installed.
     """
-    lines = _line_groups(store)
+    # groups of flight lines by name: those of the folder first, then other groups with a cube of pixels
+    groups = list_groups(store)
+    line_groups = [group for group in groups if group.startswith("flightlines/")]
+    for group in [group for group in groups if group not in line_groups]:
+        dataset = rename_to_roles(open_store(store, group))
+        has_cube = bool({"counts", "radiance", "reflectance"} & set(dataset.data_vars))
+        if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) and "wavelength" in dataset.variables and has_cube:
+            line_groups.append(group)
+    lines = {group.rpartition("/")[2] or Path(store).stem: group for group in line_groups}
     first_name = next(iter(lines), "") if line is None else line.rpartition("/")[2]
     if first_name not in lines:
         raise StoreError(
@@ -227,19 +235,6 @@ def _guard(server: Any, token: str) -> None:
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
 
     application.find_handler = find_guarded
-
-
-def _line_groups(store: str | os.PathLike[str]) -> dict[str, str]:
-    groups = list_groups(store)
-    lines = [group for group in groups if group.startswith("flightlines/")]
-    lines += [group for group in groups if group not in lines and _is_line(open_store(store, group))]
-    return {group.rpartition("/")[2] or Path(store).stem: group for group in lines}
-
-
-def _is_line(group: xr.Dataset) -> bool:
-    line = rename_to_roles(group)
-    cubes = {"counts", "radiance", "reflectance"} & set(line.data_vars)
-    return {ALONG_TRACK, CROSS_TRACK} <= set(line.dims) and "wavelength" in line.variables and bool(cubes)
 
 
 def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:

@@ -331,11 +331,11 @@ def quicklook(
     axes = plots["flags"]
     if has_flags:
         shares = schema.flag_shares(flags_of(dataset))
-        names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
+        labels = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
         lengths = [100 * share for share in shares.values()] or [0.0]
-        bars = axes.barh(names, lengths, height=0.6, color="#b5543c")
+        bars = axes.barh(labels, lengths, height=0.6, color="#b5543c")
         axes.bar_label(bars, [f" {percent(share)}" for share in shares.values()] or [""], fontsize="small")
-        axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
+        axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(labels), 8) - 0.4, -0.6))
         axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
     else:
         axes.set_axis_off()

@@ -116,11 +116,9 @@ def calibration_report(
     _draw_lamp_lines(
         lamp_axes, figure.add_subplot(fit_cells[1], sharex=lamp_axes), calibration, sweep, values
     )
-    _draw_residuals(figure.add_subplot(grid[1]), values)
-    _draw_smile(figure.add_subplot(grid[2]), values)
-    _draw_widths(figure.add_subplot(grid[3]), values)
-    _draw_responsivity(figure.add_subplot(grid[4]), values)
-    _draw_uncertainty(figure.add_subplot(grid[5]), values)
+    drawers = (_draw_residuals, _draw_smile, _draw_widths, _draw_responsivity, _draw_uncertainty)
+    for cell, draw in zip(grid[1:], drawers, strict=True):
+        draw(figure.add_subplot(cell), values)
     for axes in figure.axes:
         axes.set_title(textwrap.fill(axes.get_title(), int(9 * width / columns)))
     return save_figure(figure, path)
@@ -281,8 +279,7 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
     axes.plot(wavelength, responsivity[:, column], color=_BLUE, lw=1.8, label=f"column {column}")
     axes.autoscale_view()
     _shade_untrusted(axes, values)
-    axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]")
-    axes.set_ylim(bottom=0)
+    axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]", ylim=(0, None))
     legend_below(axes)
 
 
@@ -301,9 +298,8 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     _shade_untrusted(axes, values)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # otherwise labels overlap
-    minimum, maximum = axes.get_ylim()
-    axes.set_ylim(minimum, 2.0 * maximum)
     axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]")
+    axes.set_ylim(top=2.0 * axes.get_ylim()[1])
     legend_below(axes)
 
 
@@ -316,15 +312,14 @@ def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
     lowest, median, highest = finite_quantiles(gain.T, (0.05, 0.5, 0.95))
     plots[0].fill_between(nm, lowest, highest, color=_BLUE, alpha=0.25, lw=0)
     plots[0].semilogy(nm, median, color=_BLUE, lw=1.6)
-    plots[0].set_title("gain, 5 to 95 % of the columns", fontsize="medium")
     plots[0].set_ylabel(values["radiance_gain"].attrs.get("units", ""), fontsize="small")
     if "fwhm" in values:
         plots[1].plot(nm, values["fwhm"].values, color=_VERMILION, lw=1.6)
     plots[1].set(ylabel="FWHM [nm]")
-    plots[1].set_title("width of the bands", fontsize="medium")
     shift = values["wavelength_shift"].values if "wavelength_shift" in values else np.zeros(gain.shape[1])
     plots[2].plot(np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)].T, lw=1.3)
-    plots[2].set(xlabel="column", ylabel="wavelength shift [nm]")
-    plots[2].set_title("smile", fontsize="medium")
-    for axes in plots[:2]:
-        axes.set_xlabel("wavelength [nm]")
+    plots[2].set(ylabel="wavelength shift [nm]")
+    titles = ("gain, 5 to 95 % of the columns", "width of the bands", "smile")
+    for axes, title, label in zip(plots, titles, (*["wavelength [nm]"] * 2, "column"), strict=True):
+        axes.set_title(title, fontsize="medium")
+        axes.set_xlabel(label)

@@ -306,7 +306,18 @@ def adjacency_figure(
         if is_wide
         else figure.subplot_mosaic([["picture"], ["along"], ["added"], ["spectra"]])
     )
-    _draw_picture(plots["picture"], line, regions, route[:, width // 2])
+    # picture with the outlines of both regions, and the transect as an arrow
+    axes = plots["picture"]
+    show_picture(axes, background(line, 1), orientation_of(line))
+    for region, colour in zip(regions, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
+        outline = np.vstack([region.polygon, region.polygon[:1]]).T
+        axes.plot(*outline, color="white", linewidth=3.0)
+        axes.plot(*outline, color=colour, linewidth=1.5)
+    rows, columns = numbers_of(line, ALONG_TRACK), numbers_of(line, CROSS_TRACK)
+    start, stop = ((columns[across], rows[along]) for along, across in route[[0, -1], width // 2])
+    for thickness, colour in ((3.0, "white"), (1.2, "black")):
+        arrow = {"arrowstyle": "->", "color": colour, "linewidth": thickness}
+        axes.annotate("", stop, start, arrowprops=arrow)
     transects = {}
     for name, dataset in lines.items():
         cube = schema.require(dataset, ["reflectance"], "a figure of adjacency")["reflectance"]
@@ -419,19 +430,6 @@ def _mean(values: Array, axis: int) -> Array:
     count = is_finite.sum(axis=axis)
     mean = np.where(is_finite, values, 0.0).sum(axis=axis) / np.maximum(count, 1)
     return np.asarray(np.where(count > 0, mean, np.nan))
-
-
-def _draw_picture(axes: Any, line: xr.Dataset, regions: Sequence[Region], route: Array) -> None:
-    show_picture(axes, background(line, 1), orientation_of(line))
-    for region, colour in zip(regions, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
-        across, along = np.vstack([region.polygon, region.polygon[:1]]).T
-        axes.plot(across, along, color="white", linewidth=3.0)
-        axes.plot(across, along, color=colour, linewidth=1.5)
-    rows, columns = numbers_of(line, ALONG_TRACK), numbers_of(line, CROSS_TRACK)
-    start, stop = ((columns[across], rows[along]) for along, across in route[[0, -1]])
-    for thickness, colour in ((3.0, "white"), (1.2, "black")):
-        arrow = {"arrowstyle": "->", "color": colour, "linewidth": thickness}
-        axes.annotate("", stop, start, arrowprops=arrow)
 
 
 def _draw_bands(

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats32
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
@@ -341,22 +341,33 @@ def library_overview(
         problems.add(problem, code="variable-unusable")
     problems.raise_if_any()
     variables = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
-    count = paints.sizes[schema.SIGNATURE]
-    if not count:
+    if not (count := paints.sizes[schema.SIGNATURE]):
         raise SchemaError("the library has no paint to draw", code="library-empty")
     shown_count = min(count, MAX_PAINTS)
     columns = max(1, min(columns, shown_count))
     rows = -(-shown_count // columns)
     size = (_AXES_INCH[0] * columns, _AXES_INCH[1] * rows + 0.4)
     figure = new_figure("a picture of a paint library", figsize=size, layout="constrained")
+    from matplotlib.patches import Rectangle
+
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     wavelength, is_good = variables["wavelength"].values, good_bands(paints)
     colours = paint_colours(paints)
     for number, axes in enumerate(grid.ravel()):
         if number < shown_count:
-            _draw_paint(
-                axes, paints.isel({schema.SIGNATURE: number}), wavelength, is_good, spread, colours[number]
-            )
+            # spread, curve, name, and a swatch of the colour above the axes
+            paint, colour = paints.isel({schema.SIGNATURE: number}), colours[number]
+            has_colour = bool(np.isfinite(colour).all())
+            draw_band(axes, paint, wavelength, is_good, spread, ink_of(axes, 0.6))
+            values = np.where(is_good, paint["reflectance"].values, np.nan)
+            draw_curve(axes, wavelength, values, styles_of(colour[np.newaxis])[0])
+            title = label_for(paint[schema.SIGNATURE].item())
+            title += f"  n = {int(paint['n'])}" if "n" in paint else ""
+            axes.set_title(title, fontsize="small", loc="left", pad=11 if has_colour else None)
+            if has_colour:
+                style = {"facecolor": colour.tolist(), "edgecolor": "0.5", "lw": 0.5, "clip_on": False}
+                axes.add_patch(Rectangle((0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, **style))
+            axes.tick_params(labelsize="small")
         else:
             axes.set_axis_off()
     # the lowest plot of a column has the wavelength axis, also above an incomplete last row
@@ -391,23 +402,6 @@ def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     return paints.drop_vars([name for name in names if name not in usable]), [*problems, *map(str, faults)]
 
 
-def _draw_paint(
-    axes: Any, paint: xr.Dataset, wavelength: Any, is_good: Any, spread: str, colour: Floats32
-) -> None:
-    from matplotlib.patches import Rectangle
-
-    (style,) = styles_of(colour[np.newaxis])
-    draw_band(axes, paint, wavelength, is_good, spread, ink_of(axes, 0.6))
-    draw_curve(axes, wavelength, np.where(is_good, paint["reflectance"].values, np.nan), style)
-    count = f"  n = {int(paint['n'])}" if "n" in paint else ""
-    title = label_for(paint[schema.SIGNATURE].item()) + count
-    axes.set_title(title, fontsize="small", loc="left", pad=11 if np.isfinite(colour).all() else None)
-    if np.isfinite(colour).all():
-        style = {"facecolor": colour.tolist(), "edgecolor": "0.5", "lw": 0.5, "clip_on": False}
-        axes.add_patch(Rectangle((0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, **style))
-    axes.tick_params(labelsize="small")
-
-
 def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
     """Draw the standard uncertainty of the mean of every paint, and its random part (dashed)."""
     names = [f"reflectance_u_{kind}" for kind in ("random", "systematic")]
@@ -423,6 +417,5 @@ def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
         draw_curve(axes, nm, total[number], {**style, "ls": "-"}, label)
         if len(present) > 1:
             axes.plot(nm, uncertainties[0][number], ls="--", lw=0.9, color=style["color"])
-    axes.set(xlabel="wavelength [nm]", ylabel="standard uncertainty [1]")
-    axes.set_ylim(bottom=0)
+    axes.set(xlabel="wavelength [nm]", ylabel="standard uncertainty [1]", ylim=(0, None))
     legend_below(axes)

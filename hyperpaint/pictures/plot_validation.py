@@ -78,7 +78,14 @@ def validation_figure(
         raise SchemaError(
             f"columns={columns}, limit={limit}", expected="positive numbers", code="value-out-of-range"
         )
-    paints = _worst_paints(validation)
+    # pairs by paint, of the `MAX_PAIRS` paints with the largest RMSE
+    pairs_by_paint: dict[str, list[int]] = {}
+    for number, spectra in enumerate(validation.spectra):
+        pairs_by_paint.setdefault(str(spectra.attrs["signature"]), []).append(number)
+    paints, count = list(pairs_by_paint.values()), len(pairs_by_paint)
+    if count > MAX_PAIRS:
+        rmse = np.nan_to_num(validation.statistics["rmse"].max("part").values)
+        paints = sorted(paints, key=lambda pairs: -max(rmse[pairs]))[:MAX_PAIRS]
     columns = min(columns, len(paints))
     rows = -(-len(paints) // columns)
     size = (_AXES_INCH[0] * columns, _AXES_INCH[1] * rows + 0.7)
@@ -104,27 +111,10 @@ def validation_figure(
         if column == 0:
             upper.set_ylabel("reflectance factor [1]", fontsize="small")
         lower.set_xlabel("wavelength [nm]", fontsize="small")
-    count = len(_pairs_by_paint(validation))
     ending = f", the {len(paints)} worst of {count} shown" if count > len(paints) else ""
     title = textwrap.fill(label_for(validation.verdict, longest=150) + ending, max(30, int(13 * size[0])))
     figure.suptitle(title, fontsize="small")
     return save_figure(figure, path)
-
-
-def _pairs_by_paint(validation: Validation) -> list[list[int]]:
-    pairs: dict[str, list[int]] = {}
-    for number, spectra in enumerate(validation.spectra):
-        pairs.setdefault(str(spectra.attrs["signature"]), []).append(number)
-    return list(pairs.values())
-
-
-def _worst_paints(validation: Validation) -> list[list[int]]:
-    # pairs by paint, of the `MAX_PAIRS` paints with the largest RMSE
-    paints = _pairs_by_paint(validation)
-    if len(paints) <= MAX_PAIRS:
-        return paints
-    rmse = np.nan_to_num(validation.statistics["rmse"].max("part").values)
-    return sorted(paints, key=lambda pairs: -max(rmse[pairs]))[:MAX_PAIRS]
 
 
 def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
