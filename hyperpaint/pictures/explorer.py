@@ -34,154 +34,19 @@ timers[plot.id] = setTimeout(() => {
 """
 
 
-def empty_source(*names: str) -> Any:
-    """Return a bokeh data source with empty columns."""
-    from bokeh.models import ColumnDataSource
-
-    return ColumnDataSource({name: [] for name in names})
-
-
-class PictureFigure:
-    """The picture of a flight line, flown to the right, and a small picture of the complete line below.
-
-    ``view`` holds the first and last line in view, and the size of the figure [pixel].
-    """
-
-    def __init__(self, state: Explored, theme: str) -> None:
-        from bokeh.models import BoxSelectTool, CustomJS, PanTool, PointDrawTool, Range1d
-        from bokeh.plotting import figure
-
-        self.base, self.detail, self.flags = (empty_source("image", "x", "y", "dw", "dh") for _ in range(3))
-        self.outlines = empty_source("along", "across", "name", "colour", "width")
-        self.draft, self.corners, self.spot = (empty_source("along", "across") for _ in range(3))
-        self.view = empty_source("along", "size")
-        self._lines, columns = state.shape
-        edges = (-0.5, columns - 0.5)
-        # the flight is to the right, so that columns on its right side are below
-        self._edges = edges if state.orientation.is_mirrored else edges[::-1]
-        self.plot = plot = figure(
-            name="picture",
-            height=PICTURE_HEIGHT,
-            sizing_mode="stretch_width",
-            tools="wheel_zoom,reset",
-            active_scroll="wheel_zoom",
-            x_axis_label="line, flown to the right",
-            y_axis_label="column",
-            x_range=Range1d(-0.5, min(self._lines, 2 * columns) - 0.5),
-            y_range=Range1d(*self._edges),
-        )
-        for pictures in (self.base, self.detail, self.flags):
-            plot.image_rgba("image", "x", "y", "dw", "dh", source=pictures, level="image")
-        plot.patches(
-            "along",
-            "across",
-            source=self.outlines,
-            fill_color="colour",
-            line_color="colour",
-            fill_alpha=0.2,
-            line_width="width",
-        )
-        for colour, width in (("black", 4), ("white", 2)):
-            plot.line("along", "across", source=self.draft, line_color=colour, line_width=width)
-            plot.line("along", "across", source=self.spot, line_color=colour, line_width=width)
-        plot.scatter("along", "across", source=self.draft, size=7, fill_color="white", line_color="black")
-        handles = plot.scatter(
-            "along", "across", source=self.corners, size=10, fill_color="white", line_color="black"
-        )
-        box = BoxSelectTool(renderers=[], visible=False)
-        corners = PointDrawTool(renderers=[handles], add=False, empty_value=0, visible=False)
-        pan = PanTool(visible=False)
-        plot.add_tools(box, corners, pan)
-        self._tools = {"spectrum": box, "draw": pan, "edit": corners, "move": pan}
-        self.take_mode("spectrum")
-        _set_style(plot, theme)
-        plot.grid.visible = False
-        watch = CustomJS(args={"plot": plot, "view": self.view}, code=_WATCH)
-        for name in ("start", "end"):
-            plot.x_range.js_on_change(name, watch)
-        plot.js_on_change("inner_width", watch)
-
-    def take_mode(self, mode: str) -> None:
-        """Set the effect of dragging on the picture: select, edit or move."""
-        self.plot.toolbar.active_drag = self._tools[mode]
-
-    def navigator(self) -> Any:
-        """Return a figure of the complete line with a draggable frame around the lines in view."""
-        from bokeh.models import Range1d, RangeTool
-        from bokeh.plotting import figure
-
-        plot = figure(
-            name="navigator",
-            height=NAVIGATOR_HEIGHT,
-            sizing_mode="stretch_width",
-            tools="",
-            x_range=Range1d(-0.5, self._lines - 0.5),
-            y_range=Range1d(*self._edges),
-            toolbar_location=None,
-        )
-        plot.image_rgba("image", "x", "y", "dw", "dh", source=self.base, level="image")
-        plot.axis.visible = plot.grid.visible = False
-        plot.min_border = 0
-        tool = RangeTool(x_range=self.plot.x_range)
-        tool.overlay.update(fill_color="white", fill_alpha=0.3, line_color="white", line_width=2)
-        plot.add_tools(tool)
-        plot.outline_line_color = plot.border_fill_color = plot.background_fill_color = None
-        return plot
-
-    def show_lines(self, first: float, last: float) -> None:
-        """Bring lines ``first`` to ``last`` into view."""
-        self.plot.x_range.update(start=first, end=last)
-
-    def mark(self, corners: Array) -> None:
-        """Outline the last click by its corners (vertex, 2), x across and y along the track."""
-        outline = np.vstack([corners, corners[:1]])
-        self.spot.data = {"along": outline[:, 1].tolist(), "across": outline[:, 0].tolist()}
-
-
-class SpectraFigure:
-    """Curves of reflectance, the spread over pixels of regions, and the uncertainty of a curve."""
-
-    def __init__(self, theme: str) -> None:
-        from bokeh.models import HoverTool, Span
-        from bokeh.plotting import figure
-
-        self.curves = empty_source("nm", "reflectance", "name", "colour", "width", "dash")
-        self.spreads, self.uncertainty = (empty_source("nm", "reflectance", "colour") for _ in range(2))
-        self.plot = plot = figure(
-            name="spectra",
-            height=SPECTRA_HEIGHT,
-            sizing_mode="stretch_width",
-            tools="pan,box_zoom,reset",
-            x_axis_label="wavelength [nm]",
-            y_axis_label="reflectance factor [1]",
-        )
-        for shades, alpha in ((self.spreads, 0.12), (self.uncertainty, 0.35)):
-            plot.patches(
-                "nm", "reflectance", source=shades, fill_color="colour", fill_alpha=alpha, line_alpha=0.0
-            )
-        curves = plot.multi_line(
-            "nm", "reflectance", source=self.curves, line_color="colour", line_width="width", line_dash="dash"
-        )
-        self._band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
-        plot.add_layout(self._band)
-        tips = [("", "@name"), ("nm", "$x{0.0}"), ("reflectance", "$y{0.000}")]
-        plot.add_tools(HoverTool(renderers=[curves], tooltips=tips))
-        _set_style(plot, theme)
-
-    def mark(self, wavelength: float | None) -> None:
-        """Mark the wavelength [nm] of the band shown in the picture."""
-        self._band.update(visible=wavelength is not None, location=wavelength or 0.0)
-
-
-def show_picture(source: Any, picture: Picture | None) -> None:
-    """Put a picture into a data source; None empties the source."""
-    names = ("image", "x", "y", "dw", "dh")
-    if picture is None:
-        source.data = {name: [] for name in names}
-        return
-    columns, lines = picture.rgba.shape[0], picture.last - picture.first
-    values = (picture.rgba, picture.first - 0.5, -0.5, lines, columns)
-    source.data = {name: [value] for name, value in zip(names, values, strict=True)}
+_IMAGE, _PLACES = ("image", "x", "y", "dw", "dh"), ("along", "across")
+#: Data sources of the figures, with their columns.
+_SOURCES = {
+    # pictures of the complete line, of the lines in view, and of their flags
+    **dict.fromkeys(("base", "detail", "flags"), _IMAGE),
+    # regions, the polygon in progress, handles of the selected region, and the last click
+    "outlines": (*_PLACES, "name", "colour", "width"),
+    **dict.fromkeys(("draft", "corners", "spot"), _PLACES),
+    "view": ("along", "size"),  # first and last line in view, and the size of the figure [pixel]
+    "curves": ("nm", "reflectance", "name", "colour", "width", "dash"),
+    # spread over the pixels of regions, and uncertainty of a curve
+    **dict.fromkeys(("spreads", "uncertainty"), ("nm", "reflectance", "colour")),
+}
 
 
 def band_around(wavelength: Array, lower: Array, upper: Array) -> dict[str, Array]:
@@ -192,17 +57,7 @@ def band_around(wavelength: Array, lower: Array, upper: Array) -> dict[str, Arra
     return {"nm": np.concatenate([nm, nm[::-1]]), "reflectance": outline}
 
 
-def _set_style(plot: Any, theme: str) -> None:
-    plot.toolbar.logo = None
-    plot.border_fill_color = plot.background_fill_color = plot.outline_line_color = None
-    colour = INK[theme]
-    plot.axis.axis_label_text_color = plot.axis.major_label_text_color = colour
-    plot.axis.axis_line_color = plot.axis.major_tick_line_color = plot.axis.minor_tick_line_color = colour
-    plot.grid.grid_line_color = NEAR_COLOUR
-    plot.grid.grid_line_alpha = 0.3
-
-
-# --- the widget to explore a flight line, made with panel and bokeh (extra ``interactive``) ----------------
+# --- the widget, made with panel and bokeh (extra ``interactive``) ------------------------------------------
 
 
 _MODES = {"Spectrum": "spectrum", "Draw": "draw", "Edit": "edit", "Move": "move"}
@@ -227,15 +82,20 @@ class Explorer:
 
     def __init__(self, state: Explored, *, theme: str = "light", save_to: Path | None = None) -> None:
         import panel
+        from bokeh.models import ColumnDataSource
 
         panel.extension()  # loads scripts into a notebook
         self._state, self._theme, self._save_to = state, theme, save_to
         self._is_updating = False
         self._window: tuple[int, int] | None = None
-        self._picture, self._spectra = PictureFigure(state, theme), SpectraFigure(theme)
+        self._sources = {
+            name: ColumnDataSource({column: [] for column in columns}) for name, columns in _SOURCES.items()
+        }
         # the last clicked pixel or box, or the name of the selected region; at first the central column
         lines, columns = state.shape
         self._selected: Place | str | None = (min(lines, columns) // 2, columns // 2)
+        self._make_picture()
+        self._make_spectra()
         self._make_widgets()
         self._connect()
         self._update_pictures()
@@ -252,6 +112,117 @@ class Explorer:
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
         return self.view._repr_mimebundle_(include, exclude)
+
+    # --- figures ------------------------------------------------------------------------------------------
+
+    def _make_picture(self) -> None:
+        # the picture of the line, flown to the right, and a small picture of the complete line below
+        from bokeh.models import BoxSelectTool, CustomJS, PanTool, PointDrawTool, Range1d, RangeTool
+        from bokeh.plotting import figure
+
+        sources, (lines, columns) = self._sources, self._state.shape
+        # the flight is to the right, so that columns on its right side are below
+        edges = (-0.5, columns - 0.5)[:: 1 if self._state.orientation.is_mirrored else -1]
+        self._plot = plot = figure(
+            name="picture",
+            height=PICTURE_HEIGHT,
+            tools="wheel_zoom,reset",
+            active_scroll="wheel_zoom",
+            x_axis_label="line, flown to the right",
+            y_axis_label="column",
+            x_range=Range1d(-0.5, min(lines, 2 * columns) - 0.5),
+            y_range=Range1d(*edges),
+            **FULL_WIDTH,
+        )
+        for name in ("base", "detail", "flags"):
+            plot.image_rgba(*_IMAGE, source=sources[name], level="image")
+        plot.patches(
+            *_PLACES,
+            source=sources["outlines"],
+            fill_color="colour",
+            line_color="colour",
+            fill_alpha=0.2,
+            line_width="width",
+        )
+        for colour, width in (("black", 4), ("white", 2)):
+            for name in ("draft", "spot"):
+                plot.line(*_PLACES, source=sources[name], line_color=colour, line_width=width)
+        style = {"fill_color": "white", "line_color": "black"}
+        plot.scatter(*_PLACES, source=sources["draft"], size=7, **style)
+        handles = plot.scatter(*_PLACES, source=sources["corners"], size=10, **style)
+        # effects of dragging on the picture: select, edit or move
+        pan = PanTool(visible=False)
+        self._tools = {
+            "spectrum": BoxSelectTool(renderers=[], visible=False),
+            "draw": pan,
+            "edit": PointDrawTool(renderers=[handles], add=False, empty_value=0, visible=False),
+            "move": pan,
+        }
+        plot.add_tools(*dict.fromkeys(self._tools.values()))
+        plot.toolbar.active_drag = self._tools["spectrum"]
+        self._set_style(plot)
+        plot.grid.visible = False
+        watch = CustomJS(args={"plot": plot, "view": sources["view"]}, code=_WATCH)
+        for name in ("start", "end"):
+            plot.x_range.js_on_change(name, watch)
+        plot.js_on_change("inner_width", watch)
+        # the complete line, with a draggable frame around the lines in view
+        self._navigator = small = figure(
+            name="navigator",
+            height=NAVIGATOR_HEIGHT,
+            tools="",
+            x_range=Range1d(-0.5, lines - 0.5),
+            y_range=Range1d(*edges),
+            toolbar_location=None,
+            **FULL_WIDTH,
+        )
+        small.image_rgba(*_IMAGE, source=sources["base"], level="image")
+        small.axis.visible = small.grid.visible = False
+        small.min_border = 0
+        tool = RangeTool(x_range=plot.x_range)
+        tool.overlay.update(fill_color="white", fill_alpha=0.3, line_color="white", line_width=2)
+        small.add_tools(tool)
+        small.outline_line_color = small.border_fill_color = small.background_fill_color = None
+
+    def _make_spectra(self) -> None:
+        # curves of reflectance, the spread over pixels of regions, and the uncertainty of a curve
+        from bokeh.models import HoverTool, Span
+        from bokeh.plotting import figure
+
+        self._spectra = plot = figure(
+            name="spectra",
+            height=SPECTRA_HEIGHT,
+            tools="pan,box_zoom,reset",
+            x_axis_label="wavelength [nm]",
+            y_axis_label="reflectance factor [1]",
+            **FULL_WIDTH,
+        )
+        axes = ("nm", "reflectance")
+        for name, alpha in (("spreads", 0.12), ("uncertainty", 0.35)):
+            plot.patches(
+                *axes, source=self._sources[name], fill_color="colour", fill_alpha=alpha, line_alpha=0.0
+            )
+        style = {"line_color": "colour", "line_width": "width", "line_dash": "dash"}
+        curves = plot.multi_line(*axes, source=self._sources["curves"], **style)
+        # the wavelength of the band shown in the picture
+        self._shown_band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
+        plot.add_layout(self._shown_band)
+        tips = [("", "@name"), ("nm", "$x{0.0}"), ("reflectance", "$y{0.000}")]
+        plot.add_tools(HoverTool(renderers=[curves], tooltips=tips))
+        self._set_style(plot)
+
+    def _set_style(self, plot: Any) -> None:
+        plot.toolbar.logo = None
+        plot.border_fill_color = plot.background_fill_color = plot.outline_line_color = None
+        for part in (
+            "axis_label_text",
+            "major_label_text",
+            "axis_line",
+            "major_tick_line",
+            "minor_tick_line",
+        ):
+            setattr(plot.axis, f"{part}_color", INK[self._theme])
+        plot.grid.grid_line_color, plot.grid.grid_line_alpha = NEAR_COLOUR, 0.3
 
     # --- widgets and layout -------------------------------------------------------------------------------
 
@@ -302,7 +273,7 @@ class Explorer:
             return column("1 1 230px", panel.pane.HTML(f"<b>{title}</b>", **FULL_WIDTH), *parts)
 
         lines, columns = state.shape
-        navigator = [pane(self._picture.navigator())] if lines > 3 * columns else []
+        navigator = [pane(self._navigator)] if lines > 3 * columns else []
         flag_card = (
             self._flag_boxes if state.flag_shares else panel.pane.HTML("no flags stored", **FULL_WIDTH)
         )
@@ -310,10 +281,8 @@ class Explorer:
         buttons = panel.Row(self._box_button, self._undo_button, self._remove_button, **FULL_WIDTH)
         self.view = panel.Column(
             panel.FlexBox(
-                column("3 1 340px", self._mode, pane(self._picture.plot), *navigator, self._caption_pane),
-                column(
-                    "2 1 320px", self._spectrum_pane, pane(self._spectra.plot), heading, self._paint_boxes
-                ),
+                column("3 1 340px", self._mode, pane(self._plot), *navigator, self._caption_pane),
+                column("2 1 320px", self._spectrum_pane, pane(self._spectra), heading, self._paint_boxes),
                 **FULL_WIDTH,
             ),
             panel.FlexBox(
@@ -329,13 +298,13 @@ class Explorer:
     def _connect(self) -> None:
         from bokeh.events import DoubleTap, SelectionGeometry, Tap
 
-        plot = self._picture.plot
+        plot = self._plot
         plot.on_event(Tap, lambda event: self.tap(event.x, event.y))
         plot.on_event(DoubleTap, lambda event: self.close(event.x, event.y))
         plot.on_event(SelectionGeometry, lambda event: self.drag(event.geometry) if event.final else None)
-        self._spectra.plot.on_event(Tap, lambda event: self.take_band(event.x))
-        self._picture.corners.on_change("data", self._corners_changed)
-        self._picture.view.on_change("data", self._view_changed)
+        self._spectra.on_event(Tap, lambda event: self.take_band(event.x))
+        self._sources["corners"].on_change("data", self._corners_changed)
+        self._sources["view"].on_change("data", self._view_changed)
         calls = (
             (self._mode, "value", lambda _: self._change_mode()),
             (self._recipe, "value", lambda _: self._update_pictures()),
@@ -402,7 +371,7 @@ class Explorer:
         """Add the last corner of the polygon in progress, and make it a region."""
         if self._mode.value == "draw":
             self.tap(along, across)
-            draft = self._picture.draft.data
+            draft = self._sources["draft"].data
             # the polygon is not finished while its corners enclose no area
             if self._add_region(draft["along"], draft["across"]):
                 self._clear_draft()
@@ -434,19 +403,19 @@ class Explorer:
         return name is not None
 
     def _change_draft(self, stop: int | None, *new_corners: tuple[float, float]) -> None:
-        draft = self._picture.draft.data
-        self._picture.draft.data = {
+        draft = self._sources["draft"].data
+        self._sources["draft"].data = {
             name: [*draft[name][:stop], *(corner[axis] for corner in new_corners)]
             for axis, name in enumerate(("along", "across"))
         }
-        self._undo_button.disabled = not self._picture.draft.data["along"]
+        self._undo_button.disabled = not self._sources["draft"].data["along"]
 
     def _clear_draft(self) -> None:
-        self._picture.draft.data = {"along": [], "across": []}
+        self._sources["draft"].data = {"along": [], "across": []}
         self._undo_button.disabled = True
 
     def _change_mode(self) -> None:
-        self._picture.take_mode(self._mode.value)
+        self._plot.toolbar.active_drag = self._tools[self._mode.value]
         self._clear_draft()
         self._update_caption()
         self._select(self._region_menu.value)
@@ -490,7 +459,7 @@ class Explorer:
             visible_lines = columns * width / height / self._state.orientation.aspect
             first = -0.5 - max(0.0, visible_lines - lines) / 2
             last = first + visible_lines
-            self._picture.show_lines(first, last)
+            self._plot.x_range.update(start=first, end=last)
         window = int(np.floor(first)), int(np.ceil(last)) + 1
         if window != self._window:
             self._window = window
@@ -515,19 +484,31 @@ class Explorer:
             recipe = (self._band.value,)
         try:
             if base:
-                show_picture(self._picture.base, self._state.picture(recipe, self._stretch.value))
+                self._show_picture("base", self._state.picture(recipe, self._stretch.value))
             detail = self._state.picture(recipe, self._stretch.value, self._window)
         except PaintError as error:
             self._caption_pane.object = html.escape(str(error))
             return
-        show_picture(self._picture.detail, detail)
+        self._show_picture("detail", detail)
         self._caption = f"{recipe[0]:.1f} nm" if self._recipe.value == _ONE_BAND else self._recipe.value
         self._caption += f", lines {detail.first} to {detail.last - 1}" + f", {detail.text}" * bool(
             detail.text
         )
         self._update_caption()
         self._update_flags()
-        self._spectra.mark(recipe[0] if len(recipe) == 1 else None)
+        is_one_band = len(recipe) == 1
+        self._shown_band.update(visible=is_one_band, location=recipe[0] if is_one_band else 0.0)
+
+    def _show_picture(self, name: str, picture: Picture | None) -> None:
+        # put a picture into a data source; None empties the source
+        values: list[Any] = []
+        if picture is not None:
+            columns, lines = picture.rgba.shape[0], picture.last - picture.first
+            values = [picture.rgba, picture.first - 0.5, -0.5, lines, columns]
+        self._sources[name].data = {column: values[at : at + 1] for at, column in enumerate(_IMAGE)}
+
+    def _show_rows(self, name: str, rows: list[dict[str, Any]]) -> None:
+        self._sources[name].data = {column: [row[column] for row in rows] for column in _SOURCES[name]}
 
     def _update_caption(self) -> None:
         self._caption_pane.object = (
@@ -536,11 +517,11 @@ class Explorer:
 
     def _update_flags(self) -> None:
         flags = self._flag_boxes.value
-        show_picture(self._picture.flags, self._state.flag_picture(flags, self._window) if flags else None)
+        self._show_picture("flags", self._state.flag_picture(flags, self._window) if flags else None)
 
     def _select(self, name: str | None) -> None:
         # select a region, which is drawn bold, with handles in edit mode; None selects no region
-        regions, picture = self._state.drawn, self._picture
+        regions = self._state.drawn
         selected_name = name if name in regions.names else None
         if selected_name is not None or isinstance(self._selected, str):
             self._selected = selected_name
@@ -555,12 +536,12 @@ class Explorer:
             self._region_menu.options = [None, *regions.names]
             self._region_menu.value = selected_name
             self._name.value = selected_name or ""
-            picture.corners.data = {"along": along, "across": across}
+            self._sources["corners"].data = {"along": along, "across": across}
         finally:
             self._is_updating = False
         self._name.disabled = self._remove_button.disabled = selected_name is None
         self._box_button.disabled = not isinstance(self._selected, Region)
-        picture.outlines.data = {
+        self._sources["outlines"].data = {
             "along": [region.polygon[:, 1].tolist() for region in regions],
             "across": [region.polygon[:, 0].tolist() for region in regions],
             "name": list(regions.names),
@@ -609,9 +590,9 @@ class Explorer:
             for i in self._paint_boxes.value
             if i < len(near_paints)
         ]
-        _fill(self._spectra.spreads, spreads)
-        _fill(self._spectra.curves, curves)
-        _fill(self._spectra.uncertainty, [])
+        self._show_rows("spreads", spreads)
+        self._show_rows("curves", curves)
+        self._show_rows("uncertainty", [])
         name = f"{self._selected}: " if isinstance(self._selected, str) else ""
         text = (
             spectrum_now.text
@@ -619,12 +600,12 @@ class Explorer:
             else spectrum_now or "Click on the picture for a spectrum"
         )
         self._spectrum_pane.object = html.escape(name + text)
+        # the last click, outlined by its corners
+        corners = clicked.polygon if isinstance(clicked, Region) else np.zeros((0, 2))
         if isinstance(clicked, tuple):
-            self._picture.mark(
-                np.array([(clicked[1] + a - 0.5, clicked[0] + b - 0.5) for a, b in _UNIT_SQUARE])
-            )
-        else:
-            self._picture.mark(clicked.polygon if isinstance(clicked, Region) else np.zeros((0, 2)))
+            corners = np.array([(clicked[1] + a - 0.5, clicked[0] + b - 0.5) for a, b in _UNIT_SQUARE])
+        across, along = np.vstack([corners, corners[:1]]).T.tolist()
+        self._sources["spot"].data = {"along": along, "across": across}
         if isinstance(spectrum_now, Spectrum):
             # show the curve before its uncertainty is computed
             panel.state.execute(self._update_uncertainty, schedule=True)
@@ -643,10 +624,8 @@ class Explorer:
             if isinstance(self._selected, str):
                 colour = _colour(self._state.drawn.names.index(self._selected))
             lower, upper = spectrum.reflectance - uncertainty.u, spectrum.reflectance + uncertainty.u
-            _fill(
-                self._spectra.uncertainty,
-                [{**band_around(spectrum.wavelength, lower, upper), "colour": colour}],
-            )
+            outline = band_around(spectrum.wavelength, lower, upper)
+            self._show_rows("uncertainty", [{**outline, "colour": colour}])
             text = uncertainty.text
         self._spectrum_pane.object = (
             f"{html.escape(name + spectrum.text)}<br><small>{html.escape(text)}</small>"
@@ -656,10 +635,6 @@ class Explorer:
 def _curve(spectrum: Spectrum | NearPaint, name: str, colour: str, width: float, dash: str) -> dict[str, Any]:
     axes = {"nm": spectrum.wavelength, "reflectance": spectrum.reflectance}
     return {**axes, "name": name, "colour": colour, "width": width, "dash": dash}
-
-
-def _fill(source: Any, rows: list[dict[str, Any]]) -> None:
-    source.data = {name: [row[name] for row in rows] for name in source.data}
 
 
 def _nearest_option(values: list[float], value: float) -> float:

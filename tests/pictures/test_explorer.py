@@ -349,7 +349,7 @@ def shown() -> Any:
 
 def test_a_click_shows_the_spectrum_and_a_drag_the_median(shown: Any) -> None:
     shown.tap(7.2, 2.9)
-    curves = shown._spectra.curves.data
+    curves = shown._sources["curves"].data
     assert curves["name"] == ["roof", "clicked"]
     pixel = flight().line.paint.pixels(7, 3)
     np.testing.assert_array_equal(curves["reflectance"][1], pixel.reflectance.values)
@@ -370,16 +370,16 @@ def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
     shown._mode.value = "draw"
     for along, across in ((10, 0), (20, 0.3), (20.4, 3)):
         shown.tap(along, across)
-    assert shown._picture.draft.data["along"] == [10, 20, 20.4]
+    assert shown._sources["draft"].data["along"] == [10, 20, 20.4]
     shown._undo_button.clicks += 1
-    assert shown._picture.draft.data["along"] == [10, 20]
+    assert shown._sources["draft"].data["along"] == [10, 20]
     shown.tap(20.4, 3)
     shown.close(20.3, 3.1)
-    assert shown._picture.draft.data == {"along": [], "across": []}
+    assert shown._sources["draft"].data == {"along": [], "across": []}
     assert shown.regions[1].polygon.tolist() == [[0, 10], [0, 20], [3, 20]]
     assert shown._region_menu.options == [None, "roof", "region 1"]
     assert shown._name.value == shown._region_menu.value == "region 1"
-    assert shown._spectra.curves.data["name"] == ["roof", "region 1"]
+    assert shown._sources["curves"].data["name"] == ["roof", "region 1"]
     shown.close(10, 0)
     assert "no area" in shown._message_pane.object
     assert len(shown.regions) == 2
@@ -390,7 +390,7 @@ def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
 
 
 def test_corners_are_dragged(shown: Any) -> None:
-    corners = shown._picture.corners
+    corners = shown._sources["corners"]
     assert corners.data["along"] == []
     shown._mode.value = "edit"
     shown.tap(4.0, 3.5)
@@ -428,20 +428,20 @@ def test_bands_and_flags_are_chosen(shown: Any) -> None:
     band = shown._band.options[-1]
     shown.take_band(band + 40.0)
     assert (shown._recipe.value, shown._band.value) == ("one band", band)
-    assert shown._spectra._band.location == band
+    assert shown._shown_band.location == band
     assert f"{band:.1f} nm" in shown._caption_pane.object
     shown._recipe.value = "true colour"
-    assert not shown._spectra._band.visible
-    shown._picture.view.data = {"along": [-0.5, 47.5], "size": [800, 300]}
+    assert not shown._shown_band.visible
+    shown._sources["view"].data = {"along": [-0.5, 47.5], "size": [800, 300]}
     # pixels are square: 6 columns in 300 pixels of the screen, so 16 lines in 800
-    assert (shown._picture.plot.x_range.end - shown._picture.plot.x_range.start) == 16.0
-    assert shown._picture.detail.data["dw"] == [shown._window[1]]
+    assert (shown._plot.x_range.end - shown._plot.x_range.start) == 16.0
+    assert shown._sources["detail"].data["dw"] == [shown._window[1]]
 
 
 def test_the_picture_puts_pixel_centres_on_whole_numbers(shown: Any) -> None:
-    base = shown._picture.base.data
+    base = shown._sources["base"].data
     assert [base[name][0] for name in ("x", "y", "dw", "dh")] == [-0.5, -0.5, 24, 6]
     assert base["image"][0].shape == (6, 24)
     # the first column is on top
-    y_range = shown._picture.plot.y_range
+    y_range = shown._plot.y_range
     assert y_range.start > y_range.end
