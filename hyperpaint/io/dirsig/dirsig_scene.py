@@ -6,7 +6,6 @@ import json
 import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,7 +34,7 @@ from .dirsig_writing import (
     write_spectra,
     write_texts,
 )
-from .paint_curves import GAPS, Axis, Choices, coat_of
+from .paint_curves import PaintCurves
 
 #: Default of the largest number of curves of a population.
 MAX_CURVES = 64
@@ -168,7 +167,12 @@ def write_dirsig_scene(
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
     surfaces, face_surface = _surfaces(scene, dict(repaint or {}), with_roughness=coat_brdf)
     surfaces_of = _by_library(libraries, surfaces)
-    choices = Choices("centre", wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
+    options = {
+        "wavelength_range": wavelength_range,
+        "extrapolate": extrapolate,
+        "gaps": gaps,
+        "max_curves": max_curves,
+    }
     title = scene.name or "scene"
     stem = material_ids([title])[0]
     with export_folder(folder, overwrite=overwrite, inside=_FOLDERS) as build:
@@ -177,7 +181,7 @@ def write_dirsig_scene(
             libraries,
             surfaces_of,
             surfaces,
-            choices,
+            options,
             coat_brdf=coat_brdf,
             progress=progress,
         )
@@ -295,7 +299,7 @@ def _write_materials(
     libraries: Sequence[xr.Dataset],
     surfaces_of: Sequence[list[tuple[int, int]]],
     surfaces: Sequence[_Surface],
-    choices: Choices,
+    options: Mapping[str, Any],
     *,
     coat_brdf: bool,
     progress: Callable[[int, int], None] | None,
@@ -312,14 +316,13 @@ def _write_materials(
         written = [Material(record["id"], record["name"], Section("")) for record in records]
         library_records = paint_records(coated, written)
         curves = "members" if "member_reflectance" in coated.variables else "centre"
-        coat = coat_of(coated, "library" if _SPECULAR in coated.variables else 0.0)
-        write_spectra(
-            coated, build, Axis(coated), replace(choices, curves=curves), coat, library_records, None
-        )
+        specular = "library" if _SPECULAR in coated.variables else 0.0
+        paint_curves = PaintCurves(coated, specular, curves=curves, **options)
+        write_spectra(paint_curves, build, library_records, None)
         for record, number in zip(library_records, numbers, strict=True):
             record |= {
                 "surface": number,
-                "mirror_reflection": EXCLUDED if is_body else coat.mirror_reflection,
+                "mirror_reflection": EXCLUDED if is_body else paint_curves.mirror_reflection,
             }
             record["fit_file"] = ""
             if coat_brdf and is_body and surfaces[number].coat_index:

@@ -33,7 +33,7 @@ from .dirsig_files import (
     materials_text,
     read_materials,
 )
-from .paint_curves import CURVES, GAPS, MAX_NM, MIN_NM, Axis, Choices, Coat, blocks_of, coat_of, curves_of
+from .paint_curves import CURVES, GAPS, MAX_NM, MIN_NM, PaintCurves
 
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
@@ -340,13 +340,19 @@ def write_dirsig(
         if is_wrong:
             problems.add(found, expected=expected, mend=mend, code=code)
     problems.raise_if_any()
-    coat = coat_of(library, specular)
-    axis = Axis(library)
-    choices = Choices(curves, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
+    paint_curves = PaintCurves(
+        library,
+        specular,
+        curves=curves,
+        wavelength_range=wavelength_range,
+        extrapolate=extrapolate,
+        gaps=gaps,
+        max_curves=max_curves,
+    )
     records = paint_records(library, () if scene_materials is None else read_materials(scene_materials))
     with export_folder(folder, overwrite=overwrite) as build:
-        write_spectra(library, build, axis, choices, coat, records, progress)
-        attrs = {**coat.attrs, "surface": surface, "curves_of": curves}
+        write_spectra(paint_curves, build, records, progress)
+        attrs = {**paint_curves.attrs, "surface": surface, "curves_of": curves}
         for name in ("title", "source", "provenance", "references", "license"):
             if name in library.attrs:
                 attrs[f"library_{name}"] = str(library.attrs[name])
@@ -464,31 +470,26 @@ def paint_records(library: xr.Dataset, used: Collection[Material]) -> list[dict[
 
 
 def write_spectra(
-    library: xr.Dataset,
+    paint_curves: PaintCurves,
     build: Path,
-    axis: Axis,
-    choices: Choices,
-    coat: Coat,
     records: list[dict[str, Any]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
     # Write the files of all paints and complete their records; after a fault, only check further paints.
     problems: list[Problem] = []
     formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
-    for paints, values in blocks_of(library, choices):
+    for paints, values in paint_curves.blocks():
         for number, record in enumerate(records[paints]):
-            body, curves = values["centre"][number], values["curves"][number]
+            mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
             try:
-                wavelength, centre, curves, items = curves_of(axis, body, curves, choices)
+                wavelength, centre, curves, items = paint_curves.of_paint(
+                    values["centre"][number], values["curves"][number], mirror
+                )
             except SchemaError as error:
                 problems.append(error.about(repr(record["paint"])).problem)
                 continue
             if problems:
                 continue
-            mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
-            fraction = coat.fraction(
-                np.where(axis.good, body[axis.order], np.nan), None if mirror is None else mirror[axis.order]
-            )
             key = wavelength.tobytes()
             if key not in formats:
                 formats.clear()  # successive paints share wavelengths; older formats are dropped
@@ -497,7 +498,7 @@ def write_spectra(
             with open(build / record["emissivity_file"], "wb") as file:
                 file.write(emissivity_head(len(curves)))
                 for start in range(0, len(curves), _CURVES_AT_ONCE):
-                    total = curves[start : start + _CURVES_AT_ONCE] / (1.0 - fraction)
+                    total = curves[start : start + _CURVES_AT_ONCE] / (1.0 - items["specular_fraction"])
                     items["clipped"] += int(((total < 0.0) | (total > 1.0)).sum())
                     file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
             items["centre_clipped"] = int(((centre < 0.0) | (centre > 1.0)).sum())
@@ -507,7 +508,6 @@ def write_spectra(
             is_visible = wavelength[0] <= _RGB[2] and wavelength[-1] >= _RGB[0]
             colour = np.sqrt(np.interp(_RGB, wavelength, centre)) if is_visible else np.ones(3)
             record |= items | {
-                "specular_fraction": fraction,
                 "editor_color": [round(float(value), 3) for value in colour],
             }
         if progress is not None:
