@@ -13,7 +13,7 @@ import contextlib
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,21 +24,10 @@ from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.old_names import NEW_NAMES
 from hyperpaint.base.schema import BAND, SIGNATURE
-from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import number, numbers, safe_cell, text_of_cell
 
 from .library_spectra import MIN_NM, check_wavelengths
-from .records import (
-    CENTRE,
-    Key,
-    blocks_of,
-    metadata_path,
-    metadata_text,
-    names_of,
-    restored,
-    spectral_variables,
-    table_columns,
-)
+from .records import CENTRE, Block, Key, restored, spectral_variables, table_columns
 
 #: Headings of the names; hyperpaint 0.2 and before wrote the second.
 _NAMES = (SIGNATURE, "paint")
@@ -63,22 +52,13 @@ def is_csv_library(head: str) -> bool:
 # --- writing -----------------------------------------------------------------------------------------------
 
 
-def write_csv_library(
-    library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
-) -> None:
-    """Write a checked library to ``path``, and its metadata to ``<path>.json``.
-
-    Values have nine digits, which restore every bit of float32. A file with characters beyond ASCII begins
-    with the byte order mark by which Excel recognises UTF-8. Names and texts that a spreadsheet would execute
-    as formulas have a leading apostrophe, which the reader removes.
-
-    Raises SchemaError: Names or metadata cannot be written.
-    Raises StoreError: Files exist, or cannot be written.
-    """
-    variables = spectral_variables(library)
-    metadata = metadata_text(library, variables)
+def write_csv_library(library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path) -> None:
+    # Write the records of a checked library.
+    # Values have nine digits, which restore every bit of float32. A file with characters beyond ASCII begins
+    # with the byte order mark by which Excel recognises UTF-8. Names and texts that a spreadsheet would
+    # execute as formulas have a leading apostrophe, which the reader removes.
     columns = table_columns(library)
-    key_columns = [] if variables == [CENTRE] else _KEY_COLUMNS
+    key_columns = [] if spectral_variables(library) == [CENTRE] else _KEY_COLUMNS
     head = _line(
         [
             SIGNATURE,
@@ -87,20 +67,18 @@ def write_csv_library(
             *(repr(float(value)) for value in library["wavelength"].values),
         ]
     )
-    names = [_line([safe_cell(name)]) for name in names_of(library)]
+    lines = [_line([safe_cell(name)]) for name in names]
     properties = [
         _line(["", *map(safe_cell, map(str, cells))]) for cells in zip(*columns.values(), strict=True)
-    ] or [""] * len(names)
-    coding = "utf-8" if "".join([head, *names, *properties]).isascii() else "utf-8-sig"
+    ] or [""] * len(lines)
+    coding = "utf-8" if "".join([head, *lines, *properties]).isascii() else "utf-8-sig"
     row = ",%.9g" * library.sizes[BAND] + "\n"
-    with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
-        metadata_file.write_bytes(metadata.encode())
-        with open(table, "w", encoding=coding, newline="") as file:
-            file.write(head + "\n")
-            for variable, *records in blocks_of(library, variables, progress):
-                for paint, inner, values in zip(*records, strict=True):
-                    key = f",{variable},{'' if inner < 0 else inner + 1}" if key_columns else ""
-                    file.write(names[paint] + key + properties[paint] + row % tuple(values.tolist()))
+    with open(path, "w", encoding=coding, newline="") as file:
+        file.write(head + "\n")
+        for variable, *records in blocks:
+            for paint, inner, values in zip(*records, strict=True):
+                key = f",{variable},{'' if inner < 0 else inner + 1}" if key_columns else ""
+                file.write(lines[paint] + key + properties[paint] + row % tuple(values.tolist()))
 
 
 def _line(cells: list[str]) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,21 +30,10 @@ from hyperpaint.io.envi.envi_header import (
     braced,
     read_header,
 )
-from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import unique_names
 
 from .library_spectra import OWN_AXES, Spectra, check_wavelengths, library_of, reflectances, text_column
-from .records import (
-    CENTRE,
-    Key,
-    blocks_of,
-    metadata_path,
-    metadata_text,
-    names_of,
-    restored,
-    spectral_variables,
-    table_columns,
-)
+from .records import CENTRE, Block, Key, restored, table_columns
 from .text_spectra import PERCENT, other_quantity
 
 _BLOCK_BYTES = 16 * 2**20
@@ -315,35 +304,22 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
 
 
 def write_envi_library(
-    library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
+    library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path, header_path: Path
 ) -> None:
-    """Write a checked library to ``path`` (``.sli``), its header and its metadata beside it.
-
-    Raises SchemaError: Names or metadata cannot be written, or the header would be too large.
-    Raises StoreError: Files exist, or cannot be written.
-    """
-    data = path.with_suffix(".sli")
-    variables = spectral_variables(library)
+    # Write the records of a checked library, and its header.
+    # Raises SchemaError: The header would be too large.
     # distinct names without the separators of a header
-    names = unique_names(name.translate(_FORBIDDEN).strip() or "unnamed" for name in names_of(library))
-    metadata = metadata_text(library, variables)
+    names = unique_names(name.translate(_FORBIDDEN).strip() or "unnamed" for name in names)
     records: list[str] = []
-    targets = [data, metadata_path(data), data.with_suffix(".hdr")]
-    with published_files(targets, overwrite=overwrite) as (values_file, metadata_file, header_file):
-        with open(values_file, "wb") as file:
-            for variable, paints, inners, values in blocks_of(library, variables, progress):
-                np.asarray(values, "<f4").tofile(file)
-                # such as "red" and, of its members, "red | member 3"
-                label = "" if variable == CENTRE else f"{_BAR}{_SHORT.get(variable, variable)}"
-                records += [
-                    f"{names[paint]}{label}{f' {inner + 1}' if inner >= 0 else ''}"
-                    for paint, inner in zip(paints.tolist(), inners.tolist(), strict=True)
-                ]
-        header_file.write_bytes(_header(library, records))
-        metadata_file.write_bytes(metadata.encode())
-
-
-def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
+    with open(path, "wb") as file:
+        for variable, paints, inners, values in blocks:
+            np.asarray(values, "<f4").tofile(file)
+            # such as "red" and, of its members, "red | member 3"
+            label = "" if variable == CENTRE else f"{_BAR}{_SHORT.get(variable, variable)}"
+            records += [
+                f"{names[paint]}{label}{f' {inner + 1}' if inner >= 0 else ''}"
+                for paint, inner in zip(paints.tolist(), inners.tolist(), strict=True)
+            ]
     lists = {"wavelength": [repr(float(value)) for value in library["wavelength"].values]}
     # a header can only contain finite numbers; others are in the metadata
     if "fwhm" in library.variables and np.isfinite(library["fwhm"].values).all():
@@ -382,4 +358,4 @@ def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
             mend="shorten names, write fewer members, or write Zarr",
             code="file-too-large",
         )
-    return text
+    header_path.write_bytes(text)

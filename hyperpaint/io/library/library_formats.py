@@ -19,6 +19,7 @@ from hyperpaint.base.input_files import head_of
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
 from hyperpaint.io.store import list_groups, open_store, to_store
 from hyperpaint.io.store.reader import is_zarr
@@ -27,7 +28,15 @@ from .csv_library import is_csv_library, read_csv_library, write_csv_library
 from .envi_library import read_envi_library, write_envi_library
 from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
 from .parquet_library import is_parquet, read_parquet_library, write_parquet_library
-from .records import CENTRE, checked_library, spectral_variables
+from .records import (
+    CENTRE,
+    blocks_of,
+    checked_library,
+    metadata_path,
+    metadata_text,
+    names_of,
+    spectral_variables,
+)
 from .text_spectra import (
     is_ecostress,
     is_usgs,
@@ -365,20 +374,11 @@ def _read_store(path: Any) -> xr.Dataset:
 # --- writing -----------------------------------------------------------------------------------------------
 
 
-def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
-    total = library.sizes[SIGNATURE]
-    if progress is not None:
-        progress(0, total)
-    to_store(library, path, overwrite=overwrite)
-    if progress is not None:
-        progress(total, total)
-
-
 _WRITERS: dict[str, Callable[..., Any]] = {
     "envi": write_envi_library,
     "csv": write_csv_library,
     "parquet": write_parquet_library,
-    "zarr": _write_store,
+    "zarr": to_store,
 }
 _FORMAT_OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
 
@@ -482,5 +482,17 @@ def write_library(
         others = [name for name in spectral_variables(library) if name != CENTRE]
         inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
         library = library.drop_vars(others).drop_dims(inner, errors="ignore")
-    _WRITERS[chosen](library, path, overwrite=overwrite, progress=progress)
+    if chosen == "zarr":
+        report, paints = progress or (lambda *_: None), library.sizes[SIGNATURE]
+        report(0, paints)
+        to_store(library, path, overwrite=overwrite)
+        report(paints, paints)
+        return path
+    variables = spectral_variables(library)
+    names, metadata = names_of(library), metadata_text(library, variables)
+    # the header of ENVI, by which the library is found, appears last
+    files = [metadata_path(path), path, *([path.with_suffix(".hdr")] if chosen == "envi" else [])]
+    with published_files(files, overwrite=overwrite) as (metadata_file, *spectra_files):
+        metadata_file.write_bytes(metadata.encode())
+        _WRITERS[chosen](library, names, blocks_of(library, variables, progress), *spectra_files)
     return path

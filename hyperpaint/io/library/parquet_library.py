@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +17,9 @@ import xarray as xr
 
 from hyperpaint.base.errors import FormatError, needs_extra
 from hyperpaint.base.schema import BAND, SIGNATURE
-from hyperpaint.io.files.publishing import published_files
 
 from .library_spectra import Spectra, check_wavelengths, library_of, reflectances
-from .records import (
-    CENTRE,
-    Key,
-    blocks_of,
-    metadata_path,
-    metadata_text,
-    names_of,
-    paint_columns,
-    restored,
-    spectral_variables,
-)
+from .records import CENTRE, Block, Key, metadata_path, paint_columns, restored
 
 _MAGIC = b"PAR1"
 _OURS = b"hyperpaint"
@@ -84,20 +73,12 @@ def is_parquet(head: bytes) -> bool:
 
 
 def write_parquet_library(
-    library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
+    library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path
 ) -> None:
-    """Write a checked library to ``path``, and its metadata to ``<path>.json``.
-
-    Raises MissingExtraError: pyarrow is not installed.
-    Raises SchemaError: Names or metadata cannot be written.
-    Raises StoreError: Files exist, or cannot be written.
-    """
+    # Write the records of a checked library. Raises MissingExtraError: pyarrow is not installed.
     with needs_extra("pyarrow", "library", _PURPOSE):
         import pyarrow as pa
         import pyarrow.parquet as pq
-    variables = spectral_variables(library)
-    metadata = metadata_text(library, variables)
-    names = names_of(library)
     columns = paint_columns(library)
     numbers = pa.list_(pa.float64())
     types = {
@@ -140,34 +121,32 @@ def write_parquet_library(
         "spectral_data.wavelengths": wavelength,
         "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
     }
-    with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
-        metadata_file.write_bytes(metadata.encode())
-        with pq.ParquetWriter(table, schema, compression="zstd") as writer:
-            for variable, paints, inners, spectra in blocks_of(library, variables, progress):
-                rows = []
-                for paint, inner, values in zip(paints.tolist(), inners.tolist(), spectra, strict=True):
-                    missing = int((~np.isfinite(values)).sum())
-                    identity = f"{paint}" if variable == CENTRE else f"{paint}/{variable}/{inner}"
-                    properties = {name: column[paint] for name, column in columns.items()}
-                    words = (properties.get(word) for word in ("colour", "finish", "make", "model"))
-                    key = {"variable": variable, SIGNATURE: paint, "place": inner}
-                    rows.append(
-                        common
-                        | {
-                            "id": f"hyperpaint:{identity}",
-                            "name": names[paint],
-                            "source.original_id": identity,
-                            "material.name": names[paint],
-                            "material.keywords": [str(word) for word in words if word],
-                            "additional_properties": json.dumps({**properties, **key}, allow_nan=False),
-                            "spectral_data.values": values.astype(np.float64),
-                            "quality.has_bad_bands": missing > 0,
-                            "quality.bad_band_count": missing,
-                            "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
-                        }
-                    )
-                arrays = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
-                writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=schema))
+    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for variable, paints, inners, spectra in blocks:
+            rows = []
+            for paint, inner, values in zip(paints.tolist(), inners.tolist(), spectra, strict=True):
+                missing = int((~np.isfinite(values)).sum())
+                identity = f"{paint}" if variable == CENTRE else f"{paint}/{variable}/{inner}"
+                properties = {name: column[paint] for name, column in columns.items()}
+                words = (properties.get(word) for word in ("colour", "finish", "make", "model"))
+                key = {"variable": variable, SIGNATURE: paint, "place": inner}
+                rows.append(
+                    common
+                    | {
+                        "id": f"hyperpaint:{identity}",
+                        "name": names[paint],
+                        "source.original_id": identity,
+                        "material.name": names[paint],
+                        "material.keywords": [str(word) for word in words if word],
+                        "additional_properties": json.dumps({**properties, **key}, allow_nan=False),
+                        "spectral_data.values": values.astype(np.float64),
+                        "quality.has_bad_bands": missing > 0,
+                        "quality.bad_band_count": missing,
+                        "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
+                    }
+                )
+            arrays = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
+            writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=schema))
 
 
 # --- reading -----------------------------------------------------------------------------------------------

@@ -78,6 +78,10 @@ _NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
 #: only one spectrum of the variable.
 Key = tuple[str, int, int]
 
+#: Some records of one variable: its name; numbers of the paint and within the paint (record,), as in `Key`;
+#: values (record, band).
+Block = tuple[str, Ints, Ints, Floats32]
+
 
 # --- from a library ----------------------------------------------------------------------------------------
 
@@ -169,15 +173,9 @@ def spectral_variables(library: xr.Dataset) -> list[str]:
     return sorted(names, key=lambda name: (name != CENTRE, MEMBER in library[name].dims, name))
 
 
-def blocks_of(
-    library: xr.Dataset, names: Sequence[str], progress: Progress | None = None
-) -> Iterator[tuple[str, Ints, Ints, Floats32]]:
-    """Yield the records of variables in blocks of some 16 MiB, without the padding after the last member.
-
-    A block is some records of one variable: its name; numbers of the paint and within the paint (record,), as
-    in `Key`; values (record, band). Lazy arrays are computed in chunks of paints. ``progress`` counts the
-    paints of all variables.
-    """
+def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | None = None) -> Iterator[Block]:
+    # Yield the records of variables in blocks of some 16 MiB, without the padding after the last member.
+    # Lazy arrays are computed in chunks of paints. ``progress`` counts the paints of all variables.
     paints = library.sizes[SIGNATURE]
     for number, name in enumerate(names):
         array = library[name]
