@@ -50,7 +50,7 @@ _SOURCES = {
 
 
 def band_around(wavelength: Array, lower: Array, upper: Array) -> dict[str, Array]:
-    """Return the outline of the area between two curves, over wavelengths where both are finite."""
+    # Return the outline of the area between two curves, over wavelengths where both are finite
     is_finite = np.isfinite(lower) & np.isfinite(upper)
     nm = wavelength[is_finite]
     outline = np.concatenate([lower[is_finite], upper[is_finite][::-1]])

@@ -57,8 +57,7 @@ Lines = tuple[int, int, int]  # first, end and step, as of a slice
 
 
 class Picture(NamedTuple):
-    """Picture of lines ``first`` to ``last - 1``, flown to the right."""
-
+    # Picture of lines ``first`` to ``last - 1``, flown to the right
     rgba: npt.NDArray[np.uint32]  #: (column, line)
     first: int
     last: int
@@ -82,8 +81,7 @@ class Uncertainty(NamedTuple):
 
 
 class NearPaint(NamedTuple):
-    """A paint of the library that is similar to a spectrum."""
-
+    # A paint of the library that is similar to a spectrum
     name: str
     angle: float  #: Spectral angle [degree]
     factor: float  #: Scales the paint to the brightness of the spectrum
@@ -92,12 +90,9 @@ class NearPaint(NamedTuple):
 
 
 class Explored:
-    """An opened flight line and the regions drawn on it, in positions on the picture.
-
-    Takes the arguments of `hyperpaint.pictures.explore`. ``drawn`` holds the regions of this line in
-    positions on the picture; ``others`` the regions of other flight lines, which are saved with them.
-    """
-
+    # An opened flight line and the regions drawn on it, in positions on the picture.
+    # Takes the arguments of `hyperpaint.pictures.explore`. ``drawn`` holds the regions of this line in
+    # positions on the picture; ``others`` the regions of other flight lines, which are saved with them.
     def __init__(
         self,
         line: xr.Dataset,
@@ -147,7 +142,7 @@ class Explored:
 
     @property
     def is_saved(self) -> bool:
-        """Whether the regions are unchanged since they were read or last saved."""
+        # Whether the regions are unchanged since they were read or last saved
         return self._all_regions.digest == self._saved_digest
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -158,7 +153,7 @@ class Explored:
         return file
 
     def save_again(self, path: Path) -> Path:
-        """Save to a new file, or replace a file; `StoreError` if another program has changed it."""
+        # Save to a new file, or replace a file; `StoreError` if another program has changed it
         is_old = is_plain_file(path)
         digest = self._digests.get(os.path.realpath(path))
         if is_old and digest != _digest(path):
@@ -174,7 +169,7 @@ class Explored:
     # --- regions -------------------------------------------------------------------------------------------
 
     def add(self, along: Sequence[float], across: Sequence[float]) -> str | None:
-        """Add a region with these corners; return its name, or None if the corners enclose no area."""
+        # Add a region with these corners; return its name, or None if the corners enclose no area
         corners = corners_at(along, across, self.shape)
         if corners is None:
             return None
@@ -185,14 +180,14 @@ class Explored:
         return name
 
     def move(self, name: str, along: Sequence[float], across: Sequence[float]) -> bool:
-        """Move the corners of a region; return False if the new corners enclose no area."""
+        # Move the corners of a region; return False if the new corners enclose no area
         corners = corners_at(along, across, self.shape)
         if corners is not None:
             self._replace(name, polygon=corners)
         return corners is not None
 
     def rename(self, name: str, new: str) -> str | None:
-        """Rename a region; return the problem if that fails, else None."""
+        # Rename a region; return the problem if that fails, else None
         regions = self.drawn
         try:
             self._replace(name, name=new.strip())
@@ -203,7 +198,7 @@ class Explored:
         return None
 
     def drop(self, name: str) -> None:
-        """Remove a region."""
+        # Remove a region
         self.drawn = Regions(tuple(region for region in self.drawn if region.name != name))
 
     def _replace(self, old_name: str, **changes: Any) -> None:
@@ -214,15 +209,13 @@ class Explored:
     # --- spectra -------------------------------------------------------------------------------------------
 
     def spectrum_of(self, place: Place) -> Spectrum | str:
-        """Return the spectrum of a pixel or the median spectrum of a region, or a message with the problem.
-
-        The spectrum of a pixel equals ``line.paint.pixels(along, across)`` bit for bit. Flagged pixels of a
-        region are excluded as in signatures.
-        """
+        # Return the spectrum of a pixel or the median spectrum of a region, or a message with the problem.
+        # The spectrum of a pixel equals ``line.paint.pixels(along, across)`` bit for bit. Flagged pixels of a
+        # region are excluded as in signatures.
         return _cached(self._spectra, self._spectrum, place)
 
     def uncertainty_of(self, place: Place) -> Uncertainty | str:
-        """Return the standard uncertainty of a pixel or of a region's mean, or a message with the problem."""
+        # Return the standard uncertainty of a pixel or of a region's mean, or a message with the problem
         return _cached(self._uncertainties, self._uncertainty, place)
 
     def _spectrum(self, place: Place) -> Spectrum:
@@ -304,7 +297,7 @@ class Explored:
     # --- paints --------------------------------------------------------------------------------------------
 
     def near_paints(self, spectrum: Spectrum, count: int = 5) -> list[NearPaint]:
-        """Return the paints at the smallest spectral angles; none with fewer than five good bands."""
+        # Return the paints at the smallest spectral angles; none with fewer than five good bands
         wavelength = (BAND, spectrum.wavelength, {"units": "nm"})
         target = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": wavelength})
         try:
@@ -340,12 +333,11 @@ class Explored:
         stretch: tuple[float, float] = STRETCH,
         window: tuple[int, int] | None = None,
     ) -> Picture:
-        """Return a picture of some lines, by default of all.
-
-        Up to 1536 lines are read completely. Of more lines, the picture is the stored overview (true colour),
-        else the stored means of blocks of pixels, else a subsample of lines. Black and white are percentiles
-        (``stretch``) of brightness over the complete flight line; pixels without a value are transparent.
-        """
+        # Return a picture of some lines, by default of all.
+        # Up to 1536 lines are read completely. Of more lines, the picture is the stored overview (true
+        # colour), else the stored means of blocks of pixels, else a subsample of lines. Black and white are
+        # percentiles (``stretch``) of brightness over the complete flight line; pixels without a value are
+        # transparent.
         first, last = self._window(window)
         is_sparse = last - first > DETAIL_LINES
         if is_sparse and recipe == TRUE_COLOUR and stretch == STRETCH:
@@ -420,7 +412,7 @@ class Explored:
         return levels[0].astype(np.float32), levels[1].astype(np.float32)
 
     def has_bands(self, recipe: tuple[float, ...]) -> bool:
-        """Return whether the line has the bands of a recipe."""
+        # Return whether the line has the bands of a recipe
         try:
             bands_at(self.line, list(recipe))
             return recipe != TRUE_COLOUR or bool(visible_bands(self.wavelength).size)
@@ -437,11 +429,11 @@ class Explored:
 
     @functools.cached_property
     def flag_shares(self) -> dict[Quality, float]:
-        """Share of all pixels with each flag that occurs; empty without flags."""
+        # Share of all pixels with each flag that occurs; empty without flags
         return {} if self._quality is None else schema.flag_shares(self._quality)
 
     def flag_picture(self, flags: Iterable[Quality], window: tuple[int, int] | None = None) -> Picture:
-        """Return the flags of some lines in their colours, transparent elsewhere, the rarest on top."""
+        # Return the flags of some lines in their colours, transparent elsewhere, the rarest on top
         first, last = self._window(window)
         step = -(-(last - first) // DETAIL_LINES)
         last = min(first + step * -(-(last - first) // step), self.shape[0])

@@ -100,7 +100,7 @@ def explore(
 
 
 def require_panel() -> None:
-    """Raise `MissingExtraError` where panel or bokeh is not installed."""
+    # Raise `MissingExtraError` where panel or bokeh is not installed
     for package in ("panel", "bokeh"):
         with needs_extra(package, "interactive", "an explorer"):
             __import__(package)
@@ -209,11 +209,9 @@ def serve_explorer(
 
 
 def _guard(server: Any, token: str) -> None:
-    """Refuse requests to the server from elsewhere than its own page.
-
-    The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
-    websocket must have an origin; and every origin must be this server.
-    """
+    # Refuse requests to the server from elsewhere than its own page.
+    # The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
+    # websocket must have an origin; and every origin must be this server.
     from tornado.web import ErrorHandler
 
     application = server._tornado

@@ -26,17 +26,15 @@ _MAX_LABEL_CHARS = 60
 
 
 def new_figure(purpose: str, **options: Any) -> Any:
-    """Return a matplotlib figure independent of pyplot, with options of `Figure`.
-
-    ``purpose``, such as "a quicklook", opens the message where matplotlib is missing (`MissingExtraError`).
-    """
+    # Return a matplotlib figure independent of pyplot, with options of `Figure`.
+    # ``purpose``, such as "a quicklook", opens the message where matplotlib is missing (`MissingExtraError`).
     with needs_extra("matplotlib", "viz", purpose):
         from matplotlib.figure import Figure
     return Figure(**options)
 
 
 def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
-    """Return the axes passed, or new axes of pyplot, which a notebook displays."""
+    # Return the axes passed, or new axes of pyplot, which a notebook displays
     if axes is not None:
         return axes
     with needs_extra("matplotlib", "viz", purpose):
@@ -45,10 +43,8 @@ def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
 
 
 def ink_of(axes: Any, strength: float = 1.0) -> tuple[float, float, float]:
-    """Return the text colour of axes mixed with their background, visible in light and dark themes.
-
-    ``strength``: 1 is the text colour, 0 the background.
-    """
+    # Return the text colour of axes mixed with their background, visible in light and dark themes.
+    # ``strength``: 1 is the text colour, 0 the background.
     from matplotlib import rcParams
     from matplotlib.colors import to_rgb
 
@@ -63,7 +59,7 @@ _AXIS_HEIGHT_INCH = 0.5  # of ticks and the label of an axis
 
 
 def axes_width(axes: Any) -> float:
-    """Return the width of the part of a figure reserved for axes and their labels [inch]."""
+    # Return the width of the part of a figure reserved for axes and their labels [inch]
     width, spec = float(axes.figure.get_size_inches()[0]), axes.get_subplotspec()
     if spec is None:
         return width
@@ -72,10 +68,8 @@ def axes_width(axes: Any) -> float:
 
 
 def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = None, **options: Any) -> None:
-    """Place a legend of the curves of axes and ``others`` below the axes, in as many columns as fit.
-
-    Long names are wrapped, so that they do not narrow the axes. ``entries``: additional handles by name.
-    """
+    # Place a legend of the curves of axes and ``others`` below the axes, in as many columns as fit.
+    # Long names are wrapped, so that they do not narrow the axes. ``entries``: additional handles by name.
     from matplotlib.transforms import ScaledTranslation
 
     handles_by_label: dict[str, Any] = dict(entries or {})
@@ -131,11 +125,9 @@ def label_for(text: object, longest: int = _MAX_LABEL_CHARS) -> str:
 
 
 def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> Any:
-    """Write a figure to ``path``, if any, and return it; an existing file is replaced atomically.
-
-    Raises `SchemaError` if matplotlib does not write this file type, `StoreError` if the file cannot be
-    written.
-    """
+    # Write a figure to ``path``, if any, and return it; an existing file is replaced atomically.
+    # Raises `SchemaError` if matplotlib does not write this file type, `StoreError` if the file cannot be
+    # written.
     if path is None:
         return figure
     path = Path(path)
@@ -166,7 +158,7 @@ def check_picture(path: Path) -> None:
 
 
 def png_of(figure: Any, dpi: int = 110) -> bytes:
-    """Return a figure as PNG."""
+    # Return a figure as PNG
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         # names may be in any script; glyphs that the font lacks become boxes
@@ -200,7 +192,7 @@ def encode_png(picture: npt.NDArray[np.uint8]) -> bytes:
 
 
 def data_uri(png: bytes) -> str:
-    """Return a PNG as a data URL."""
+    # Return a PNG as a data URL
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
@@ -232,19 +224,17 @@ class Orientation:
 
 
 def map_dims(cube: xr.DataArray | xr.Dataset) -> dict[str, str]:
-    """Return "y" and "x" by role if a dataset has the coordinates of a map, otherwise an empty dict."""
+    # Return "y" and "x" by role if a dataset has the coordinates of a map, otherwise an empty dict
     pairs = {ALONG_TRACK: "y", CROSS_TRACK: "x"}
     is_map = all(name in cube.coords and cube[name].dims == (role,) for role, name in pairs.items())
     return pairs if is_map else {}
 
 
 def orientation_of(dataset: xr.Dataset) -> Orientation:
-    """Return the orientation of a flight line or a map.
-
-    Columns are reversed if they run to the left of the flight, by ``east`` and ``north`` of the pixels, else
-    by ``look_across``, else by the declared column order. Pixels have the aspect ratio of their spacing on
-    the ground where it is known, else they are square.
-    """
+    # Return the orientation of a flight line or a map.
+    # Columns are reversed if they run to the left of the flight, by ``east`` and ``north`` of the pixels,
+    # else by ``look_across``, else by the declared column order. Pixels have the aspect ratio of their
+    # spacing on the ground where it is known, else they are square.
     lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
     if map_dims(dataset) and lines > 1 and columns > 1:
         x, y = (np.asarray(dataset[name].values, np.float64) for name in ("x", "y"))
@@ -313,13 +303,13 @@ def _mean_step(values: Array) -> float:
 
 
 def flown_right(picture: Array, orientation: Orientation) -> Array:
-    """Return a picture (line, column, ...) as (row, line, ...) with the flight to the right."""
+    # Return a picture (line, column, ...) as (row, line, ...) with the flight to the right
     # the flight is to the right, so that columns on its right side are below
     return np.asarray((picture[:, ::-1] if orientation.is_mirrored else picture).swapaxes(0, 1))
 
 
 def show_picture(axes: Any, picture: Array, orientation: Orientation, **options: Any) -> Any:
-    """Show a picture (line, column, ...) on axes, in pixels of the line or metres of the map."""
+    # Show a picture (line, column, ...) on axes, in pixels of the line or metres of the map
     image = axes.imshow(
         picture,
         origin="lower",

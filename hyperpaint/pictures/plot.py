@@ -149,7 +149,7 @@ def rgb(
 
 
 def visible_bands(wavelength: Array) -> Array:
-    """Return the indices of the visible bands; SchemaError for fewer than three."""
+    # Return the indices of the visible bands; SchemaError for fewer than three
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
     if visible.size < 3:
         raise SchemaError(
@@ -161,7 +161,7 @@ def visible_bands(wavelength: Array) -> Array:
 
 
 def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
-    """Return a line with the cube to show, and its name: reflectance, else radiance, else counts."""
+    # Return a line with the cube to show, and its name: reflectance, else radiance, else counts
     names = set(dataset.variables)
     if "reflectance" in names:
         return dataset, "reflectance"
@@ -175,11 +175,9 @@ def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
 
 
 def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:
-    """Return the stored overview, subsampled to about every ``step``-th line, in the form of `rgb`.
-
-    None without an overview, for a crop of a line, or if the overview has fewer lines than requested. With
-    ``step`` None all lines are returned. ``at_most``: the step is rounded up instead of down.
-    """
+    # Return the stored overview, subsampled to about every ``step``-th line, in the form of `rgb`.
+    # None without an overview, for a crop of a line, or if the overview has fewer lines than requested. With
+    # ``step`` None all lines are returned. ``at_most``: the step is rounded up instead of down.
     row = schema.VARIABLES["overview"]
     if "overview" not in dataset.variables or set(dataset["overview"].dims) != set(row.dims):
         return None
@@ -219,7 +217,7 @@ def _level_text(source: str, lines: int, columns: int) -> str:
 
 
 def linear_srgb(values: Array, *, weights: Array) -> Array:
-    """Return linear sRGB (..., column, 3) of spectra (..., band, column); missing bands make pixels white."""
+    # Return linear sRGB (..., column, 3) of spectra (..., band, column); missing bands make pixels white
     *lines, bands, columns = values.shape
     colours = np.empty((math.prod(lines), columns, 3), np.float32)
     cube = np.ascontiguousarray(values, np.float32).reshape(-1, bands, columns)
@@ -345,7 +343,7 @@ def quicklook(
 
 
 def flags_of(dataset: xr.Dataset) -> Array:
-    """Return the flags of all pixels (along_track, cross_track) as integers."""
+    # Return the flags of all pixels (along_track, cross_track) as integers
     quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"]
     if quality.dtype.kind not in "iu":
         raise SchemaError(f"quality is {quality.dtype}", expected="uint16, one bit a flag", code="type-wrong")
@@ -353,7 +351,7 @@ def flags_of(dataset: xr.Dataset) -> Array:
 
 
 def flag_label(flag: schema.Quality) -> str:
-    """Return the name of a flag with spaces."""
+    # Return the name of a flag with spaces
     return str(flag.name).lower().replace("_", " ")
 
 
@@ -373,7 +371,7 @@ def percent(share: float) -> str:
 
 
 def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
-    """Draw irradiance over time at three wavelengths, and the time of the line, if known."""
+    # Draw irradiance over time at three wavelengths, and the time of the line, if known
     if "irradiance" not in dataset.variables:
         axes.set_axis_off()
         return
@@ -404,7 +402,7 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
 
 
 def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> None:
-    """Draw the quantiles of a cube over the pixels, band by band."""
+    # Draw the quantiles of a cube over the pixels, band by band
     sample = dataset[name].isel(
         {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
     )
@@ -419,10 +417,8 @@ def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> No
 
 
 def draw_quantiles(axes: Any, wavelength: Array, values: Array, colours: Sequence[Any]) -> None:
-    """Draw median, middle half and 5 to 95 % of samples (sample, band).
-
-    ``colours``: of the 5 to 95 %, of the middle half, and of the median.
-    """
+    # Draw median, middle half and 5 to 95 % of samples (sample, band).
+    # ``colours``: of the 5 to 95 %, of the middle half, and of the median.
     quantiles = finite_quantiles(values, QUANTILES)
     for lower, label in enumerate(("5 to 95 %", "middle half")):
         edges = quantiles[lower], quantiles[4 - lower]

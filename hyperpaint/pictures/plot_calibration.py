@@ -304,7 +304,7 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
 
 
 def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
-    """Draw gain and band width over wavelength, and smile over columns."""
+    # Draw gain and band width over wavelength, and smile over columns
     names = ["radiance_gain", "wavelength", "fwhm", "wavelength_shift"]
     values = schema.require(calibration, [n for n in names if n in calibration.variables], "a calibration")
     nm, gain = values["wavelength"].values, values["radiance_gain"].values

@@ -128,7 +128,7 @@ def background(dataset: xr.Dataset, step: int) -> Array:
 
 
 def draw_outlines(axes: Any, regions: Iterable[Region], *, width: float = 1.0, named: bool = True) -> None:
-    """Outline regions (sensor coordinates) with their names on axes of `flag_overlay`."""
+    # Outline regions (sensor coordinates) with their names on axes of `flag_overlay`
     from matplotlib.patheffects import withStroke
 
     rim = [withStroke(linewidth=2.5, foreground="black")]
@@ -182,7 +182,7 @@ def _draw_flags(
 
 
 def reduced_lines(values: Array, step: int, combine: Any) -> Array:
-    """Combine every ``step`` lines into one by the ufunc ``combine``."""
+    # Combine every ``step`` lines into one by the ufunc ``combine``
     if step == 1:
         return values
     return np.asarray(combine.reduceat(values, np.arange(0, len(values), step), axis=0))

@@ -129,10 +129,8 @@ def spectrum(
 
 
 def styles_of(colours: Array) -> list[dict[str, Any]]:
-    """Return colour and dashes of curves from their colours (curve, rgb); similar colours differ in dashes.
-
-    A curve without a colour (NaN) takes a colour of matplotlib's cycle.
-    """
+    # Return colour and dashes of curves from their colours (curve, rgb); similar colours differ in dashes.
+    # A curve without a colour (NaN) takes a colour of matplotlib's cycle.
     lab = lab_of(colours)
     styles: list[dict[str, Any]] = []
     for number, colour in enumerate(colours):
@@ -146,7 +144,7 @@ def styles_of(colours: Array) -> list[dict[str, Any]]:
 
 
 def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str | None = None) -> Any:
-    """Draw a curve with a rim that is visible on light and dark backgrounds; return its colour."""
+    # Draw a curve with a rim that is visible on light and dark backgrounds; return its colour
     from matplotlib.patheffects import Normal, withStroke
 
     rim = withStroke(linewidth=2.8, foreground=ink_of(axes, 0.45))
@@ -187,11 +185,9 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
 def draw_band(
     axes: Any, paint: xr.Dataset, wavelength: Array, is_good: Array, spread: str, colour: Any
 ) -> None:
-    """Shade the spread of the pixels of one paint of a library; see `spectrum` for ``spread``.
-
-    ``wavelength`` and ``is_good`` (band,): wavelengths [nm], and the bands to show. A library without this
-    spread is not shaded.
-    """
+    # Shade the spread of the pixels of one paint of a library; see `spectrum` for ``spread``.
+    # ``wavelength`` and ``is_good`` (band,): wavelengths [nm], and the bands to show. A library without this
+    # spread is not shaded.
     if spread == "quantiles" and "reflectance_quantiles" in paint:
         levels = paint[schema.QUANTILE].values
         for lower_level, upper_level, shade in ((0.05, 0.95, 0.15), (0.25, 0.75, 0.25)):
@@ -205,7 +201,7 @@ def draw_band(
 
 
 def good_bands(dataset: xr.Dataset) -> Array:
-    """Return which bands are good (band,): all bands for a dataset without ``good``."""
+    # Return which bands are good (band,): all bands for a dataset without ``good``
     if "good" in dataset.variables:
         return np.asarray(dataset["good"].values, bool)
     return np.ones(dataset.sizes[BAND], bool)
@@ -215,7 +211,7 @@ def good_bands(dataset: xr.Dataset) -> Array:
 
 
 def checked_places(dataset: xr.Dataset, pixels: Any, problems: Problems) -> Array:
-    """Return pixels as an array (pixel, 2), along and across the track; add faults to ``problems``."""
+    # Return pixels as an array (pixel, 2), along and across the track; add faults to ``problems``
     places = np.atleast_2d(np.asarray(pixels))
     if places.ndim != 2 or places.shape[-1] != 2 or places.dtype.kind not in "iu":
         problems.add(
@@ -249,11 +245,9 @@ def draw_pixels(
     places: Array,
     u: Array | None = None,
 ) -> None:
-    """Draw spectra of pixels in their colours, at the wavelengths of their columns, one plot a cube.
-
-    ``cubes`` (pixel, band) by name, with reflectance; ``quality`` (pixel,); ``u`` (pixel, band): standard
-    uncertainty, shaded.
-    """
+    # Draw spectra of pixels in their colours, at the wavelengths of their columns, one plot a cube.
+    # ``cubes`` (pixel, band) by name, with reflectance; ``quality`` (pixel,); ``u`` (pixel, band): standard
+    # uncertainty, shaded.
     wavelength = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
     is_good = good_bands(dataset)
     shift = np.zeros((wavelength.size, dataset.sizes[CROSS_TRACK]))
@@ -384,10 +378,8 @@ def library_overview(
 
 
 def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
-    """Return a library without variables that break the schema, and the problems of these variables.
-
-    Reads dims, dtypes and attributes only, never values.
-    """
+    # Return a library without variables that break the schema, and the problems of these variables.
+    # Reads dims, dtypes and attributes only, never values.
     table = schema.LIBRARY_VARIABLES
     names = [name for name in table if name in paints.variables]
     kinds = {name: _ACCEPTED_KINDS.get(table[name].dtype, paints[name].dtype.kind) for name in names}
@@ -403,7 +395,7 @@ def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
 
 
 def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
-    """Draw the standard uncertainty of the mean of every paint, and its random part (dashed)."""
+    # Draw the standard uncertainty of the mean of every paint, and its random part (dashed)
     names = [f"reflectance_u_{kind}" for kind in ("random", "systematic")]
     present = [name for name in names if name in paints.variables]
     first_paints = paints.isel({schema.SIGNATURE: slice(MAX_CURVES)})

@@ -251,7 +251,7 @@ def state_text(state: int) -> str:
 
 
 def draw_panels(axes: Any, closure: xr.Dataset) -> None:
-    """Draw the factors over wavelength on axes; bad bands stay blank."""
+    # Draw the factors over wavelength on axes; bad bands stay blank
     values = closure[list(CLOSURE)].isel({schema.PANEL: slice(MAX_PANELS)}).compute()
     nm, is_good = closure["wavelength"].values, good_bands(closure)
     order = np.argsort(nm, kind="stable")

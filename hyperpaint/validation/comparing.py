@@ -119,8 +119,7 @@ _MAX_NOISE_GAIN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Operator:
-    """Linear resampling of the channels of a spectrum to bands."""
-
+    # Linear resampling of the channels of a spectrum to bands
     weights: (
         Floats | None
     )  #: (band, channel): Weights, rows sum to 1; None where channels and bands are equal.
@@ -132,7 +131,7 @@ class Operator:
     noise_gain: Floats  #: (band,): See `hyperpaint.light.responses.Matching`.
 
     def __call__(self, values: Floats) -> Floats:
-        """Return values (..., channel) on the bands (..., band); NaN in bands that are not covered."""
+        # Return values (..., channel) on the bands (..., band); NaN in bands that are not covered
         on_bands = np.full((*values.shape[:-1], self.is_covered.size), np.nan)
         if self.weights is None:
             on_bands[..., self.is_covered] = values[..., self.is_covered]
@@ -146,10 +145,8 @@ class Operator:
 
 
 def bands_of(signature: Measured, references: list[Measured]) -> Measured:
-    """Return the spectrum whose channels are the common bands: the coarser one.
-
-    This is the signature, unless every reference is coarser in the common range.
-    """
+    # Return the spectrum whose channels are the common bands: the coarser one.
+    # This is the signature, unless every reference is coarser in the common range.
     low, high = signature.wavelength[[0, -1]]
     widths = []
     for reference in references:
@@ -160,11 +157,9 @@ def bands_of(signature: Measured, references: list[Measured]) -> Measured:
 
 
 def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
-    """Return the operator that resamples a spectrum to the channels of the spectrum ``bands``.
-
-    Equal channels need no weights. Missing samples of ``spectrum`` count as not covered; missing samples of
-    ``bands`` are ignored.
-    """
+    # Return the operator that resamples a spectrum to the channels of the spectrum ``bands``.
+    # Equal channels need no weights. Missing samples of ``spectrum`` count as not covered; missing samples of
+    # ``bands`` are ignored.
     is_finite = np.isfinite(spectrum.values)
     if (
         bands.wavelength.shape == spectrum.wavelength.shape
@@ -207,8 +202,7 @@ _MAX_LISTED_NAMES = 12
 
 @dataclass(frozen=True)
 class Pair:
-    """A signature and its reference spectra from one instrument."""
-
+    # A signature and its reference spectra from one instrument
     signature: Measured
     references: tuple[Measured, ...]  #: Repeated readings; their mean is compared.
     between: bool = False  #: Whether ``signature`` is a reference, from another instrument.
@@ -345,7 +339,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def between_references(pairs: Sequence[Pair]) -> list[Pair]:
-    """Return pairs of references of one paint, measured by two instruments."""
+    # Return pairs of references of one paint, measured by two instruments
     pairs_of_paint: dict[int, list[Pair]] = {}
     for pair in pairs:
         pairs_of_paint.setdefault(id(pair.signature), []).append(pair)
@@ -385,8 +379,7 @@ DRAWS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A pair on common bands."""
-
+    # A pair on common bands
     pair: Pair
     bands: Measured  #: The spectrum whose channels are the common bands.
     signature: Floats  #: (band,): Reflectance [1]; NaN where unknown.
@@ -397,49 +390,49 @@ class Compared:
 
     @property
     def names(self) -> str:
-        """Names of the references."""
+        # Names of the references
         return ", ".join(reference.name for reference in self.pair.references)
 
     @property
     def instrument(self) -> str:
-        """Instrument of the references."""
+        # Instrument of the references
         instrument = self.pair.references[0].instrument
         return f"{self.pair.signature.instrument} against {instrument}" if self.pair.between else instrument
 
     @property
     def used(self) -> npt.NDArray[np.bool_]:
-        """Bands that are compared (band,)."""
+        # Bands that are compared (band,)
         return np.isfinite(self.signature) & np.isfinite(self.reference)
 
     @property
     def coverage(self) -> Floats:
-        """Part of each band's response covered by the channels of all spectra (band,)."""
+        # Part of each band's response covered by the channels of all spectra (band,)
         return np.asarray(np.min([operator.coverage for operator in self.operators], axis=0))
 
     @property
     def ranges(self) -> str:
-        """Wavelength ranges of all spectra, as text."""
+        # Wavelength ranges of all spectra, as text
         return ", ".join(
             f"{spectrum.name} {spectrum.wavelength[0]:g} to {spectrum.wavelength[-1]:g} nm"
             for spectrum in (self.pair.signature, *self.pair.references)
         )
 
     def part(self, edges: tuple[float, float]) -> npt.NDArray[np.bool_]:
-        """Return the bands in a part of the spectrum (band,)."""
+        # Return the bands in a part of the spectrum (band,)
         return (self.bands.wavelength >= edges[0]) & (self.bands.wavelength < edges[1])
 
     @property
     def matched(self) -> bool:
-        """Whether values of any reference were changed to join detectors."""
+        # Whether values of any reference were changed to join detectors
         return any(reference.matched for reference in self.pair.references)
 
     def common(self, name: str) -> str:
-        """Return the word in a field of the references; "mixed" where they differ."""
+        # Return the word in a field of the references; "mixed" where they differ
         words = {getattr(reference, name) for reference in self.pair.references}
         return words.pop() if len(words) == 1 else "mixed"
 
     def warnings(self) -> list[tuple[str, str]]:
-        """Return code and text of each condition that the user can mend."""
+        # Return code and text of each condition that the user can mend
         name, mirror, reference_mirror = (
             self.pair.signature.name,
             self.pair.signature.mirror,
@@ -459,7 +452,7 @@ class Compared:
         return [("mirrored-sky-differs", text)]
 
     def notes(self) -> tuple[str, ...]:
-        """Return remarks for the reader of the result."""
+        # Return remarks for the reader of the result
         notes = [note for reference in self.pair.references for note in reference.notes]
         notes += [f"signature: {note}" for note in self.pair.signature.notes]
         if self.matched:
@@ -502,14 +495,14 @@ class Compared:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of repeated readings, RMS over the bands compared [1]."""
+        # Standard deviation of repeated readings, RMS over the bands compared [1]
         spreads = self._spreads()
         if len(self.pair.references) < 2 or not self.used.any():
             return 0.0
         return float(np.sqrt((spreads["reference_sd"][self.used] ** 2).mean()))
 
     def dataset(self) -> xr.Dataset:
-        """Return both spectra on the common bands."""
+        # Return both spectra on the common bands
         columns = {
             "signature": self.signature,
             "reference": self.reference,

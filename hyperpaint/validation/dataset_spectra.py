@@ -35,8 +35,7 @@ _SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
 
 @dataclass(frozen=True)
 class Names:
-    """Names of one spectrum."""
-
+    # Names of one spectrum
     shown: str  #: Name in results.
     #: Names for pairing, by rank: full names; names without suffix; names without folder, which spectra of
     #: other folders may share. A match of one rank excludes matches of later ranks.
@@ -46,7 +45,7 @@ class Names:
 
     @property
     def every(self) -> frozenset[str]:
-        """Names of all ranks."""
+        # Names of all ranks
         return frozenset[str]().union(*self.ranks)
 
 
@@ -186,15 +185,12 @@ class Measured:
 
 
 def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
-    """Return references multiplied by the reflectance of their white panel.
-
-    ``spectra``: references relative to the panel; ``panel``: reflectance of the panel on ``wavelength``: a
-    DataArray, or a Dataset with ``reflectance``. It is interpolated linearly; beyond its wavelengths the
-    result is NaN.
-
-    Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is not a certificate; all
-    problems are listed.
-    """
+    # Return references multiplied by the reflectance of their white panel.
+    # ``spectra``: references relative to the panel; ``panel``: reflectance of the panel on ``wavelength``: a
+    # DataArray, or a Dataset with ``reflectance``. It is interpolated linearly; beyond its wavelengths the
+    # result is NaN.
+    # Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is not a certificate;
+    # all problems are listed.
     array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
     if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:
         raise SchemaError(
@@ -243,11 +239,9 @@ _LOW_SUN_DEG = 70.0
 
 
 def coat_of(attrs: Any) -> dict[str, Any]:
-    """Return quantity, instrument geometry and index of the coat, by the attributes of a dataset.
-
-    ``quantity`` is one of the words of `hyperpaint.base.mirrored_light`; without it, ``specular_component``
-    determines the quantity.
-    """
+    # Return quantity, instrument geometry and index of the coat, by the attributes of a dataset.
+    # ``quantity`` is one of the words of `hyperpaint.base.mirrored_light`; without it, ``specular_component``
+    # determines the quantity.
     quantity = attrs.get("quantity")
     if quantity not in (BODY, OUTSIDE, THROUGH_COAT):
         quantity = OUTSIDE if attrs.get("specular_component") == INCLUDED else ""
@@ -386,13 +380,10 @@ def join_detectors(
 
 
 def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
-    """Return usual widths of channels for data that do not state them, and the source of these widths.
-
-    ``wavelength`` (channel,): increasing wavelengths [nm]; ``detector`` (channel,): number of the detector;
-    ``instrument``: name of the instrument in the data.
-
-    Returns full widths at half maximum (channel,) [nm], and their source, for the reader of the result.
-    """
+    # Return usual widths of channels for data that do not state them, and the source of these widths.
+    # ``wavelength`` (channel,): increasing wavelengths [nm]; ``detector`` (channel,): number of the detector;
+    # ``instrument``: name of the instrument in the data.
+    # Returns full widths at half maximum (channel,) [nm], and their source, for the reader of the result.
     lowered = instrument.lower()
     for make, names in _NAMES.items():
         if any(name in lowered for name in names):
@@ -413,11 +404,9 @@ _MIN_WIDTH_NM, _MAX_WIDTH_SPACINGS = 0.05, 100.0
 
 
 def signatures_from(signatures: xr.Dataset) -> list[Measured]:
-    """Return the spectra of a paint library; bad bands are NaN.
-
-    Raises `SchemaError`: It is not a paint library; all problems are listed. Raises `UnitsError`: Units
-    cannot be read.
-    """
+    # Return the spectra of a paint library; bad bands are NaN.
+    # Raises `SchemaError`: It is not a paint library; all problems are listed. Raises `UnitsError`: Units
+    # cannot be read.
     if not hasattr(signatures, "data_vars"):
         raise SchemaError(
             f"signatures are {type(signatures).__name__}",
@@ -428,12 +417,9 @@ def signatures_from(signatures: xr.Dataset) -> list[Measured]:
 
 
 def references_from(references: Any, fwhm: float | None) -> list[Measured]:
-    """Return the spectra of spectrometer datasets and paint libraries.
-
-    ``references``: a Dataset, or several; ``fwhm``: width of channels [nm], if given by the user.
-
-    Raises `SchemaError`: Datasets that hold no reflectance; all are listed.
-    """
+    # Return the spectra of spectrometer datasets and paint libraries.
+    # ``references``: a Dataset, or several; ``fwhm``: width of channels [nm], if given by the user.
+    # Raises `SchemaError`: Datasets that hold no reflectance; all are listed.
     datasets = [references] if hasattr(references, "data_vars") else references
     if isinstance(datasets, Mapping):
         datasets = list(datasets.values())

@@ -402,12 +402,10 @@ _GRAIN_PX = 3.0  # standard deviation of the Gaussian blur of the noise in a pic
 def obj_lines(
     scene: Any, material_id: Sequence[str], face_id: NDArray[np.int64], library: str, texture_m: float
 ) -> Iterator[str]:
-    """Yield the lines of a scene as Wavefront OBJ, one object per instance.
-
-    ``face_id`` (face,): index of the face's material in ``material_id``; ``library``: the ``.mtl`` file.
-    Texture coordinates are in units of ``texture_m``, in the coordinate plane that is most parallel to the
-    face, so that a picture has a similar size on all faces.
-    """
+    # Yield the lines of a scene as Wavefront OBJ, one object per instance.
+    # ``face_id`` (face,): index of the face's material in ``material_id``; ``library``: the ``.mtl`` file.
+    # Texture coordinates are in units of ``texture_m``, in the coordinate plane that is most parallel to the
+    # face, so that a picture has a similar size on all faces.
     yield f"mtllib {library}"
     yield from (f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in scene.vertices.tolist())
     # distinct pairs of a vertex and the plane of its face: 0, 1 or 2 for the plane across x, y or z

@@ -63,14 +63,11 @@ TEXTS.filters |= {"escaped": escape, "quoted": quoteattr}
 def export_folder(
     folder: str | os.PathLike[str], *, overwrite: bool, inside: Sequence[str] = (EMISSIVITY, REFLECTANCE)
 ) -> Iterator[Path]:
-    """Yield a temporary folder, which is renamed to ``folder`` when the block ends without an error.
-
-    ``folder``: path of a new or empty folder, or of an earlier export; ``overwrite``: whether an export may
-    be replaced; ``inside``: folders that are created in it.
-
-    Raises `StoreError`: ``folder`` contains other files, or an export that may not be replaced; another
-    process writes there; or it cannot be written.
-    """
+    # Yield a temporary folder, which is renamed to ``folder`` when the block ends without an error.
+    # ``folder``: path of a new or empty folder, or of an earlier export; ``overwrite``: whether an export may
+    # be replaced; ``inside``: folders that are created in it.
+    # Raises `StoreError`: ``folder`` contains other files, or an export that may not be replaced; another
+    # process writes there; or it cannot be written.
     if _URL.match(os.fspath(folder)):
         raise StoreError(
             f"{os.fspath(folder)!r} is a URL",
@@ -415,13 +412,11 @@ def material_section(
     thermal: Mapping[str, float] | None,
     double_sided: bool,
 ) -> Section:
-    """Return the entry of one paint in a material list.
-
-    ``record``: record of the paint in ``paints.json``; ``surface``: ``ClassicEmissivity``,
-    ``SimpleReflectance``, or ``ShellTarget`` with a ``fit_file``; ``rad_solver``: name of the radiometry
-    solver; ``thermal``: values of `THERMAL`, None if temperature is not computed; ``double_sided``: whether
-    the back of a facet has the paint, too.
-    """
+    # Return the entry of one paint in a material list.
+    # ``record``: record of the paint in ``paints.json``; ``surface``: ``ClassicEmissivity``,
+    # ``SimpleReflectance``, or ``ShellTarget`` with a ``fit_file``; ``rad_solver``: name of the radiometry
+    # solver; ``thermal``: values of `THERMAL`, None if temperature is not computed; ``double_sided``: whether
+    # the back of a facet has the paint, too.
     name, keys = _PROPERTIES[surface]
     items = ((key, record[item]) for key, item in keys)
     properties = tuple((key, value if isinstance(value, str) else f"{value:g}") for key, value in items)
@@ -443,10 +438,8 @@ def material_section(
 
 
 def paint_records(library: xr.Dataset, used: Collection[Material]) -> list[dict[str, Any]]:
-    """Return the first items of every paint's record: names, files, and columns of the library.
-
-    ``used``: materials whose IDs and names are not given to paints.
-    """
+    # Return the first items of every paint's record: names, files, and columns of the library.
+    # ``used``: materials whose IDs and names are not given to paints.
     numbered = [f"paint {number}" for number in range(1, library.sizes[SIGNATURE] + 1)]
     names = list(map(str, library[SIGNATURE].values)) if SIGNATURE in library.variables else numbered
     tokens = material_ids(names, [material.id for material in used])

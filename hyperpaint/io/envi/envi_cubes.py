@@ -64,8 +64,7 @@ _MAX_BOX_BYTES = 8 * 2**20
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """From stored samples to values: ``(stored * gain + offset) / divisor``, `ignore` becomes NaN."""
-
+    # From stored samples to values: ``(stored * gain + offset) / divisor``, `ignore` becomes NaN
     dtype: np.dtype[Any]  # Type of the values, floating or complex
     ignore: int | float | None = None  # Compared with stored samples, before scaling
     divisor: float | None = None  # The reflectance scale factor
@@ -74,7 +73,7 @@ class Scaling:
     offset: npt.NDArray[np.float64] | None = None
 
     def apply(self, stored: Array, per_band: Callable[[Array], Array]) -> Array:
-        """Return values of `stored`; `per_band` selects and reshapes a band vector to match it."""
+        # Return values of `stored`; `per_band` selects and reshapes a band vector to match it
         # float32 holds 16 bits exactly; wider integers pass through float64
         values = stored.astype(np.result_type(stored.dtype, np.float32))
         if self.gain is not None:
@@ -90,8 +89,7 @@ class Scaling:
 
 @dataclass(frozen=True, eq=False)
 class EnviArray(BackendArray):
-    """Samples of an ENVI data file, in any order of dims, in native byte order."""
-
+    # Samples of an ENVI data file, in any order of dims, in native byte order
     path: str  # Absolute path of the data file
     # file_size, modified_ns: Of the file when it was opened; a read refuses a file that has changed since.
     # dask names an array by its fields: a changed file gets another name.
@@ -110,7 +108,7 @@ class EnviArray(BackendArray):
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of the values, in native byte order."""
+        # Type of the values, in native byte order
         return self.stored.newbyteorder("=") if self.scaling is None else self.scaling.dtype
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
@@ -233,17 +231,13 @@ def _selector(positions: Ints) -> slice | Ints:
 
 
 def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Return the header and the data file that belong together.
-
-    ``path``: header or data file. A header ``raw_0.hdr`` belongs to ``raw_0``, or to that name with one of
-    the suffixes .img .dat .raw .bil .bip .bsq .bin .sli; a data file belongs to its name and ``.hdr``, with
-    its suffix or without.
-
-    Returns header, data: paths in the spelling of the caller.
-
-    Raises `FormatError`: The other file is missing or ambiguous. Raises `FileNotFoundError`:
-    There is no such file.
-    """
+    # Return the header and the data file that belong together.
+    # ``path``: header or data file. A header ``raw_0.hdr`` belongs to ``raw_0``, or to that name with one of
+    # the suffixes .img .dat .raw .bil .bip .bsq .bin .sli; a data file belongs to its name and ``.hdr``, with
+    # its suffix or without.
+    # Returns header, data: paths in the spelling of the caller.
+    # Raises `FormatError`: The other file is missing or ambiguous. Raises `FileNotFoundError`: There is no
+    # such file.
     path = input_path(path, "an ENVI header, or the data file beside it")
     if not path.is_file():
         raise FileNotFoundError(f"no such file: {str(path)!r}")

@@ -123,13 +123,10 @@ class EnviHeader:
 
 
 def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> EnviHeader:
-    """Read an ENVI header file.
-
-    ``path``: the ``.hdr`` file; ``limit``: its maximum size [byte].
-
-    Raises `FormatError`: The file is not an ENVI header, is over the limit, or contradicts itself; all
-    problems are listed. Raises `OSError`: The file cannot be read.
-    """
+    # Read an ENVI header file.
+    # ``path``: the ``.hdr`` file; ``limit``: its maximum size [byte].
+    # Raises `FormatError`: The file is not an ENVI header, is over the limit, or contradicts itself; all
+    # problems are listed. Raises `OSError`: The file cannot be read.
     with open_input(path, "an ENVI header") as file:
         # read() allocates the requested size
         raw = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
@@ -380,7 +377,7 @@ def bare(text: str) -> str:
 
 
 def braced(values: Sequence[str]) -> str:
-    """Return a list in ENVI's form, eight values per line."""
+    # Return a list in ENVI's form, eight values per line
     return (
         "{\n " + ",\n ".join(", ".join(values[start : start + 8]) for start in range(0, len(values), 8)) + "}"
     )

@@ -91,11 +91,9 @@ def _line(cells: list[str]) -> str:
 
 
 def read_csv_library(path: Path) -> xr.Dataset:
-    """Read a library that `write_csv_library` wrote.
-
-    Raises FormatError: The table or its metadata are damaged, or belong to different libraries.
-    Warns PaintWarning: The metadata are missing.
-    """
+    # Read a library that `write_csv_library` wrote.
+    # Raises FormatError: The table or its metadata are damaged, or belong to different libraries. Warns
+    # PaintWarning: The metadata are missing.
     source = path.name
     problems = Problems(f"{source} cannot be read", FormatError)
     # the first row: headings, then wavelengths

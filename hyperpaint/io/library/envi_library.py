@@ -56,16 +56,12 @@ _FORBIDDEN = str.maketrans({",": ";", "{": "(", "}": ")", "|": "/"})
 def read_envi_library(
     path: Path, *, scale: float | None = None, wavelength: Floats | None = None, fwhm: Floats | None = None
 ) -> xr.Dataset:
-    """Read an ENVI spectral library.
-
-    path: The header or the data file.
-    scale: Stored value of a reflectance of one; by default the header's ``reflectance scale factor``, else
-        its ``z plot titles``.
-    wavelength, fwhm: Values in place of those of the header [nm].
-    Raises FormatError: The header is damaged, or the data file has another size; or the file is not a library
-        of reflectance, or has no wavelengths.
-    Warns PaintWarning: Names are missing, or an inferred property may make values wrong.
-    """
+    # Read an ENVI spectral library.
+    # path: The header or the data file. scale: Stored value of a reflectance of one; by default the header's
+    # ``reflectance scale factor``, else its ``z plot titles``. wavelength, fwhm: Values in place of those of
+    # the header [nm]. Raises FormatError: The header is damaged, or the data file has another size; or the
+    # file is not a library of reflectance, or has no wavelengths. Warns PaintWarning: Names are missing, or
+    # an inferred property may make values wrong.
     header_path, data_path = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     problems = Problems(f"{header_path.name} cannot be used", FormatError)

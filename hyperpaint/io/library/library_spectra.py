@@ -63,11 +63,9 @@ class Spectra:
 
 
 def library_of(spectra: Spectra) -> xr.Dataset:
-    """Return spectra as a paint library.
-
-    Raises FormatError: Wavelengths are not finite or outside 100 nm to 300 um, or their number is not that of
-        the bands.
-    """
+    # Return spectra as a paint library.
+    # Raises FormatError: Wavelengths are not finite or outside 100 nm to 300 um, or their number is not that
+    # of the bands.
     check_wavelengths(spectra.wavelength, spectra.source)
     bands = spectra.reflectance.shape[1]
     for name, axis in (("wavelength", spectra.wavelength), ("fwhm", spectra.fwhm)):
@@ -108,10 +106,8 @@ def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
 
 
 def check_wavelengths(wavelength: Floats, source: str) -> None:
-    """Check that there are wavelengths [nm], within the range and without duplicates.
-
-    Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or duplicate.
-    """
+    # Check that there are wavelengths [nm], within the range and without duplicates.
+    # Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or duplicate.
     description = f"{wavelength.size} wavelengths, not all of them finite"
     if wavelength.size and np.isfinite(wavelength).all():
         low, high = float(wavelength.min()), float(wavelength.max())

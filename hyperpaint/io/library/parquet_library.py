@@ -166,12 +166,9 @@ _COLUMNS = (
 
 
 def read_parquet_library(path: Path) -> xr.Dataset:
-    """Read a library in the columns of OpenSpecLib, of hyperpaint or another program.
-
-    Raises FormatError: It is damaged or too large, lacks columns, contains another quantity than reflectance,
-        or has rows with different wavelengths.
-    Raises MissingExtraError: pyarrow is not installed.
-    """
+    # Read a library in the columns of OpenSpecLib, of hyperpaint or another program.
+    # Raises FormatError: It is damaged or too large, lacks columns, contains another quantity than
+    # reflectance, or has rows with different wavelengths. Raises MissingExtraError: pyarrow is not installed.
     with needs_extra("pyarrow", "library", _PURPOSE):
         import pyarrow as pa
         import pyarrow.parquet as pq

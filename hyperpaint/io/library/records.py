@@ -87,11 +87,9 @@ Block = tuple[str, Ints, Ints, Floats32]
 
 
 def checked_library(library: xr.Dataset) -> xr.Dataset:
-    """Return a library in the units of the table; values are not checked.
-
-    Raises SchemaError: It is not a paint library: variables are missing, or have other dims or units; all
-        are listed.
-    """
+    # Return a library in the units of the table; values are not checked.
+    # Raises SchemaError: It is not a paint library: variables are missing, or have other dims or units; all
+    # are listed.
     found = {name: library[name] for name in LIBRARY_VARIABLES if name in library.variables}
     # a count or a share may lack the attribute units; only spectra must have units
     plain_numbers = {
@@ -139,10 +137,8 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
 
 
 def names_of(library: xr.Dataset) -> list[str]:
-    """Return the names of the paints.
-
-    Raises SchemaError: Names are not text, or hold line breaks or control characters; all are listed.
-    """
+    # Return the names of the paints.
+    # Raises SchemaError: Names are not text, or hold line breaks or control characters; all are listed.
     problems = Problems("the library cannot be written", SchemaError)
     names: list[Any] = library[SIGNATURE].values.tolist()
     for at, name in enumerate(names):
@@ -161,10 +157,8 @@ def names_of(library: xr.Dataset) -> list[str]:
 
 
 def spectral_variables(library: xr.Dataset) -> list[str]:
-    """Return the names of the variables with a value at every band of a paint: centre first, members last.
-
-    They are sorted, since the order of xarray's coordinates differs from process to process.
-    """
+    # Return the names of the variables with a value at every band of a paint: centre first, members last.
+    # They are sorted, since the order of xarray's coordinates differs from process to process.
     names = [
         str(name)
         for name, variable in library.variables.items()
@@ -210,11 +204,9 @@ def metadata_path(data: Path) -> Path:
 
 
 def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
-    """Return all of a library except the values of its spectra, as JSON.
-
-    Raises SchemaError: Attributes or values cannot be written as JSON; all are listed. Or the text is too
-        large.
-    """
+    # Return all of a library except the values of its spectra, as JSON.
+    # Raises SchemaError: Attributes or values cannot be written as JSON; all are listed. Or the text is too
+    # large.
     problems = Problems("the library's metadata cannot be written", SchemaError)
     document = {"hyperpaint_library": VERSION, **library.to_dict(data=False)}
     entries = document["coords"] | document["data_vars"]
@@ -302,13 +294,9 @@ def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
 
 
 def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
-    """Read the metadata of a library; spectra are NaN without memory.
-
-    sizes: Sizes of signature and band in the data file.
-    Raises FormatError: The file is not from `metadata_text`, or belongs to another library; all problems are
-        listed.
-    """
-
+    # Read the metadata of a library; spectra are NaN without memory.
+    # sizes: Sizes of signature and band in the data file. Raises FormatError: The file is not from
+    # `metadata_text`, or belongs to another library; all problems are listed.
     def refuse(text: str) -> None:
         raise ValueError(f"{text} is not JSON")
 
@@ -384,10 +372,8 @@ def _decoded(name: str, entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def typed_values(flat: list[Any], dtype: str) -> Array:
-    """Return values from JSON as an array.
-
-    Raises ValueError, OverflowError: A value is of another type, or out of range.
-    """
+    # Return values from JSON as an array.
+    # Raises ValueError, OverflowError: A value is of another type, or out of range.
     if dtype not in _DTYPES:
         raise ValueError(f"expected a dtype of {', '.join(_DTYPES)}")
     kind = np.dtype(dtype).kind
@@ -419,15 +405,12 @@ def restored(
     rows: Iterable[tuple[int, Floats32]],
     columns: Mapping[str, Sequence[str]],
 ) -> xr.Dataset:
-    """Return the library of a file of records, with the metadata beside it.
-
-    names: Names of the paints, keys: keys of the records, axes: wavelengths and further coordinates of the
-        bands in the file of spectra; names in the metadata take precedence.
-    rows: Blocks of records with the number of their first record.
-    columns: Properties of the paints in the file; those in the metadata take precedence.
-    Raises FormatError: Records or metadata are damaged, or belong to different libraries.
-    Warns PaintWarning: The metadata are missing, or the columns of the file differ.
-    """
+    # Return the library of a file of records, with the metadata beside it.
+    # names: Names of the paints, keys: keys of the records, axes: wavelengths and further coordinates of the
+    # bands in the file of spectra; names in the metadata take precedence. rows: Blocks of records with the
+    # number of their first record. columns: Properties of the paints in the file; those in the metadata take
+    # precedence. Raises FormatError: Records or metadata are damaged, or belong to different libraries. Warns
+    # PaintWarning: The metadata are missing, or the columns of the file differ.
     paints, bands, source = len(names), len(axes["wavelength"]), path.name
     # numbers of the variable, the paint, and the record within the paint
     variables = list(dict.fromkeys(key[0] for key in keys))

@@ -141,21 +141,16 @@ def is_usgs_axis(head: str) -> bool:
 def read_plain_table(
     path: Path, *, scale: float | None = None, wavelength: Floats | None = None, is_reflectance: bool = False
 ) -> Spectra:
-    """Read spectra from a table of two or more columns.
-
-    Cells are separated by commas, semicolons, tabs or blanks; decimal commas are read where commas are not
-    the separator. Lines above the numbers are headings, the last of them names the columns; lines that begin
-    with ``#`` are comments. A single spectrum with a general heading such as "reflectance" gets the name of
-    the file. A column whose heading says so is the standard deviation of the column before it.
-
-    scale: Stored value of a reflectance of one; by default 100 if the headings say percent, else 1.
-    wavelength: Wavelengths in place of the first column [nm].
-    is_reflectance: Whether the values are reflectance, without a check of headings and values.
-    Raises FormatError: There is no table of numbers, its first column is not wavelengths, or the values are
-        not reflectance.
-    Warns PaintWarning: Successive rows have the same wavelength; or the values of a column look like a
-        standard deviation.
-    """
+    # Read spectra from a table of two or more columns.
+    # Cells are separated by commas, semicolons, tabs or blanks; decimal commas are read where commas are not
+    # the separator. Lines above the numbers are headings, the last of them names the columns; lines that
+    # begin with ``#`` are comments. A single spectrum with a general heading such as "reflectance" gets the
+    # name of the file. A column whose heading says so is the standard deviation of the column before it.
+    # scale: Stored value of a reflectance of one; by default 100 if the headings say percent, else 1.
+    # wavelength: Wavelengths in place of the first column [nm]. is_reflectance: Whether the values are
+    # reflectance, without a check of headings and values. Raises FormatError: There is no table of numbers,
+    # its first column is not wavelengths, or the values are not reflectance. Warns PaintWarning: Successive
+    # rows have the same wavelength; or the values of a column look like a standard deviation.
     source = path.name
     lines = _lines(path, "a table of wavelengths and reflectance")
     without_comments = ["" if line.lstrip().startswith("#") else line for line in lines]
@@ -355,12 +350,9 @@ def _without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[I
 
 
 def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> None:
-    """Warn of spectra with the oxygen band of sunlight, which reflectance does not have.
-
-    wavelength: (band,) [nm]; reflectance: (signature, band) [1].
-
-    Warns PaintWarning: A spectrum has the band.
-    """
+    # Warn of spectra with the oxygen band of sunlight, which reflectance does not have.
+    # wavelength: (band,) [nm]; reflectance: (signature, band) [1].
+    # Warns PaintWarning: A spectrum has the band.
     order = np.argsort(wavelength, kind="stable")
     nm, values = wavelength[order], reflectance[:, order].astype(np.float64)
     left, inside, right = ((nm >= lo) & (nm <= hi) for lo, hi in ((745, 755), (757, 767), (771, 781)))
@@ -384,12 +376,10 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
 
 
 def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats | None = None) -> Spectra:
-    """Read a spectrum of the ECOSTRESS or ASTER library.
-
-    scale: y of a reflectance of one, where the file does not state it.
-    wavelength: To be used in place of the file's own [nm].
-    Raises FormatError: The header or the numbers are damaged, or the values are not reflectance.
-    """
+    # Read a spectrum of the ECOSTRESS or ASTER library.
+    # scale: y of a reflectance of one, where the file does not state it. wavelength: To be used in place of
+    # the file's own [nm]. Raises FormatError: The header or the numbers are damaged, or the values are not
+    # reflectance.
     source = path.name
     lines = _lines(path, "a spectrum of the ECOSTRESS or ASTER library")
     # the header: values of ASTER files wrap
@@ -485,14 +475,10 @@ def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
 def read_usgs(
     path: Path, *, scale: float | None = None, wavelength: Floats | None = None, fwhm: Floats | None = None
 ) -> Spectra:
-    """Read a spectrum of the USGS library.
-
-    scale: Stored value of a reflectance of one, 1 by default.
-    wavelength, fwhm: Wavelengths and widths of the bands [nm]; by default from files beside the spectrum, or
-        in the two folders above it.
-    Raises FormatError: Lines are not numbers; the quantity is not reflectance; or no file of wavelengths is
-        found.
-    """
+    # Read a spectrum of the USGS library.
+    # scale: Stored value of a reflectance of one, 1 by default. wavelength, fwhm: Wavelengths and widths of
+    # the bands [nm]; by default from files beside the spectrum, or in the two folders above it. Raises
+    # FormatError: Lines are not numbers; the quantity is not reflectance; or no file of wavelengths is found.
     source = path.name
     title, values = _column(path)
     record = _RECORD.match(title)
@@ -549,10 +535,8 @@ def _column(path: Path) -> tuple[str, Floats]:
 
 
 def read_usgs_axis(path: Path) -> tuple[Floats, str]:
-    """Return the wavelengths or bandwidths of a USGS file [nm], and a note on their units.
-
-    Raises FormatError: The file is damaged, or has other content.
-    """
+    # Return the wavelengths or bandwidths of a USGS file [nm], and a note on their units.
+    # Raises FormatError: The file is damaged, or has other content.
     title, values = _column(path)
     if not np.isfinite(values).all():
         raise FormatError(f"{path.name}: not all of its {values.size} values are finite", code="not-finite")

@@ -163,10 +163,8 @@ class GeotiffHeader(NamedTuple):
 
 
 def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
-    """Return the metadata of a GeoTIFF; no cell is read.
-
-    Raises `FormatError`: it is not a TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
-    """
+    # Return the metadata of a GeoTIFF; no cell is read.
+    # Raises `FormatError`: it is not a TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
     with open_input(path, "a GeoTIFF") as file:
         if not file.read(4).startswith(TIFF):
             raise FormatError(

@@ -22,10 +22,8 @@ _GEOMETRIES = ({ALONG_TRACK, CROSS_TRACK}, {"y", "x"})
 
 
 def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
-    """Return the variable to be written, bands last: the requested one, else the first product present.
-
-    Raises `SchemaError`: It is missing, or its dims are not those of a cube or of a plane.
-    """
+    # Return the variable to be written, bands last: the requested one, else the first product present.
+    # Raises `SchemaError`: It is missing, or its dims are not those of a cube or of a plane.
     name = variable or next((name for name in _PRODUCTS if name in dataset.data_vars), None)
     if name is None or name not in dataset.variables:
         names = ", ".join(map(str, dataset.data_vars)) or "nothing"
@@ -49,11 +47,9 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
 
 
 def storable(array: xr.DataArray) -> xr.DataArray:
-    """Return an array in the dtype in which it is written.
-
-    Floats become float32, except for map coordinates, which float32 would round to decimetres; booleans
-    become uint8. Raises `SchemaError`: It has another type.
-    """
+    # Return an array in the dtype in which it is written.
+    # Floats become float32, except for map coordinates, which float32 would round to decimetres; booleans
+    # become uint8. Raises `SchemaError`: It has another type.
     if array.dtype.kind == "f":
         spec = VARIABLES.get(str(array.name))
         is_float64 = spec is not None and spec.dtype == "float64" and array.dtype.itemsize >= 8
@@ -116,15 +112,12 @@ class Grid:
 
 
 def grid_of(dataset: xr.Dataset) -> Grid | None:
-    """Return the grid of a map; None where its position is unknown.
-
-    ``x`` and ``y`` at pixel centres take precedence, since they follow every selection of cells, whereas
-    ``GeoTransform`` of ``spatial_ref`` does not. ``GeoTransform`` is used where they are missing, and for the
-    step of a single row or column. A grid along the flight has ``east`` and ``north`` (y, x) instead.
-
-    Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y``, or ``east`` and
-    ``north``, are not evenly spaced; or the grid is rotated and ``x`` and ``y`` are not distances along it.
-    """
+    # Return the grid of a map; None where its position is unknown.
+    # ``x`` and ``y`` at pixel centres take precedence, since they follow every selection of cells, whereas
+    # ``GeoTransform`` of ``spatial_ref`` does not. ``GeoTransform`` is used where they are missing, and for
+    # the step of a single row or column. A grid along the flight has ``east`` and ``north`` (y, x) instead.
+    # Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y``, or ``east`` and
+    # ``north``, are not evenly spaced; or the grid is rotated and ``x`` and ``y`` are not distances along it.
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
     reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref")
     wkt = None if reference_system is None else str(reference_system)
@@ -255,14 +248,11 @@ def _numbers(text: Any) -> Transform:
 
 
 def envi_map_info(grid: Grid) -> dict[str, str]:
-    """Return the ENVI header entries for the position of a grid, without braces.
-
-    ENVI writes an angle: a column steps along (cos r, sin r), a row along (sin r, -cos r), r = ``rotation``
-    as GDAL reads it.
-
-    Raises `SchemaError`: The grid is sheared, mirrored, or rotated with pixels that are not square. Raises
-    `MissingExtraError`: There is a reference system, and pyproj is not installed.
-    """
+    # Return the ENVI header entries for the position of a grid, without braces.
+    # ENVI writes an angle: a column steps along (cos r, sin r), a row along (sin r, -cos r), r = ``rotation``
+    # as GDAL reads it.
+    # Raises `SchemaError`: The grid is sheared, mirrored, or rotated with pixels that are not square. Raises
+    # `MissingExtraError`: There is a reference system, and pyproj is not installed.
     a, b, c, d, e, f = grid.transform
     width, height = math.hypot(b, e), math.hypot(c, f)
     problems = Problems("ENVI cannot describe this grid", SchemaError)

@@ -25,8 +25,7 @@ TILE = 256  # [cell]
 
 
 class RasterFormat(NamedTuple):
-    """Format of a map file, which GDAL copies from a plain GeoTIFF."""
-
+    # Format of a map file, which GDAL copies from a plain GeoTIFF
     driver: str  # of GDAL
     media_type: str
     options: dict[str, Any]  # of GDAL's driver, for all bands
@@ -49,10 +48,8 @@ _MEDIA_TYPES = {
 
 
 def with_own_transform(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a map whose ``GeoTransform`` matches its cells; a selection has the transform of the whole map.
-
-    Raises `SchemaError`: as `grid_of`.
-    """
+    # Return a map whose ``GeoTransform`` matches its cells; a selection has the transform of the whole map.
+    # Raises `SchemaError`: as `grid_of`.
     grid = grid_of(dataset)
     if grid is None or SPATIAL_REF not in dataset.variables:
         return dataset
@@ -61,12 +58,9 @@ def with_own_transform(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
-    """Return the GeoZarr attributes of a Zarr group for the position of a map (y, x).
-
-    They follow the conventions ``proj:`` and ``spatial:``, version 1. netCDF cannot hold the list of them.
-
-    Raises `SchemaError`: its position is unknown; `MissingExtraError`: pyproj is not installed.
-    """
+    # Return the GeoZarr attributes of a Zarr group for the position of a map (y, x).
+    # They follow the conventions ``proj:`` and ``spatial:``, version 1. netCDF cannot hold the list of them.
+    # Raises `SchemaError`: its position is unknown; `MissingExtraError`: pyproj is not installed.
     grid = required_grid(dataset)
     url = "https://{}github{}.com/zarr-conventions/{}"
     conventions = [
@@ -93,13 +87,10 @@ def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
-    """Return the STAC item (version 1.1) of a map exported to a file or store; computes ``line_time``.
-
-    It has the fields of the extensions projection and eo; ``line_time`` gives the time of recording.
-
-    Raises `SchemaError`: position or time of the map is unknown; `MissingExtraError`: pyproj is not
-    installed.
-    """
+    # Return the STAC item (version 1.1) of a map exported to a file or store; computes ``line_time``.
+    # It has the fields of the extensions projection and eo; ``line_time`` gives the time of recording.
+    # Raises `SchemaError`: position or time of the map is unknown; `MissingExtraError`: pyproj is not
+    # installed.
     grid = required_grid(dataset)
     if grid.wkt is None or "line_time" not in dataset.variables:
         missing = "reference system" if grid.wkt is None else "line_time"
