@@ -11,7 +11,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, numbers_of
 from hyperpaint.base.units import takes_quantities
@@ -376,24 +376,28 @@ def _checked_regions(lines: dict[str, xr.Dataset], near: Any, far: Any, width: i
     problems = Problems("adjacency cannot be drawn", SchemaError)
     line, *comparisons = lines.values()
     shape = dict(line["reflectance"].sizes)
-    for comparison in comparisons:
-        if "reflectance" not in comparison.variables or dict(comparison["reflectance"].sizes) != shape:
-            problems.add(
-                "without= has no reflectance of the line's size",
-                expected=f"shape {shape}",
-                code="grid-mismatch",
-            )
+    problems.extend(
+        Problem(
+            "without= has no reflectance of the line's size", expected=f"shape {shape}", code="grid-mismatch"
+        )
+        for comparison in comparisons
+        if "reflectance" not in comparison.variables or dict(comparison["reflectance"].sizes) != shape
+    )
     if width < 1:
         problems.add(f"width={width}", expected="1 or more pixels", code="value-out-of-range")
     pairs = [regions_from(regions) for regions in (near, far)]
-    for name, regions in zip(("near", "far"), pairs, strict=True):
-        if len(regions) != 1:
-            problems.add(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")
+    problems.extend(
+        Problem(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")
+        for name, regions in zip(("near", "far"), pairs, strict=True)
+        if len(regions) != 1
+    )
     problems.raise_if_any()
     pair = type(pairs[0])((pairs[0][0], pairs[1][0]), pairs[0].coordinates, pairs[0].crs)
-    for region, (along, _) in zip(pair, pixels_of(pair, line), strict=True):
-        if not along.size:
-            problems.add(f"region {region.name!r} holds no pixel of the line", code="region-empty")
+    problems.extend(
+        Problem(f"region {region.name!r} holds no pixel of the line", code="region-empty")
+        for region, (along, _) in zip(pair, pixels_of(pair, line), strict=True)
+        if not along.size
+    )
     problems.raise_if_any()
     return pair
 

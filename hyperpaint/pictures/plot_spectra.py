@@ -11,7 +11,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.base.units import takes_quantities
@@ -228,12 +228,14 @@ def checked_places(dataset: xr.Dataset, pixels: Any, problems: Problems) -> Arra
             code="curve-number",
         )
     lines, columns = dataset.sizes.get(ALONG_TRACK, 0), dataset.sizes.get(CROSS_TRACK, 0)
-    for along, across in places.tolist():
-        if not (0 <= along < lines and 0 <= across < columns):
-            problems.add(
-                f"pixel ({along}, {across}) is outside the line of {lines} lines and {columns} columns",
-                code="pixel-outside",
-            )
+    problems.extend(
+        Problem(
+            f"pixel ({along}, {across}) is outside the line of {lines} lines and {columns} columns",
+            code="pixel-outside",
+        )
+        for along, across in places.tolist()
+        if not (0 <= along < lines and 0 <= across < columns)
+    )
     return places
 
 
@@ -331,8 +333,7 @@ def library_overview(
     """
     paints, faults = find_usable(paints)
     problems = Problems("a paint library cannot be drawn", SchemaError)
-    for problem in faults:
-        problems.add(problem, code="variable-unusable")
+    problems.extend(Problem(problem, code="variable-unusable") for problem in faults)
     problems.raise_if_any()
     variables = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
     if not (count := paints.sizes[schema.SIGNATURE]):

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.schema import BAND
 from hyperpaint.light.responses import Responses, matching_operator
 
@@ -320,13 +320,15 @@ def _named_pairs(
             problems.add(
                 f"there is no paint {paint!r}", expected=_listed(sorted(paints)), code="paint-unknown"
             )
-        for name in names:
-            if name not in known_names:
-                problems.add(
-                    f"there is no reference {name!r} for {paint!r}",
-                    expected=_listed([reference.name for reference in references]),
-                    code="reference-unknown",
-                )
+        problems.extend(
+            Problem(
+                f"there is no reference {name!r} for {paint!r}",
+                expected=_listed([reference.name for reference in references]),
+                code="reference-unknown",
+            )
+            for name in names
+            if name not in known_names
+        )
         names_of_paint[str(paint)] = names
     problems.raise_if_any()
     return names_of_paint

@@ -17,7 +17,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems, SchemaError, UnitsError
+from hyperpaint.base.errors import Problem, Problems, SchemaError, UnitsError
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import convert
@@ -214,13 +214,15 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
             mend="divide percent by 100",
             code="value-out-of-range",
         )
-    for spectrum in spectra:
-        if spectrum.absolute:
-            problems.add(
-                f"reference {spectrum.name!r} is absolute already, or from a library",
-                mend="remove the argument panel=",
-                code="option-conflict",
-            )
+    problems.extend(
+        Problem(
+            f"reference {spectrum.name!r} is absolute already, or from a library",
+            mend="remove the argument panel=",
+            code="option-conflict",
+        )
+        for spectrum in spectra
+        if spectrum.absolute
+    )
     problems.raise_if_any()
     scaled = []
     for spectrum in spectra:

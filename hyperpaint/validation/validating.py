@@ -11,7 +11,7 @@ import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.units import takes_quantities
 
@@ -174,11 +174,11 @@ def validate(
             f"{parts!r:.60}", expected="names with first and last wavelength [nm]", code="type-wrong"
         )
         problems.raise_if_any()
-    for name, edges in parts.items():
-        if len(tuple(edges)) != 2 or not edges[0] < edges[1]:
-            problems.add(
-                f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong"
-            )
+    problems.extend(
+        Problem(f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong")
+        for name, edges in parts.items()
+        if len(tuple(edges)) != 2 or not edges[0] < edges[1]
+    )
     problems.raise_if_any()
     reference_spectra = references_from(references, reference_fwhm)
     if panel is not None:
@@ -190,13 +190,15 @@ def validate(
     between = [compare(pair, seed) for pair in between_references(matched)]
     between = [comparison for comparison in between if comparison.used.any()]
     problems = Problems("pairs have no band in common", SchemaError)
-    for comparison in compared:
-        if not comparison.used.any():
-            problems.add(
-                f"{comparison.pair.signature.name!r}: paint and reference share no complete band "
-                f"({comparison.ranges})",
-                code="range-disjoint",
-            )
+    problems.extend(
+        Problem(
+            f"{comparison.pair.signature.name!r}: paint and reference share no complete band "
+            f"({comparison.ranges})",
+            code="range-disjoint",
+        )
+        for comparison in compared
+        if not comparison.used.any()
+    )
     problems.raise_if_any()
     scatters = [_scatter(comparison, limits) for comparison in compared]
     messages = [message for comparison in compared for message in comparison.warnings()]

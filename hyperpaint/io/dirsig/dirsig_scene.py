@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
@@ -151,17 +151,23 @@ def write_dirsig_scene(
     problems = Problems("no DIRSIG scene can be written", SchemaError)
     place = np.asarray(origin, np.float64)
     is_place = place.shape == (3,) and np.isfinite(place).all() and (abs(place[:2]) <= [90.0, 360.0]).all()
-    for is_right, found, expected in (
-        (
-            isinstance(max_curves, int) and max_curves >= 1,
-            f"max_curves={max_curves!r}",
-            "a whole number above 0",
-        ),
-        (is_number(texture_m) and 1e-3 <= texture_m <= 1e4, f"texture_m={texture_m!r}", "0.001 to 10000 m"),
-        (is_place, f"origin={origin!r}", "latitude and longitude [degree] and height [m]"),
-    ):
-        if not is_right:
-            problems.add(found, expected=expected, code="value-out-of-range")
+    problems.extend(
+        Problem(found, expected=expected, code="value-out-of-range")
+        for is_right, found, expected in (
+            (
+                isinstance(max_curves, int) and max_curves >= 1,
+                f"max_curves={max_curves!r}",
+                "a whole number above 0",
+            ),
+            (
+                is_number(texture_m) and 1e-3 <= texture_m <= 1e4,
+                f"texture_m={texture_m!r}",
+                "0.001 to 10000 m",
+            ),
+            (is_place, f"origin={origin!r}", "latitude and longitude [degree] and height [m]"),
+        )
+        if not is_right
+    )
     problems.raise_if_any()
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
@@ -254,11 +260,13 @@ def _surfaces(
     materials, instances = scene.materials, scene.instances
     names = {item.name for item in (*materials, *instances)}
     names |= {material.spectrum for material in materials}
-    for key in repaint.keys() - names:
-        problems.add(
+    problems.extend(
+        Problem(
             f"repaint[{key!r}]: the scene has no instance, material or spectrum of this name",
             code="key-unknown",
         )
+        for key in repaint.keys() - names
+    )
     problems.raise_if_any()
     pair = scene.face_material.astype(np.int64) * len(instances) + scene.face_instance
     distinct, face_pair = np.unique(pair, return_inverse=True)

@@ -281,61 +281,63 @@ def write_dirsig(
     limits = [] if wavelength_range is None else np.ravel(np.asarray(wavelength_range, object)).tolist()
     is_range = len(limits) == 2 and all(map(is_number, limits)) and MIN_NM <= limits[0] < limits[1] <= MAX_NM
     parameters = {} if thermal is None else dict(thermal)
-    for is_wrong, found, expected, mend, code in (
-        (
-            name not in library.variables,
-            f"curves={curves!r} needs {name}, which the library lacks",
-            "",
-            "pass curves='centre'",
-            "variable-missing",
-        ),
-        (
-            not kinds <= set("fiu"),
-            f"{name} is {library[name].dtype if name in library.variables else ''}",
-            "numbers",
-            "",
-            "type-wrong",
-        ),
-        (not library.sizes[SIGNATURE], "the library has no paints", "", "", "empty-input"),
-        (
-            wavelength_range is not None and not is_range,
-            f"wavelength_range={wavelength_range!r}",
-            "two wavelengths such as (400, 1000) [nm]",
-            "",
-            "value-out-of-range",
-        ),
-        (
-            surface == "SimpleReflectance" and specular != 0.0,
-            "SimpleReflectance has no specular term",
-            "",
-            "leave specular out, or use ClassicEmissivity",
-            "option-conflict",
-        ),
-        (
-            not (rad_solver.isascii() and rad_solver.isalnum()),
-            f"rad_solver={rad_solver!r}",
-            "a name such as 'Classic'",
-            "",
-            "value-out-of-range",
-        ),
-        (
-            thermal is not None
-            and (set(thermal) != set(THERMAL) or not all(map(is_number, parameters.values()))),
-            f"thermal={parameters!r}",
-            f"numbers for all of {', '.join(THERMAL)}",
-            "",
-            "value-out-of-range",
-        ),
-        (
-            max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1),
-            f"max_curves={max_curves!r}",
-            "a whole number above 0, or None",
-            "",
-            "value-out-of-range",
-        ),
-    ):
-        if is_wrong:
-            problems.add(found, expected=expected, mend=mend, code=code)
+    problems.extend(
+        Problem(found, expected=expected, mend=mend, code=code)
+        for is_wrong, found, expected, mend, code in (
+            (
+                name not in library.variables,
+                f"curves={curves!r} needs {name}, which the library lacks",
+                "",
+                "pass curves='centre'",
+                "variable-missing",
+            ),
+            (
+                not kinds <= set("fiu"),
+                f"{name} is {library[name].dtype if name in library.variables else ''}",
+                "numbers",
+                "",
+                "type-wrong",
+            ),
+            (not library.sizes[SIGNATURE], "the library has no paints", "", "", "empty-input"),
+            (
+                wavelength_range is not None and not is_range,
+                f"wavelength_range={wavelength_range!r}",
+                "two wavelengths such as (400, 1000) [nm]",
+                "",
+                "value-out-of-range",
+            ),
+            (
+                surface == "SimpleReflectance" and specular != 0.0,
+                "SimpleReflectance has no specular term",
+                "",
+                "leave specular out, or use ClassicEmissivity",
+                "option-conflict",
+            ),
+            (
+                not (rad_solver.isascii() and rad_solver.isalnum()),
+                f"rad_solver={rad_solver!r}",
+                "a name such as 'Classic'",
+                "",
+                "value-out-of-range",
+            ),
+            (
+                thermal is not None
+                and (set(thermal) != set(THERMAL) or not all(map(is_number, parameters.values()))),
+                f"thermal={parameters!r}",
+                f"numbers for all of {', '.join(THERMAL)}",
+                "",
+                "value-out-of-range",
+            ),
+            (
+                max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1),
+                f"max_curves={max_curves!r}",
+                "a whole number above 0, or None",
+                "",
+                "value-out-of-range",
+            ),
+        )
+        if is_wrong
+    )
     problems.raise_if_any()
     paint_curves = PaintCurves(
         library,

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Variable, require
 
@@ -70,36 +70,38 @@ class PaintCurves:
         # without a declaration the coat is taken as included, so that it cannot count twice
         self.mirror_reflection = mirror = declared or INCLUDED
         is_number = not isinstance(specular, str) and 0.0 <= specular < 1.0
-        for is_wrong, found, expected, mend, option, code in (
-            (
-                specular != "library" and not is_number,
-                f"specular={specular!r}",
-                "0 to below 1, or 'library'",
-                "",
-                "",
-                "value-out-of-range",
-            ),
-            (
-                specular == "library" and not has_specular,
-                "specular='library', but the library has no specular_reflectance (signature, band)",
-                "",
-                "",
-                "",
-                "variable-missing",
-            ),
-            (
-                specular != 0.0 and mirror == INCLUDED and (specular != "library" or has_specular),
-                f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat "
-                "would count twice",
-                "",
-                "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
-                f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
-                "leave specular out, or give body reflectance (signatures --specular-sky)",
-                "coat-counted-twice",
-            ),
-        ):
-            if is_wrong:
-                problems.add(found, expected=expected, mend=mend, option=option, code=code)
+        problems.extend(
+            Problem(found, expected=expected, mend=mend, option=option, code=code)
+            for is_wrong, found, expected, mend, option, code in (
+                (
+                    specular != "library" and not is_number,
+                    f"specular={specular!r}",
+                    "0 to below 1, or 'library'",
+                    "",
+                    "",
+                    "value-out-of-range",
+                ),
+                (
+                    specular == "library" and not has_specular,
+                    "specular='library', but the library has no specular_reflectance (signature, band)",
+                    "",
+                    "",
+                    "",
+                    "variable-missing",
+                ),
+                (
+                    specular != 0.0 and mirror == INCLUDED and (specular != "library" or has_specular),
+                    f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat "
+                    "would count twice",
+                    "",
+                    "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
+                    f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
+                    "leave specular out, or give body reflectance (signatures --specular-sky)",
+                    "coat-counted-twice",
+                ),
+            )
+            if is_wrong
+        )
         problems.raise_if_any()
         term = f"SPECULAR_FRACTION of {specular}; emissivity = 1 - reflectance / (1 - fraction)"
         self.attrs = {

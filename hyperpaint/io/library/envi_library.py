@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.errors import FormatError, Problems, SchemaError, warn_user
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.input_files import open_input, read_limited
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.envi.envi_cubes import find_pair
@@ -69,40 +69,42 @@ def read_envi_library(
         data_path.stat().st_size,
         header.header_offset + header.lines * header.line_bytes,
     )
-    for is_wrong, found, expected, mend, code in (
-        (
-            not header.is_spectral_library,
-            f"file type is {header.fields.get('file type', 'none')!r}",
-            "a spectral library",
-            "",
-            "format-unknown",
-        ),
-        (
-            header.bands != 1,
-            f"bands is {header.bands}",
-            "1 (spectra are lines, their wavelengths samples)",
-            "",
-            "dims-wrong",
-        ),
-        (header.dtype.kind == "c", "values are complex", "reflectance", "", "type-wrong"),
-        (
-            header.data_gain_values is not None or header.data_offset_values is not None,
-            "'data gain values' or 'data offset values' are set, which spectral libraries cannot have",
-            "",
-            "",
-            "key-unknown",
-        ),
-        (
-            stored_bytes != expected_bytes,
-            f"{data_path.name} has {stored_bytes} bytes",
-            f"{expected_bytes} ({header.lines} spectra of {header.samples} values of "
-            f"{header.dtype.itemsize} bytes after {header.header_offset})",
-            "copy it again",
-            "file-size",
-        ),
-    ):
-        if is_wrong:
-            problems.add(found, expected=expected, mend=mend, code=code)
+    problems.extend(
+        Problem(found, expected=expected, mend=mend, code=code)
+        for is_wrong, found, expected, mend, code in (
+            (
+                not header.is_spectral_library,
+                f"file type is {header.fields.get('file type', 'none')!r}",
+                "a spectral library",
+                "",
+                "format-unknown",
+            ),
+            (
+                header.bands != 1,
+                f"bands is {header.bands}",
+                "1 (spectra are lines, their wavelengths samples)",
+                "",
+                "dims-wrong",
+            ),
+            (header.dtype.kind == "c", "values are complex", "reflectance", "", "type-wrong"),
+            (
+                header.data_gain_values is not None or header.data_offset_values is not None,
+                "'data gain values' or 'data offset values' are set, which spectral libraries cannot have",
+                "",
+                "",
+                "key-unknown",
+            ),
+            (
+                stored_bytes != expected_bytes,
+                f"{data_path.name} has {stored_bytes} bytes",
+                f"{expected_bytes} ({header.lines} spectra of {header.samples} values of "
+                f"{header.dtype.itemsize} bytes after {header.header_offset})",
+                "copy it again",
+                "file-size",
+            ),
+        )
+        if is_wrong
+    )
     problems.raise_if_any()
     if _MARK not in header.fields:
         return library_of(_foreign(header, data_path, scale, wavelength, fwhm))

@@ -24,7 +24,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
-from hyperpaint.base.errors import FormatError, Problems, SchemaError, warn_user
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, quality_attrs
@@ -117,13 +117,15 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
             expected="at least one paint and one band",
             code="empty-input",
         )
-    for key, variable in library.variables.items():
-        if {SIGNATURE, BAND} < set(variable.dims) and variable.dtype.kind == "f" and variable.ndim > 3:
-            problems.add(
-                f"{key!r} has dims {variable.dims}",
-                expected="at most one dim beside signature and band",
-                code="dims-wrong",
-            )
+    problems.extend(
+        Problem(
+            f"{key!r} has dims {variable.dims}",
+            expected="at most one dim beside signature and band",
+            code="dims-wrong",
+        )
+        for key, variable in library.variables.items()
+        if {SIGNATURE, BAND} < set(variable.dims) and variable.dtype.kind == "f" and variable.ndim > 3
+    )
     problems.raise_if_any()
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
     if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
@@ -508,8 +510,10 @@ def _with_metadata(
             if members < size <= 8 * max(members, 8):
                 values = np.pad(values, ((0, 0), (0, size - members), (0, 0)), constant_values=np.nan)
         spectra[name] = (dims, values, dict(attrs))
-    for missing in [name for name in spectral_variables(library) if name not in data]:
-        problems.add(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
+    problems.extend(
+        Problem(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
+        for missing in [name for name in spectral_variables(library) if name not in data]
+    )
     coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(names), rows[SIGNATURE].attrs)}
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
     for name, (_, values, _) in coords.items():

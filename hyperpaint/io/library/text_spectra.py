@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32, Ints
-from hyperpaint.base.errors import FormatError, Problems, warn_user
+from hyperpaint.base.errors import FormatError, Problem, Problems, warn_user
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.io.files.reading import decoded_text, number, numbers, read_limited_text
 
@@ -405,9 +405,11 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
         raise FormatError(f"{source}: no line of two numbers after the header", code="table-missing")
     fields = {key: " ".join(filter(None, texts)) for key, texts in parts.items()}
     problems = Problems(f"{source} cannot be used", FormatError)
-    for key in ("Name", "X Units", "Y Units", "Number of X Values"):
-        if key not in fields:
-            problems.add(f"the header has no {key!r}", code="key-missing")
+    problems.extend(
+        Problem(f"the header has no {key!r}", code="key-missing")
+        for key in ("Name", "X Units", "Y Units", "Number of X Values")
+        if key not in fields
+    )
     units = fields.get("Y Units", "")
     file_scale = 100.0 if PERCENT.search(units) else 1.0 if _FRACTION.search(units) else None
     if other_quantity(units):

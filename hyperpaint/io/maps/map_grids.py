@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.base.errors import Problems, SchemaError, needs_extra
+from hyperpaint.base.errors import Problem, Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
 
 # Wavelengths of the bands shown as red, green and blue [nm].
@@ -257,23 +257,25 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     width, height = math.hypot(b, e), math.hypot(c, f)
     problems = Problems("ENVI cannot describe this grid", SchemaError)
     is_rotated = e != 0.0 or c != 0.0
-    for is_wrong, found, mend, code in (
-        (grid.mirrored, "it is mirrored", "reverse its rows", "grid-mirrored"),
-        (
-            abs(b * c + e * f) > 1e-9 * width * height,
-            "its rows and columns do not cross at right angles",
-            "",
-            "grid-sheared",
-        ),
-        (
-            is_rotated and abs(width - height) > 1e-9 * width,
-            f"it is rotated, and its pixels are not square: {width:g} x {height:g}",
-            "",
-            "pixels-not-square",
-        ),
-    ):
-        if is_wrong:
-            problems.add(found, mend=mend, code=code)
+    problems.extend(
+        Problem(found, mend=mend, code=code)
+        for is_wrong, found, mend, code in (
+            (grid.mirrored, "it is mirrored", "reverse its rows", "grid-mirrored"),
+            (
+                abs(b * c + e * f) > 1e-9 * width * height,
+                "its rows and columns do not cross at right angles",
+                "",
+                "grid-sheared",
+            ),
+            (
+                is_rotated and abs(width - height) > 1e-9 * width,
+                f"it is rotated, and its pixels are not square: {width:g} x {height:g}",
+                "",
+                "pixels-not-square",
+            ),
+        )
+        if is_wrong
+    )
     problems.raise_if_any()
     projection, zone, units, entries = _reference_system(grid.wkt)
     entries_of_map = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
