@@ -423,9 +423,8 @@ class Explored:
 
     @functools.cached_property
     def _quality(self) -> Array | None:
-        if "quality" not in self.line.variables:
-            return None
-        return np.asarray(self.line["quality"].transpose(ALONG_TRACK, CROSS_TRACK).values)
+        quality = self.line.get("quality")
+        return None if quality is None else np.asarray(quality.transpose(ALONG_TRACK, CROSS_TRACK).values)
 
     @functools.cached_property
     def flag_shares(self) -> dict[Quality, float]:

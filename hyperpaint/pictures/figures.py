@@ -263,9 +263,8 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
         aspect = float(np.hypot(*forward) / np.hypot(*right))
         return Orientation(extent, bool(mirrored), False, aspect, labels)
     # column order from the look angles, as in `locate`, else the declared column order
-    slope = 0.0
-    if "look_across" in dataset.variables and dataset["look_across"].dims == (CROSS_TRACK,):
-        slope = _mean_step(dataset["look_across"].values)
+    look = dataset.variables.get("look_across")
+    slope = 0.0 if look is None or look.dims != (CROSS_TRACK,) else _mean_step(look.values)
     order = "left_to_right" if slope > 0.0 else "right_to_left" if slope < 0.0 else ""
     order = order or dataset.attrs.get("convention_column_order", "")
     assumed = "" if order in ("left_to_right", "right_to_left") else ", assumed to run to the right"
@@ -289,9 +288,8 @@ def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
         np.array([_mean_step(positions[name].values) for name in ("east", "north")])
         for positions in (central_column, central_line)
     ]
-    if not all(np.isfinite(step).all() and np.hypot(*step) > 0.0 for step in steps):
-        return None
-    return steps[0], steps[1]
+    are_known = all(np.isfinite(step).all() and np.hypot(*step) > 0.0 for step in steps)
+    return (steps[0], steps[1]) if are_known else None
 
 
 def _mean_step(values: Array) -> float:

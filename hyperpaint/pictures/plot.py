@@ -169,9 +169,8 @@ def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
         return dataset, "values"
     if "irradiance" in names or not {"counts", "radiance"} & names:
         return reflectance(dataset), "reflectance"
-    if "radiance" in names or {"dark_counts", "radiance_gain"} & names:
-        return radiance(dataset), "radiance"
-    return dataset, "counts"
+    has_radiance = bool({"radiance", "dark_counts", "radiance_gain"} & names)
+    return (radiance(dataset), "radiance") if has_radiance else (dataset, "counts")
 
 
 def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:

@@ -122,9 +122,9 @@ def flag_overlay(
 def background(dataset: xr.Dataset, step: int) -> Array:
     """Return a picture (line, column, rgb) of every ``step``-th line, 0 to 1, stored or computed."""
     overview = stored_picture(dataset, step)
-    if overview is not None:
-        return np.asarray(overview.values)
-    return np.asarray(rgb(dataset.isel({ALONG_TRACK: slice(None, None, step)})).values)
+    if overview is None:
+        overview = rgb(dataset.isel({ALONG_TRACK: slice(None, None, step)}))
+    return np.asarray(overview.values)
 
 
 def draw_outlines(axes: Any, regions: Iterable[Region], *, width: float = 1.0, named: bool = True) -> None:
@@ -183,9 +183,8 @@ def _draw_flags(
 
 def reduced_lines(values: Array, step: int, combine: Any) -> Array:
     # Combine every ``step`` lines into one by the ufunc ``combine``
-    if step == 1:
-        return values
-    return np.asarray(combine.reduceat(values, np.arange(0, len(values), step), axis=0))
+    starts = np.arange(0, len(values), step)
+    return values if step == 1 else np.asarray(combine.reduceat(values, starts, axis=0))
 
 
 # --- layers ------------------------------------------------------------------------------------------------

@@ -103,9 +103,8 @@ def spectrum(
         problems.add(
             "a flight line needs either regions or pixels=(along_track, cross_track)", code="argument-missing"
         )
-    places = np.zeros((0, 2), int)
-    if not is_library and pixels is not None:
-        places = checked_places(dataset, pixels, problems)
+    has_pixels = not is_library and pixels is not None
+    places = checked_places(dataset, pixels, problems) if has_pixels else np.zeros((0, 2), int)
     problems.raise_if_any()
     axes = axes_or_new(axes, "a picture of spectra", figsize=(8, 4.5))
     if pixels is not None:
@@ -202,9 +201,8 @@ def draw_band(
 
 def good_bands(dataset: xr.Dataset) -> Array:
     # Return which bands are good (band,): all bands for a dataset without ``good``
-    if "good" in dataset.variables:
-        return np.asarray(dataset["good"].values, bool)
-    return np.ones(dataset.sizes[BAND], bool)
+    good = dataset.variables.get("good")
+    return np.ones(dataset.sizes[BAND], bool) if good is None else np.asarray(good.values, bool)
 
 
 # --- pixels ------------------------------------------------------------------------------------------------

@@ -312,7 +312,9 @@ def _named_pairs(
         )
     problems = Problems("pairs= cannot be used", SchemaError)
     paints = {signature.name for signature in signatures}
-    known_names = frozenset[str]().union(*(reference.names.every for reference in references))
+    known_names = frozenset[str]().union(
+        *(rank for reference in references for rank in reference.names.ranks)
+    )
     names_of_paint: dict[str, tuple[str, ...]] = {}
     for paint, value in pairs.items():
         names = (value,) if isinstance(value, str) else tuple(value)
@@ -419,10 +421,6 @@ class Compared:
             for spectrum in (self.pair.signature, *self.pair.references)
         )
 
-    def part(self, edges: tuple[float, float]) -> npt.NDArray[np.bool_]:
-        # Return the bands in a part of the spectrum (band,)
-        return (self.bands.wavelength >= edges[0]) & (self.bands.wavelength < edges[1])
-
     @property
     def matched(self) -> bool:
         # Whether values of any reference were changed to join detectors
@@ -498,10 +496,9 @@ class Compared:
     @property
     def scatter(self) -> float:
         # Standard deviation of repeated readings, RMS over the bands compared [1]
-        spreads = self._spreads()
         if len(self.pair.references) < 2 or not self.used.any():
             return 0.0
-        return float(np.sqrt((spreads["reference_sd"][self.used] ** 2).mean()))
+        return float(np.sqrt((self._spreads()["reference_sd"][self.used] ** 2).mean()))
 
     def dataset(self) -> xr.Dataset:
         # Return both spectra on the common bands

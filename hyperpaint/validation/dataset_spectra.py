@@ -43,11 +43,6 @@ class Names:
     #: Number of the dataset, and folder in it: only readings of one origin are repeats of one another.
     origin: tuple[int, str]
 
-    @property
-    def every(self) -> frozenset[str]:
-        # Names of all ranks
-        return frozenset[str]().union(*self.ranks)
-
 
 def names_of_spectrum(spectrum: str, source: str, further: str, number: int, dataset: int) -> Names:
     """Return the names of a spectrum of a field spectrometer.
@@ -244,13 +239,11 @@ def coat_of(attrs: Any) -> dict[str, Any]:
     # Return quantity, instrument geometry and index of the coat, by the attributes of a dataset.
     # ``quantity`` is one of the words of `hyperpaint.base.mirrored_light`; without it, ``specular_component``
     # determines the quantity.
-    quantity = attrs.get("quantity")
-    if quantity not in (BODY, OUTSIDE, THROUGH_COAT):
-        quantity = OUTSIDE if attrs.get("specular_component") == INCLUDED else ""
-    index = attrs.get("coat_index", COAT_INDEX)
+    declared, index = attrs.get("quantity"), attrs.get("coat_index", COAT_INDEX)
+    implied = OUTSIDE if attrs.get("specular_component") == INCLUDED else ""
     usable = isinstance(index, int | float) and 1.0 <= float(index) <= 3.0
     return {
-        "quantity": quantity,
+        "quantity": declared if declared in (BODY, OUTSIDE, THROUGH_COAT) else implied,
         "geometry": str(attrs.get("measurement_geometry", "")),
         "coat_index": float(index) if usable else COAT_INDEX,
     }
@@ -352,9 +345,8 @@ def join_detectors(
     """
     if not (wavelength.size and np.isfinite(wavelength).all()):
         raise SchemaError("wavelengths must be finite, and at least one [nm]", code="not-finite")
-    order = np.arange(wavelength.size)
-    if (np.diff(wavelength) < 0).sum() > wavelength.size // 2:
-        order = order[::-1]
+    is_falling = (np.diff(wavelength) < 0).sum() > wavelength.size // 2
+    order = np.arange(wavelength.size)[:: -1 if is_falling else 1]
     begins = np.flatnonzero(np.diff(wavelength[order]) <= 0) + 1
     detectors = np.split(order, begins)
     if len(detectors) > _MAX_DETECTORS:
@@ -583,9 +575,8 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
         for name in _SPREADS
         if name in dataset.variables and set(dataset[name].dims) == set(order)
     }
-    widths = dataset["fwhm"] if "fwhm" in dataset.variables else None
-    if widths is not None and widths.dims != ("wavelength",):
-        widths = None
+    has_widths = "fwhm" in dataset.variables and dataset["fwhm"].dims == ("wavelength",)
+    widths = dataset["fwhm"] if has_widths else None
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
     # number of every channel's detector, in the order of the file; None where it is not stated
     detectors = None
@@ -691,7 +682,13 @@ class _Channels:
     def spectrum(
         self, values: Floats, spreads: Mapping[str, Any], count: float | None, **description: Any
     ) -> Measured:
-        u_random, u_systematic, sd = (_in_order(spreads.get(name), self.order) for name in _SPREADS)
+        # spreads in the order of wavelength; None without finite values
+        u_random, u_systematic, sd = (
+            np.asarray(spread, np.float64)[self.order]
+            if (spread := spreads.get(name)) is not None and np.isfinite(spread[self.order]).any()
+            else None
+            for name in _SPREADS
+        )
         return Measured(
             wavelength=self.wavelength,
             fwhm=self.fwhm,
@@ -715,11 +712,3 @@ def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
             mend="correct it, or pass reference_fwhm=",
             code="value-out-of-range",
         )
-
-
-def _in_order(spread: Any, order: npt.NDArray[np.intp]) -> Floats | None:
-    # A spread in the order of wavelength; None without finite values
-    if spread is None:
-        return None
-    ordered = np.asarray(spread, np.float64)[order]
-    return ordered if np.isfinite(ordered).any() else None

@@ -286,9 +286,8 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
 
 def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
     # Maximum RMSE at levels of paints; NaN without a limit
-    limit = np.full(np.shape(level), limits.get("rmse", np.inf))
-    if RELATIVE in limits:
-        limit = np.fmin(limit, limits[FLOOR] + limits[RELATIVE] * np.abs(level))
+    of_level = limits[FLOOR] + limits[RELATIVE] * np.abs(level) if RELATIVE in limits else np.inf
+    limit = np.fmin(np.full(np.shape(level), limits.get("rmse", np.inf)), of_level)
     return np.where(np.isfinite(limit), limit, np.nan)
 
 
@@ -341,7 +340,8 @@ def _statistics(
     bands, excluded_bands = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     for row, comparison in enumerate(compared):
         for column, edges in enumerate(parts.values()):
-            in_part = comparison.part(edges)
+            nm = comparison.bands.wavelength
+            in_part = (nm >= edges[0]) & (nm < edges[1])
             used = in_part & comparison.used
             bands[row, column], excluded_bands[row, column] = used.sum(), (in_part & ~used).sum()
             if not used.any():

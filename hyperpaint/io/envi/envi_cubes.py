@@ -210,11 +210,9 @@ class EnviArray(BackendArray):
 
 
 def _positions(index: Any, size: int) -> Ints:
-    if isinstance(index, int | np.integer):
-        return np.array([index], dtype=np.int64)
     if isinstance(index, slice):
         return np.arange(*index.indices(size), dtype=np.int64)
-    return np.asarray(index, dtype=np.int64)
+    return np.atleast_1d(np.asarray(index, dtype=np.int64))
 
 
 def _selector(positions: Ints) -> slice | Ints:
@@ -578,9 +576,8 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     # raw counts, by units, description or level
     has_count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
     is_raw = has_count_units or _RAW.search(header.description[:10_000]) or level == "counts"
-    if is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and is_raw:
-        return "counts", None
-    return None, None
+    is_cube = is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES
+    return "counts" if is_cube and is_raw else None, None
 
 
 def _scaling(header: EnviHeader, name: str) -> Scaling | None:

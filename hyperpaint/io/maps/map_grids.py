@@ -75,13 +75,9 @@ def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int]
     """
     wavelengths = np.asarray(wavelength, np.float64)
     distance = np.abs(wavelengths[None, :] - np.array(wanted)[:, None])
-    if (
-        not wavelengths.size
-        or not np.isfinite(wavelengths).all()
-        or (distance.min(axis=1) > MAX_BAND_DISTANCE_NM).any()
-    ):
-        return None
-    return [int(band) for band in distance.argmin(axis=1)]
+    is_known = wavelengths.size and np.isfinite(wavelengths).all()
+    is_near = is_known and (distance.min(axis=1) <= MAX_BAND_DISTANCE_NM).all()
+    return distance.argmin(axis=1).tolist() if is_near else None
 
 
 Transform = tuple[float, float, float, float, float, float]

@@ -200,9 +200,9 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         ):
             if is_wrong:
                 raise FormatError(f"{path}{found}", expected=expected, mend=mend, code=code)
-        rows, columns = (0, raster.height), (0, raster.width)
-        if raster.height * raster.width > MAX_WHOLE_CELLS:
-            rows, columns = _window(raster, path, around)
+        is_large = raster.height * raster.width > MAX_WHOLE_CELLS
+        whole = (0, raster.height), (0, raster.width)
+        rows, columns = _window(raster, path, around) if is_large else whole
         values = _read_cells(raster, rows, columns)
         crs = None if raster.crs is None else raster.crs.to_wkt()
         # the declared unit of the heights, and their reference surface
