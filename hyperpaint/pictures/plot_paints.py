@@ -1,4 +1,4 @@
-"""Paints as chips beside the scenes rendered with them."""
+"""Pictures of paints: chips beside renders, the card of a paint, and rates of detection."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
     )
 
 
-# --- the card of a paint: its region, the excluded pixels, and its signature with the 95 % -----------------
+# --- the card of a paint -----------------------------------------------------------------------------------
 
 
 MARGIN = 0.6  # margin drawn around a region, relative to the longer side of the region

@@ -1,4 +1,4 @@
-"""Picture of a validation: signatures, references and their differences."""
+"""Pictures of a validation, and of panels: signatures and references, measured and expected reflectance."""
 
 from __future__ import annotations
 

@@ -1,30 +1,601 @@
-"""Validation of paint signatures against references, band by band and in parts of the spectrum."""
+"""Validation of paint signatures: pairs with references by name, on common bands, and their agreement."""
 
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.light.responses import Responses, matching_operator
 
-from .comparing import (
-    Compared,
-    between_references,
-    compare,
-    paired,
-    statistics_of,
-    uncertainty_of,
-)
-from .dataset_spectra import references_from, scaled_by_panel, signatures_from
+from .dataset_spectra import Measured, as_body, difference, references_from, scaled_by_panel, signatures_from
 from .validation_result import FLOOR, MAX_TOLERANCE_SHARE, MEANINGS, RELATIVE, STATISTICS, Validation
+
+# --- statistics of agreement, and resampling of both spectra onto common bands ----------------------------
+
+#: Minimum number of bands for the shape of a spectrum: with one band, angle and scale-free error are 0.
+_MIN_SHAPE_BANDS = 3
+
+
+def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
+    r"""Return the statistics of agreement over the last axis.
+
+    Takes ``signature``, ``reference`` (..., band): reflectance [1] without missing values. The result has the
+    names in `STATISTICS`, in units of 1, the angle in degree. All are NaN without bands; angle, scale and
+    scale-free error also where a spectrum is zero, angle and scale-free error also with fewer than three
+    bands.
+
+    Notes
+    -----
+    With :math:`d = s - r` over n bands,
+
+    .. math:: bias = \bar d, \quad RMSE = \sqrt{\overline{d^2}}, \quad MAE = \overline{|d|}, \quad
+              \theta = \angle(s, r), \quad k = \frac{s \cdot r}{r \cdot r}, \quad
+              e = \sqrt{\overline{(s / k - r)^2}} .
+
+    k is the scale factor of the least-squares fit of the reference to the signature, e the RMS difference
+    after the signature is divided by k; e over the RMS of the reference is :math:`\tan\theta`. The angle is
+    computed as :math:`2 \arctan(|\hat s - \hat r| / |\hat s + \hat r|)` of the unit vectors [1]_, since the
+    cosine is imprecise for small angles.
+
+    References
+    ----------
+    .. [1] W. Kahan, "How futile are mindless assessments of roundoff in floating-point computation?" (2006),
+       section 12, "Mangled angles".
+
+    Examples
+    --------
+    >>> found = statistics_of(np.array([0.11, 0.22, 0.33]), np.array([0.1, 0.2, 0.3]))
+    >>> round(float(found["scale"]), 6), round(float(found["bias"]), 6)
+    (1.1, 0.02)
+    """
+    shape = np.broadcast_shapes(signature.shape, reference.shape)
+    if shape[-1] == 0:
+        return {name: np.full(shape[:-1], np.nan) for name in STATISTICS}
+    difference = signature - reference
+    signature_length, reference_length = (
+        np.sqrt((spectrum**2).sum(axis=-1, keepdims=True)) for spectrum in (signature, reference)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # both scaled to the same length
+        s, r = signature * reference_length, reference * signature_length
+        angle = 2.0 * np.arctan2(_length(s - r), _length(s + r))
+        scale = (signature * reference).sum(axis=-1, keepdims=True) / reference_length**2
+        residual = signature / np.where(scale > 0.0, scale, np.nan) - reference
+    has_shape = shape[-1] >= _MIN_SHAPE_BANDS
+    has_angle = has_shape & ((signature_length * reference_length)[..., 0] > 0.0)
+    return {
+        "bias": difference.mean(axis=-1),
+        "rmse": np.sqrt((difference**2).mean(axis=-1)),
+        "mae": np.abs(difference).mean(axis=-1),
+        "spectral_angle": np.where(has_angle, np.degrees(angle), np.nan),
+        "scale": scale[..., 0],
+        "scale_free_error": np.where(has_shape, np.sqrt((residual**2).mean(axis=-1)), np.nan),
+    }
+
+
+def _length(vectors: Floats) -> Floats:
+    return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
+
+
+def uncertainty_of(
+    signature: Floats, reference: Floats, signature_errors: Floats, reference_errors: Floats
+) -> dict[str, Floats]:
+    r"""Return the standard uncertainty of every statistic of `statistics_of`.
+
+    Takes ``signature``, ``reference`` (band,): reflectance [1]; ``signature_errors``, ``reference_errors``
+    (draw, band): random draws of their errors [1].
+
+    Notes
+    -----
+    By propagation of distributions (JCGM 101:2008): with f the statistic,
+
+    .. math:: u_f = \sqrt{\overline{\big(f(s + \delta s, r + \delta r) - f(s, r)\big)^2}} .
+
+    The deviations are from the statistic of the exact spectra, not from the mean of the draws: noise only
+    increases RMSE, MAE and angle, so that the spread about their mean would be too small for equal spectra.
+    """
+    exact = statistics_of(signature, reference)
+    draws = statistics_of(signature + signature_errors, reference + reference_errors)
+    return {name: np.asarray(np.sqrt(((draws[name] - exact[name]) ** 2).mean())) for name in STATISTICS}
+
+
+#: Maximum difference of equal wavelengths [nm].
+_MAX_EQUAL_NM = 1e-3
+#: Maximum ratio of equal widths [1].
+_MAX_EQUAL_WIDTH_RATIO = 1.02
+#: Maximum factor by which resampling may multiply noise; channels much wider than a band exceed it.
+_MAX_NOISE_GAIN = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Operator:
+    # Linear resampling of the channels of a spectrum to bands
+    weights: (
+        Floats | None
+    )  #: (band, channel): Weights, rows sum to 1; None where channels and bands are equal.
+    #: (band,): Whether a band is covered completely, and not too narrow for the channels.
+    is_covered: npt.NDArray[np.bool_]
+    #: (band,): Part of a band's response covered by the channels [1]; 0 where channels within are missing.
+    coverage: Floats
+    misfit: Floats  #: (band,): See `hyperpaint.light.responses.Matching`.
+    noise_gain: Floats  #: (band,): See `hyperpaint.light.responses.Matching`.
+
+    def __call__(self, values: Floats) -> Floats:
+        # Return values (..., channel) on the bands (..., band); NaN in bands that are not covered
+        on_bands = np.full((*values.shape[:-1], self.is_covered.size), np.nan)
+        if self.weights is None:
+            on_bands[..., self.is_covered] = values[..., self.is_covered]
+            return on_bands
+        # channels without weight may be missing
+        channels = np.flatnonzero(self.weights[self.is_covered].any(axis=0))
+        on_bands[..., self.is_covered] = (
+            values[..., channels] @ self.weights[np.ix_(self.is_covered, channels)].T
+        )
+        return on_bands
+
+
+def bands_of(signature: Measured, references: list[Measured]) -> Measured:
+    # Return the spectrum whose channels are the common bands: the coarser one.
+    # This is the signature, unless every reference is coarser in the common range.
+    low, high = signature.wavelength[[0, -1]]
+    widths = []
+    for reference in references:
+        in_range = (reference.wavelength >= low) & (reference.wavelength <= high)
+        widths.append(np.median(reference.fwhm[in_range]) if in_range.any() else 0.0)
+    is_coarser = min(widths) > _MAX_EQUAL_WIDTH_RATIO * np.median(signature.fwhm)
+    return references[0] if is_coarser else signature
+
+
+def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
+    # Return the operator that resamples a spectrum to the channels of the spectrum ``bands``.
+    # Equal channels need no weights. Missing samples of ``spectrum`` count as not covered; missing samples of
+    # ``bands`` are ignored.
+    is_finite = np.isfinite(spectrum.values)
+    if (
+        bands.wavelength.shape == spectrum.wavelength.shape
+        and (np.abs(bands.wavelength - spectrum.wavelength) <= _MAX_EQUAL_NM).all()
+        and np.allclose(bands.fwhm, spectrum.fwhm, rtol=_MAX_EQUAL_WIDTH_RATIO - 1.0)
+    ):
+        zero = np.where(is_finite, 0.0, np.nan)
+        return Operator(None, is_finite, is_finite.astype(np.float64), zero, zero + 1.0)
+    size = bands.wavelength.size
+    reach = 3.0 * (bands.fwhm.max() + spectrum.fwhm.max())
+    near = spectrum.wavelength >= bands.wavelength.min() - reach
+    channels = np.flatnonzero(is_finite & near & (spectrum.wavelength <= bands.wavelength.max() + reach))
+    weights = np.zeros((size, spectrum.wavelength.size))
+    if channels.size < 2:
+        zeros, unknown = np.zeros(size), np.full(size, np.nan)
+        return Operator(weights, zeros.astype(bool), zeros, unknown, unknown)
+    centre, width = spectrum.wavelength[channels], spectrum.fwhm[channels]
+    matching = matching_operator(Responses(centre, width), Responses(bands.wavelength, bands.fwhm))
+    # bands over gaps: channels farther from one another than two of their widths
+    is_gap = np.diff(centre) > 2.0 * np.maximum(width[1:], width[:-1])
+    has_gap = np.zeros(size, bool)
+    for start, stop in zip(centre[:-1][is_gap], centre[1:][is_gap], strict=True):
+        has_gap |= (bands.wavelength + bands.fwhm > start) & (bands.wavelength - bands.fwhm < stop)
+    # False for an unknown noise gain, NaN
+    is_covered = ~has_gap & (matching.noise_gain[0] <= _MAX_NOISE_GAIN)
+    weights[np.ix_(is_covered, channels)] = matching.weights[0][is_covered]
+    return Operator(
+        weights,
+        is_covered,
+        np.where(has_gap, 0.0, matching.coverage[0]),
+        matching.misfit[0],
+        matching.noise_gain[0],
+    )
+
+
+# --- pairs ------------------------------------------------------------------------------------------------
+
+_MAX_LISTED_NAMES = 12
+
+
+@dataclass(frozen=True)
+class Pair:
+    # A signature and its reference spectra from one instrument
+    signature: Measured
+    references: tuple[Measured, ...]  #: Repeated readings; their mean is compared.
+    between: bool = False  #: Whether ``signature`` is a reference, from another instrument.
+
+
+def paired(
+    signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None
+) -> tuple[list[Pair], tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Return the pairs of signatures and references, and the names of those without a counterpart.
+
+    Names of signatures without a reference; names of references without a signature, with their instrument;
+    and signatures whose property names an absent reference.
+
+    ``signatures``, ``references``: spectra with their names; ``pairs``: one or several names of references by
+    name of a paint. By default a signature's property ``reference`` names them, and without this property the
+    signature's name.
+
+    Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
+    datasets, share a name; or nothing can be paired. All problems of a kind are listed.
+    """
+    names_of_paint = _named_pairs(signatures, references, pairs) if pairs is not None else None
+    problems = Problems("paints and references cannot be paired by name", SchemaError)
+    counts = Counter(signature.name for signature in signatures)
+    matched: list[Pair] = []
+    unpaired: list[str] = []
+    missing: list[str] = []
+    paired_references: set[int] = set()
+    for signature in signatures:
+        requested = signature.reference_name
+        if names_of_paint is None:
+            names: Sequence[str] = (requested or signature.name,)
+        else:
+            names = names_of_paint.get(signature.name, ())
+        matching = sorted({k for name in names for k in _references_of_name(name, references, problems)})
+        if not matching:
+            is_missing = names_of_paint is None and bool(requested)
+            unpaired.append(signature.name + (f" (no reference {requested!r})" if is_missing else ""))
+            missing += unpaired[-1:] if is_missing else []
+            continue
+        if counts[signature.name] > 1 and (names_of_paint is not None or not requested):
+            problems.add(
+                f"{counts[signature.name]} paints have the name {signature.name!r}",
+                mend="give each paint a unique name",
+                code="paint-duplicate",
+            )
+        paired_references.update(matching)
+        for instrument in dict.fromkeys(references[k].instrument for k in matching):
+            group = tuple(references[k] for k in matching if references[k].instrument == instrument)
+            matched.append(Pair(signature, group))
+    problems.raise_if_any()
+    unpaired_references = tuple(
+        f"{reference.name} ({reference.instrument})"
+        for k, reference in enumerate(references)
+        if k not in paired_references
+    )
+    if not matched:
+        mend = "name them with {}, or give regions a property reference"
+        raise SchemaError(
+            f"no paint has a reference of its name; paints are {_listed([s.name for s in signatures])}, "
+            f"references {_listed(unpaired_references)}",
+            mend=mend.format("pairs={paint: reference}"),
+            option=mend.format("--pairs"),
+            code="reference-unmatched",
+        )
+    return matched, tuple(unpaired), unpaired_references, tuple(missing)
+
+
+def _references_of_name(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
+    # Numbers of the references that a name matches, of every instrument those of the first rank that matches.
+    # Files of one name in different folders are not repeated readings of one paint: a problem.
+    matches: dict[str, list[int]] = {}
+    for rank in range(3):
+        matches_of_rank: dict[str, list[int]] = {}
+        for k, reference in enumerate(references):
+            if name in reference.names.ranks[rank] and reference.instrument not in matches:
+                matches_of_rank.setdefault(reference.instrument, []).append(k)
+        matches |= matches_of_rank
+    for instrument, numbers in matches.items():
+        origins = {references[k].names.origin for k in numbers}
+        if len(origins) > 1:
+            in_datasets = len({dataset for dataset, _ in origins}) > 1
+            candidates = _listed(
+                [
+                    references[k].name
+                    + (f" (dataset {references[k].names.origin[0]})" if in_datasets else "")
+                    for k in numbers
+                ]
+            )
+            mend = "name one reference, or all repeated readings, with {}, or remove files"
+            problems.add(
+                f"{name!r} may be any of {candidates} of {instrument}",
+                mend=mend.format("pairs={paint: reference}"),
+                option=mend.format("--pairs"),
+                code="reference-ambiguous",
+            )
+    return [k for numbers in matches.values() for k in numbers]
+
+
+def _named_pairs(
+    signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any
+) -> dict[str, tuple[str, ...]]:
+    if not isinstance(pairs, Mapping):
+        raise SchemaError(
+            f"pairs is {type(pairs).__name__}",
+            expected="a mapping from names of paints to names of references",
+            code="type-wrong",
+        )
+    problems = Problems("pairs= cannot be used", SchemaError)
+    paints = {signature.name for signature in signatures}
+    known_names = frozenset[str]().union(
+        *(rank for reference in references for rank in reference.names.ranks)
+    )
+    names_of_paint: dict[str, tuple[str, ...]] = {}
+    for paint, value in pairs.items():
+        names = (value,) if isinstance(value, str) else tuple(value)
+        if paint not in paints:
+            problems.add(
+                f"there is no paint {paint!r}", expected=_listed(sorted(paints)), code="paint-unknown"
+            )
+        problems.extend(
+            Problem(
+                f"there is no reference {name!r} for {paint!r}",
+                expected=_listed([reference.name for reference in references]),
+                code="reference-unknown",
+            )
+            for name in names
+            if name not in known_names
+        )
+        names_of_paint[str(paint)] = names
+    problems.raise_if_any()
+    return names_of_paint
+
+
+def _listed(names: Sequence[str]) -> str:
+    text = ", ".join(map(repr, names[:_MAX_LISTED_NAMES])) or "none"
+    more = len(names) - _MAX_LISTED_NAMES
+    return f"{text} and {more} more" if more > 0 else text
+
+
+def between_references(pairs: Sequence[Pair]) -> list[Pair]:
+    # Return pairs of references of one paint, measured by two instruments
+    pairs_of_paint: dict[int, list[Pair]] = {}
+    for pair in pairs:
+        pairs_of_paint.setdefault(id(pair.signature), []).append(pair)
+    return [
+        Pair(_mean_reference(first), second.references, between=True)
+        for same_paint in pairs_of_paint.values()
+        for first, second in itertools.combinations(same_paint, 2)
+    ]
+
+
+def _mean_reference(pair: Pair) -> Measured:
+    # Mean of the readings of a pair, on the channels of the first reading, under the name of the paint
+    first = pair.references[0]
+    renamed = replace(first, names=replace(first.names, shown=pair.signature.name))
+    if len(pair.references) == 1:
+        return renamed
+    operators = [operator_onto(first, reading) for reading in pair.references]
+    values = np.stack(
+        [resample(reading.values) for resample, reading in zip(operators, pair.references, strict=True)]
+    )
+    sd = values.std(axis=0, ddof=1)
+    systematic = np.zeros(sd.shape) if first.u_systematic is None else first.u_systematic
+    return replace(
+        renamed,
+        values=values.mean(axis=0),
+        sd=sd,
+        count=len(values),
+        u_random=None,
+        u_systematic=np.hypot(sd / np.sqrt(len(values)), systematic),
+        covariance=None,
+    )
+
+
+#: Number of random draws of errors; it determines their standard deviation to 2 %.
+DRAWS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    # A pair on common bands
+    pair: Pair
+    bands: Measured  #: The spectrum whose channels are the common bands.
+    signature: Floats  #: (band,): Reflectance [1]; NaN where unknown.
+    reference: Floats  #: (band,): Mean reflectance of the readings [1]; NaN where unknown.
+    operators: tuple[Operator, ...]  #: Resampling of the references, and last of the signature.
+    #: Draws of the errors of signature and reference (draw, band); None where both are unknown.
+    errors: tuple[Floats, Floats] | None
+
+    @property
+    def names(self) -> str:
+        # Names of the references
+        return ", ".join(reference.name for reference in self.pair.references)
+
+    @property
+    def instrument(self) -> str:
+        # Instrument of the references
+        instrument = self.pair.references[0].instrument
+        return f"{self.pair.signature.instrument} against {instrument}" if self.pair.between else instrument
+
+    @property
+    def used(self) -> npt.NDArray[np.bool_]:
+        # Bands that are compared (band,)
+        return np.isfinite(self.signature) & np.isfinite(self.reference)
+
+    @property
+    def coverage(self) -> Floats:
+        # Part of each band's response covered by the channels of all spectra (band,)
+        return np.asarray(np.min([operator.coverage for operator in self.operators], axis=0))
+
+    @property
+    def ranges(self) -> str:
+        # Wavelength ranges of all spectra, as text
+        return ", ".join(
+            f"{spectrum.name} {spectrum.wavelength[0]:g} to {spectrum.wavelength[-1]:g} nm"
+            for spectrum in (self.pair.signature, *self.pair.references)
+        )
+
+    @property
+    def matched(self) -> bool:
+        # Whether values of any reference were changed to join detectors
+        return any(reference.matched for reference in self.pair.references)
+
+    def common(self, name: str) -> str:
+        # Return the word in a field of the references; "mixed" where they differ
+        words = {getattr(reference, name) for reference in self.pair.references}
+        return words.pop() if len(words) == 1 else "mixed"
+
+    def warnings(self) -> list[tuple[str, str]]:
+        # Return code and text of each condition that the user can mend
+        name, mirror, reference_mirror = (
+            self.pair.signature.name,
+            self.pair.signature.mirror,
+            self.common("mirror"),
+        )
+        texts = dict.fromkeys(
+            difference(self.pair.signature, reference) for reference in self.pair.references
+        )
+        if coats_differ := [("coats-differ", f"{name}: {text}") for text in texts if text]:
+            return coats_differ
+        if mirror == reference_mirror or not {mirror, reference_mirror} <= {"included", "excluded", "mixed"}:
+            return []
+        text = (
+            f"{name}: the mirror image of the sky is {mirror} in the signature, {reference_mirror} in the "
+            "reference; a clear coat mirrors 0.04 times the share of skylight; see remove_mirrored_sky"
+        )
+        return [("mirrored-sky-differs", text)]
+
+    def notes(self) -> tuple[str, ...]:
+        # Return remarks for the reader of the result
+        notes = [note for reference in self.pair.references for note in reference.notes]
+        notes += [f"signature: {note}" for note in self.pair.signature.notes]
+        if self.matched:
+            notes.append(
+                "the reference is overlap-matched: its values were scaled below the join of its detectors"
+            )
+        if self.bands is not self.pair.signature:
+            notes.append("the signature was resampled to the reference's bands")
+        narrow = np.any(
+            [~operator.is_covered & np.isfinite(operator.noise_gain) for operator in self.operators], axis=0
+        )
+        reasons = {
+            "not covered completely, or without a value": ~self.used & ~narrow,
+            "narrower than the other spectrum resolves": ~self.used & narrow,
+        }
+        notes += [
+            f"excluded of {self.used.size} bands: {int(excluded.sum())} {reason}"
+            for reason, excluded in reasons.items()
+            if excluded.any()
+        ]
+        is_absolute = self.pair.signature.absolute
+        if any(reference.absolute != is_absolute for reference in self.pair.references):
+            sides = ("reference", "signature") if is_absolute else ("signature", "reference")
+            notes.append(
+                f"the {sides[0]} is relative to a white panel, the {sides[1]} is absolute: the panel's own "
+                f"reflectance is in the difference{'; pass panel=' if is_absolute else ''}"
+            )
+        signature, references = self.pair.signature, self.pair.references
+        has_uncertainty = {
+            "signature": signature.has_uncertainty,
+            "reference": len(references) > 1 or references[0].has_uncertainty,
+        }
+        if unknown := [side for side, is_known in has_uncertainty.items() if not is_known]:
+            notes.append(f"the uncertainty of the {' and the '.join(unknown)} is unknown and not included")
+        notes += [f"uncertainty of the signature: {text}" for text in signature.gaps()]
+        notes += [
+            f"uncertainty of the reference: {text}" for spectrum in references for text in spectrum.gaps()
+        ]
+        return tuple(dict.fromkeys(notes))
+
+    @property
+    def scatter(self) -> float:
+        # Standard deviation of repeated readings, RMS over the bands compared [1]
+        if len(self.pair.references) < 2 or not self.used.any():
+            return 0.0
+        return float(np.sqrt((self._spreads()["reference_sd"][self.used] ** 2).mean()))
+
+    def dataset(self) -> xr.Dataset:
+        # Return both spectra on the common bands
+        columns = {
+            "signature": self.signature,
+            "reference": self.reference,
+            "difference": self.signature - self.reference,
+            "coverage": self.coverage,
+            **self._spreads(),
+        }
+        if self.errors is not None:
+            for name, errors in zip(("signature_u", "reference_u"), self.errors, strict=True):
+                columns[name] = np.sqrt((errors**2).mean(axis=0))
+        sides = ("signature", "reference")
+        meanings = dict(MEANINGS) | {name: f"Reflectance of the {name} on common bands" for name in sides}
+        variables = {
+            name: (BAND, values, {"units": "1", "long_name": meanings[name]})
+            for name, values in columns.items()
+        }
+        wavelength = (BAND, self.bands.wavelength, {"units": "nm", "long_name": "Centre of the common bands"})
+        fwhm = (BAND, self.bands.fwhm, {"units": "nm", "long_name": "Width of the common bands"})
+        return xr.Dataset(
+            variables,
+            {"wavelength": wavelength, "fwhm": fwhm, "used": (BAND, self.used)},
+            {"signature": self.pair.signature.name, "reference": self.names, "instrument": self.instrument},
+        )
+
+    def _spreads(self) -> dict[str, Floats]:
+        spreads = {}
+        signature_sd, references = self.pair.signature.sd, self.pair.references
+        if signature_sd is not None:
+            spreads["signature_sd"] = self.operators[-1](signature_sd)
+        if len(references) > 1:
+            readings = [
+                resample(reading.values)
+                for resample, reading in zip(self.operators[:-1], references, strict=True)
+            ]
+            spreads["reference_sd"] = np.std(readings, axis=0, ddof=1)
+        elif references[0].sd is not None:
+            spreads["reference_sd"] = self.operators[0](references[0].sd)
+        return spreads
+
+
+def compare(pair: Pair, seed: int) -> Compared:
+    """Resample a pair to common bands, and draw its errors there.
+
+    Every pair has its own generator of the same seed: the draws do not depend on the order of pairs.
+    """
+    if not pair.between:
+        converted = tuple(as_body(reference, pair.signature) for reference in pair.references)
+        pair = replace(pair, references=converted)
+    bands = bands_of(pair.signature, list(pair.references))
+    operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
+    readings = np.stack(
+        [resample(reading.values) for resample, reading in zip(operators[:-1], pair.references, strict=True)]
+    )
+    rng = np.random.default_rng(seed)
+    has_uncertainty = (
+        pair.signature.has_uncertainty or len(readings) > 1 or pair.references[0].has_uncertainty
+    )
+    errors = None
+    if has_uncertainty:
+        signature_errors = operators[-1](pair.signature.errors(rng, DRAWS))
+        errors = signature_errors, _errors_of_mean(pair.references, operators[:-1], readings, rng)
+    signature = operators[-1](pair.signature.values)
+    return Compared(pair, bands, signature, readings.mean(axis=0), operators, errors)
+
+
+def _errors_of_mean(
+    references: Sequence[Measured], operators: Sequence[Operator], readings: Floats, rng: np.random.Generator
+) -> Floats:
+    # Draws of the errors of the mean of readings (draw, band); the equation is in `validate`
+    count = len(readings)
+    if count == 1:
+        return operators[0](references[0].errors(rng, DRAWS))
+    deviations = readings - readings.mean(axis=0)
+    errors = np.asarray(rng.standard_normal((DRAWS, count)) @ deviations / np.sqrt(count * (count - 1.0)))
+    # readings of one instrument share its systematic error, which their scatter does not show
+    systematic = [
+        resample(reading.u_systematic)
+        for resample, reading in zip(operators, references, strict=True)
+        if reading.u_systematic is not None
+    ]
+    if systematic:
+        errors += np.mean(systematic, axis=0) * rng.standard_normal((DRAWS, 1))
+    # a few readings may agree by chance: their random uncertainty is added
+    for resample, reading in zip(operators, references, strict=True):
+        if reading.u_random is not None:
+            errors += resample(reading.u_random * rng.standard_normal((DRAWS, reading.u_random.size))) / count
+    return errors
+
+
+# --- validation, band by band and in parts of the spectrum -------------------------------------------------
+
 
 #: Parts of the spectrum [nm]: first wavelength, and end, exclusive.
 PARTS: Mapping[str, tuple[float, float]] = {

@@ -9,7 +9,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.io.dirsig.paint_curves import PaintCurves
+from hyperpaint.io.dirsig.dirsig_writing import PaintCurves
 from hyperpaint.paints.mixing.kubelka_munk import coating_of
 from hyperpaint.validation.dataset_spectra import signatures_from
 

@@ -16,9 +16,8 @@ from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
-from hyperpaint.pictures import explorer_state
-from hyperpaint.pictures.explorer import Explorer
-from hyperpaint.pictures.explorer_state import INFRARED, Explored, Spectrum, corners_at
+from hyperpaint.pictures import exploring
+from hyperpaint.pictures.exploring import INFRARED, Explored, Explorer, Spectrum, corners_at
 
 BEGIN = hp.Regions((hp.Region("roof", [(1, 2), (4, 2), (4, 9)], properties={"colour": "red"}),))
 PLACES = st.floats(-5.0, 30.0)
@@ -232,12 +231,12 @@ def test_a_region_without_pixels_says_why(state: Explored) -> None:
 
 def test_of_a_large_region_every_nth_line_is_taken(state: Explored, monkeypatch: pytest.MonkeyPatch) -> None:
     state.add([0, 0, 23, 23], [0, 5, 5, 0])
-    monkeypatch.setattr(explorer_state, "MAX_REGION_PIXELS", 60)
+    monkeypatch.setattr(exploring, "MAX_REGION_PIXELS", 60)
     spectrum = state.spectrum_of(state.drawn[1])
     assert isinstance(spectrum, Spectrum)
     assert "of 48 pixels (every 3. line)" in spectrum.text
     rows = flight().line.paint.reflectance().compute().isel(along_track=slice(None, None, 3))
-    used = (rows.quality.values & explorer_state.EXCLUDED) == 0
+    used = (rows.quality.values & exploring.EXCLUDED) == 0
     values = rows.reflectance.transpose("along_track", "cross_track", "band").values[used]
     np.testing.assert_allclose(spectrum.reflectance, np.median(values, axis=0), rtol=1e-6)
 
@@ -304,8 +303,8 @@ def test_a_part_of_a_picture_has_the_colours_of_the_whole(
             whole, part = state.picture(recipe), state.picture(recipe, window=(5, 12))
             assert (part.first, part.last) == (5, 12)
             np.testing.assert_array_equal(part.rgba, whole.rgba[:, 5:12])
-    monkeypatch.setattr(explorer_state, "DETAIL_LINES", 10)
-    monkeypatch.setattr(explorer_state, "SPARSE_STEP", 5)
+    monkeypatch.setattr(exploring, "DETAIL_LINES", 10)
+    monkeypatch.setattr(exploring, "SPARSE_STEP", 5)
     sparse = Explored(flight().line).picture((550.0,))
     assert sparse.rgba.shape == (6, 5)
     assert (sparse.first, sparse.last) == (0, 25)

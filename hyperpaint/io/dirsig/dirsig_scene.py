@@ -27,6 +27,7 @@ from .dirsig_writing import (
     MARKER,
     REFLECTANCE,
     TEXTS,
+    PaintCurves,
     export_folder,
     material_section,
     paint_records,
@@ -34,7 +35,6 @@ from .dirsig_writing import (
     write_spectra,
     write_texts,
 )
-from .paint_curves import PaintCurves
 
 #: Default of the largest number of curves of a population.
 MAX_CURVES = 64

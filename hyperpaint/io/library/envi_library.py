@@ -22,12 +22,12 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.input_files import open_input, read_limited
 from hyperpaint.base.schema import BAND, SIGNATURE
-from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.envi.envi_header import (
+from hyperpaint.io.envi.envi_cubes import (
     MAX_LIBRARY_HEADER_BYTES,
     EnviHeader,
     bare,
     braced,
+    find_pair,
     read_header,
 )
 from hyperpaint.io.files.reading import unique_names

@@ -159,7 +159,7 @@ def test_what_a_killed_writer_leaves_is_cleared_up(tmp_path: Path) -> None:
 
 
 def test_a_large_library_is_written_block_by_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperpaint.io.dirsig.paint_curves._BLOCK_BYTES", 4 * 5 * BANDS)
+    monkeypatch.setattr("hyperpaint.io.dirsig.dirsig_writing._BLOCK_BYTES", 4 * 5 * BANDS)
     hp.write_dirsig(library(paints=7), tmp_path / "one")
     steps: list[tuple[int, int]] = []
     hp.write_dirsig(library(paints=7).chunk({"signature": 3}), tmp_path / "two",

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.envi.envi_header import parse_header, read_header
+from hyperpaint.io.envi.envi_cubes import parse_header, read_header
 
 BASE = {
     "samples": "4",

@@ -15,8 +15,7 @@ from hypothesis import given, settings, strategies as st
 import hyperpaint as hp
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.envi.envi_cubes import open_envi
-from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.envi.envi_cubes import open_envi, read_header
 from hyperpaint.io.maps.map_grids import Grid, envi_map_info, grid_of, nearest_bands
 
 NM = np.array([450.25, 550.0, 640.125, 700.0, 850.0])

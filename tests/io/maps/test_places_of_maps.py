@@ -14,8 +14,7 @@ from support.flown_lines import EAST, GSD, MAP, NORTH, fly, located
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
-from hyperpaint.io.maps.map_grids import grid_of
-from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
+from hyperpaint.io.maps.map_grids import geozarr_attrs, grid_of, stac_item, with_own_transform
 from hyperpaint.workflows.maps import write_map
 
 pyproj = pytest.importorskip("pyproj")
