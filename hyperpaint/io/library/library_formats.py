@@ -24,18 +24,28 @@ from hyperpaint.io.spectrometers.spectrum_files import find_paths
 from hyperpaint.io.store import list_groups, open_store, to_store
 from hyperpaint.io.store.reader import is_zarr
 
-from .csv_library import is_csv_library, read_csv_library, write_csv_library
-from .envi_library import read_envi_library, write_envi_library
-from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
-from .parquet_library import is_parquet, read_parquet_library, write_parquet_library
+from .record_files import (
+    is_csv_library,
+    is_parquet,
+    read_csv_library,
+    read_envi_library,
+    read_parquet_library,
+    write_csv_library,
+    write_envi_library,
+    write_parquet_library,
+)
 from .records import (
     CENTRE,
+    OWN_AXES,
     blocks_of,
     checked_library,
+    library_of,
     metadata_path,
     metadata_text,
     names_of,
     spectral_variables,
+    text_column,
+    with_numbers_as_data,
 )
 from .text_spectra import (
     is_ecostress,

@@ -25,8 +25,7 @@ from hyperpaint.base.errors import FormatError, Problem, Problems, warn_user
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.io.files.reading import decoded_text, number, numbers, read_limited_text
 
-from .library_spectra import Spectra, reflectances, text_column
-from .records import typed_values
+from .records import Spectra, reflectances, text_column, typed_values
 
 #: Largest text file [bytes]: 100,000 bands of 30 spectra.
 MAX_BYTES = 32 * 2**20

@@ -1,0 +1,828 @@
+"""Paint libraries as files of records, with their metadata beside them: CSV, Parquet, ENVI.
+
+CSV: every row is a spectrum: name of the paint, its properties (one column each), then reflectance. The first
+row has the names of the columns, and the wavelengths [nm]; the metadata have the units. EcoSIS accepts such
+tables. A library with further spectra beside the centres has two more columns after the name: ``variable``
+(``reflectance``, ``member_reflectance``, ...) and ``place``, the number, from 1, of a spectrum of which a
+paint has several.
+
+Parquet: a row per spectrum in the columns of OpenSpecLib, for pandas and DuckDB. Files of hyperpaint have the
+metadata of the library in ``<file>.json``, and the key of every spectrum (see `records`) in
+``additional_properties``. Other files need equal wavelengths in all rows.
+
+ENVI: a header, and a file in which every line is a spectrum. The first two records of a library of the USGS
+are wavelengths and bandwidths, and its records "error bars to preceding" belong to the spectrum before them;
+neither is a spectrum. Libraries of hyperpaint have ``hyperpaint library = 1`` in their header; the name of a
+record there contains its paint, variable and index (``red | member 3``), see `records`. If every record is a
+paint, the header has lists such as ``paint make`` and ``paint year`` with a value per paint.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.arrays import Array, Floats, Floats32
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, needs_extra, warn_user
+from hyperpaint.base.input_files import open_input, read_limited
+from hyperpaint.base.old_names import NEW_NAMES
+from hyperpaint.base.schema import BAND, SIGNATURE
+from hyperpaint.io.envi.envi_cubes import (
+    MAX_LIBRARY_HEADER_BYTES,
+    EnviHeader,
+    bare,
+    braced,
+    find_pair,
+    read_header,
+)
+from hyperpaint.io.files.reading import number, numbers, safe_cell, text_of_cell, unique_names
+
+from .records import (
+    CENTRE,
+    MIN_NM,
+    OWN_AXES,
+    Block,
+    Key,
+    Spectra,
+    check_wavelengths,
+    library_of,
+    metadata_path,
+    paint_columns,
+    reflectances,
+    restored,
+    spectral_variables,
+    table_columns,
+    text_column,
+)
+from .text_spectra import PERCENT, other_quantity
+
+#: Headings of the names; hyperpaint 0.2 and before wrote the second.
+_NAMES = (SIGNATURE, "paint")
+#: Headings of the two columns that identify a spectrum of a paint.
+_KEY_COLUMNS = ["variable", "place"]
+#: Number of a spectrum of a paint, empty for the only one.
+_PLACE = re.compile(r"|[1-9][0-9]{0,8}")
+_MAX_BANDS = 100_000
+_MAX_BYTES = 2**32
+_MAX_SHOWN = 5
+
+
+def is_csv_library(head: str) -> bool:
+    # Return whether a text begins as a paint library: names, then wavelengths, in its first row.
+    row, end, _ = head.partition("\n")
+    cells = row.strip("\r").split(",")
+    nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the head may cut off the last cell
+    heading = next(filter(None, cells[:2]), "")  # the second cell after an index of pandas
+    return heading in _NAMES and nm is not None and nm >= MIN_NM
+
+
+# --- CSV ---------------------------------------------------------------------------------------------------
+
+
+def write_csv_library(library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path) -> None:
+    # Write the records of a checked library.
+    # Values have nine digits, which restore every bit of float32. A file with characters beyond ASCII begins
+    # with the byte order mark by which Excel recognises UTF-8. Names and texts that a spreadsheet would
+    # execute as formulas have a leading apostrophe, which the reader removes.
+    columns = table_columns(library)
+    key_columns = [] if spectral_variables(library) == [CENTRE] else _KEY_COLUMNS
+    head = _line(
+        [
+            SIGNATURE,
+            *key_columns,
+            *map(safe_cell, columns),
+            *(repr(float(value)) for value in library["wavelength"].values),
+        ]
+    )
+    lines = [_line([safe_cell(name)]) for name in names]
+    properties = [
+        _line(["", *map(safe_cell, map(str, cells))]) for cells in zip(*columns.values(), strict=True)
+    ] or [""] * len(lines)
+    coding = "utf-8" if "".join([head, *lines, *properties]).isascii() else "utf-8-sig"
+    row = ",%.9g" * library.sizes[BAND] + "\n"
+    with open(path, "w", encoding=coding, newline="") as file:
+        file.write(head + "\n")
+        for variable, *records in blocks:
+            for paint, inner, values in zip(*records, strict=True):
+                key = f",{variable},{'' if inner < 0 else inner + 1}" if key_columns else ""
+                file.write(lines[paint] + key + properties[paint] + row % tuple(values.tolist()))
+
+
+def _line(cells: list[str]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="").writerow([*cells, ""])
+    return buffer.getvalue()[:-1]
+
+
+def read_csv_library(path: Path) -> xr.Dataset:
+    # Read a library that `write_csv_library` wrote.
+    # Raises FormatError: The table or its metadata are damaged, or belong to different libraries. Warns
+    # PaintWarning: The metadata are missing.
+    source = path.name
+    problems = Problems(f"{source} cannot be read", FormatError)
+    # the first row: headings, then wavelengths
+    cells = _cells(path)
+    first_row = next(cells, [])
+    if first_row[:1] == [""]:
+        first_row, cells = first_row[1:], _without_index(cells, source)
+    head_size = len(first_row)
+    while head_size and number(first_row[head_size - 1]) is not None:
+        head_size -= 1
+    head, nm = first_row[:head_size], numbers(first_row[head_size:]) or []
+    is_valid = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
+    if not head or head[0] not in _NAMES or not is_valid or not 0 < len(nm) <= _MAX_BANDS:
+        raise FormatError(
+            f"{source}: the first row is {','.join(first_row)[:60]!r}",
+            expected=f"{SIGNATURE}, distinct column names, and wavelengths",
+            code="header-unreadable",
+        )
+    if head[0] != SIGNATURE:
+        head = [NEW_NAMES.get(name, name) for name in head]
+    has_keys = head[1:3] == _KEY_COLUMNS
+    first_property = 3 if has_keys else 1
+    # every further row is a spectrum
+    names: list[str] = []
+    columns: dict[str, list[str]] = {text_of_cell(name): [] for name in head[first_property:]}
+    keys: list[Key] = []
+    rows: list[Floats32] = []
+    # the order of the rows distinguishes paints of the same name: numbers of the paints of a name; and, by
+    # name and variable, the position of the paint of the last row among them, and its number in this paint
+    paints: dict[str, list[int]] = {}
+    last: dict[tuple[str, str], tuple[int, int]] = {}
+    for number_of_row, row in enumerate(cells, 2):
+        row[:head_size] = map(text_of_cell, row[:head_size])
+        values = _values(row[head_size:], len(nm))
+        name, variable, place = row[:3] if has_keys and len(row) > 2 else (row[0], CENTRE, "")
+        place = place.removesuffix(".0")  # pandas writes integers as floats where some cells are empty
+        key: Key | None = None
+        if variable == CENTRE and not place:
+            key = (CENTRE, len(names), -1)
+        elif variable.isidentifier() and _PLACE.fullmatch(place):
+            inner = int(place or 0) - 1
+            position, last_inner = last.get((name, variable), (0, -2))
+            position += inner <= last_inner  # the numbers start again: the next paint of that name
+            last[name, variable] = (position, inner)
+            same_name = paints.get(name, [])
+            key = (variable, same_name[position], inner) if position < len(same_name) else None
+        if values is None or key is None:
+            problems.add(
+                f"row {number_of_row}: {','.join(row)[:60]!r}",
+                expected=f"{', '.join(head)[:60]}, and {len(nm)} numbers",
+                code="row-unreadable",
+            )
+            if len(problems) == _MAX_SHOWN:
+                break
+            continue
+        if key[0] == CENTRE:
+            paints.setdefault(name, []).append(len(names))
+            names.append(name)
+            for column, cell in zip(columns.values(), row[first_property:], strict=False):
+                column.append(cell)
+        keys.append(key)
+        rows.append(values)
+    problems.raise_if_any()
+    wavelength = np.array(nm, np.float64)
+    check_wavelengths(wavelength, source)
+    if not names:
+        raise FormatError(
+            f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
+        )
+    return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))], columns)
+
+
+def _cells(path: Path) -> Iterator[list[str]]:
+    try:
+        opened = open_input(path, "a paint library", _MAX_BYTES)
+        with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
+            yield from filter(None, csv.reader(file, strict=True))
+    except (csv.Error, UnicodeDecodeError, OSError) as error:
+        raise FormatError(f"{path.name} cannot be read: {error!s:.200}", code="file-unreadable") from error
+
+
+def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
+    # Rows without the unnamed index column of pandas
+    for number_of_row, row in enumerate(rows):
+        if row[0] != str(number_of_row):
+            raise FormatError(
+                f"{source}: the first column has no name and holds {row[0][:30]!r}",
+                expected=f"{SIGNATURE} as the first column, or the row numbers of pandas before it",
+                mend="write it with to_csv(index=False)",
+                code="column-name-missing",
+            )
+        yield row[1:]
+
+
+def _values(cells: list[str], bands: int) -> Floats32 | None:
+    # Numbers of a row; None where a cell is not a number or the count is wrong
+    row_numbers = None
+    text = "".join(cells)
+    if text.isascii() and "_" not in text and len(text) <= 64 * len(cells):
+        with contextlib.suppress(ValueError):  # such as an empty cell
+            row_numbers = list(map(float, cells))  # several times faster than `numbers`
+    row_numbers = row_numbers or numbers(cells)
+    if row_numbers is None or len(cells) != bands:
+        return None
+    with np.errstate(over="ignore"):
+        values = np.array(row_numbers, np.float64).astype(np.float32)
+    return None if np.isinf(values).any() else values
+
+
+# --- Parquet -----------------------------------------------------------------------------------------------
+
+
+_MAGIC = b"PAR1"
+_OURS = b"hyperpaint"
+_MAX_ROWS, _MAX_VALUES = 2_000_000, 2**28
+_NM_PER_UNIT = {"nm": 1.0, "um": 1e3}
+_NM_OF_WAVENUMBER = 1e7  # over cm-1
+_PURPOSE = "Parquet"
+
+#: Text columns of OpenSpecLib: columns that must have a value, and optional columns.
+_TEXTS = (
+    "id",
+    "name",
+    "source.library",
+    "source.library_version",
+    "source.original_id",
+    "source.url",
+    "source.license",
+    "source.citation",
+    "material.name",
+    "material.category",
+    "measurement.technique",
+    "spectral_data.type",
+    "spectral_data.wavelength_unit",
+    "additional_properties",
+)
+_OPTIONAL_TEXTS = (
+    "source.filename",
+    "material.subcategory",
+    "material.formula",
+    "sample.id",
+    "sample.description",
+    "sample.particle_size",
+    "sample.origin",
+    "sample.owner",
+    "sample.preparation",
+    "measurement.instrument",
+    "measurement.instrument_type",
+    "measurement.laboratory",
+    "measurement.geometry",
+    "quality.notes",
+)
+_OPTIONAL = (*_OPTIONAL_TEXTS, "sample.collection_date", "measurement.date", "spectral_data.bandpass")
+
+
+def is_parquet(head: bytes) -> bool:
+    # Return whether the first bytes of a file are those of Parquet.
+    return head[:4] == _MAGIC
+
+
+def write_parquet_library(
+    library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path
+) -> None:
+    # Write the records of a checked library. Raises MissingExtraError: pyarrow is not installed.
+    with needs_extra("pyarrow", "library", _PURPOSE):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    columns = paint_columns(library)
+    numbers = pa.list_(pa.float64())
+    types = {
+        **dict.fromkeys((*_TEXTS, *_OPTIONAL_TEXTS), pa.string()),
+        "material.keywords": pa.list_(pa.string()),
+        "sample.collection_date": pa.date32(),
+        "measurement.date": pa.date32(),
+        "spectral_data.wavelength_min": pa.float64(),
+        "spectral_data.wavelength_max": pa.float64(),
+        "spectral_data.num_points": pa.int32(),
+        "spectral_data.wavelengths": numbers,
+        "spectral_data.values": numbers,
+        "spectral_data.bandpass": numbers,
+        "quality.has_bad_bands": pa.bool_(),
+        "quality.bad_band_count": pa.int32(),
+        "quality.coverage_fraction": pa.float64(),
+    }
+    schema = pa.schema(
+        [pa.field(name, type_, nullable=name in _OPTIONAL) for name, type_ in types.items()],
+        {b"openspeclib_version": b"0", b"source": _OURS},
+    )
+    wavelength = np.asarray(library["wavelength"].values, np.float64)
+    attrs = {**library.attrs, **library[CENTRE].attrs}
+    fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
+    common = {
+        "source.library": "hyperpaint",
+        "source.library_version": str(attrs.get("paint_library_version", "unknown")),
+        "source.url": "",
+        "source.license": str(attrs.get("licence", "unknown")),
+        "source.citation": str(attrs.get("title", "unknown")),
+        "material.category": "man_made",
+        "material.subcategory": "car paint",
+        "measurement.technique": "reflectance",
+        "measurement.geometry": str(attrs.get("measurement_geometry", "unknown")),
+        "spectral_data.type": "reflectance",
+        "spectral_data.wavelength_unit": "nm",
+        "spectral_data.wavelength_min": wavelength.min(),
+        "spectral_data.wavelength_max": wavelength.max(),
+        "spectral_data.num_points": wavelength.size,
+        "spectral_data.wavelengths": wavelength,
+        "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
+    }
+    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for variable, paints, inners, spectra in blocks:
+            rows = []
+            for paint, inner, values in zip(paints.tolist(), inners.tolist(), spectra, strict=True):
+                missing = int((~np.isfinite(values)).sum())
+                identity = f"{paint}" if variable == CENTRE else f"{paint}/{variable}/{inner}"
+                properties = {name: column[paint] for name, column in columns.items()}
+                words = (properties.get(word) for word in ("colour", "finish", "make", "model"))
+                key = {"variable": variable, SIGNATURE: paint, "place": inner}
+                rows.append(
+                    common
+                    | {
+                        "id": f"hyperpaint:{identity}",
+                        "name": names[paint],
+                        "source.original_id": identity,
+                        "material.name": names[paint],
+                        "material.keywords": [str(word) for word in words if word],
+                        "additional_properties": json.dumps({**properties, **key}, allow_nan=False),
+                        "spectral_data.values": values.astype(np.float64),
+                        "quality.has_bad_bands": missing > 0,
+                        "quality.bad_band_count": missing,
+                        "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
+                    }
+                )
+            arrays = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
+            writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=schema))
+
+
+#: Columns that are read; wavelengths and values are lists of numbers.
+_NUMBERS = ("spectral_data.wavelengths", "spectral_data.values")
+_COLUMNS = (
+    "name",
+    "additional_properties",
+    "spectral_data.type",
+    "spectral_data.wavelength_unit",
+    *_NUMBERS,
+    "source.license",
+    "source.citation",
+)
+
+
+def read_parquet_library(path: Path) -> xr.Dataset:
+    # Read a library in the columns of OpenSpecLib, of hyperpaint or another program.
+    # Raises FormatError: It is damaged or too large, lacks columns, contains another quantity than
+    # reflectance, or has rows with different wavelengths. Raises MissingExtraError: pyarrow is not installed.
+    with needs_extra("pyarrow", "library", _PURPOSE):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    source = path.name
+    try:
+        with pq.ParquetFile(os.fspath(path)) as file:
+            columns = _columns(file, source)
+            is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
+    except (pa.ArrowException, OSError) as error:
+        raise FormatError(
+            f"{source} cannot be read as Parquet: {error!s:.200}",
+            mend="copy it again",
+            code="file-unreadable",
+        ) from error
+    names = list(map(str, columns["name"]))
+    is_restored = is_ours and metadata_path(path).exists()
+    keys = _keys(columns["additional_properties"], source) if is_restored else []
+    kinds = sorted({str(kind) for kind in columns["spectral_data.type"]})
+    units = sorted({str(unit) for unit in columns["spectral_data.wavelength_unit"]})
+    if not is_restored and kinds != ["reflectance"]:
+        raise FormatError(
+            f"{source}: rows of {', '.join(kinds)}",
+            expected="reflectance",
+            mend="select rows of reflectance",
+            code="quantity-wrong",
+        )
+    if not is_restored and (len(units) != 1 or units[0] not in (*_NM_PER_UNIT, "cm-1")):
+        raise FormatError(
+            f"{source}: wavelengths are in {', '.join(units)}",
+            expected="one of nm, um, cm-1",
+            code="units-unknown",
+        )
+    # common wavelengths (band,) and values (row, band) of all rows
+    axes, spectra = (columns[name] for name in _NUMBERS)
+    for at, (axis, spectrum) in enumerate(zip(axes, spectra, strict=True)):
+        if not np.array_equal(axis, axes[0]):
+            sizes = f"{axis.size} in row {at}, {axes[0].size} in the first row"
+            raise FormatError(
+                f"{source}: rows have different wavelengths ({sizes})",
+                mend="select rows of one instrument",
+                code="grid-mismatch",
+            )
+        if spectrum.shape != axis.shape:
+            raise FormatError(
+                f"{source}: row {at} has {spectrum.size} values",
+                expected=f"{axis.size}, as many as wavelengths",
+                code="length-mismatch",
+            )
+    values = np.stack(spectra)
+    if is_restored:
+        check_wavelengths(axes[0], source)
+        names = [name for name, key in zip(names, keys, strict=True) if key[0] == CENTRE]
+        return restored(path, names, keys, {"wavelength": axes[0]}, [(0, values.astype(np.float32))], {})
+    with np.errstate(divide="ignore"):
+        is_wavenumber = units[0] == "cm-1"
+        nm = _NM_OF_WAVENUMBER / axes[0] if is_wavenumber else axes[0] * _NM_PER_UNIT[units[0]]
+    return library_of(
+        Spectra(
+            source,
+            "OpenSpecLib Parquet",
+            names,
+            nm,
+            reflectances(values, source, file_scale=None, scale=None),
+            columns={"licence": list(map(str, columns["source.license"]))},
+        )
+    )
+
+
+def _columns(file: Any, source: str) -> dict[str, list[Any]]:
+    # Columns that are read; raise for files that would fill the memory
+    if missing := [name for name in _COLUMNS if name not in file.schema_arrow.names]:
+        raise FormatError(
+            f"{source}: columns {', '.join(missing)} are missing",
+            expected="the columns of OpenSpecLib",
+            code="column-missing",
+        )
+    if not 0 < file.metadata.num_rows <= _MAX_ROWS:
+        raise FormatError(
+            f"{source}: {file.metadata.num_rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"
+        )
+    columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+    count = 0
+    for batch in file.iter_batches(batch_size=256, columns=list(_COLUMNS)):
+        count += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
+        if count > _MAX_VALUES:
+            raise FormatError(
+                f"{source}: more than {_MAX_VALUES} values", mend="split the file", code="file-too-large"
+            )
+        for name, cells in columns.items():
+            column = batch.column(name)
+            cells += (
+                [
+                    np.empty(0)
+                    if cell.values is None
+                    else np.asarray(cell.values.to_numpy(zero_copy_only=False), np.float64)
+                    for cell in column
+                ]
+                if name in _NUMBERS
+                else column.to_pylist()
+            )
+    return columns
+
+
+def _keys(properties: Sequence[Any], source: str) -> list[Key]:
+    # Keys of the rows of a library of hyperpaint
+    keys: list[Key] = []
+    for at, text in enumerate(properties):
+        try:
+            cells = json.loads(text)
+            paint = cells[SIGNATURE] if SIGNATURE in cells else cells["paint"]
+            keys.append((str(cells["variable"]), int(paint), int(cells["place"])))
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise FormatError(
+                f"{source}: row {at} has no variable, paint and index in additional_properties",
+                mend="write the library again",
+                code="record-unmatched",
+            ) from error
+    paints = sum(key[0] == CENTRE for key in keys)
+    if sorted({key[1] for key in keys}) != list(range(paints)) or any(
+        not -1 <= key[2] < _MAX_ROWS for key in keys
+    ):
+        raise FormatError(
+            f"{source}: rows of a paint are missing", mend="write the library again", code="record-unmatched"
+        )
+    return keys
+
+
+# --- ENVI --------------------------------------------------------------------------------------------------
+
+
+_BLOCK_BYTES, _MAX_CLASSES_BYTES = 16 * 2**20, 16 * 2**20
+_TITLE_SCALE = re.compile(r"(?<![A-Za-z])[*x\u00d7]\s*(10{1,6}|1e[+]?[1-9])\b", re.IGNORECASE)
+_WAVELENGTHS = re.compile(r"wave", re.IGNORECASE)
+_BANDWIDTHS = re.compile(r"resolution|bandpass|fwhm", re.IGNORECASE)
+_ERROR_BARS = re.compile(r"\s*error ?bars? to (?:preceding|previous)", re.IGNORECASE)
+
+
+#: Key of a header written by hyperpaint.
+_MARK = "hyperpaint library"
+_BAR = " | "
+_SHORT = {"member_reflectance": "member"}
+_LONG = {short: name for name, short in _SHORT.items()}
+_LABEL = re.compile(r"([A-Za-z_][A-Za-z0-9_]{0,99})(?: ([1-9][0-9]{0,9}))?")
+_FORBIDDEN = str.maketrans({",": ";", "{": "(", "}": ")", "|": "/"})
+
+
+def read_envi_library(
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, fwhm: Floats | None = None
+) -> xr.Dataset:
+    # Read an ENVI spectral library.
+    # path: The header or the data file. scale: Stored value of a reflectance of one; by default the header's
+    # ``reflectance scale factor``, else its ``z plot titles``. wavelength, fwhm: Values in place of those of
+    # the header [nm]. Raises FormatError: The header is damaged, or the data file has another size; or the
+    # file is not a library of reflectance, or has no wavelengths. Warns PaintWarning: Names are missing, or
+    # an inferred property may make values wrong.
+    header_path, data_path = find_pair(path)
+    header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
+    problems = Problems(f"{header_path.name} cannot be used", FormatError)
+    stored_bytes, expected_bytes = (
+        data_path.stat().st_size,
+        header.header_offset + header.lines * header.line_bytes,
+    )
+    problems.extend(
+        Problem(found, expected=expected, mend=mend, code=code)
+        for is_wrong, found, expected, mend, code in (
+            (
+                not header.is_spectral_library,
+                f"file type is {header.fields.get('file type', 'none')!r}",
+                "a spectral library",
+                "",
+                "format-unknown",
+            ),
+            (
+                header.bands != 1,
+                f"bands is {header.bands}",
+                "1 (spectra are lines, their wavelengths samples)",
+                "",
+                "dims-wrong",
+            ),
+            (header.dtype.kind == "c", "values are complex", "reflectance", "", "type-wrong"),
+            (
+                header.data_gain_values is not None or header.data_offset_values is not None,
+                "'data gain values' or 'data offset values' are set, which spectral libraries cannot have",
+                "",
+                "",
+                "key-unknown",
+            ),
+            (
+                stored_bytes != expected_bytes,
+                f"{data_path.name} has {stored_bytes} bytes",
+                f"{expected_bytes} ({header.lines} spectra of {header.samples} values of "
+                f"{header.dtype.itemsize} bytes after {header.header_offset})",
+                "copy it again",
+                "file-size",
+            ),
+        )
+        if is_wrong
+    )
+    problems.raise_if_any()
+    if _MARK not in header.fields:
+        return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+    if scale is not None or wavelength is not None or fwhm is not None:
+        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
+    # every record of a library of hyperpaint is named after its paint, variable and index
+    source = data_path.name
+    # names are counted before the text is split, so that millions of commas do not fill the memory
+    text = bare(header.fields.get("spectra names", ""))
+    count = text.count(",") + 1
+    records = [name.strip() for name in text.split(",", header.lines)]
+    names = [record for record in records if _BAR not in record]
+    index_of = {name: at for at, name in enumerate(names)}
+    keys: list[Key] = [(CENTRE, index, -1) for index in range(len(names))]
+    unmatched = []
+    for record in records[len(names) :]:
+        paint, _, label = record.partition(_BAR)
+        match = _LABEL.fullmatch(label)
+        if paint in index_of and match is not None:
+            keys.append((_LONG.get(match[1], match[1]), index_of[paint], int(match[2] or 0) - 1))
+        else:
+            unmatched.append(record)
+    for is_wrong, found, code in (
+        (
+            header.wavelength is None or header.dtype != np.dtype("<f4"),
+            "the header is not a hyperpaint header",
+            "header-unreadable",
+        ),
+        (
+            count != header.lines,
+            f"{count} spectra names for {header.lines} spectra",
+            "length-mismatch",
+        ),
+        (
+            len(index_of) != len(names) or records[: len(names)] != names,
+            "the first records are not one record per paint",
+            "record-unmatched",
+        ),
+        (
+            bool(unmatched),
+            f"record {''.join(unmatched[:1])[:80]!r} belongs to no paint",
+            "record-unmatched",
+        ),
+    ):
+        if is_wrong:
+            raise FormatError(f"{source}: {found}", mend="write the library again", code=code)
+    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
+    return restored(data_path, names, keys, axes, _records(header, data_path), {})
+
+
+def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
+    # Index of the first record of every block, and its records
+    step = max(1, _BLOCK_BYTES // header.line_bytes)
+    with open_input(path, "the data of a spectral library") as file:
+        file.seek(header.header_offset)
+        for start in range(0, header.lines, step):
+            count = min(step, header.lines - start)
+            stored = np.fromfile(file, header.dtype, count * header.samples)
+            if stored.size != count * header.samples:
+                raise FormatError(f"{path.name} became shorter during reading", code="file-truncated")
+            yield start, stored.reshape(count, header.samples)
+
+
+def _foreign(
+    header: EnviHeader, path: Path, scale: float | None, wavelength: Floats | None, fwhm: Floats | None
+) -> Spectra:
+    source = path.name
+    notes = list(header.notes)
+    warned = list(header.warnings)
+    # names are counted before the text is split, so that millions of commas do not fill the memory
+    text = bare(header.fields.get("spectra names", ""))
+    count = text.rstrip(", \t\n").count(",") + 1 if text else 0
+    names = [f"spectrum {number}" for number in range(1, header.lines + 1)]
+    given_names = [name.strip() for name in text.split(",", header.lines)[: header.lines]]
+    if not text:
+        warned.append("no spectra names: spectra are numbered")
+    elif count > header.lines or len(given_names) < header.lines:
+        warned.append(
+            f"{count} spectra names for {header.lines} spectra (a name with a comma counts as two): "
+            "spectra are numbered"
+        )
+    else:
+        names = [given or number for given, number in zip(given_names, names, strict=True)]
+    stored = np.concatenate([block for _, block in _records(header, path)])
+    nm = header.wavelength if wavelength is None else wavelength
+    width = header.fwhm if fwhm is None else fwhm
+    # leading records that are wavelengths and bandwidths (USGS libraries)
+    with np.errstate(invalid="ignore"):  # signalling NaNs of a damaged file
+        axis, axes = stored[0].astype(np.float64), 0
+    if (
+        len(names) > 2
+        and _WAVELENGTHS.match(names[0])
+        and np.isfinite(axis).all()
+        and (axis > 0).all()
+        and (nm is None or any(np.allclose(axis * factor, nm, rtol=1e-3) for factor in (1.0, 1e3)))
+    ):
+        axes = 2 if _BANDWIDTHS.match(names[1]) else 1
+        notes.append(f"the first {axes} records are the wavelengths and bandwidths of the spectra")
+        factor = 1e3 if np.nanmax(stored[0]) < 100 else 1.0
+        nm = axis * factor if nm is None else nm
+        if width is None and axes == 2:
+            width = stored[1].astype(np.float64) * factor
+    if nm is None:
+        raise FormatError(
+            (
+                f"{source}: the header has no wavelengths (wavelength units "
+                f"{bare(header.fields.get('wavelength units', 'not given'))!r})"
+            ),
+            mend="pass wavelength= [nm]",
+            code="wavelength-missing",
+        )
+    check_wavelengths(nm, source)
+    if warned:
+        warn_user(f"{source}: {'; '.join(warned)}", "header-incomplete")
+    # stored value of a reflectance of one, from the header; the last title is that of the values, the title
+    # of the wavelengths may contain commas
+    header_scale = header.reflectance_scale_factor
+    title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
+    match = _TITLE_SCALE.search(title)
+    title_scale = float(match[1]) if match else 100.0 if PERCENT.search(title) else None
+    if other_quantity(title):
+        raise FormatError(
+            f"{source}: the z plot title is {title.strip()[:60]!r}",
+            expected="reflectance",
+            code="quantity-wrong",
+        )
+    if header_scale is not None and title_scale is not None and header_scale != title_scale:
+        raise FormatError(
+            (
+                f"{source}: 'reflectance scale factor' is {header_scale:g}, but 'z plot titles' has "
+                f"{title.strip()[:60]!r}"
+            ),
+            mend="pass scale=",
+            code="scale-conflict",
+        )
+    values = reflectances(
+        stored[axes:],
+        source,
+        file_scale=title_scale if header_scale is None else header_scale,
+        scale=scale,
+        ignore=header.data_ignore_value,
+    )
+    # error bars follow their spectrum
+    is_bar = np.array([_ERROR_BARS.match(name) is not None for name in names[axes:]], np.bool_)
+    is_bar[:1] = False
+    is_bar[1:] &= ~is_bar[:-1]
+    spectra, errors = np.flatnonzero(~is_bar), {}
+    if is_bar.any():
+        bars = np.full_like(values, np.nan)
+        bars[np.flatnonzero(is_bar) - 1] = values[is_bar]
+        bars[bars < 0] = np.nan  # from the interpolation of the USGS
+        errors["reflectance_u_random"] = bars[spectra]
+        notes.append(f"{is_bar.sum()} records are error bars of the spectrum before them")
+    numbers = spectra + axes
+    return Spectra(
+        source=source,
+        form="ENVI spectral library",
+        names=[names[at] for at in numbers],
+        wavelength=nm,
+        reflectance=values[spectra],
+        fwhm=width,
+        good=header.good,
+        others=errors,
+        columns={"record": numbers, **_classes(path, [names[at] for at in numbers])},
+        notes=notes,
+    )
+
+
+def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
+    # Columns of the table of classes that EnMAP-Box writes beside a library; empty without such a table.
+    # Its first column, "spectra names", repeats the names.
+    table = path.with_suffix(".csv")
+    try:
+        text = read_limited(table, _MAX_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")
+        rows = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
+    except (FormatError, csv.Error):
+        return {}
+    if not rows or rows[0][0].strip().lower() != "spectra names" or len(rows) != len(names) + 1:
+        return {}
+    if [row[0].strip() for row in rows[1:]] != list(names) or any(len(row) != len(rows[0]) for row in rows):
+        return {}
+    return {
+        key: text_column([row[at] for row in rows[1:]])
+        for at, key in enumerate(rows[0])
+        if at
+        and key.isidentifier()
+        and key not in ("record", SIGNATURE, "band", "wavelength", "fwhm", "good")
+    }
+
+
+def write_envi_library(
+    library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path, header_path: Path
+) -> None:
+    # Write the records of a checked library, and its header.
+    # Raises SchemaError: The header would be too large.
+    # distinct names without the separators of a header
+    names = unique_names(name.translate(_FORBIDDEN).strip() or "unnamed" for name in names)
+    records: list[str] = []
+    with open(path, "wb") as file:
+        for variable, paints, inners, values in blocks:
+            np.asarray(values, "<f4").tofile(file)
+            # such as "red" and, of its members, "red | member 3"
+            label = "" if variable == CENTRE else f"{_BAR}{_SHORT.get(variable, variable)}"
+            records += [
+                f"{names[paint]}{label}{f' {inner + 1}' if inner >= 0 else ''}"
+                for paint, inner in zip(paints.tolist(), inners.tolist(), strict=True)
+            ]
+    lists = {"wavelength": [repr(float(value)) for value in library["wavelength"].values]}
+    # a header can only contain finite numbers; others are in the metadata
+    if "fwhm" in library.variables and np.isfinite(library["fwhm"].values).all():
+        lists["fwhm"] = [repr(float(value)) for value in library["fwhm"].values]
+    if "good" in library.variables:
+        lists["bbl"] = ["1" if value else "0" for value in library["good"].values]
+    lists["spectra names"] = list(records)
+    if len(records) == library.sizes[SIGNATURE]:
+        columns = table_columns(library).items()
+        lists |= {
+            f"paint {name}": [cell.translate(_FORBIDDEN) for cell in column] for name, column in columns
+        }
+    lines = [
+        "ENVI",
+        f"description = {{Paint library of hyperpaint: {library.sizes[SIGNATURE]} paints}}",
+        f"samples = {library.sizes[BAND]}",
+        f"lines = {len(records)}",
+        "bands = 1",
+        "header offset = 0",
+        "file type = ENVI Spectral Library",
+        "data type = 4",
+        "interleave = bsq",
+        "sensor type = Unknown",
+        "byte order = 0",
+        "wavelength units = Nanometers",
+        "reflectance scale factor = 1.0",
+        "z plot titles = {Wavelength (nm), Reflectance}",
+        f"{_MARK} = 1",
+        *(f"{key} = {braced(values)}" for key, values in lists.items()),
+    ]
+    text = ("\n".join(lines) + "\n").encode()
+    if len(text) > MAX_LIBRARY_HEADER_BYTES:
+        raise SchemaError(
+            f"the header of {len(records)} spectra takes {len(text)} bytes",
+            expected=f"at most {MAX_LIBRARY_HEADER_BYTES}",
+            mend="shorten names, write fewer members, or write Zarr",
+            code="file-too-large",
+        )
+    header_path.write_bytes(text)
