@@ -47,8 +47,7 @@ from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_r
 from hyperpaint.regions.pixels_in_regions import contains, renumbered
 
 from .figures import map_dims, orientation_of
-from .plot import STRETCH, flag_label, linear_srgb, percent, stored_picture, visible_bands
-from .plot_flags import reduced_lines
+from .plot import STRETCH, flag_label, linear_srgb, percent, reduced_lines, stored_picture, visible_bands
 from .plot_spectra import good_bands
 
 # Recipe of a picture: empty for true colour, else the wavelengths of one or three bands [nm]

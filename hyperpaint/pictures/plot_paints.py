@@ -32,8 +32,7 @@ from .figures import (
     save_figure,
     show_picture,
 )
-from .plot import flag_label, percent, rgb
-from .plot_flags import draw_outlines
+from .plot import draw_outlines, flag_label, percent, rgb
 from .plot_spectra import draw_band, draw_curve, find_usable, good_bands, styles_of
 
 MAX_CHIPS = 60

@@ -11,7 +11,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.io.dirsig.dirsig_writing import PaintCurves
 from hyperpaint.paints.mixing.kubelka_munk import coating_of
-from hyperpaint.validation.dataset_spectra import signatures_from
+from hyperpaint.validation.validating import signatures_from
 
 CASES = [
     ({}, False, None),

@@ -13,7 +13,7 @@ from hyperpaint.base.errors import SchemaError
 
 pytest.importorskip("matplotlib")
 
-from hyperpaint.pictures.plot_flags import adjacency_figure
+from hyperpaint.pictures.plot import adjacency_figure
 
 NM = np.linspace(400.0, 1000.0, 31)
 

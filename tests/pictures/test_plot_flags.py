@@ -19,7 +19,7 @@ from support.refusals import refusal
 
 from hyperpaint.base.schema import flag_shares
 from hyperpaint.paints.colours import ciede2000, encode_srgb, lab_of
-from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
+from hyperpaint.pictures.plot import background, draw_outlines, flag_overlay
 
 
 def axes() -> object:

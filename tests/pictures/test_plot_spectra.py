@@ -24,7 +24,7 @@ from support.refusals import expect_refusals
 
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import save_figure
-from hyperpaint.pictures.plot_chain import triptych
+from hyperpaint.pictures.plot import triptych
 from hyperpaint.pictures.plot_spectra import MAX_PAINTS, library_overview, spectrum
 
 LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])

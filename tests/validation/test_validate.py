@@ -15,7 +15,7 @@ from support.refusals import expect_refusals
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.simulation import simulate_line
-from hyperpaint.validation.dataset_spectra import join_detectors
+from hyperpaint.validation.validating import join_detectors
 
 # --- common bands ------------------------------------------------------------------------------------------
 

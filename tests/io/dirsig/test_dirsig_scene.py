@@ -16,7 +16,7 @@ from support.dirsig_exports import files, strict_ems
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.dirsig import read_materials, write_dirsig_scene
-from hyperpaint.io.dirsig.dirsig_scene import texture_picture
+from hyperpaint.io.dirsig.dirsig_writing import texture_picture
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance
 from hyperpaint.simulation.rendering.mesh_files import parse_obj
