@@ -232,37 +232,37 @@ class Explored:
 
     def _spectrum(self, place: Place) -> Spectrum:
         if isinstance(place, Region):
-            return self._median_spectrum(place)
-        along, across = place
-        pixel = pixels(self.line, along, across)
+            along, across, step = self._region_pixels(place)
+            lines = slice(int(along.min()), int(along.max()) + 1, step)
+            window = pixels(self.line, lines, slice(int(across.min()), int(across.max()) + 1))
+            indices = (along - lines.start) // step, across - int(across.min())
+            values = window["reflectance"].transpose(ALONG_TRACK, CROSS_TRACK, BAND).values[indices]
+            flags = (
+                window["quality"].values[indices] if "quality" in window else np.zeros(along.size, np.uint16)
+            )
+            is_used = (flags & excluded_of(place, self._excluded)) == 0
+            shares = schema.flag_shares(flags)
+            flag_texts = [f"{flag_label(flag)} {percent(share)}" for flag, share in shares.items()]
+            if not is_used.any():
+                raise SchemaError(
+                    f"{place.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
+                    code="region-empty",
+                )
+            quantiles = summarise(values[is_used], "median").quantiles
+            quantiles[:, ~good_bands(self.line)] = np.nan
+            subsampling = f" (every {step}. line)" if step > 1 else ""
+            text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: "
+            text += _flag_text(flag_texts)
+            return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
+        row, column = place
+        pixel = pixels(self.line, row, column)
         shift = pixel["wavelength_shift"].values if "wavelength_shift" in pixel.coords else 0.0
         values = np.where(good_bands(self.line), pixel["reflectance"].values, np.float32(np.nan))
         rows, columns = (schema.numbers_of(self._numbered, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
-        text = f"line {rows[along]:g}, column {columns[across]:g}"
+        text = f"line {rows[row]:g}, column {columns[column]:g}"
         if "quality" in pixel:
             text += f": {_flag_text(schema.flag_names(int(pixel['quality'])))}"
         return Spectrum(self.wavelength + shift, values, None, text)
-
-    def _median_spectrum(self, region: Region) -> Spectrum:
-        along, across, step = self._region_pixels(region)
-        lines = slice(int(along.min()), int(along.max()) + 1, step)
-        window = pixels(self.line, lines, slice(int(across.min()), int(across.max()) + 1))
-        indices = (along - lines.start) // step, across - int(across.min())
-        values = window["reflectance"].transpose(ALONG_TRACK, CROSS_TRACK, BAND).values[indices]
-        flags = window["quality"].values[indices] if "quality" in window else np.zeros(along.size, np.uint16)
-        is_used = (flags & excluded_of(region, self._excluded)) == 0
-        shares = schema.flag_shares(flags)
-        flag_texts = [f"{flag_label(flag)} {percent(share)}" for flag, share in shares.items()]
-        if not is_used.any():
-            raise SchemaError(
-                f"{region.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
-                code="region-empty",
-            )
-        quantiles = summarise(values[is_used], "median").quantiles
-        quantiles[:, ~good_bands(self.line)] = np.nan
-        subsampling = f" (every {step}. line)" if step > 1 else ""
-        text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: {_flag_text(flag_texts)}"
-        return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
 
     def _region_pixels(self, region: Region) -> tuple[Array, Array, int]:
         # pixels along and across the track, in every ``step``-th line of a large region

@@ -113,9 +113,35 @@ def calibration_report(
     grid = [cells[divmod(number, columns)] for number in range(6)]
     fit_cells = grid[0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
     lamp_axes = figure.add_subplot(fit_cells[0])
-    _draw_lamp_lines(
-        lamp_axes, figure.add_subplot(fit_cells[1], sharex=lamp_axes), calibration, sweep, values
+    residual_axes = figure.add_subplot(fit_cells[1], sharex=lamp_axes)
+    from matplotlib import colormaps
+
+    usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
+    # without the outermost lamp lines, some of whose light falls outside the detector
+    positions = np.linspace(0, max(usable.size - 1, 0), _LAMP_LINES_SHOWN + 2)[1:-1].round().astype(int)
+    steps = sorted(set(usable[positions].tolist())) if usable.size else []
+    lamp_lines = fitted_lines(calibration, sweep, steps, values["column"])
+    colours = colormaps["viridis"](np.linspace(0.3, 0.85, max(len(lamp_lines), 1)))
+    for lamp_line, colour in zip(lamp_lines, colours, strict=False):
+        lamp_axes.plot(
+            lamp_line.curve_distance,
+            lamp_line.curve,
+            color=colour,
+            lw=1.2,
+            label=f"{lamp_line.wavelength:g} nm",
+        )
+        lamp_axes.plot(lamp_line.distance, lamp_line.counts, "o", color=colour, ms=4)
+        residual_axes.plot(lamp_line.distance, 100 * lamp_line.residual, "o-", color=colour, ms=2.5, lw=0.6)
+    lamp_axes.set(title=f"lamp lines and fits, column {values['column']}", ylabel="counts above dark [count]")
+    lamp_axes.tick_params(labelbottom=False)
+    lamp_axes.set_ylim(bottom=min(0.0, lamp_axes.get_ylim()[0]))
+    residual_axes.axhline(0, color="0.6", lw=0.8, zorder=0)
+    residual_axes.set(xlabel="distance from the lamp line [nm]", ylabel="counts - fit\n[% of height]")
+    max_residual = max(
+        (float(np.abs(100 * lamp_line.residual).max(initial=0.0)) for lamp_line in lamp_lines), default=0.0
     )
+    legend_below(residual_axes, lamp_axes)
+    residual_axes.set_ylim(*(np.array([-1.15, 1.15]) * max(max_residual, 0.1)))
     drawers = (_draw_residuals, _draw_smile, _draw_widths, _draw_responsivity, _draw_uncertainty)
     for cell, draw in zip(grid[1:], drawers, strict=True):
         draw(figure.add_subplot(cell), values)
@@ -150,39 +176,6 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
 
 
 # --- lamp lines --------------------------------------------------------------------------------------------
-
-
-def _draw_lamp_lines(
-    axes: Any, residual_axes: Any, calibration: xr.Dataset, sweep: xr.Dataset | None, values: Values
-) -> None:
-    from matplotlib import colormaps
-
-    usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
-    # without the outermost lamp lines, some of whose light falls outside the detector
-    positions = np.linspace(0, max(usable.size - 1, 0), _LAMP_LINES_SHOWN + 2)[1:-1].round().astype(int)
-    steps = sorted(set(usable[positions].tolist())) if usable.size else []
-    lamp_lines = fitted_lines(calibration, sweep, steps, values["column"])
-    colours = colormaps["viridis"](np.linspace(0.3, 0.85, max(len(lamp_lines), 1)))
-    for lamp_line, colour in zip(lamp_lines, colours, strict=False):
-        axes.plot(
-            lamp_line.curve_distance,
-            lamp_line.curve,
-            color=colour,
-            lw=1.2,
-            label=f"{lamp_line.wavelength:g} nm",
-        )
-        axes.plot(lamp_line.distance, lamp_line.counts, "o", color=colour, ms=4)
-        residual_axes.plot(lamp_line.distance, 100 * lamp_line.residual, "o-", color=colour, ms=2.5, lw=0.6)
-    axes.set(title=f"lamp lines and fits, column {values['column']}", ylabel="counts above dark [count]")
-    axes.tick_params(labelbottom=False)
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    residual_axes.axhline(0, color="0.6", lw=0.8, zorder=0)
-    residual_axes.set(xlabel="distance from the lamp line [nm]", ylabel="counts - fit\n[% of height]")
-    max_residual = max(
-        (float(np.abs(100 * lamp_line.residual).max(initial=0.0)) for lamp_line in lamp_lines), default=0.0
-    )
-    legend_below(residual_axes, axes)
-    residual_axes.set_ylim(*(np.array([-1.15, 1.15]) * max(max_residual, 0.1)))
 
 
 def _edges(centres: Array) -> Array:

@@ -609,7 +609,16 @@ class EnviArray(BackendArray):
         in_file_order = samples.transpose(np.argsort(self.axes))
         indices = [positions[axis] for axis in np.argsort(self.axes)]
         with open(self.path, "rb", buffering=0) as file:
-            self._refuse_changed(file)
+            # Raise FormatError if the file has changed since it was opened: its layout may differ.
+            status = os.fstat(file.fileno())
+            if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
+                raise FormatError(
+                    f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} "
+                    f"bytes of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
+                    expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
+                    mend="open it again",
+                    code="file-changed",
+                )
             # complete successive planes of the file are read in one piece
             planes, rows, columns = indices
             _, height, width = self.file_shape
@@ -625,18 +634,6 @@ class EnviArray(BackendArray):
             else:
                 self._gather(file, indices, in_file_order)
         return samples
-
-    def _refuse_changed(self, file: io.FileIO) -> None:
-        # Raise FormatError if the file has changed since it was opened: its layout may differ.
-        status = os.fstat(file.fileno())
-        if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
-            raise FormatError(
-                f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} bytes "
-                f"of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
-                expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
-                mend="open it again",
-                code="file-changed",
-            )
 
     def _gather(self, file: io.FileIO, indices: list[Ints], out: Array) -> None:
         # Read blocks of file lines around the requested samples, and keep these samples.

@@ -24,16 +24,6 @@ from hyperpaint.io.spectrometers.spectrum_files import find_paths
 from hyperpaint.io.store import list_groups, open_store, to_store
 from hyperpaint.io.store.reader import is_zarr
 
-from .record_files import (
-    is_csv_library,
-    is_parquet,
-    read_csv_library,
-    read_envi_library,
-    read_parquet_library,
-    write_csv_library,
-    write_envi_library,
-    write_parquet_library,
-)
 from .records import (
     CENTRE,
     OWN_AXES,
@@ -47,15 +37,23 @@ from .records import (
     text_column,
     with_numbers_as_data,
 )
-from .text_spectra import (
+from .spectra_files import (
+    is_csv_library,
     is_ecostress,
+    is_parquet,
     is_usgs,
     is_usgs_axis,
+    read_csv_library,
     read_ecostress,
+    read_envi_library,
+    read_parquet_library,
     read_plain_table,
     read_usgs,
     read_usgs_axis,
     warn_of_light,
+    write_csv_library,
+    write_envi_library,
+    write_parquet_library,
 )
 
 Path_ = str | os.PathLike[str]
@@ -183,7 +181,22 @@ def open_library(
     options = _Options(**axes, scale=scale, is_reflectance=quantity is not None)
     if is_zarr(path):
         options.refuse_for(str(path))
-        return _read_store(path)
+        # Lazy library from the root group of a Zarr store
+        groups = list_groups(path)
+        if "" not in groups:
+            addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
+            raise FormatError(
+                f"{path} holds no paint library at its root (groups: {addresses})", code="library-missing"
+            )
+        library = with_new_names(open_store(path, ""))
+        rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
+        missing = [name for name in rows if name not in library.variables]
+        dim_problems = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
+        if missing or any(dim_problems):
+            texts = [str(problem) for problem in dim_problems if problem]
+            reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
+            raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
+        return library
     files = find_paths(
         path,
         lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in _TEXT_SUFFIXES]),
@@ -360,25 +373,6 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
 
 
 # --- Zarr stores -------------------------------------------------------------------------------------------
-
-
-def _read_store(path: Any) -> xr.Dataset:
-    # Lazy library from the root group of a Zarr store
-    groups = list_groups(path)
-    if "" not in groups:
-        addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
-        raise FormatError(
-            f"{path} holds no paint library at its root (groups: {addresses})", code="library-missing"
-        )
-    library = with_new_names(open_store(path, ""))
-    rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
-    missing = [name for name in rows if name not in library.variables]
-    dim_problems = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
-    if missing or any(dim_problems):
-        texts = [str(problem) for problem in dim_problems if problem]
-        reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
-        raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
-    return library
 
 
 # --- writing -----------------------------------------------------------------------------------------------

@@ -210,7 +210,9 @@ def test_file_changed_after_opening_is_noticed(tmp_path: Path, change: Callable[
 def test_file_cut_while_it_is_read_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     header = write_cube(tmp_path / "toy", toy("u2"))
     line = open_envi(header)
-    monkeypatch.setattr(EnviArray, "_refuse_changed", lambda *_: _resize(header, -10))
+    status_of = os.fstat
+    # after the check whether the file has changed
+    monkeypatch.setattr(os, "fstat", lambda file: (status_of(file), _resize(header, -10))[0])
     with pytest.raises(FormatError, match="file-truncated"):
         line["values"].load()
 

@@ -14,7 +14,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.io.files import publishing
-from hyperpaint.io.library import record_files
+from hyperpaint.io.library import spectra_files
 from hyperpaint.io.store.stage import _MARK_TEXT
 
 NAMES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr"}
@@ -155,7 +155,7 @@ def test_one_writer_at_a_time(library: xr.Dataset, tmp_path: Path) -> None:
 def test_a_header_too_large_to_be_read__is_refused(
     library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record_files, "MAX_LIBRARY_HEADER_BYTES", 500)
+    monkeypatch.setattr(spectra_files, "MAX_LIBRARY_HEADER_BYTES", 500)
     with pytest.raises(ValueError, match="file-too-large"):
         hp.write_library(library, tmp_path / "paints.sli")
     assert list(tmp_path.iterdir()) == []
