@@ -10,11 +10,24 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, numbers_of
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+    Quality,
+    flag_names,
+    flag_shares,
+    flags_named,
+    numbers_of,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.kernels.overviews import mix_bands
@@ -90,49 +103,49 @@ def rgb(
     >>> picture.sizes["along_track"], picture["rgb"].values.tolist(), float(picture.max()) <= 1.0
     (32, ['red', 'green', 'blue'], True)
     """
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     if lines is not None and lines < 1:
         raise SchemaError(
             f"lines={lines}", expected="1 line of the picture or more", code="value-out-of-range"
         )
     has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
-        step = max(1, -(-dataset.sizes.get(schema.ALONG_TRACK, 1) // lines)) if lines else None
+        step = max(1, -(-dataset.sizes.get(ALONG_TRACK, 1) // lines)) if lines else None
         picture_of_store = stored_picture(dataset, step, at_most=True) if stretch == STRETCH else None
         if picture_of_store is not None:
             return picture_of_store
         if has_cube and step:
-            subsample = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
+            subsample = dataset.isel({ALONG_TRACK: slice(None, None, step)})
             return rgb(subsample, stretch=stretch).assign_attrs(level=_level_text("cube", step, 1))
     dataset, shown_name = with_shown_cube(dataset)
     cube = dataset[shown_name]
-    wavelength = schema.require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
+    wavelength = require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
     visible = visible_bands(wavelength)
     shift = None
     if "wavelength_shift" in dataset.variables:
-        shifts = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
-        shift = (shifts.isel({schema.BAND: visible}) if schema.BAND in shifts.dims else shifts).values
-    source = cube.isel({schema.BAND: visible})
+        shifts = require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
+        shift = (shifts.isel({BAND: visible}) if BAND in shifts.dims else shifts).values
+    source = cube.isel({BAND: visible})
     if source.chunks is not None:
-        source = source.chunk({schema.BAND: -1, schema.CROSS_TRACK: -1})
-    source = source.transpose(..., schema.BAND, schema.CROSS_TRACK)
+        source = source.chunk({BAND: -1, CROSS_TRACK: -1})
+    source = source.transpose(..., BAND, CROSS_TRACK)
     linear = xr.apply_ufunc(
         linear_srgb,
         source,
         kwargs={"weights": srgb_weights(wavelength[visible], shift)},
-        input_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
-        output_core_dims=[[schema.CROSS_TRACK, "rgb"]],
+        input_core_dims=[[BAND, CROSS_TRACK]],
+        output_core_dims=[[CROSS_TRACK, "rgb"]],
         dask="parallelized",
         output_dtypes=[np.float32],
         dask_gufunc_kwargs={"output_sizes": {"rgb": 3}},
     ).drop_vars(["wavelength", "fwhm", "good", "wavelength_shift"], errors="ignore")
     renamed_dims = map_dims(cube)
-    dims = [dim for dim in source.dims if dim != schema.BAND]
+    dims = [dim for dim in source.dims if dim != BAND]
     is_absolute = shown_name == "reflectance" and stretch == (0.0, 100.0)
     black, white = (np.float32(0.0), np.float32(1.0)) if is_absolute else _levels(linear, dims[0], stretch)
     scaled = ((linear - black) / np.maximum(white - black, np.float32(1e-6))).clip(0.0, 1.0)
     if "quality" in dataset.variables and set(dataset["quality"].dims) == set(dims):
-        saturated = (dataset["quality"].reset_coords(drop=True) & schema.Quality.SATURATED.value) != 0
+        saturated = (dataset["quality"].reset_coords(drop=True) & Quality.SATURATED.value) != 0
         is_black = (linear == 0.0).all("rgb").reset_coords(drop=True)
         scaled = scaled.where(~(saturated & is_black), np.float32(1.0))
     picture: xr.DataArray = xr.apply_ufunc(
@@ -187,14 +200,14 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
     # Return the stored overview, subsampled to about every ``step``-th line, in the form of `rgb`.
     # None without an overview, for a crop of a line, or if the overview has fewer lines than requested. With
     # ``step`` None all lines are returned. ``at_most``: the step is rounded up instead of down.
-    row = schema.VARIABLES["overview"]
+    row = VARIABLES["overview"]
     if "overview" not in dataset.variables or set(dataset["overview"].dims) != set(row.dims):
         return None
     overview = dataset["overview"].transpose(*row.dims)
     attrs = [overview.attrs.get(name) for name in ("line_step", "column_step")]
     steps = [int(number) if isinstance(number, int | np.integer) else 0 for number in attrs]
     # a crop keeps the overview of its complete line, whose shape differs
-    sizes = [dataset.sizes.get(dim, 0) for dim in (schema.ALONG_TRACK, schema.CROSS_TRACK)]
+    sizes = [dataset.sizes.get(dim, 0) for dim in (ALONG_TRACK, CROSS_TRACK)]
     shape = [-(-size // number) for size, number in zip(sizes, steps, strict=True) if number > 0 and size]
     if min(steps) < 1 or any(a != b for a, b in zip(shape, overview.shape, strict=False)):
         return None
@@ -206,7 +219,7 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
     picture = xr.DataArray(
         values.data,
         {"rgb": ["red", "green", "blue"]},
-        (schema.ALONG_TRACK, schema.CROSS_TRACK, "rgb"),
+        (ALONG_TRACK, CROSS_TRACK, "rgb"),
         "true_colour",
         {
             "long_name": "True colour (sRGB)",
@@ -214,7 +227,7 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
             "level": _level_text("overview", every_line, every_column),
         },
     )
-    for dim, number in {schema.ALONG_TRACK: every_line, schema.CROSS_TRACK: every_column}.items():
+    for dim, number in {ALONG_TRACK: every_line, CROSS_TRACK: every_column}.items():
         axis = dataset.coords.get(dim)
         if axis is not None and axis.dims == (dim,):
             picture = picture.assign_coords({dim: axis[::number].variable})
@@ -263,7 +276,7 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     Lazy, computed from the slabs being written, so that a cube is read once. uint8, at most `OVERVIEW_SHAPE`;
     None with fewer than three visible bands.
     """
-    dims = schema.ALONG_TRACK, schema.CROSS_TRACK
+    dims = ALONG_TRACK, CROSS_TRACK
     steps = {dim: -(-dataset.sizes[dim] // size) for dim, size in zip(dims, OVERVIEW_SHAPE, strict=True)}
     names = [name for name in ("reflectance", "quality") if name in dataset.variables]
     subsample = dataset[names].isel({dim: slice(None, None, step) for dim, step in steps.items()})
@@ -271,7 +284,7 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
         picture = rgb(subsample)
     except SchemaError:  # fewer than three visible bands
         return None
-    row = schema.VARIABLES["overview"]
+    row = VARIABLES["overview"]
     pixels = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
     pixels = pixels.drop_vars(list(pixels.coords)).rename(dict(zip(pixels.dims, row.dims, strict=True)))
     pixels.attrs = {**row.attrs, "line_step": steps[dims[0]], "column_step": steps[dims[1]]}
@@ -317,15 +330,15 @@ def quicklook(
     """
     is_wide = columns_for(width, 4.0, 2) > 1
     figure = new_figure("a quicklook", figsize=(width, 8.0 if is_wide else 15.0), layout="constrained")
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     if "reflectance" in dataset.variables and "quality" not in dataset.variables:
         dataset = reflectance(dataset)
     dataset, cube_name = with_shown_cube(dataset)
     has_flags = "quality" in dataset.variables
-    schema.require(dataset, [cube_name, *(["quality"] if has_flags else [])], "a quicklook")
-    step = max(1, dataset.sizes[schema.ALONG_TRACK] // lines)
+    require(dataset, [cube_name, *(["quality"] if has_flags else [])], "a quicklook")
+    step = max(1, dataset.sizes[ALONG_TRACK] // lines)
     orientation = orientation_of(dataset)
-    dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
+    dataset = dataset.isel({ALONG_TRACK: slice(None, None, step)})
     names = ("flags", "light", "spectra")
     mosaic = [["picture", name] for name in names] if is_wide else [["picture"], *([name] for name in names)]
     heights = (1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0)
@@ -337,8 +350,8 @@ def quicklook(
     # bars of the share of pixels with each flag
     axes = plots["flags"]
     if has_flags:
-        shares = schema.flag_shares(flags_of(dataset))
-        labels = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
+        shares = flag_shares(flags_of(dataset))
+        labels = [name.replace("_", " ") for name in flag_names(sum(shares))] or ["no flag set"]
         lengths = [100 * share for share in shares.values()] or [0.0]
         bars = axes.barh(labels, lengths, height=0.6, color="#b5543c")
         axes.bar_label(bars, [f" {percent(share)}" for share in shares.values()] or [""], fontsize="small")
@@ -353,13 +366,13 @@ def quicklook(
 
 def flags_of(dataset: xr.Dataset) -> Array:
     # Return the flags of all pixels (along_track, cross_track) as integers
-    quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"]
+    quality = require(dataset, ["quality"], "a picture of flags")["quality"]
     if quality.dtype.kind not in "iu":
         raise SchemaError(f"quality is {quality.dtype}", expected="uint16, one bit a flag", code="type-wrong")
     return np.asarray(quality.values)
 
 
-def flag_label(flag: schema.Quality) -> str:
+def flag_label(flag: Quality) -> str:
     # Return the name of a flag with spaces
     return str(flag.name).lower().replace("_", " ")
 
@@ -384,17 +397,17 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     if "irradiance" not in dataset.variables:
         axes.set_axis_off()
         return
-    series = schema.require(dataset, ["irradiance"], "a picture of irradiance")["irradiance"]
-    moments = series.coords.get(schema.IRRADIANCE_TIME)
+    series = require(dataset, ["irradiance"], "a picture of irradiance")["irradiance"]
+    moments = series.coords.get(IRRADIANCE_TIME)
     if moments is None or not moments.size or moments.dtype.kind != "M":
         raise SchemaError(
             "a picture of irradiance needs the coordinate irradiance_time with at least one time",
             code="variable-missing",
         )
     series = series.compute()
-    start = series[schema.IRRADIANCE_TIME].values[0]
-    seconds = (series[schema.IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
-    samples = series[schema.IRRADIANCE_WAVELENGTH].values
+    start = series[IRRADIANCE_TIME].values[0]
+    seconds = (series[IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
+    samples = series[IRRADIANCE_WAVELENGTH].values
     for nm, colour in ((450.0, "#3399DD"), (550.0, "#009E73"), (850.0, "#D55E00")):
         if samples.min() <= nm <= samples.max():
             axes.plot(
@@ -412,12 +425,8 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
 
 def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> None:
     # Draw the quantiles of a cube over the pixels, band by band
-    sample = dataset[name].isel(
-        {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
-    )
-    values = (
-        sample.transpose(..., schema.BAND).astype(np.float32).values.reshape(-1, sample.sizes[schema.BAND])
-    )
+    sample = dataset[name].isel({ALONG_TRACK: slice(None, None, max(1, dataset.sizes[ALONG_TRACK] // 50))})
+    values = sample.transpose(..., BAND).astype(np.float32).values.reshape(-1, sample.sizes[BAND])
     draw_quantiles(axes, dataset["wavelength"].values, values, [ink_of(axes, s) for s in (0.12, 0.3, 0.9)])
     units = label_for(dataset[name].attrs.get("units", "count"))
     unit = "reflectance factor [1]" if name == "reflectance" else f"{name} [{units}]"
@@ -503,12 +512,12 @@ def flag_overlay(
     >>> axes.get_xlabel()
     'cross_track [column]'
     """
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     chosen: tuple[Quality, ...] = ()  # all flags
     if isinstance(flags, Quality):
         chosen = tuple(flag for flag in Quality if flag & flags)
     elif flags is not None:
-        chosen = tuple(schema.flags_named([flags] if isinstance(flags, str) else map(str, flags)))
+        chosen = tuple(flags_named([flags] if isinstance(flags, str) else map(str, flags)))
     planes = [
         str(name)
         for name, array in dataset.variables.items()
@@ -522,7 +531,7 @@ def flag_overlay(
         )
     if "quality" not in dataset.variables and (layer is None or chosen):
         dataset = reflectance(dataset)
-    schema.require(dataset, ["quality"] if layer is None else [], "a picture of flags")
+    require(dataset, ["quality"] if layer is None else [], "a picture of flags")
     step = max(1, -(-dataset.sizes[ALONG_TRACK] // max(lines, 1)))
     orientation = orientation_of(dataset)
     height = min(max(orientation.height_of(4.0), 3.5), 12.0) + 1.0
@@ -575,7 +584,7 @@ def _draw_flags(
     from matplotlib.patches import Patch
 
     quality = flags_of(dataset)
-    shares = schema.flag_shares(quality)
+    shares = flag_shares(quality)
     flags = chosen or tuple(shares)
     bits = reduced_lines(quality, step, np.bitwise_or)
     picture = np.zeros((*bits.shape, 4), np.float32)
@@ -702,9 +711,9 @@ def adjacency_figure(
     is_wide = columns_for(figure_width, 5.0, 3) > 1
     size = (figure_width, 5.6 if is_wide else 14.0)
     figure = new_figure("a figure of adjacency", figsize=size, layout="constrained")
-    line = schema.rename_to_roles(line)
-    variables = schema.require(line, ["reflectance", "wavelength"], "a figure of adjacency")
-    lines = {"": line} if without is None else {"": line, "without": schema.rename_to_roles(without)}
+    line = rename_to_roles(line)
+    variables = require(line, ["reflectance", "wavelength"], "a figure of adjacency")
+    lines = {"": line} if without is None else {"": line, "without": rename_to_roles(without)}
     regions = _checked_regions(lines, near, far, width)
     places = pixels_of(regions, line)
     route, distance = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
@@ -730,7 +739,7 @@ def adjacency_figure(
         axes.annotate("", stop, start, arrowprops=arrow)
     transects = {}
     for name, dataset in lines.items():
-        cube = schema.require(dataset, ["reflectance"], "a figure of adjacency")["reflectance"]
+        cube = require(dataset, ["reflectance"], "a figure of adjacency")["reflectance"]
         style, is_labelled = ("--", False) if name else ("-", True)
         values = _spectra_at(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1)
         transects[name] = _mean(values, axis=1)
@@ -934,8 +943,8 @@ def triptych(
     columns = 3 if columns_for(width, _AXES_INCH[0], 3) == 3 else 1
     size = (width, _AXES_INCH[1] * (3 // columns))
     figure = new_figure("a triptych", figsize=size, layout="constrained")
-    dataset = schema.rename_to_roles(dataset)
-    counts = schema.require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
+    dataset = rename_to_roles(dataset)
+    counts = require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
     if (region is None) == (pixels is None):
         raise SchemaError(
             "a triptych shows either a region or pixels=(along_track, cross_track)",
@@ -1006,16 +1015,16 @@ def _draw_white(axes: Any, dataset: xr.Dataset, line_indices: Array) -> None:
     # radiance of a white surface at the median time of the pixels, in the camera's wavelength range
     if "irradiance" not in dataset.variables or "time" not in dataset.coords:
         return
-    series = schema.require(dataset, ["irradiance"], "a triptych")["irradiance"]
+    series = require(dataset, ["irradiance"], "a triptych")["irradiance"]
     times = dataset["time"].values[line_indices]
     times = times[~np.isnat(times)]
     if not times.size:
         return
-    sample = np.abs(series[schema.IRRADIANCE_TIME].values - np.sort(times)[times.size // 2]).argmin()
-    nm = series[schema.IRRADIANCE_WAVELENGTH].values
+    sample = np.abs(series[IRRADIANCE_TIME].values - np.sort(times)[times.size // 2]).argmin()
+    nm = series[IRRADIANCE_WAVELENGTH].values
     min_nm, max_nm = axes.get_xlim()
     is_shown = (nm >= min_nm) & (nm <= max_nm)
-    white = series.isel({schema.IRRADIANCE_TIME: int(sample)}).values[is_shown] / np.pi
+    white = series.isel({IRRADIANCE_TIME: int(sample)}).values[is_shown] / np.pi
     axes.plot(nm[is_shown], white, color=ink_of(axes, 0.7), lw=1, ls="--", label="white surface")
 
 
@@ -1068,7 +1077,7 @@ def straightening(
     >>> len(figure.axes)
     2
     """
-    line = schema.rename_to_roles(line)
+    line = rename_to_roles(line)
     if "reflectance" not in line.variables:
         line = reflectance(line)
     if orthomap is None:
@@ -1078,11 +1087,11 @@ def straightening(
                 mend="pass line.paint.locate(...), or its map as orthomap",
                 code="line-not-located",
             )
-        nm = schema.require(line, ["wavelength"], "a map")["wavelength"].values
+        nm = require(line, ["wavelength"], "a map")["wavelength"].values
         visible = line.isel({BAND: np.flatnonzero((nm > 380) & (nm < 780))})
         orthomap = orthorectify(visible, grid="north", variables=["reflectance"])
     columns = columns_for(width, 3.0, 2)
-    datasets = (("as recorded", line), ("straightened", schema.rename_to_roles(orthomap)))
+    datasets = (("as recorded", line), ("straightened", rename_to_roles(orthomap)))
     orientations = [orientation_of(dataset) for _, dataset in datasets]
     heights = [
         min(0.8 * orientation.height_of(width / columns - 0.9), 9.0) + 1.1 for orientation in orientations

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
+from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, require
 from hyperpaint.calibration.calibration_dataset import fitted_lines
 
 from .figures import axes_width, check_picture, columns_for, ink_of, legend_below, new_figure, save_figure
@@ -152,7 +151,7 @@ def calibration_report(
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
     # variables in the units of the schema, and the highlighted column
-    variables = schema.require(calibration, list(_DIMS), "a calibration report")
+    variables = require(calibration, list(_DIMS), "a calibration report")
     sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
     problems = Problems("the calibration report cannot be drawn", SchemaError)
     if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
@@ -299,7 +298,7 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
 def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
     # Draw gain and band width over wavelength, and smile over columns
     names = ["radiance_gain", "wavelength", "fwhm", "wavelength_shift"]
-    values = schema.require(calibration, [n for n in names if n in calibration.variables], "a calibration")
+    values = require(calibration, [n for n in names if n in calibration.variables], "a calibration")
     nm, gain = values["wavelength"].values, values["radiance_gain"].values
     plots = figure.subplots(1, 3)
     lowest, median, highest = finite_quantiles(gain.T, (0.05, 0.5, 0.95))

@@ -11,11 +11,20 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, Quality
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    LIBRARY_VARIABLES,
+    MEMBER,
+    SIGNATURE,
+    Quality,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import paint_colours, srgb
 from hyperpaint.paints.signatures.extraction import EXCLUDED
@@ -88,7 +97,7 @@ def chips_and_renders(
     ['Synthetic Polar White', 'Synthetic Signal Red']
     """
     paints, problems = find_usable(paints)
-    variables = schema.require(paints, ["reflectance", "wavelength"], "chips", schema.LIBRARY_VARIABLES)
+    variables = require(paints, ["reflectance", "wavelength"], "chips", LIBRARY_VARIABLES)
     lines: dict[str, Any] = {"": renders}
     if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
         lines = dict(renders)
@@ -129,9 +138,7 @@ def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
     if "member_reflectance" not in paint.variables:
         return np.asarray(uniform)
     is_visible = good_bands(paint) & (wavelength > 380.0) & (wavelength < 780.0)
-    members = np.asarray(paint["member_reflectance"].transpose(schema.MEMBER, schema.BAND).values)[
-        :, is_visible
-    ]
+    members = np.asarray(paint["member_reflectance"].transpose(MEMBER, BAND).values)[:, is_visible]
     members = members[np.isfinite(members).all(axis=1)]
     if len(members) < 2 or is_visible.sum() < 3:
         return np.asarray(uniform)
@@ -199,7 +206,7 @@ def paint_card(
     >>> len(paint_card(line, paints, "grass").axes)
     4
     """
-    line, (signature, region) = schema.rename_to_roles(line), _find_paint(library, paint)
+    line, (signature, region) = rename_to_roles(line), _find_paint(library, paint)
     surroundings, in_region = _surroundings(line, region)
     is_wide = columns_for(width, 3.0, 3) == 3
     # name, kind and finish of the paint, and the reasons stored with its region
@@ -410,7 +417,7 @@ def detection_curve(
     axes = figure.add_subplot()
     for number, (name, result) in enumerate(dict[str, Any](by_name).items()):
         names = ("detection_score", "best_paint", "score_threshold", "detected")
-        arrays = schema.require(schema.rename_to_roles(result), names, "a detection curve")
+        arrays = require(rename_to_roles(result), names, "a detection curve")
         score, paint, threshold, detected = (arrays[key].values for key in names)
         if is_target.shape != score.shape:
             raise SchemaError(

@@ -9,11 +9,22 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    LIBRARY_VARIABLES,
+    QUANTILE,
+    SIGNATURE,
+    Quality,
+    find,
+    flag_names,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import ciede2000, lab_of, paint_colours, srgb
 from hyperpaint.paints.signatures import extract_signatures
@@ -86,9 +97,9 @@ def spectrum(
     >>> [curve.get_label() for curve in axes.lines]
     ['(3, 4)', '(20, 10)']
     """
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     # a flight line may have the dim signature too, for variables such as the paint of a pixel
-    is_library = "reflectance" in dataset and dataset["reflectance"].dims == (schema.SIGNATURE, BAND)
+    is_library = "reflectance" in dataset and dataset["reflectance"].dims == (SIGNATURE, BAND)
     problems = Problems("spectra cannot be drawn", SchemaError)
     one_of(spread, SPREADS, "spread", problems=problems)
     if is_library and (regions is not None or pixels is not None):
@@ -111,7 +122,7 @@ def spectrum(
         if "reflectance" not in dataset.variables:
             dataset = reflectance(dataset)
         names = [name for name in ("reflectance_u_random", "reflectance_u_systematic") if name in dataset]
-        cubes = schema.require(dataset, ["reflectance", *names], "a picture of spectra")
+        cubes = require(dataset, ["reflectance", *names], "a picture of spectra")
         planes = {"quality": dataset["quality"]} if "quality" in dataset else {}
         spectra, values = gather(cubes, planes, places[:, 0], places[:, 1], slice(None), {})
         u = np.sqrt(sum(spectra[name].astype(np.float64) ** 2 for name in names)) if names else None
@@ -155,7 +166,7 @@ def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str 
 
 
 def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | None, spread: str) -> None:
-    names = [str(name) for name in library[schema.SIGNATURE].values]
+    names = [str(name) for name in library[SIGNATURE].values]
     chosen = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
     problems = Problems("paints cannot be drawn", SchemaError)
     if unknown := [name for name in chosen if name not in names]:
@@ -172,8 +183,8 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
     problems.raise_if_any()
     indices = [names.index(name) for name in chosen]
     for name, index, style in zip(chosen, indices, styles_of(paint_colours(library)[indices]), strict=True):
-        paint = library.isel({schema.SIGNATURE: index})
-        wavelength = schema.require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
+        paint = library.isel({SIGNATURE: index})
+        wavelength = require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
         is_good = good_bands(paint)
         reflectance = np.where(is_good, paint["reflectance"].values, np.nan)
         count = f" (n = {int(paint['n'])})" if "n" in paint else ""
@@ -188,7 +199,7 @@ def draw_band(
     # ``wavelength`` and ``is_good`` (band,): wavelengths [nm], and the bands to show. A library without this
     # spread is not shaded.
     if spread == "quantiles" and "reflectance_quantiles" in paint:
-        levels = paint[schema.QUANTILE].values
+        levels = paint[QUANTILE].values
         for lower_level, upper_level, shade in ((0.05, 0.95, 0.15), (0.25, 0.75, 0.25)):
             edges = [np.abs(levels - level).argmin() for level in (lower_level, upper_level)]
             if np.allclose(levels[edges], (lower_level, upper_level), atol=1e-6):
@@ -248,11 +259,11 @@ def draw_pixels(
     # Draw spectra of pixels in their colours, at the wavelengths of their columns, one plot a cube.
     # ``cubes`` (pixel, band) by name, with reflectance; ``quality`` (pixel,); ``u`` (pixel, band): standard
     # uncertainty, shaded.
-    wavelength = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
+    wavelength = require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
     is_good = good_bands(dataset)
     shift = np.zeros((wavelength.size, dataset.sizes[CROSS_TRACK]))
     if "wavelength_shift" in dataset.variables:
-        variable = schema.require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
+        variable = require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
         shift = np.broadcast_to(variable.values, shift.shape)
     # colours in daylight; with fewer than three visible bands colours of matplotlib's cycle
     order = np.argsort(wavelength, kind="stable")
@@ -279,7 +290,7 @@ def pixel_label(along: int, across: int, bits: int) -> str:
     >>> pixel_label(3, 4, Quality.GLINT | Quality.LOW_SUN)
     '(3, 4): low sun, glint'
     """
-    flags = ", ".join(schema.flag_names(bits)).replace("_", " ")
+    flags = ", ".join(flag_names(bits)).replace("_", " ")
     return f"({along}, {across})" + (f": {flags}" if flags else "")
 
 
@@ -333,8 +344,8 @@ def library_overview(
     problems = Problems("a paint library cannot be drawn", SchemaError)
     problems.extend(Problem(problem, code="variable-unusable") for problem in faults)
     problems.raise_if_any()
-    variables = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
-    if not (count := paints.sizes[schema.SIGNATURE]):
+    variables = require(paints, ["reflectance", "wavelength"], "an overview", LIBRARY_VARIABLES)
+    if not (count := paints.sizes[SIGNATURE]):
         raise SchemaError("the library has no paint to draw", code="library-empty")
     shown_count = min(count, MAX_PAINTS)
     columns = max(1, min(columns, shown_count))
@@ -349,12 +360,12 @@ def library_overview(
     for number, axes in enumerate(grid.ravel()):
         if number < shown_count:
             # spread, curve, name, and a swatch of the colour above the axes
-            paint, colour = paints.isel({schema.SIGNATURE: number}), colours[number]
+            paint, colour = paints.isel({SIGNATURE: number}), colours[number]
             has_colour = bool(np.isfinite(colour).all())
             draw_band(axes, paint, wavelength, is_good, spread, ink_of(axes, 0.6))
             values = np.where(is_good, paint["reflectance"].values, np.nan)
             draw_curve(axes, wavelength, values, styles_of(colour[np.newaxis])[0])
-            title = label_for(paint[schema.SIGNATURE].item())
+            title = label_for(paint[SIGNATURE].item())
             title += f"  n = {int(paint['n'])}" if "n" in paint else ""
             axes.set_title(title, fontsize="small", loc="left", pad=11 if has_colour else None)
             if has_colour:
@@ -379,7 +390,7 @@ def library_overview(
 def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     # Return a library without variables that break the schema, and the problems of these variables.
     # Reads dims, dtypes and attributes only, never values.
-    table = schema.LIBRARY_VARIABLES
+    table = LIBRARY_VARIABLES
     names = [name for name in table if name in paints.variables]
     kinds = {name: _ACCEPTED_KINDS.get(table[name].dtype, paints[name].dtype.kind) for name in names}
     # units of variables with a wrong dtype cannot be checked
@@ -389,7 +400,7 @@ def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
         for name in names
         if name not in numeric
     ]
-    usable, faults = schema.find(paints, numeric, table)
+    usable, faults = find(paints, numeric, table)
     return paints.drop_vars([name for name in names if name not in usable]), [*problems, *map(str, faults)]
 
 
@@ -397,14 +408,14 @@ def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
     # Draw the standard uncertainty of the mean of every paint, and its random part (dashed)
     names = [f"reflectance_u_{kind}" for kind in ("random", "systematic")]
     present = [name for name in names if name in paints.variables]
-    first_paints = paints.isel({schema.SIGNATURE: slice(MAX_CURVES)})
-    values = schema.require(first_paints, [*present, "wavelength"], "uncertainties", schema.LIBRARY_VARIABLES)
+    first_paints = paints.isel({SIGNATURE: slice(MAX_CURVES)})
+    values = require(first_paints, [*present, "wavelength"], "uncertainties", LIBRARY_VARIABLES)
     is_good, nm = good_bands(first_paints), values["wavelength"].values
     uncertainties = [np.where(is_good, values[name].values, np.nan).astype(np.float64) for name in present]
     total = np.sqrt(sum(np.nan_to_num(u) ** 2 for u in uncertainties))
     total[np.isnan(uncertainties).all(axis=0)] = np.nan
     for number, style in enumerate(styles_of(paint_colours(first_paints))):
-        label = label_for(first_paints[schema.SIGNATURE].values[number])
+        label = label_for(first_paints[SIGNATURE].values[number])
         draw_curve(axes, nm, total[number], {**style, "ls": "-"}, label)
         if len(present) > 1:
             axes.plot(nm, uncertainties[0][number], ls="--", lw=0.9, color=style["color"])

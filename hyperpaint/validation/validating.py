@@ -19,12 +19,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError, UnitsError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, find, require
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.coat_transmission import (
     COAT_INDEX,
@@ -495,8 +494,8 @@ def _library_spectra(
         dataset = dataset.expand_dims(SIGNATURE)
     optional = [name for name in (*_SPREADS, "fwhm", "n", "n_eff") if name in dataset.variables]
     purpose = "a validation"
-    required = schema.require(dataset, [SIGNATURE, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
-    arrays = {**required, **schema.find(dataset, optional, LIBRARY_VARIABLES)[0]}
+    required = require(dataset, [SIGNATURE, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
+    arrays = {**required, **find(dataset, optional, LIBRARY_VARIABLES)[0]}
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
     values = arrays["reflectance"].values.astype(np.float64)
     if "good" in dataset.variables and dataset["good"].dims == (BAND,):

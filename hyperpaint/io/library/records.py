@@ -23,12 +23,11 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints, Progress
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, quality_attrs
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, find, quality_attrs
 from hyperpaint.io.files.reading import numbers
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
@@ -309,7 +308,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
         if BAND not in array.dims and LIBRARY_VARIABLES[name].units == "1" and "units" not in array.attrs
     }
     required = dict.fromkeys((SIGNATURE, CENTRE, "wavelength", *found))
-    variables, faults = schema.find(
+    variables, faults = find(
         library, [name for name in required if name not in plain_numbers], LIBRARY_VARIABLES
     )
     problems = Problems("the library cannot be written", SchemaError)
