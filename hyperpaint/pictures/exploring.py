@@ -16,6 +16,7 @@ import signal
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple, TypeVar
 from urllib.parse import quote
 
@@ -773,28 +774,28 @@ class Explorer:
         bands = sorted(set(np.round(state.wavelength[np.isfinite(state.wavelength)], 1).tolist()))
         recipes = [name for name, recipe in _RECIPES.items() if state.has_bands(recipe)]
         flags = {f"{flag_label(flag)}, {percent(share)}": flag for flag, share in state.flag_shares.items()}
-        self._mode = make("RadioButtonGroup", "", options=_MODES, value="spectrum")
-        self._recipe = make("Select", "Colours", options=[*recipes, _ONE_BAND])
-        self._band = make(
-            "DiscreteSlider",
-            "Band [nm]",
-            options=bands,
-            value=_nearest_option(bands, 650.0),
-            formatter="%.1f",
-        )
-        self._stretch = make("RangeSlider", "Black and white [percentile]", start=0, end=100, value=(2, 98))
-        self._flag_boxes = make("CheckBoxGroup", "", options=flags)
-        self._region_menu = make("Select", "Region", options=[])
-        self._name = make("TextInput", "Name")
-        self._box_button = make("Button", "Box to region", disabled=True)
-        self._undo_button = make("Button", "Undo corner", disabled=True)
-        self._remove_button = make("Button", "Remove")
         file = "regions.geojson" if self._save_to is None else str(self._save_to)
-        self._file = make("TextInput", "File", value=file, disabled=self._save_to is not None)
-        self._save_button = make("Button", "Save regions")
-        self._paint_boxes = make("CheckBoxGroup", "", options={})
-        self._spectrum_pane, self._message_pane, self._caption_pane = (
-            panel.pane.HTML("", **FULL_WIDTH) for _ in range(3)
+        self._widgets = SimpleNamespace(
+            mode=make("RadioButtonGroup", "", options=_MODES, value="spectrum"),
+            recipe=make("Select", "Colours", options=[*recipes, _ONE_BAND]),
+            band=make(
+                "DiscreteSlider",
+                "Band [nm]",
+                options=bands,
+                value=_nearest_option(bands, 650.0),
+                formatter="%.1f",
+            ),
+            stretch=make("RangeSlider", "Black and white [percentile]", start=0, end=100, value=(2, 98)),
+            flag_boxes=make("CheckBoxGroup", "", options=flags),
+            region_menu=make("Select", "Region", options=[]),
+            name=make("TextInput", "Name"),
+            box_button=make("Button", "Box to region", disabled=True),
+            undo_button=make("Button", "Undo corner", disabled=True),
+            remove_button=make("Button", "Remove"),
+            file=make("TextInput", "File", value=file, disabled=self._save_to is not None),
+            save_button=make("Button", "Save regions"),
+            paint_boxes=make("CheckBoxGroup", "", options={}),
+            **{name: panel.pane.HTML("", **FULL_WIDTH) for name in ("spectrum", "message", "caption")},
         )
 
         # layout of the widgets
@@ -810,21 +811,31 @@ class Explorer:
         lines, columns = state.shape
         navigator = [pane(self._navigator)] if lines > 3 * columns else []
         flag_card = (
-            self._flag_boxes if state.flag_shares else panel.pane.HTML("no flags stored", **FULL_WIDTH)
+            self._widgets.flag_boxes
+            if state.flag_shares
+            else panel.pane.HTML("no flags stored", **FULL_WIDTH)
         )
         heading = panel.pane.HTML("<b>Nearest paints</b>: spectral angle, and scale factor", **FULL_WIDTH)
-        buttons = panel.Row(self._box_button, self._undo_button, self._remove_button, **FULL_WIDTH)
+        buttons = panel.Row(
+            self._widgets.box_button, self._widgets.undo_button, self._widgets.remove_button, **FULL_WIDTH
+        )
         self.view = panel.Column(
             panel.FlexBox(
-                column("3 1 340px", self._mode, pane(self._plot), *navigator, self._caption_pane),
-                column("2 1 320px", self._spectrum_pane, pane(self._spectra), heading, self._paint_boxes),
+                column("3 1 340px", self._widgets.mode, pane(self._plot), *navigator, self._widgets.caption),
+                column(
+                    "2 1 320px",
+                    self._widgets.spectrum,
+                    pane(self._spectra),
+                    heading,
+                    self._widgets.paint_boxes,
+                ),
                 **FULL_WIDTH,
             ),
             panel.FlexBox(
-                card("Picture", self._recipe, self._band, self._stretch),
+                card("Picture", self._widgets.recipe, self._widgets.band, self._widgets.stretch),
                 card("Flags", flag_card),
-                card("Regions", self._region_menu, self._name, buttons),
-                card("Save", self._file, self._save_button, self._message_pane),
+                card("Regions", self._widgets.region_menu, self._widgets.name, buttons),
+                card("Save", self._widgets.file, self._widgets.save_button, self._widgets.message),
                 **FULL_WIDTH,
             ),
             **FULL_WIDTH,
@@ -841,22 +852,22 @@ class Explorer:
         self._sources["corners"].on_change("data", self._corners_changed)
         self._sources["view"].on_change("data", self._view_changed)
         calls = (
-            (self._mode, "value", lambda _: self._change_mode()),
-            (self._recipe, "value", lambda _: self._update_pictures()),
-            (self._stretch, "value_throttled", lambda _: self._update_pictures()),
-            (self._band, "value_throttled", lambda event: self.take_band(event.new)),
-            (self._flag_boxes, "value", lambda _: self._update_flags()),
-            (self._region_menu, "value", lambda event: self._select(event.new)),
-            (self._name, "value", lambda event: self._rename(event.new)),
-            (self._paint_boxes, "value", lambda _: self._update_spectra()),
+            (self._widgets.mode, "value", lambda _: self._change_mode()),
+            (self._widgets.recipe, "value", lambda _: self._update_pictures()),
+            (self._widgets.stretch, "value_throttled", lambda _: self._update_pictures()),
+            (self._widgets.band, "value_throttled", lambda event: self.take_band(event.new)),
+            (self._widgets.flag_boxes, "value", lambda _: self._update_flags()),
+            (self._widgets.region_menu, "value", lambda event: self._select(event.new)),
+            (self._widgets.name, "value", lambda event: self._rename(event.new)),
+            (self._widgets.paint_boxes, "value", lambda _: self._update_spectra()),
         )
         for widget, name, call in calls:
             widget.param.watch(self._unless_updating(call), name)
         clicks = (
-            (self._box_button, self._box_to_region),
-            (self._undo_button, lambda: self._change_draft(-1)),
-            (self._remove_button, self._remove_region),
-            (self._save_button, self._write_regions),
+            (self._widgets.box_button, self._box_to_region),
+            (self._widgets.undo_button, lambda: self._change_draft(-1)),
+            (self._widgets.remove_button, self._remove_region),
+            (self._widgets.save_button, self._write_regions),
         )
         for button, press in clicks:
             button.on_click(self._unless_updating(lambda _, press=press: press()))
@@ -877,19 +888,19 @@ class Explorer:
     def tap(self, along: float, across: float) -> None:
         """Handle a click on the picture: select a pixel, add a corner, or select a region to edit."""
         pixel = int(np.floor(along + 0.5)), int(np.floor(across + 0.5))
-        mode = self._mode.value
+        mode = self._widgets.mode.value
         if mode == "draw":
             self._change_draft(None, (along, across))
         elif mode == "edit":
             spot = np.array([across]), np.array([along])
             names = [region.name for region in self._state.drawn if contains(region.polygon, (), *spot)[0]]
-            self._select(names[-1] if names else self._region_menu.value)
+            self._select(names[-1] if names else self._widgets.region_menu.value)
         elif all(0 <= number < size for number, size in zip(pixel, self._state.shape, strict=True)):
             self._select_place(pixel)
 
     def drag(self, geometry: dict[str, Any]) -> None:
         """Show the median spectrum of a box dragged over the picture."""
-        if self._mode.value != "spectrum" or geometry.get("type") != "rect":
+        if self._widgets.mode.value != "spectrum" or geometry.get("type") != "rect":
             return
         ranges = []
         for axis, size in zip("xy", self._state.shape, strict=True):
@@ -904,7 +915,7 @@ class Explorer:
 
     def close(self, along: float, across: float) -> None:
         """Add the last corner of the polygon in progress, and make it a region."""
-        if self._mode.value == "draw":
+        if self._widgets.mode.value == "draw":
             self.tap(along, across)
             draft = self._sources["draft"].data
             # the polygon is not finished while its corners enclose no area
@@ -914,8 +925,8 @@ class Explorer:
     def take_band(self, wavelength: float) -> None:
         """Show the band nearest to a wavelength [nm]."""
         self._is_updating = True
-        self._band.value = _nearest_option(self._band.options, wavelength)
-        self._recipe.value = _ONE_BAND
+        self._widgets.band.value = _nearest_option(self._widgets.band.options, wavelength)
+        self._widgets.recipe.value = _ONE_BAND
         self._is_updating = False
         self._update_pictures()
 
@@ -930,7 +941,7 @@ class Explorer:
 
     def _add_region(self, along: list[float], across: list[float]) -> bool:
         name = self._state.add(along, across)
-        self._select(name or self._region_menu.value)
+        self._select(name or self._widgets.region_menu.value)
         if name is None:
             self._show_message(
                 "these corners enclose no area: a region needs three corners that are not on a line"
@@ -943,38 +954,38 @@ class Explorer:
             name: [*draft[name][:stop], *(corner[axis] for corner in new_corners)]
             for axis, name in enumerate(("along", "across"))
         }
-        self._undo_button.disabled = not self._sources["draft"].data["along"]
+        self._widgets.undo_button.disabled = not self._sources["draft"].data["along"]
 
     def _clear_draft(self) -> None:
         self._sources["draft"].data = {"along": [], "across": []}
-        self._undo_button.disabled = True
+        self._widgets.undo_button.disabled = True
 
     def _change_mode(self) -> None:
-        self._plot.toolbar.active_drag = self._tools[self._mode.value]
+        self._plot.toolbar.active_drag = self._tools[self._widgets.mode.value]
         self._clear_draft()
         self._update_caption()
-        self._select(self._region_menu.value)
+        self._select(self._widgets.region_menu.value)
 
     def _corners_changed(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002 (bokeh asks for these names)
-        name = self._region_menu.value
+        name = self._widgets.region_menu.value
         if not self._is_updating and name is not None:
             self._state.move(name, list(new["along"]), list(new["across"]))
             self._select(name)
 
     def _rename(self, new: str) -> None:
-        name = self._region_menu.value
+        name = self._widgets.region_menu.value
         if name is not None and new != name:
             problem = self._state.rename(name, new)
             self._select(new.strip() if problem is None else name)
             self._show_message(problem or self._region_count())
 
     def _remove_region(self) -> None:
-        if self._region_menu.value is not None:
-            self._state.drop(self._region_menu.value)
+        if self._widgets.region_menu.value is not None:
+            self._state.drop(self._widgets.region_menu.value)
             self._select(None)
 
     def _write_regions(self) -> None:
-        file = self._save_to or Path(self._file.value)
+        file = self._save_to or Path(self._widgets.file.value)
         try:
             saved_file = self._state.save_again(file)
         except PaintError as error:
@@ -1003,7 +1014,7 @@ class Explorer:
     # --- display ----------------------------------------------------------------------------------------
 
     def _show_message(self, text: str) -> None:
-        self._message_pane.object = html.escape(text)
+        self._widgets.message.object = html.escape(text)
 
     def _region_count(self) -> str:
         count = len(self._state.drawn)
@@ -1014,18 +1025,20 @@ class Explorer:
 
     def _update_pictures(self, *, base: bool = True) -> None:
         # update the lines in view; with ``base`` also the picture of the complete line behind them
-        recipe = _RECIPES.get(self._recipe.value) or ()
-        if self._recipe.value == _ONE_BAND:
-            recipe = (self._band.value,)
+        recipe = _RECIPES.get(self._widgets.recipe.value) or ()
+        if self._widgets.recipe.value == _ONE_BAND:
+            recipe = (self._widgets.band.value,)
         try:
             if base:
-                self._show_picture("base", self._state.picture(recipe, self._stretch.value))
-            detail = self._state.picture(recipe, self._stretch.value, self._window)
+                self._show_picture("base", self._state.picture(recipe, self._widgets.stretch.value))
+            detail = self._state.picture(recipe, self._widgets.stretch.value, self._window)
         except PaintError as error:
-            self._caption_pane.object = html.escape(str(error))
+            self._widgets.caption.object = html.escape(str(error))
             return
         self._show_picture("detail", detail)
-        self._caption = f"{recipe[0]:.1f} nm" if self._recipe.value == _ONE_BAND else self._recipe.value
+        self._caption = (
+            f"{recipe[0]:.1f} nm" if self._widgets.recipe.value == _ONE_BAND else self._widgets.recipe.value
+        )
         self._caption += f", lines {detail.first} to {detail.last - 1}" + f", {detail.text}" * bool(
             detail.text
         )
@@ -1046,12 +1059,12 @@ class Explorer:
         self._sources[name].data = {column: [row[column] for row in rows] for column in _SOURCES[name]}
 
     def _update_caption(self) -> None:
-        self._caption_pane.object = (
-            f"{html.escape(_HELP[self._mode.value])}.<br><small>{self._caption}</small>"
+        self._widgets.caption.object = (
+            f"{html.escape(_HELP[self._widgets.mode.value])}.<br><small>{self._caption}</small>"
         )
 
     def _update_flags(self) -> None:
-        flags = self._flag_boxes.value
+        flags = self._widgets.flag_boxes.value
         self._show_picture("flags", self._state.flag_picture(flags, self._window) if flags else None)
 
     def _select(self, name: str | None) -> None:
@@ -1063,19 +1076,19 @@ class Explorer:
         edited = [
             region.polygon
             for region in regions
-            if region.name == selected_name and self._mode.value == "edit"
+            if region.name == selected_name and self._widgets.mode.value == "edit"
         ]
         along, across = (edited[0][:, axis].tolist() if edited else [] for axis in (1, 0))
         self._is_updating = True
         try:
-            self._region_menu.options = [None, *regions.names]
-            self._region_menu.value = selected_name
-            self._name.value = selected_name or ""
+            self._widgets.region_menu.options = [None, *regions.names]
+            self._widgets.region_menu.value = selected_name
+            self._widgets.name.value = selected_name or ""
             self._sources["corners"].data = {"along": along, "across": across}
         finally:
             self._is_updating = False
-        self._name.disabled = self._remove_button.disabled = selected_name is None
-        self._box_button.disabled = not isinstance(self._selected, Region)
+        self._widgets.name.disabled = self._widgets.remove_button.disabled = selected_name is None
+        self._widgets.box_button.disabled = not isinstance(self._selected, Region)
         self._sources["outlines"].data = {
             "along": [region.polygon[:, 1].tolist() for region in regions],
             "across": [region.polygon[:, 0].tolist() for region in regions],
@@ -1115,14 +1128,14 @@ class Explorer:
         # list the most similar paints, and draw the ticked ones
         near_paints = self._state.near_paints(spectrum_now) if isinstance(spectrum_now, Spectrum) else []
         self._is_updating = True
-        self._paint_boxes.options = {
+        self._widgets.paint_boxes.options = {
             f"{paint.name}: {paint.angle:.1f}°, x {paint.factor:.2f}": i
             for i, paint in enumerate(near_paints)
         }
         self._is_updating = False
         curves += [
             _curve(near_paints[i], near_paints[i].name, NEAR_COLOUR, 1.5, DASHES[i % len(DASHES)])
-            for i in self._paint_boxes.value
+            for i in self._widgets.paint_boxes.value
             if i < len(near_paints)
         ]
         self._show_rows("spreads", spreads)
@@ -1134,7 +1147,7 @@ class Explorer:
             if isinstance(spectrum_now, Spectrum)
             else spectrum_now or "Click on the picture for a spectrum"
         )
-        self._spectrum_pane.object = html.escape(name + text)
+        self._widgets.spectrum.object = html.escape(name + text)
         # the last click, outlined by its corners
         corners = clicked.polygon if isinstance(clicked, Region) else np.zeros((0, 2))
         if isinstance(clicked, tuple):
@@ -1162,7 +1175,7 @@ class Explorer:
             outline = band_around(spectrum.wavelength, lower, upper)
             self._show_rows("uncertainty", [{**outline, "colour": colour}])
             text = uncertainty.text
-        self._spectrum_pane.object = (
+        self._widgets.spectrum.object = (
             f"{html.escape(name + spectrum.text)}<br><small>{html.escape(text)}</small>"
         )
 

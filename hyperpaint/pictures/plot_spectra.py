@@ -102,18 +102,30 @@ def spectrum(
     is_library = "reflectance" in dataset and dataset["reflectance"].dims == (SIGNATURE, BAND)
     problems = Problems("spectra cannot be drawn", SchemaError)
     one_of(spread, SPREADS, "spread", problems=problems)
-    if is_library and (regions is not None or pixels is not None):
-        problems.add(
-            "a paint library has neither regions nor pixels",
-            mend="pass paints=, or a flight line",
-            code="option-conflict",
+    problems.extend(
+        Problem(found, mend=mend, code=code)
+        for is_wrong, found, mend, code in (
+            (
+                is_library and (regions is not None or pixels is not None),
+                "a paint library has neither regions nor pixels",
+                "pass paints=, or a flight line",
+                "option-conflict",
+            ),
+            (
+                not is_library and paints is not None,
+                "paints= needs a paint library",
+                "pass regions= or pixels=",
+                "option-conflict",
+            ),
+            (
+                not is_library and (regions is None) == (pixels is None),
+                "a flight line needs either regions or pixels=(along_track, cross_track)",
+                "",
+                "argument-missing",
+            ),
         )
-    if not is_library and paints is not None:
-        problems.add("paints= needs a paint library", mend="pass regions= or pixels=", code="option-conflict")
-    if not is_library and (regions is None) == (pixels is None):
-        problems.add(
-            "a flight line needs either regions or pixels=(along_track, cross_track)", code="argument-missing"
-        )
+        if is_wrong
+    )
     has_pixels = not is_library and pixels is not None
     places = checked_places(dataset, pixels, problems) if has_pixels else np.zeros((0, 2), int)
     problems.raise_if_any()

@@ -1582,14 +1582,14 @@ def _limits(tolerance: Any) -> dict[str, float]:
             problems.add(f"{name}: {limit!r}", expected="a number from 0 on", code="value-out-of-range")
     if not limits:
         problems.add("no limit", mend="pass at least one limit, such as rmse 0.02", code="argument-missing")
-    if FLOOR in limits and RELATIVE not in limits:
+    if RELATIVE in limits:
+        limits.setdefault(FLOOR, TOLERANCE[FLOOR])
+    elif FLOOR in limits:
         problems.add(
             "floor is added to a share of the paint's level",
             mend="pass relative as well, such as 0.05",
             code="option-conflict",
         )
-    if RELATIVE in limits:
-        limits.setdefault(FLOOR, TOLERANCE[FLOOR])
     problems.raise_if_any()
     return {name: float(limit) for name, limit in limits.items()}
 

@@ -178,13 +178,13 @@ def test_a_page_loaded_anew_says_what_is_not_saved(tmp_path: Path) -> None:
     state, path = Explored(flight().line, BEGIN), tmp_path / "r.geojson"
     state.add([0, 9, 9], [0, 0, 3])
     shown = Explorer(state, save_to=path)
-    assert "2 regions, not saved" in shown._message_pane.object
+    assert "2 regions, not saved" in shown._widgets.message.object
     path.write_text("{}", encoding="utf-8")
-    shown._save_button.clicks += 1
-    assert "begin anew with --regions" in shown._message_pane.object
+    shown._widgets.save_button.clicks += 1
+    assert "begin anew with --regions" in shown._widgets.message.object
     path.unlink()
-    shown._save_button.clicks += 1
-    assert Explorer(state, save_to=path)._message_pane.object == "2 regions"
+    shown._widgets.save_button.clicks += 1
+    assert Explorer(state, save_to=path)._widgets.message.object == "2 regions"
 
 
 # --- spectra -----------------------------------------------------------------------------------------------
@@ -352,35 +352,35 @@ def test_a_click_shows_the_spectrum_and_a_drag_the_median(shown: Any) -> None:
     assert curves["name"] == ["roof", "clicked"]
     pixel = flight().line.paint.pixels(7, 3)
     np.testing.assert_array_equal(curves["reflectance"][1], pixel.reflectance.values)
-    assert "line 7, column 3" in shown._spectrum_pane.object
-    assert len(shown._paint_boxes.options) == 5
+    assert "line 7, column 3" in shown._widgets.spectrum.object
+    assert len(shown._widgets.paint_boxes.options) == 5
     shown.tap(40.0, 2.0)  # beside the picture
-    assert "line 7, column 3" in shown._spectrum_pane.object
+    assert "line 7, column 3" in shown._widgets.spectrum.object
     shown.drag({"type": "rect", "x0": 9.4, "x1": 1.6, "y0": 0.7, "y1": 3.2})
-    assert "of 24 pixels" in shown._spectrum_pane.object
-    assert not shown._box_button.disabled
-    shown._box_button.clicks += 1
+    assert "of 24 pixels" in shown._widgets.spectrum.object
+    assert not shown._widgets.box_button.disabled
+    shown._widgets.box_button.clicks += 1
     assert shown.regions[1].polygon.tolist() == [[1, 2], [3, 2], [3, 9], [1, 9]]
-    assert shown._region_menu.value == "region 1"
-    assert "not saved" in shown._message_pane.object
+    assert shown._widgets.region_menu.value == "region 1"
+    assert "not saved" in shown._widgets.message.object
 
 
 def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
-    shown._mode.value = "draw"
+    shown._widgets.mode.value = "draw"
     for along, across in ((10, 0), (20, 0.3), (20.4, 3)):
         shown.tap(along, across)
     assert shown._sources["draft"].data["along"] == [10, 20, 20.4]
-    shown._undo_button.clicks += 1
+    shown._widgets.undo_button.clicks += 1
     assert shown._sources["draft"].data["along"] == [10, 20]
     shown.tap(20.4, 3)
     shown.close(20.3, 3.1)
     assert shown._sources["draft"].data == {"along": [], "across": []}
     assert shown.regions[1].polygon.tolist() == [[0, 10], [0, 20], [3, 20]]
-    assert shown._region_menu.options == [None, "roof", "region 1"]
-    assert shown._name.value == shown._region_menu.value == "region 1"
+    assert shown._widgets.region_menu.options == [None, "roof", "region 1"]
+    assert shown._widgets.name.value == shown._widgets.region_menu.value == "region 1"
     assert shown._sources["curves"].data["name"] == ["roof", "region 1"]
     shown.close(10, 0)
-    assert "no area" in shown._message_pane.object
+    assert "no area" in shown._widgets.message.object
     assert len(shown.regions) == 2
     # clicks in haste end nothing
     shown.tap(12, 0)
@@ -391,7 +391,7 @@ def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
 def test_corners_are_dragged(shown: Any) -> None:
     corners = shown._sources["corners"]
     assert corners.data["along"] == []
-    shown._mode.value = "edit"
+    shown._widgets.mode.value = "edit"
     shown.tap(4.0, 3.5)
     assert corners.data == {"along": [2, 2, 9], "across": [1, 4, 4]}
     corners.data = {"along": [2, 2, 15.3], "across": [1, 4, 4]}
@@ -402,34 +402,34 @@ def test_corners_are_dragged(shown: Any) -> None:
 
 
 def test_regions_are_renamed_saved_and_removed(shown: Any, tmp_path: Path) -> None:
-    shown._name.value = "<b>bonnet"
+    shown._widgets.name.value = "<b>bonnet"
     assert shown.regions.names == ("<b>bonnet",)
-    assert "&lt;b&gt;bonnet" in shown._spectrum_pane.object
-    shown._name.value = ""
-    assert "&#x27;&#x27; is empty" in shown._message_pane.object
-    assert shown._name.value == "<b>bonnet"
-    shown._file.value = str(tmp_path / "r.geojson")
-    shown._save_button.clicks += 1
+    assert "&lt;b&gt;bonnet" in shown._widgets.spectrum.object
+    shown._widgets.name.value = ""
+    assert "&#x27;&#x27; is empty" in shown._widgets.message.object
+    assert shown._widgets.name.value == "<b>bonnet"
+    shown._widgets.file.value = str(tmp_path / "r.geojson")
+    shown._widgets.save_button.clicks += 1
     assert hp.read_regions(tmp_path / "r.geojson") == shown.regions
-    shown._remove_button.clicks += 1
+    shown._widgets.remove_button.clicks += 1
     assert len(shown.regions) == 0
-    assert shown._region_menu.value is None
-    shown._save_button.clicks += 1
-    assert "saved" in shown._message_pane.object
-    shown._file.value = str(tmp_path / "other.geojson")
+    assert shown._widgets.region_menu.value is None
+    shown._widgets.save_button.clicks += 1
+    assert "saved" in shown._widgets.message.object
+    shown._widgets.file.value = str(tmp_path / "other.geojson")
     (tmp_path / "other.geojson").write_text("{}", encoding="utf-8")
-    shown._save_button.clicks += 1
-    assert "other.geojson" in shown._message_pane.object
+    shown._widgets.save_button.clicks += 1
+    assert "other.geojson" in shown._widgets.message.object
     assert (tmp_path / "other.geojson").read_text(encoding="utf-8") == "{}"
 
 
 def test_bands_and_flags_are_chosen(shown: Any) -> None:
-    band = shown._band.options[-1]
+    band = shown._widgets.band.options[-1]
     shown.take_band(band + 40.0)
-    assert (shown._recipe.value, shown._band.value) == ("one band", band)
+    assert (shown._widgets.recipe.value, shown._widgets.band.value) == ("one band", band)
     assert shown._shown_band.location == band
-    assert f"{band:.1f} nm" in shown._caption_pane.object
-    shown._recipe.value = "true colour"
+    assert f"{band:.1f} nm" in shown._widgets.caption.object
+    shown._widgets.recipe.value = "true colour"
     assert not shown._shown_band.visible
     shown._sources["view"].data = {"along": [-0.5, 47.5], "size": [800, 300]}
     # pixels are square: 6 columns in 300 pixels of the screen, so 16 lines in 800

@@ -293,7 +293,7 @@ def test_every_store_and_line_has_a_file_of_its_own(tmp_path: Path, monkeypatch:
     explorers[0]._state.add([0, 9, 9], [0, 0, 3])
     # a page that is loaded anew
     shown[0]()
-    assert "1 region, not saved" in explorers[1]._message_pane.object
+    assert "1 region, not saved" in explorers[1]._widgets.message.object
     explorers[1]._save_button.clicks += 1
     assert hp.read_regions("lot-raw_0-regions.geojson").names == ("region 1",)
     assert hp.read_regions("raw_0-regions.geojson").names == ("other",)

@@ -28,7 +28,7 @@ from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, 
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, find, quality_attrs
-from hyperpaint.io.files.reading import numbers
+from hyperpaint.io.files.reading import numbers, refuse
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
 #: um). Visible wavelengths in nanometres, read as micrometres, are larger.
@@ -509,14 +509,14 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
     # Read the metadata of a library; spectra are NaN without memory.
     # sizes: Sizes of signature and band in the data file. Raises FormatError: The file is not from
     # `metadata_text`, or belongs to another library; all problems are listed.
-    def refuse(text: str) -> None:
+    def refuse_constant(text: str) -> None:
         raise ValueError(f"{text} is not JSON")
 
     problems = Problems(f"{path.name} is not the metadata of its library", FormatError)
     raw = read_limited(path, MAX_BYTES, "metadata of a paint library")
     about = xr.Dataset()
     try:
-        document = json.loads(raw.decode("utf-8"), parse_constant=refuse)
+        document = json.loads(raw.decode("utf-8"), parse_constant=refuse_constant)
         if document["hyperpaint_library"] not in (1, 2, VERSION):
             raise ValueError(f"expected version {VERSION}")
         if document["hyperpaint_library"] == 1:
@@ -633,7 +633,7 @@ def restored(
         paint, inner = paint_of[variable_of == position], inner_of[variable_of == position]
         members = int(inner.max()) + 1
         cells, stored_cells = paints * bands * max(members, 1), len(paint) * bands
-        for is_wrong, found, mend, code in (
+        checks = (
             (
                 np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(paint),
                 f"a record of {variable!r} occurs twice",
@@ -653,9 +653,10 @@ def restored(
                 "check whether the file is damaged",
                 "file-too-large",
             ),
-        ):
-            if is_wrong:
-                raise FormatError(f"{source}: {found}", mend=mend, code=code)
+        )
+        refuse(
+            source, *((wrong, Problem(found, mend=mend, code=code)) for wrong, found, mend, code in checks)
+        )
         data[variable] = np.full((paints, *(() if members == 0 else (members,)), bands), np.nan, np.float32)
     sidecar = metadata_path(path)
     about = None

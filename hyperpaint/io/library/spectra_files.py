@@ -57,6 +57,7 @@ from hyperpaint.io.files.reading import (
     number,
     numbers,
     read_limited_text,
+    refuse,
     safe_cell,
     text_of_cell,
     unique_names,
@@ -542,17 +543,22 @@ def read_usgs(
     words = heading.rsplit(None, 2)
     if len(words) == 3 and _MEASUREMENT.fullmatch(words[2]):
         name, spectrometer, measurement = words
-    if is_usgs_axis(title):
-        raise FormatError(
-            f"{source}: {heading[:60]!r} is not a spectrum",
-            expected="reflectance",
-            mend="pass the file as wavelength= or fwhm=",
-            code="quantity-wrong",
-        )
-    if measurement == "TRAN":
-        raise FormatError(
-            f"{source}: {heading[:60]!r} is a transmittance", expected="reflectance", code="quantity-wrong"
-        )
+    refuse(
+        source,
+        (
+            is_usgs_axis(title),
+            Problem(
+                f"{heading[:60]!r} is not a spectrum",
+                expected="reflectance",
+                mend="pass the file as wavelength= or fwhm=",
+                code="quantity-wrong",
+            ),
+        ),
+        (
+            measurement == "TRAN",
+            Problem(f"{heading[:60]!r} is a transmittance", expected="reflectance", code="quantity-wrong"),
+        ),
+    )
     notes: list[str] = []
     nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
     if nm is None:
@@ -580,12 +586,8 @@ def read_usgs(
 def _column(path: Path) -> tuple[str, Floats]:
     lines = _lines(path, "a file of the USGS spectral library")
     values = _table(lines, 1, 1, path.name)[:, 0]
-    if values.size < 2:
-        raise FormatError(
-            f"{path.name}: {values.size} values",
-            expected="a title and one value a line",
-            code="table-missing",
-        )
+    fault = Problem(f"{values.size} values", expected="a title and one value a line", code="table-missing")
+    refuse(path.name, (values.size < 2, fault))
     return lines[0], values
 
 
@@ -1059,19 +1061,24 @@ def read_parquet_library(path: Path) -> xr.Dataset:
     keys = _keys(columns["additional_properties"], source) if is_restored else []
     kinds = sorted({str(kind) for kind in columns["spectral_data.type"]})
     units = sorted({str(unit) for unit in columns["spectral_data.wavelength_unit"]})
-    if not is_restored and kinds != ["reflectance"]:
-        raise FormatError(
-            f"{source}: rows of {', '.join(kinds)}",
-            expected="reflectance",
-            mend="select rows of reflectance",
-            code="quantity-wrong",
-        )
-    if not is_restored and (len(units) != 1 or units[0] not in (*_NM_PER_UNIT, "cm-1")):
-        raise FormatError(
-            f"{source}: wavelengths are in {', '.join(units)}",
-            expected="one of nm, um, cm-1",
-            code="units-unknown",
-        )
+    refuse(
+        source,
+        (
+            not is_restored and kinds != ["reflectance"],
+            Problem(
+                f"rows of {', '.join(kinds)}",
+                expected="reflectance",
+                mend="select rows of reflectance",
+                code="quantity-wrong",
+            ),
+        ),
+        (
+            not is_restored and (len(units) != 1 or units[0] not in (*_NM_PER_UNIT, "cm-1")),
+            Problem(
+                f"wavelengths are in {', '.join(units)}", expected="one of nm, um, cm-1", code="units-unknown"
+            ),
+        ),
+    )
     # common wavelengths (band,) and values (row, band) of all rows
     axes, spectra = (columns[name] for name in _NUMBERS)
     for at, (axis, spectrum) in enumerate(zip(axes, spectra, strict=True)):
@@ -1110,16 +1117,22 @@ def read_parquet_library(path: Path) -> xr.Dataset:
 
 def _parquet_columns(file: Any, source: str) -> dict[str, list[Any]]:
     # Columns that are read; raise for files that would fill the memory
-    if missing := [name for name in _COLUMNS if name not in file.schema_arrow.names]:
-        raise FormatError(
-            f"{source}: columns {', '.join(missing)} are missing",
-            expected="the columns of OpenSpecLib",
-            code="column-missing",
-        )
-    if not 0 < file.metadata.num_rows <= _MAX_ROWS:
-        raise FormatError(
-            f"{source}: {file.metadata.num_rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"
-        )
+    missing, rows = [name for name in _COLUMNS if name not in file.schema_arrow.names], file.metadata.num_rows
+    refuse(
+        source,
+        (
+            missing,
+            Problem(
+                f"columns {', '.join(missing)} are missing",
+                expected="the columns of OpenSpecLib",
+                code="column-missing",
+            ),
+        ),
+        (
+            not 0 < rows <= _MAX_ROWS,
+            Problem(f"{rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"),
+        ),
+    )
     columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
     count = 0
     for batch in file.iter_batches(batch_size=256, columns=list(_COLUMNS)):
@@ -1260,7 +1273,7 @@ def read_envi_library(
             keys.append((_LONG.get(match[1], match[1]), index_of[paint], int(match[2] or 0) - 1))
         else:
             unmatched.append(record)
-    for is_wrong, found, code in (
+    checks = (
         (
             header.wavelength is None or header.dtype != np.dtype("<f4"),
             "the header is not a hyperpaint header",
@@ -1281,9 +1294,9 @@ def read_envi_library(
             f"record {''.join(unmatched[:1])[:80]!r} belongs to no paint",
             "record-unmatched",
         ),
-    ):
-        if is_wrong:
-            raise FormatError(f"{source}: {found}", mend="write the library again", code=code)
+    )
+    mend = "write the library again"
+    refuse(source, *((is_wrong, Problem(found, mend=mend, code=code)) for is_wrong, found, code in checks))
     axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
     return restored(data_path, names, keys, axes, _records(header, data_path), {})
 

@@ -376,15 +376,12 @@ def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
         }
         for name, repository, identifier, description in _CONVENTIONS
     ]
-    shape = [dataset.sizes["y"], dataset.sizes["x"]]
-    x, y = _corners(grid, shape)
+    _, place = _corners_and_place(dataset, grid)
     return {
         "zarr_conventions": conventions,
         **_crs_fields(grid),
         "spatial:dimensions": ["y", "x"],
-        "spatial:transform": _affine(grid),
-        "spatial:shape": shape,
-        "spatial:bbox": [min(x), min(y), max(x), max(y)],
+        **{f"spatial:{key}": place[key] for key in ("transform", "shape", "bbox")},
         "spatial:registration": "pixel",
     }
 
@@ -404,8 +401,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
         )
     with needs_extra("pyproj", "geo", "a STAC item"):
         import pyproj
-    shape = [dataset.sizes["y"], dataset.sizes["x"]]
-    x, y = _corners(grid, shape)
+    (x, y), place = _corners_and_place(dataset, grid)
     to_degrees = pyproj.Transformer.from_crs(grid.wkt, "EPSG:4326", always_xy=True)
     longitude, latitude = (np.round(part, 9).tolist() for part in to_degrees.transform(x, y))
     times = dataset["line_time"].values.astype("datetime64[ns]").ravel()
@@ -428,9 +424,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
             **{key: f"{np.datetime_as_string(time, unit='ms')}Z" for key, time in moments.items()},
             "gsd": float(np.hypot(grid.transform[1], grid.transform[4])),
             **_crs_fields(grid),
-            "proj:shape": shape,
-            "proj:transform": _affine(grid),
-            "proj:bbox": [min(x), min(y), max(x), max(y)],
+            **{f"proj:{key}": place[key] for key in ("shape", "transform", "bbox")},
         },
         "links": [],
         "assets": {
@@ -455,18 +449,17 @@ def _crs_fields(grid: Grid) -> dict[str, Any]:
     return {"proj:code": ":".join(code)} if code else {"proj:wkt2": crs.to_wkt()}
 
 
-def _affine(grid: Grid) -> list[float]:
-    # Return the transform in the order of the package affine: x by column, row and offset, then y.
+def _corners_and_place(
+    dataset: xr.Dataset, grid: Grid
+) -> tuple[tuple[list[float], list[float]], dict[str, list[Any]]]:
+    # Return x and y of the outer corners, counterclockwise from the first cell; and shape, transform (in the
+    # order of the package affine: x by column, row and offset, then y) and bounding box of a map.
     a, b, c, d, e, f = map(float, grid.transform)
-    return [b, c, a, e, f, d]
-
-
-def _corners(grid: Grid, shape: list[int]) -> tuple[list[float], list[float]]:
-    # Return x and y of the outer corners, counterclockwise from the first cell.
-    a, b, c, d, e, f = map(float, grid.transform)
-    rows, cols = shape
+    rows, cols = dataset.sizes["y"], dataset.sizes["x"]
     corners = ((0, 0), (rows, 0), (rows, cols), (0, cols))
-    return [a + b * j + c * i for i, j in corners], [d + e * j + f * i for i, j in corners]
+    x, y = [a + b * j + c * i for i, j in corners], [d + e * j + f * i for i, j in corners]
+    bounds = [min(x), min(y), max(x), max(y)]
+    return (x, y), {"shape": [rows, cols], "transform": [b, c, a, e, f, d], "bbox": bounds}
 
 
 def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
