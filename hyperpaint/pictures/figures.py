@@ -201,8 +201,7 @@ def data_uri(png: bytes) -> str:
 
 @dataclass(frozen=True)
 class Orientation:
-    """Position of a picture's pixels on its axes."""
-
+    # Position of a picture's pixels on its axes
     extent: tuple[float, float, float, float]  # outer edges of first and last column, of first and last line
     is_mirrored: bool  # whether columns run to the left of the flight, so that their axis is reversed
     goes_down: bool  # whether the vertical axis grows downwards
@@ -211,14 +210,14 @@ class Orientation:
 
     @property
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Limits of the horizontal axis from left to right, and of the vertical axis upwards."""
+        # Limits of the horizontal axis from left to right, and of the vertical axis upwards
         left, right, *vertical = self.extent
         horizontal = (right, left) if self.is_mirrored else (left, right)
         minimum, maximum = sorted(vertical)
         return horizontal, (maximum, minimum) if self.goes_down else (minimum, maximum)
 
     def height_of(self, width: float) -> float:
-        """Return the height of a picture of a given width."""
+        # Return the height of a picture of a given width
         left, right, first_line, last_line = self.extent
         return width * self.aspect * abs((last_line - first_line) / (right - left))
 

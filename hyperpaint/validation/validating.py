@@ -19,7 +19,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError, UnitsError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT, mirror_reflection
@@ -302,20 +302,6 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
         quantity=BODY,
         notes=(*reference.notes, note),
     )
-
-
-def difference(signature: Measured, reference: Measured) -> str:
-    """Return the difference in quantity of signature and reference, and the mend; empty for none."""
-    quantity, reference_quantity = signature.quantity, reference.quantity
-    if not quantity or not reference_quantity or quantity == reference_quantity:
-        return ""
-    mend = {
-        BODY: "give the reference the attributes measurement_geometry and specular_component, or extract "
-        "signatures with coat=False",
-        OUTSIDE: "extract signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
-        THROUGH_COAT: "extract signatures with coat=True, or call correct_coat",
-    }[quantity]
-    return f"the signature is a {quantity}, the reference a {reference_quantity}: {mend}"
 
 
 # --- datasets ----------------------------------------------------------------------------------------------
@@ -1134,16 +1120,24 @@ class Compared:
 
     def warnings(self) -> list[tuple[str, str]]:
         # Return code and text of each condition that the user can mend
-        name, mirror, reference_mirror = (
-            self.pair.signature.name,
-            self.pair.signature.mirror,
-            self.common("mirror"),
-        )
-        texts = dict.fromkeys(
-            difference(self.pair.signature, reference) for reference in self.pair.references
-        )
-        if coats_differ := [("coats-differ", f"{name}: {text}") for text in texts if text]:
-            return coats_differ
+        signature, reference_mirror = self.pair.signature, self.common("mirror")
+        name, mirror, quantity = signature.name, signature.mirror, signature.quantity
+        # how to mend a difference in quantity
+        mends = {
+            BODY: "give the reference the attributes measurement_geometry and specular_component, or extract "
+            "signatures with coat=False",
+            OUTSIDE: "extract signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
+            THROUGH_COAT: "extract signatures with coat=True, or call correct_coat",
+        }
+        quantities = dict.fromkeys(reference.quantity for reference in self.pair.references)
+        if quantity and (others := [other for other in quantities if other and other != quantity]):
+            return [
+                (
+                    "coats-differ",
+                    f"{name}: the signature is a {quantity}, the reference a {other}: {mends[quantity]}",
+                )
+                for other in others
+            ]
         if mirror == reference_mirror or not {mirror, reference_mirror} <= {"included", "excluded", "mixed"}:
             return []
         text = (
@@ -1244,52 +1238,41 @@ class Compared:
 
 
 def compare(pair: Pair, seed: int) -> Compared:
-    """Resample a pair to common bands, and draw its errors there.
-
-    Every pair has its own generator of the same seed: the draws do not depend on the order of pairs.
-    """
+    # Resample a pair to common bands, and draw its errors there. Every pair has its own generator of the same
+    # seed: the draws do not depend on the order of pairs.
     if not pair.between:
         converted = tuple(as_body(reference, pair.signature) for reference in pair.references)
         pair = replace(pair, references=converted)
     bands = bands_of(pair.signature, list(pair.references))
     operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
-    readings = np.stack(
-        [resample(reading.values) for resample, reading in zip(operators[:-1], pair.references, strict=True)]
-    )
-    rng = np.random.default_rng(seed)
-    has_uncertainty = (
-        pair.signature.has_uncertainty or len(readings) > 1 or pair.references[0].has_uncertainty
-    )
+    resampled = list(zip(operators[:-1], pair.references, strict=True))
+    readings = np.stack([resample(reading.values) for resample, reading in resampled])
+    rng, count = np.random.default_rng(seed), len(readings)
     errors = None
-    if has_uncertainty:
-        signature_errors = operators[-1](pair.signature.errors(rng, DRAWS))
-        errors = signature_errors, _errors_of_mean(pair.references, operators[:-1], readings, rng)
+    if pair.signature.has_uncertainty or count > 1 or pair.references[0].has_uncertainty:
+        of_signature = operators[-1](pair.signature.errors(rng, DRAWS))
+        if count == 1:
+            of_mean = operators[0](pair.references[0].errors(rng, DRAWS))
+        else:
+            # draws of the errors of the mean of readings (draw, band); the equation is in `validate`
+            deviations = readings - readings.mean(axis=0)
+            of_mean = rng.standard_normal((DRAWS, count)) @ deviations / np.sqrt(count * (count - 1.0))
+            # readings of one instrument share its systematic error, which their scatter does not show
+            systematic = [
+                resample(reading.u_systematic)
+                for resample, reading in resampled
+                if reading.u_systematic is not None
+            ]
+            if systematic:
+                of_mean += np.mean(systematic, axis=0) * rng.standard_normal((DRAWS, 1))
+            # a few readings may agree by chance: their random uncertainty is added
+            for resample, reading in resampled:
+                if reading.u_random is not None:
+                    noise = reading.u_random * rng.standard_normal((DRAWS, reading.u_random.size))
+                    of_mean += resample(noise) / count
+        errors = of_signature, np.asarray(of_mean)
     signature = operators[-1](pair.signature.values)
     return Compared(pair, bands, signature, readings.mean(axis=0), operators, errors)
-
-
-def _errors_of_mean(
-    references: Sequence[Measured], operators: Sequence[Operator], readings: Floats, rng: np.random.Generator
-) -> Floats:
-    # Draws of the errors of the mean of readings (draw, band); the equation is in `validate`
-    count = len(readings)
-    if count == 1:
-        return operators[0](references[0].errors(rng, DRAWS))
-    deviations = readings - readings.mean(axis=0)
-    errors = np.asarray(rng.standard_normal((DRAWS, count)) @ deviations / np.sqrt(count * (count - 1.0)))
-    # readings of one instrument share its systematic error, which their scatter does not show
-    systematic = [
-        resample(reading.u_systematic)
-        for resample, reading in zip(operators, references, strict=True)
-        if reading.u_systematic is not None
-    ]
-    if systematic:
-        errors += np.mean(systematic, axis=0) * rng.standard_normal((DRAWS, 1))
-    # a few readings may agree by chance: their random uncertainty is added
-    for resample, reading in zip(operators, references, strict=True):
-        if reading.u_random is not None:
-            errors += resample(reading.u_random * rng.standard_normal((DRAWS, reading.u_random.size))) / count
-    return errors
 
 
 # --- validation, band by band and in parts of the spectrum -------------------------------------------------
@@ -1633,7 +1616,21 @@ def _statistics(
         statistics["rmse_limit"] > MAX_TOLERANCE_SHARE * statistics["level"] if RELATIVE in limits else False
     )
     judged = (bands >= _MIN_BANDS) & (bands >= _MIN_SHARE * (bands + excluded_bands)) & ~np.asarray(too_dark)
-    passes = _passes(statistics, judged, limits, user_parts=user_parts)
+    # Whether pairs pass in parts (pair, part). A part that is not judged fails outside of a limit, if the
+    # user named it, or if no part of the pair is judged.
+    within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
+    statistic_limits: dict[str, Any] = {
+        name: limit for name, limit in limits.items() if name in STATISTICS and name != "rmse"
+    }
+    if "rmse" in limits or RELATIVE in limits:
+        statistic_limits["rmse"] = statistics["rmse_limit"]
+    for name, limit in statistic_limits.items():
+        deviation = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
+        # NaN is neither within nor outside
+        within &= deviation <= limit
+        outside |= deviation > limit
+    may_pass = judged | ~np.logical_or(user_parts, ~judged.any(axis=1, keepdims=True))
+    passes = np.asarray(~outside & may_pass & (within | ~judged))
     for name, flags in (("judged", judged), ("passes", passes)):
         variables[name] = (dims, flags, {"long_name": MEANINGS[name]})
     for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
@@ -1664,24 +1661,3 @@ def _attrs(name: str) -> dict[str, str]:
     units = "degree" if name.startswith("spectral_angle") else "nm" if name.endswith("wavelength") else "1"
     meaning = MEANINGS[name] if name in MEANINGS else f"Standard uncertainty of {name.removesuffix('_u')}"
     return {"units": units, "long_name": meaning}
-
-
-def _passes(
-    statistics: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, user_parts: bool
-) -> Bools:
-    # Whether pairs pass in parts (pair, part).
-    # A part that is not judged fails outside of a limit, if the user named it, or if no part of the pair is
-    # judged.
-    within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
-    statistic_limits: dict[str, Any] = {
-        name: limit for name, limit in limits.items() if name in STATISTICS and name != "rmse"
-    }
-    if "rmse" in limits or RELATIVE in limits:
-        statistic_limits["rmse"] = statistics["rmse_limit"]
-    for name, limit in statistic_limits.items():
-        deviation = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
-        # NaN is neither within nor outside
-        within &= deviation <= limit
-        outside |= deviation > limit
-    may_pass = judged | ~np.logical_or(user_parts, ~judged.any(axis=1, keepdims=True))
-    return np.asarray(~outside & may_pass & (within | ~judged))

@@ -85,8 +85,7 @@ _NAMED_WAVELENGTH = re.compile(
 
 @dataclass(frozen=True)
 class MapInfo:
-    """Map position of the pixels, from ``map info``."""
-
+    # Map position of the pixels, from ``map info``
     projection: str  # Name of the projection, as written
     # Column and row of the reference point, counted from 1; (1, 1) is the outer upper-left corner of the
     # first pixel
@@ -100,8 +99,7 @@ class MapInfo:
 
 @dataclass(frozen=True, eq=False)
 class EnviHeader:
-    """Content of an ENVI header."""
-
+    # Content of an ENVI header
     # lines, samples, bands: Size of the cube: along track, across track, spectral
     lines: int
     samples: int
@@ -132,17 +130,17 @@ class EnviHeader:
 
     @property
     def line_bytes(self) -> int:
-        """Bytes of one line, all bands."""
+        # Bytes of one line, all bands
         return self.samples * self.bands * self.dtype.itemsize
 
     @property
     def file_type(self) -> str:
-        """``file type`` in lower case; empty where absent."""
+        # ``file type`` in lower case; empty where absent
         return self.fields.get("file type", "").lower()
 
     @property
     def is_spectral_library(self) -> bool:
-        """Whether each line is a spectrum and each sample a wavelength."""
+        # Whether each line is a spectrum and each sample a wavelength
         return "spectral library" in self.file_type
 
 
