@@ -766,11 +766,7 @@ def adjacency_figure(
         plots["added"].plot(
             distance, adjacency, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]"
         )
-    _label_adjacency(plots, without is not None)
-    return save_figure(figure, path)
-
-
-def _label_adjacency(plots: dict[str, Any], compared: bool) -> None:
+    # labels and legends
     plots["along"].set(ylabel="reflectance factor [1]")
     plots["added"].set(xlabel="distance from the near end [pixel]", ylabel="added [1]")
     plots["spectra"].set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]", ylim=(0, None))
@@ -779,7 +775,7 @@ def _label_adjacency(plots: dict[str, Any], compared: bool) -> None:
     for name in ("along", "added", "spectra"):
         axes = plots[name]
         axes.spines[["top", "right"]].set_visible(False)
-        if compared and name != "added":
+        if without is not None and name != "added":
             axes.plot([], [], "--", color="0.4", label="without the neighbour's colour")
     legend_below(plots["spectra"])
     if plots["added"].lines:
@@ -789,6 +785,7 @@ def _label_adjacency(plots: dict[str, Any], compared: bool) -> None:
         plots["along"].tick_params(labelbottom=True)
         plots["along"].set(xlabel=plots["added"].get_xlabel())
         legend_below(plots["along"])
+    return save_figure(figure, path)
 
 
 def _checked_regions(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> Any:

@@ -105,7 +105,28 @@ def validation_figure(
         upper = figure.add_subplot(grid[2 * row, column])
         lower = figure.add_subplot(grid[2 * row + 1, column], sharex=upper)
         _draw_spectra(upper, validation, pairs)
-        _draw_differences(lower, validation, pairs, limit, labelled=column == 0)
+        # differences below
+        lower.axhline(0.0, color=ink_of(lower, 0.4), lw=0.8)
+        for number, pair in enumerate(pairs):
+            spectra = validation.spectra[pair]
+            colour, dashes = _REFERENCES[number % len(_REFERENCES)]
+            nm, values = _values_on_wavelengths(spectra, spectra["difference"])
+            edge = float(_largest_part(validation, pair)["rmse_limit"])
+            if np.isfinite(edge) and not number:
+                lower.axhspan(-edge, edge, color="#009E73", alpha=0.12, lw=0)
+            lower.plot(nm, values, color=colour, ls=dashes, lw=1.2)
+            uncertainties = [
+                _values_on_wavelengths(spectra, spectra[name])[1]
+                for name in ("signature_u", "reference_u")
+                if name in spectra
+            ]
+            if uncertainties:
+                u = np.sqrt(sum(u_part**2 for u_part in uncertainties))
+                lower.fill_between(nm, values - u, values + u, color=colour, alpha=0.2, lw=0)
+        lower.set_ylim(-limit, limit)
+        lower.tick_params(labelsize="small")
+        if column == 0:
+            lower.set_ylabel("difference [1]", fontsize="small")
         upper.tick_params(labelbottom=False)
         legend_below(lower, upper, fontsize="x-small")
         if column == 0:
@@ -148,32 +169,6 @@ def _draw_side(axes: Any, spectra: xr.Dataset, name: str, label: str, colour: st
 def _largest_part(validation: Validation, pair: int) -> xr.Dataset:
     statistics = validation.statistics.isel(pair=pair)
     return statistics.isel(part=int(statistics["bands"].values.argmax()))
-
-
-def _draw_differences(
-    axes: Any, validation: Validation, pairs: list[int], limit: float, *, labelled: bool
-) -> None:
-    axes.axhline(0.0, color=ink_of(axes, 0.4), lw=0.8)
-    for number, pair in enumerate(pairs):
-        spectra = validation.spectra[pair]
-        colour, dashes = _REFERENCES[number % len(_REFERENCES)]
-        nm, values = _values_on_wavelengths(spectra, spectra["difference"])
-        edge = float(_largest_part(validation, pair)["rmse_limit"])
-        if np.isfinite(edge) and not number:
-            axes.axhspan(-edge, edge, color="#009E73", alpha=0.12, lw=0)
-        axes.plot(nm, values, color=colour, ls=dashes, lw=1.2)
-        uncertainties = [
-            _values_on_wavelengths(spectra, spectra[name])[1]
-            for name in ("signature_u", "reference_u")
-            if name in spectra
-        ]
-        if uncertainties:
-            u = np.sqrt(sum(u_part**2 for u_part in uncertainties))
-            axes.fill_between(nm, values - u, values + u, color=colour, alpha=0.2, lw=0)
-    axes.set_ylim(-limit, limit)
-    axes.tick_params(labelsize="small")
-    if labelled:
-        axes.set_ylabel("difference [1]", fontsize="small")
 
 
 def _values_on_wavelengths(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:

@@ -960,7 +960,21 @@ def write_dirsig_scene(
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
     surfaces, face_surface = _surfaces(scene, dict(repaint or {}), with_roughness=coat_brdf)
-    surfaces_of = _by_library(libraries, surfaces)
+    # for every library the surfaces painted from it: pairs of their index and the index of their paint
+    problems = Problems("the scene cannot be painted", SchemaError)
+    surfaces_of: list[list[tuple[int, int]]] = [[] for _ in libraries]
+    paint_indices = [
+        {str(name): index for index, name in enumerate(library[SIGNATURE].values)} for library in libraries
+    ]
+    for number, surface in enumerate(surfaces):
+        source = next((k for k, indices in enumerate(paint_indices) if surface.spectrum in indices), None)
+        if source is None:
+            problems.add(
+                f"spectrum {surface.spectrum!r} of the scene is in no library", code="spectrum-missing"
+            )
+        else:
+            surfaces_of[source].append((number, paint_indices[source][surface.spectrum]))
+    problems.raise_if_any()
     options = {
         "wavelength_range": wavelength_range,
         "extrapolate": extrapolate,
@@ -1069,25 +1083,6 @@ def _surfaces(
         surface = _Surface(spectrum, float(index), float(roughness) if with_roughness else 0.0)
         surface_of_pair.append(numbers.setdefault(surface, len(numbers)))
     return list(numbers), np.asarray(surface_of_pair, np.int64)[face_pair.ravel()]
-
-
-def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -> list[list[tuple[int, int]]]:
-    # For every library the surfaces painted from it: pairs of their index and the index of their paint
-    problems = Problems("the scene cannot be painted", SchemaError)
-    surfaces_of: list[list[tuple[int, int]]] = [[] for _ in libraries]
-    paint_indices = [
-        {str(name): index for index, name in enumerate(library[SIGNATURE].values)} for library in libraries
-    ]
-    for number, surface in enumerate(surfaces):
-        source = next((k for k, indices in enumerate(paint_indices) if surface.spectrum in indices), None)
-        if source is None:
-            problems.add(
-                f"spectrum {surface.spectrum!r} of the scene is in no library", code="spectrum-missing"
-            )
-        else:
-            surfaces_of[source].append((number, paint_indices[source][surface.spectrum]))
-    problems.raise_if_any()
-    return surfaces_of
 
 
 def _write_materials(

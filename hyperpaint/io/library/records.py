@@ -740,6 +740,6 @@ def _with_metadata(
     try:
         return library.assign(spectra).assign_coords(own_coords)
     except ValueError as error:  # sizes or dims differ
-        problems.add(f"{error!s:.200}", code="grid-mismatch")
-    problems.raise_if_any()
-    return library
+        subject = f"{source} and its metadata belong to different libraries"
+        problem = Problem(f"{error!s:.200}", code="grid-mismatch")
+        raise FormatError(subject, problems=[problem]) from error

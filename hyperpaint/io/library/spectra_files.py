@@ -1058,7 +1058,26 @@ def read_parquet_library(path: Path) -> xr.Dataset:
         ) from error
     names = list(map(str, columns["name"]))
     is_restored = is_ours and metadata_path(path).exists()
-    keys = _keys(columns["additional_properties"], source) if is_restored else []
+    # keys of the rows of a library of hyperpaint
+    keys: list[Key] = []
+    for at, text in enumerate(columns["additional_properties"] if is_restored else []):
+        try:
+            cells = json.loads(text)
+            paint = cells[SIGNATURE] if SIGNATURE in cells else cells["paint"]
+            keys.append((str(cells["variable"]), int(paint), int(cells["place"])))
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise FormatError(
+                f"{source}: row {at} has no variable, paint and index in additional_properties",
+                mend="write the library again",
+                code="record-unmatched",
+            ) from error
+    paints = sum(key[0] == CENTRE for key in keys)
+    if sorted({key[1] for key in keys}) != list(range(paints)) or any(
+        not -1 <= key[2] < _MAX_ROWS for key in keys
+    ):
+        raise FormatError(
+            f"{source}: rows of a paint are missing", mend="write the library again", code="record-unmatched"
+        )
     kinds = sorted({str(kind) for kind in columns["spectral_data.type"]})
     units = sorted({str(unit) for unit in columns["spectral_data.wavelength_unit"]})
     refuse(
@@ -1154,30 +1173,6 @@ def _parquet_columns(file: Any, source: str) -> dict[str, list[Any]]:
                 else column.to_pylist()
             )
     return columns
-
-
-def _keys(properties: Sequence[Any], source: str) -> list[Key]:
-    # Keys of the rows of a library of hyperpaint
-    keys: list[Key] = []
-    for at, text in enumerate(properties):
-        try:
-            cells = json.loads(text)
-            paint = cells[SIGNATURE] if SIGNATURE in cells else cells["paint"]
-            keys.append((str(cells["variable"]), int(paint), int(cells["place"])))
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise FormatError(
-                f"{source}: row {at} has no variable, paint and index in additional_properties",
-                mend="write the library again",
-                code="record-unmatched",
-            ) from error
-    paints = sum(key[0] == CENTRE for key in keys)
-    if sorted({key[1] for key in keys}) != list(range(paints)) or any(
-        not -1 <= key[2] < _MAX_ROWS for key in keys
-    ):
-        raise FormatError(
-            f"{source}: rows of a paint are missing", mend="write the library again", code="record-unmatched"
-        )
-    return keys
 
 
 # --- ENVI --------------------------------------------------------------------------------------------------
