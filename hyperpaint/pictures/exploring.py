@@ -86,13 +86,6 @@ class Spectrum(NamedTuple):
     text: str  #: Place or number of pixels, and their flags
 
 
-class Uncertainty(NamedTuple):
-    """Standard uncertainty of a spectrum."""
-
-    u: Floats  #: (band,) [1]: standard uncertainty
-    text: str  #: Median over the bands, and missing parts
-
-
 class NearPaint(NamedTuple):
     # A paint of the library that is similar to a spectrum
     name: str
@@ -142,7 +135,7 @@ class Explored:
         self._saved_digest = self._all_regions.digest
         self._linear = functools.lru_cache(6)(self._read_linear)
         self._spectra: dict[Any, Spectrum] = {}
-        self._uncertainties: dict[Any, Uncertainty] = {}
+        self._uncertainties: dict[Any, tuple[Floats, str]] = {}
 
     @property
     def regions(self) -> Regions:
@@ -227,8 +220,9 @@ class Explored:
         # region are excluded as in signatures.
         return _cached(self._spectra, self._spectrum, place)
 
-    def uncertainty_of(self, place: Place) -> Uncertainty | str:
-        # Return the standard uncertainty of a pixel or of a region's mean, or a message with the problem
+    def uncertainty_of(self, place: Place) -> tuple[Floats, str] | str:
+        # Return the standard uncertainty of a pixel or of a region's mean (band,) [1], and a text with its
+        # median over the bands and missing parts; or a message with the problem.
         return _cached(self._uncertainties, self._uncertainty, place)
 
     def _spectrum(self, place: Place) -> Spectrum:
@@ -276,7 +270,7 @@ class Explored:
         is_read = (along - along.min()) % step == 0
         return along[is_read], across[is_read], step
 
-    def _uncertainty(self, place: Place) -> Uncertainty:
+    def _uncertainty(self, place: Place) -> tuple[Floats, str]:
         if isinstance(place, Region):
             along, across, step = self._region_pixels(place)
         else:
@@ -305,7 +299,7 @@ class Explored:
         u = np.hypot(random, np.nan_to_num(systematic)) if has_systematic else random
         subject = "a pixel" if along.size == 1 else "the mean"
         text = f"± {np.nanmedian(u):.1g} [1], k = 1, of {subject} in the median band"
-        return Uncertainty(u, text + ("" if has_systematic else "; systematic errors are unknown"))
+        return u, text + ("" if has_systematic else "; systematic errors are unknown")
 
     # --- paints --------------------------------------------------------------------------------------------
 
@@ -920,7 +914,7 @@ class Explorer:
             draft = self._sources["draft"].data
             # the polygon is not finished while its corners enclose no area
             if self._add_region(draft["along"], draft["across"]):
-                self._clear_draft()
+                self._change_draft(0)
 
     def take_band(self, wavelength: float) -> None:
         """Show the band nearest to a wavelength [nm]."""
@@ -956,13 +950,9 @@ class Explorer:
         }
         self._widgets.undo_button.disabled = not self._sources["draft"].data["along"]
 
-    def _clear_draft(self) -> None:
-        self._sources["draft"].data = {"along": [], "across": []}
-        self._widgets.undo_button.disabled = True
-
     def _change_mode(self) -> None:
         self._plot.toolbar.active_drag = self._tools[self._widgets.mode.value]
-        self._clear_draft()
+        self._change_draft(0)
         self._update_caption()
         self._select(self._widgets.region_menu.value)
 
@@ -1101,9 +1091,9 @@ class Explorer:
 
     @property
     def _selected_place(self) -> Place | None:
-        if isinstance(self._selected, str):
-            return next(region for region in self._state.drawn if region.name == self._selected)
-        return self._selected
+        name = self._selected
+        drawn = {region.name: region for region in self._state.drawn}
+        return drawn[name] if isinstance(name, str) else name
 
     def _update_spectra(self) -> None:
         import panel
@@ -1168,13 +1158,12 @@ class Explorer:
         if isinstance(uncertainty, str):
             text = f"uncertainty unknown: {uncertainty.splitlines()[-1].strip()}"
         else:
+            u, text = uncertainty
             colour = INK[self._theme]
             if isinstance(self._selected, str):
                 colour = _colour(self._state.drawn.names.index(self._selected))
-            lower, upper = spectrum.reflectance - uncertainty.u, spectrum.reflectance + uncertainty.u
-            outline = band_around(spectrum.wavelength, lower, upper)
+            outline = band_around(spectrum.wavelength, spectrum.reflectance - u, spectrum.reflectance + u)
             self._show_rows("uncertainty", [{**outline, "colour": colour}])
-            text = uncertainty.text
         self._widgets.spectrum.object = (
             f"{html.escape(name + spectrum.text)}<br><small>{html.escape(text)}</small>"
         )
@@ -1337,10 +1326,9 @@ def serve_explorer(
     stem = Path(store).resolve().stem
 
     def region_file(name: str) -> Path:
-        if regions is not None and name == first_name:
-            return Path(regions)
         # the name of the store is part, because lines of several stores may have the same name
-        return Path(f"{stem}-regions.geojson" if name == stem else f"{stem}-{name}-regions.geojson")
+        default = f"{stem}-regions.geojson" if name == stem else f"{stem}-{name}-regions.geojson"
+        return Path(regions if regions is not None and name == first_name else default)
 
     @functools.cache
     def line_state(name: str) -> Explored:

@@ -23,6 +23,8 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
 from hyperpaint.io.files.publishing import check_place, published_files
 
 _MAX_LABEL_CHARS = 60
+#: Colours of curves, of Okabe and Ito for colour-blind readers.
+COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 
 
 def new_figure(purpose: str, **options: Any) -> Any:

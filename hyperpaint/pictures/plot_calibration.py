@@ -307,10 +307,10 @@ def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
     plots[0].set_ylabel(values["radiance_gain"].attrs.get("units", ""), fontsize="small")
     if "fwhm" in values:
         plots[1].plot(nm, values["fwhm"].values, color=_VERMILION, lw=1.6)
-    plots[1].set(ylabel="FWHM [nm]")
     shift = values["wavelength_shift"].values if "wavelength_shift" in values else np.zeros(gain.shape[1])
     plots[2].plot(np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)].T, lw=1.3)
-    plots[2].set(ylabel="wavelength shift [nm]")
+    plots[1].set_ylabel("FWHM [nm]")
+    plots[2].set_ylabel("wavelength shift [nm]")
     titles = ("gain, 5 to 95 % of the columns", "width of the bands", "smile")
     for axes, title, label in zip(plots, titles, (*["wavelength [nm]"] * 2, "column"), strict=True):
         axes.set_title(title, fontsize="medium")

@@ -32,6 +32,7 @@ from hyperpaint.paints.signatures.pixel_statistics import excluded_of
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 
 from .figures import (
+    COLOURS,
     columns_for,
     ink_of,
     label_for,
@@ -361,9 +362,6 @@ def _draw_signature(axes: Any, selection: xr.Dataset) -> None:
 # --- receiver operating characteristics of paint detection -------------------------------------------------
 
 
-_COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
-
-
 @documented(path="picture")
 def detection_curve(
     detections: xr.Dataset | Mapping[str, xr.Dataset],
@@ -438,7 +436,7 @@ def detection_curve(
         hits, alarms = (np.cumsum(which[order]) / which.sum() for which in (is_hit, ~is_hit))
         alarms = np.maximum(alarms, 0.5 / (~is_hit).sum())
         dot = detected[has_score & ~is_target].mean(), detected[has_score & is_target].mean()
-        colour = _COLOURS[number % len(_COLOURS)]
+        colour = COLOURS[number % len(COLOURS)]
         axes.plot(alarms, hits, color=colour, label=name or str(result.attrs.get("method", "")))
         axes.plot(max(dot[0], alarms[0]), dot[1], "o", color=colour)
         rate = result.attrs.get("false_alarm_rate")

@@ -15,7 +15,7 @@ from hyperpaint.base.facts import documented
 from hyperpaint.radiometry.panel_judging import PANEL_STATES
 from hyperpaint.radiometry.panels import CLOSURE
 
-from .figures import ink_of, label_for, legend_below, new_figure, save_figure
+from .figures import COLOURS, ink_of, label_for, legend_below, new_figure, save_figure
 from .plot_spectra import good_bands
 
 if TYPE_CHECKING:
@@ -182,7 +182,6 @@ def _values_on_wavelengths(spectra: xr.Dataset, array: xr.DataArray) -> tuple[An
 
 
 MAX_PANELS = 12  # panels drawn in a figure, in order of time
-_COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 _DASHES = ("-", "--")
 
 
@@ -254,10 +253,10 @@ def draw_panels(axes: Any, closure: xr.Dataset) -> None:
     for number in range(values.sizes[schema.PANEL]):
         panel = values.isel({schema.PANEL: number})
         factor, u = (np.where(is_good, panel[name].values, np.nan)[order] for name in CLOSURE[:2])
-        colour = _COLOURS[number % len(_COLOURS)]
+        colour = COLOURS[number % len(COLOURS)]
         time = np.datetime_as_string(panel["panel_time"].values, "s")
         label = f"panel {number}, {time}: {state_text(int(panel['panel_state']))}"
-        dashes = _DASHES[number // len(_COLOURS) % len(_DASHES)]
+        dashes = _DASHES[number // len(COLOURS) % len(_DASHES)]
         axes.plot(nm[order], factor, dashes, color=colour, linewidth=1.4, label=label)
         axes.fill_between(nm[order], factor - 2.0 * u, factor + 2.0 * u, color=colour, alpha=0.12, lw=0)
     axes.set(xlabel="wavelength [nm]", ylabel="panel: measured / expected reflectance [1]")

@@ -1547,12 +1547,9 @@ def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
     # A text if repeated readings scatter by more than the tolerance of their mean
     level = np.asarray(compared.reference[compared.used].mean())
     limit = float(np.fmin(_rmse_limit(limits, level), limits.get("mae", np.nan)))
-    if not compared.scatter > limit:
-        return []
-    return [
-        f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of "
-        f"{limit:.2g}; check whether they show one paint"
-    ]
+    text = f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of "
+    text += f"{limit:.2g}; check whether they show one paint"
+    return [text] if compared.scatter > limit else []
 
 
 def _limits(tolerance: Any) -> dict[str, float]:

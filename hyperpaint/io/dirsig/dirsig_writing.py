@@ -1303,8 +1303,7 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
     # reflectance for unpolarised light
     cos_air, cos_coat = np.cos(tilt), np.sqrt(1.0 - (np.sin(tilt) / index) ** 2)
     s_wave = (cos_air - index * cos_coat) / (cos_air + index * cos_coat)
-    p_wave = (index * cos_air - cos_coat) / (index * cos_air + cos_coat)
-    fresnel = 0.5 * (s_wave**2 + p_wave**2)
+    fresnel = 0.5 * (s_wave**2 + ((index * cos_air - cos_coat) / (index * cos_air + cos_coat)) ** 2)
     lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * fresnel / normal
     flux = float(np.trapezoid(2.0 * np.pi * lobe * 2.0 * np.sin(2.0 * tilt), tilt))
     number = max(2, int(np.ceil((wavelength[-1] - wavelength[0]) / _FIT_STEP_NM)) + 1)

@@ -675,19 +675,15 @@ class EnviArray(BackendArray):
 
 
 def _positions(index: Any, size: int) -> Ints:
-    if isinstance(index, slice):
-        return np.arange(*index.indices(size), dtype=np.int64)
-    return np.atleast_1d(np.asarray(index, dtype=np.int64))
+    numbers = np.arange(*index.indices(size)) if isinstance(index, slice) else index
+    return np.atleast_1d(np.asarray(numbers, dtype=np.int64))
 
 
 def _selector(positions: Ints) -> slice | Ints:
-    # Return a slice for evenly spaced positions, which avoids a copy.
-    steps = np.diff(positions)
-    if len(steps) == 0:
-        return slice(int(positions[0]), int(positions[0]) + 1)
-    if steps[0] > 0 and (steps == steps[0]).all():
-        return slice(int(positions[0]), int(positions[-1]) + 1, int(steps[0]))
-    return positions
+    # Return a slice for evenly spaced positions, which avoids a copy; a single position has a step of 1.
+    steps = np.diff(positions, append=positions[-1] + 1)[: max(1, len(positions) - 1)]
+    is_even = steps[0] > 0 and (steps == steps[0]).all()
+    return slice(int(positions[0]), int(positions[-1]) + 1, int(steps[0])) if is_even else positions
 
 
 # --- cubes -------------------------------------------------------------------------------------------------

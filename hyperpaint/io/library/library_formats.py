@@ -39,8 +39,6 @@ from .records import (
 )
 from .spectra_files import (
     is_csv_library,
-    is_ecostress,
-    is_parquet,
     is_usgs,
     is_usgs_axis,
     read_csv_library,
@@ -269,7 +267,7 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
             return open_emissivity(path)
         # formats of hyperpaint
         for is_form, read_own in (
-            (is_parquet(head_of(path, 4)), read_parquet_library),
+            (head.startswith("PAR1"), read_parquet_library),
             (suffix not in _ENVI_SUFFIXES and is_csv_library(head), read_csv_library),
         ):
             if is_form:
@@ -283,7 +281,7 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
         else:
             spectra = (
                 read_ecostress(path, scale=scale, wavelength=nm)
-                if is_ecostress(head)
+                if re.match(r"\s*Name\s*:", head) and "Number of X Values" in head
                 else read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
             )
             library = library_of(spectra if fwhm is None else replace(spectra, fwhm=fwhm))

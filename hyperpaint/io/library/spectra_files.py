@@ -174,11 +174,6 @@ _MAX_CANDIDATES = 64
 _FOLDERS = 3
 
 
-def is_ecostress(head: str) -> bool:
-    # Return whether a text begins as a file of the ECOSTRESS or ASTER library.
-    return re.match(r"\s*Name\s*:", head) is not None and "Number of X Values" in head
-
-
 def is_usgs(head: str) -> bool:
     # Return whether the first line of a text is that of a USGS spectrum.
     return _RECORD.match(head.partition("\n")[0]) is not None
@@ -274,9 +269,8 @@ def _cells(line: str, dialect: tuple[str, bool]) -> list[float] | None:
     # Numbers of a line; None for other lines, and for an empty first cell
     separator, has_commas = dialect
     cells = line.strip(" ").split(separator or None)
-    if len(cells) < 2 or not cells[0].strip():
-        return None
-    return numbers(cell.replace(",", ".") if has_commas else cell for cell in cells)
+    texts = (cell.replace(",", ".") if has_commas else cell for cell in cells)
+    return numbers(texts) if len(cells) > 1 and cells[0].strip() else None
 
 
 def _headings(preamble: Sequence[str], separator: str, columns: int) -> list[str]:
@@ -900,12 +894,10 @@ def _values(cells: list[str], bands: int) -> Floats32 | None:
 # --- Parquet -----------------------------------------------------------------------------------------------
 
 
-_MAGIC = b"PAR1"
 _OURS = b"hyperpaint"
 _MAX_ROWS, _MAX_VALUES = 2_000_000, 2**28
 _NM_PER_UNIT = {"nm": 1.0, "um": 1e3}
 _NM_OF_WAVENUMBER = 1e7  # over cm-1
-_PURPOSE = "Parquet"
 
 #: Text columns of OpenSpecLib: columns that must have a value, and optional columns.
 _TEXTS = (
@@ -943,16 +935,11 @@ _OPTIONAL_TEXTS = (
 _OPTIONAL = (*_OPTIONAL_TEXTS, "sample.collection_date", "measurement.date", "spectral_data.bandpass")
 
 
-def is_parquet(head: bytes) -> bool:
-    # Return whether the first bytes of a file are those of Parquet.
-    return head[:4] == _MAGIC
-
-
 def write_parquet_library(
     library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path
 ) -> None:
     # Write the records of a checked library. Raises MissingExtraError: pyarrow is not installed.
-    with needs_extra("pyarrow", "library", _PURPOSE):
+    with needs_extra("pyarrow", "library", "Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
     columns = paint_columns(library)
@@ -1042,7 +1029,7 @@ def read_parquet_library(path: Path) -> xr.Dataset:
     # Read a library in the columns of OpenSpecLib, of hyperpaint or another program.
     # Raises FormatError: It is damaged or too large, lacks columns, contains another quantity than
     # reflectance, or has rows with different wavelengths. Raises MissingExtraError: pyarrow is not installed.
-    with needs_extra("pyarrow", "library", _PURPOSE):
+    with needs_extra("pyarrow", "library", "Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
     source = path.name
