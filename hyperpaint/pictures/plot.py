@@ -427,21 +427,22 @@ def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> No
     # Draw the quantiles of a cube over the pixels, band by band
     sample = dataset[name].isel({ALONG_TRACK: slice(None, None, max(1, dataset.sizes[ALONG_TRACK] // 50))})
     values = sample.transpose(..., BAND).astype(np.float32).values.reshape(-1, sample.sizes[BAND])
-    draw_quantiles(axes, dataset["wavelength"].values, values, [ink_of(axes, s) for s in (0.12, 0.3, 0.9)])
+    styles = [{"color": ink_of(axes, strength)} for strength in (0.12, 0.3, 0.9)]
+    draw_quantiles(axes, dataset["wavelength"].values, values, styles)
     units = label_for(dataset[name].attrs.get("units", "count"))
     unit = "reflectance factor [1]" if name == "reflectance" else f"{name} [{units}]"
     axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=unit, ylim=(0, None))
     legend_below(axes)
 
 
-def draw_quantiles(axes: Any, wavelength: Array, values: Array, colours: Sequence[Any]) -> None:
+def draw_quantiles(axes: Any, wavelength: Array, values: Array, styles: Sequence[dict[str, Any]]) -> None:
     # Draw median, middle half and 5 to 95 % of samples (sample, band).
-    # ``colours``: of the 5 to 95 %, of the middle half, and of the median.
+    # ``styles``: of the 5 to 95 %, of the middle half, and of the median.
     quantiles = finite_quantiles(values, QUANTILES)
     for lower, label in enumerate(("5 to 95 %", "middle half")):
         edges = quantiles[lower], quantiles[4 - lower]
-        axes.fill_between(wavelength, *edges, color=colours[lower], lw=0, label=label)
-    axes.plot(wavelength, quantiles[2], color=colours[2], lw=1.6, label="median")
+        axes.fill_between(wavelength, *edges, label=label, **styles[lower])
+    axes.plot(wavelength, quantiles[2], label="median", **styles[2])
 
 
 def finite_quantiles(values: Array, levels: Sequence[float]) -> Array:
@@ -993,7 +994,8 @@ def triptych(
         line_indices, column_indices = line_indices[is_used], column_indices[is_used]
         for axes, cube in zip(plots, spectra.values(), strict=True):
             samples = np.where(good_bands(dataset), cube[is_used], np.nan)
-            draw_quantiles(axes, wavelength, samples, [(_BLUE, 0.2), (_BLUE, 0.4), _BLUE])
+            shades = [{"color": _BLUE, "alpha": alpha, "lw": 0} for alpha in (0.2, 0.4)]
+            draw_quantiles(axes, wavelength, samples, [*shades, {"color": _BLUE, "lw": 1.6}])
     # dark counts of these columns, and the saturation count
     dark, saturation = (dataset.variables.get(name) for name in ("dark_counts", "saturation_count"))
     if dark is not None and dark.dims == (BAND, CROSS_TRACK):
