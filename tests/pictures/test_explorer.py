@@ -1,7 +1,5 @@
 """The explorer: what clicks become. The browser itself is not needed, panel for the last tests."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import refusal
+from support.refusals import expect_raises, refusal
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -55,13 +53,11 @@ def test_without_area_there_is_no_polygon(places: list[tuple[float, float]]) -> 
 
 
 def test_polygons_become_regions_with_names_of_their_own(state: Explored) -> None:
-    assert state.regions == BEGIN
-    assert state.add([0.2, 9.6, 9.4, 9.4], [0, 0, 3.4, 3.4]) == "region 1"
+    assert (state.regions, state.add([0.2, 9.6, 9.4, 9.4], [0, 0, 3.4, 3.4])) == (BEGIN, "region 1")
     assert state.add([1, 2], [1, 2]) is None
     assert state.add([0, 9, 9], [0, 0, 3]) == "region 2"
     first = state.regions[1]
-    assert first.polygon.tolist() == [[0, 0], [0, 10], [3, 9]]
-    assert first.flightline == "raw_0"
+    assert (first.polygon.tolist(), first.flightline) == ([[0, 0], [0, 10], [3, 9]], "raw_0")
     state.drop("region 1")
     assert state.add([0, 9, 9], [0, 0, 3]) == "region 1"
     assert state.regions.names == ("roof", "region 2", "region 1")
@@ -100,16 +96,15 @@ def test_regions_to_begin_with_can_be_drawn() -> None:
     with pytest.raises(SchemaError, match="region-coordinates"):
         Explored(flight().line, hp.Regions(tuple(BEGIN), "map"))
     holed = hp.Region("ring", [(0, 0), (5, 0), (5, 9)], ([(2, 1), (3, 1), (3, 2)],))
-    with pytest.raises(SchemaError, match=r"ring.*region-holes"):
-        Explored(flight().line, holed)
+    expect_raises((SchemaError, r"ring.*region-holes", lambda: Explored(flight().line, holed)))
 
 
 def test_a_line_without_reflectance_or_wavelength_is_refused() -> None:
     line = flight().line
-    with pytest.raises(SchemaError, match="reflectance"):
-        Explored(line.drop_vars("counts"))
-    with pytest.raises(SchemaError, match="wavelength"):
-        Explored(line.drop_vars("wavelength"))
+    expect_raises(
+        (SchemaError, "reflectance", lambda: Explored(line.drop_vars("counts"))),
+        (SchemaError, "wavelength", lambda: Explored(line.drop_vars("wavelength"))),
+    )
 
 
 def test_on_a_crop_regions_have_the_numbers_of_the_line() -> None:
@@ -138,8 +133,7 @@ def test_regions_of_other_lines_are_kept_and_not_drawn(tmp_path: Path) -> None:
     assert state.is_saved
     # names are of both, as they are of the file
     assert "occurs twice" in str(state.rename("roof", "hood"))
-    assert state.drawn.names == ("trunk", "roof")
-    assert state.add([0, 9, 9], [0, 0, 3]) == "region 1"
+    assert (state.drawn.names, state.add([0, 9, 9], [0, 0, 3])) == (("trunk", "roof"), "region 1")
     state.save_again(path)
     saved = hp.read_regions(path)
     assert sorted(saved.names) == ["hood", "region 1", "roof", "trunk"]
@@ -274,8 +268,7 @@ def test_near_paints_are_those_of_the_search(state: Explored) -> None:
     spectrum = Spectrum(library["wavelength"].values, 0.5 * paint, None, "")
     near = state.near_paints(spectrum)
     assert near[0].name == str(library["signature"].values[7])
-    assert near[0].angle == pytest.approx(0.0, abs=1e-3)
-    assert near[0].factor == pytest.approx(0.5)
+    assert (near[0].angle, near[0].factor) == (pytest.approx(0.0, abs=1e-3), pytest.approx(0.5))
     assert [one.angle for one in near] == sorted(one.angle for one in near)
     assert state.near_paints(spectrum._replace(reflectance=np.full(paint.shape, np.nan))) == []
 
@@ -285,15 +278,12 @@ def test_near_paints_are_those_of_the_search(state: Explored) -> None:
 
 def test_a_picture_of_a_band_has_the_levels_of_the_band(state: Explored) -> None:
     values = flight().line.paint.pixels(wavelength=650.0).reflectance.values
-    picture = state.picture((650.0,), (0.0, 100.0))
-    bytes_of = picture.rgba.view(np.uint8).reshape(6, 24, 4)
+    bytes_of = state.picture((650.0,), (0.0, 100.0)).rgba.view(np.uint8).reshape(6, 24, 4)
     there = np.isfinite(values).T
     assert (bytes_of[..., 3] == np.where(there, 255, 0)).all()
     # brighter pixels are never darker in the picture
-    order = np.argsort(values.T[there])
-    assert (np.diff(bytes_of[..., 0][there][order].astype(int)) >= 0).all()
-    assert bytes_of[..., 0][there].min() == 0
-    assert bytes_of[..., 0][there].max() == 255
+    assert (np.diff(bytes_of[..., 0][there][np.argsort(values.T[there])].astype(int)) >= 0).all()
+    assert (bytes_of[..., 0][there].min(), bytes_of[..., 0][there].max()) == (0, 255)
 
 
 def test_a_part_of_a_picture_has_the_colours_of_the_whole(
@@ -307,8 +297,7 @@ def test_a_part_of_a_picture_has_the_colours_of_the_whole(
     monkeypatch.setattr(exploring, "DETAIL_LINES", 10)
     monkeypatch.setattr(exploring, "SPARSE_STEP", 5)
     sparse = Explored(flight().line).picture((550.0,))
-    assert sparse.rgba.shape == (6, 5)
-    assert (sparse.first, sparse.last) == (0, 25)
+    assert (sparse.rgba.shape, sparse.first, sparse.last) == ((6, 5), 0, 25)
     assert "every 5. line" in sparse.text
 
 

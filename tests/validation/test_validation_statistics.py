@@ -1,7 +1,5 @@
 """Statistics of agreement: against plain numpy, and what no data can change."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
