@@ -23,7 +23,7 @@ from hyperpaint.geometry.georeference.poses import Interpolation
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.paints.signatures.line_sources import Smoothing
-from hyperpaint.pictures.explorer import Explorer
+from hyperpaint.pictures.exploring import Explorer
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.radiometry.pixel_reading import Place
 from hyperpaint.regions.proposals.proposing import Proposals

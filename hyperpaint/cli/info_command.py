@@ -93,8 +93,7 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
 
 def _envi(path: Path) -> Facts:
 
-    from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
-    from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
+    from hyperpaint.io.envi.envi_cubes import MAX_LIBRARY_HEADER_BYTES, find_pair, open_envi, read_header
     from hyperpaint.io.flightline.headwall import exposure_seconds
     from hyperpaint.io.navigation.navigation_formats import is_eph_att
 

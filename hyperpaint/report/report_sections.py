@@ -23,10 +23,18 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, re
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of
-from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flag_label, flags_of, rgb
+from hyperpaint.pictures.plot import (
+    background,
+    draw_irradiance,
+    draw_outlines,
+    draw_spread,
+    flag_label,
+    flag_overlay,
+    flags_of,
+    rgb,
+    triptych,
+)
 from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
-from hyperpaint.pictures.plot_chain import triptych
-from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 from hyperpaint.pictures.plot_paints import paint_card
 from hyperpaint.pictures.plot_spectra import draw_uncertainties, find_usable, library_overview
 from hyperpaint.pictures.plot_validation import draw_panels, validation_figure

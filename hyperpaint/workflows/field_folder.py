@@ -27,8 +27,7 @@ from hyperpaint.base.facts import documented, key_line, toml_text
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.io.collect.collect_toml import SCHEMA
-from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
-from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.envi.envi_cubes import find_pair, open_envi, read_header
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.files.toml_tables import UNKNOWN

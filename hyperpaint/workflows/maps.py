@@ -19,7 +19,7 @@ from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, published_files
 from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
-from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
+from hyperpaint.io.maps.map_grids import geozarr_attrs, stac_item, with_own_transform
 from hyperpaint.io.maps.rasters import read_heights
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 

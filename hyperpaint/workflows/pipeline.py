@@ -38,8 +38,7 @@ from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares
 from hyperpaint.geometry.navigation_checking import navigation_findings
 from hyperpaint.io.collect.collect_toml import read_collect
-from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.envi.envi_cubes import find_pair, read_header
 from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.io.store import budget, open_group
 from hyperpaint.io.store.budget import limited_threads, parse_size

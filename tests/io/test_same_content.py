@@ -19,7 +19,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintError, PaintWarning
 from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.io.dirsig import open_emissivity, read_materials
-from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.envi.envi_cubes import read_header
 from hyperpaint.io.flightline.headwall import exposure_seconds, read_frame_index, read_settings
 from hyperpaint.io.navigation.navigation_opening import open_navigation
 from hyperpaint.io.navigation.navigation_records import read_gps_time, read_imu_gps

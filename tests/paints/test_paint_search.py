@@ -14,7 +14,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, UnitsError
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.paint_search import _one_spectrum
-from hyperpaint.validation.comparing import statistics_of
+from hyperpaint.validation.validating import statistics_of
 
 RED = "Synthetic Signal Red"
 

@@ -16,7 +16,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.store.layout import storage_chunks
 from hyperpaint.kernels.overviews import mix_bands
-from hyperpaint.pictures.explorer_state import Explored
+from hyperpaint.pictures.exploring import Explored
 from hyperpaint.radiometry.coarse_lines import coarse, coarse_reflectance
 
 

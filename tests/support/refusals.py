@@ -30,3 +30,10 @@ def expect_refusals(*rows: tuple[Any, ...]) -> None:
     for kind, code, *told, call in rows:
         with refusal(kind, code, *told):
             call()
+
+
+def expect_raises(*rows: tuple[Any, ...]) -> None:
+    """Expect the error of every row: class, regular expression of its message, and the raising call."""
+    for kind, match, call in rows:
+        with pytest.raises(kind, match=match):
+            call()

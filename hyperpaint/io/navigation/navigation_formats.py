@@ -38,8 +38,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaEr
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.envi.envi_header import EnviHeader, read_header
+from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
 from hyperpaint.io.files.reading import numbered_lines
 from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, Table, name_rows, read_text, table_of
 

@@ -13,7 +13,7 @@ from support.refusals import refusal
 
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
 from hyperpaint.io.collect.collect_toml import read_collect
-from hyperpaint.io.envi.envi_header import parse_header
+from hyperpaint.io.envi.envi_cubes import parse_header
 from hyperpaint.io.spectrometers.asd import open_asd
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
