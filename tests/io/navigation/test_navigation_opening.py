@@ -193,14 +193,18 @@ def test_lcf_has_its_right_wing_up(tmp_path: Path) -> None:
         ("1e9 0 0 0 0 0 0\n5 0 0 0 0 0 0\n1e9 0 0 0 0 0 0\n", "line 2.*time-origin-conflict"),
         ("-5 0 0 0 0 0 0\n", "time is -5 s in line 1.*value-out-of-range"),
         ("1e9 0 0 0 0 0 0\nnan 0 0 0 0 0 0\n", "time is nan s in line 2.*value-out-of-range"),
+        ("-1 0 0 0 0 0 0\n5 0 0 0 0 0 0\n1e9 0 0 0 0 0 0\n", "time is -1 s in line 1"),
+        ("5 0 0 0 0 0 0\nnoon 0 0 0 0 0 0\n", "'time'.*line 2"),
+        ("5 0 0 0 0 0 0\n8e9 0 0 0 0 0 0\n", "'time'.*line 2"),
         ("1e9 0 0 0 0 0 0 \0", "binary"),
     ],
 )
 def test_lcf_that_is_none_is_refused(tmp_path: Path, text: str, match: str) -> None:
     path = tmp_path / "line.lcf"
     path.write_text(text)
-    with pytest.raises(FormatError, match=match):
+    with pytest.raises(FormatError, match=match) as caught:
         hp.open_navigation(path, leap_seconds=18)
+    assert len(caught.value.problems) <= 1  # no cell is listed twice
 
 
 # --- csv ---------------------------------------------------------------------------------------------------
