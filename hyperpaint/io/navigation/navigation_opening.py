@@ -182,21 +182,22 @@ def open_navigation(
     findings.raise_if_any()
     parts.sort(key=lambda part: int(part[1][0]))
     _refuse_mixtures(parts)
-    chosen_convention = _convention(parts[0][0], convention)
+    record, _, time_attrs = parts[0]
+    source_text = f"{record.name} ({record.format})"
+    chosen_convention = _convention(source_text, record.convention, record.assumed, convention)
     units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
     variables = {
         name: (
             NAVIGATION_TIME,
-            np.concatenate([record.values[name] for record, _, _ in parts]),
+            np.concatenate([part.values[name] for part, _, _ in parts]),
             {"long_name": _MEANINGS[name], "units": units.get(name, chosen_convention.angle_unit)},
         )
         for name in POSE
     }
-    for name, (_, attrs) in parts[0][0].others.items():
-        values = np.concatenate([record.others[name][0] for record, _, _ in parts])
+    for name, (_, attrs) in record.others.items():
+        values = np.concatenate([part.others[name][0] for part, _, _ in parts])
         variables[name] = (NAVIGATION_TIME, values, dict(attrs))
     time = np.concatenate([utc for _, utc, _ in parts]).astype("datetime64[ns]")
-    record, _, time_attrs = parts[0]
     declared = set(
         chosen_convention.__dataclass_fields__ if isinstance(convention, Convention) else convention or ()
     )
@@ -272,9 +273,8 @@ def _stored_record(path: Any, convention: Convention | Mapping[str, Any] | None)
             f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]", code="type-wrong"
         )
     refuse_backwards(str(path), time.astype("datetime64[ns]").astype(np.int64), row="sample")
-    declared = Convention.from_attrs(record.attrs) or Convention()
-    if convention is not None:
-        declared = convention if isinstance(convention, Convention) else declared.replace(**convention)
+    own = Convention.from_attrs(record.attrs)
+    declared = _convention(str(path), own or Convention(), ("angle_unit",) if own is None else (), convention)
     values = {name: record[name].astype(np.float64) for name in POSE}
     return record.assign(values).assign_attrs(declared.to_attrs())
 
@@ -474,27 +474,22 @@ def _refuse_mixtures(parts: Sequence[Part]) -> None:
             )
 
 
-def _convention(record: PoseRecord, declared: Convention | Mapping[str, Any] | None) -> Convention:
-    if declared is None:
-        return record.convention
-    if isinstance(declared, Convention):
-        chosen = declared
-    else:
-        unknown = set(declared) - set(record.convention.__dataclass_fields__)
-        if unknown:
-            raise SchemaError(
-                f"convention has no {', '.join(map(repr, sorted(unknown)))}",
-                mend="see Convention",
-                code="key-unknown",
-            )
-        chosen = record.convention.replace(**declared)
-    if "angle_unit" not in record.assumed and chosen.angle_unit != record.convention.angle_unit:
-        unit = record.convention.angle_unit
+def _convention(
+    source: str, own: Convention, assumed: Sequence[str], declared: Convention | Mapping[str, Any] | None
+) -> Convention:
+    # Return the convention of a record: its own, changed by the caller's declarations.
+    choices = {} if declared is None or isinstance(declared, Convention) else declared
+    if unknown := set(choices) - set(own.__dataclass_fields__):
         raise SchemaError(
-            (
-                f"convention declares angle_unit {chosen.angle_unit!r}, {record.name} ({record.format}) "
-                f"contains {unit}"
-            ),
+            f"convention has no {', '.join(map(repr, sorted(unknown)))}",
+            mend="see Convention",
+            code="key-unknown",
+        )
+    chosen = declared if isinstance(declared, Convention) else own.replace(**choices)
+    if "angle_unit" not in assumed and chosen.angle_unit != own.angle_unit:
+        unit = own.angle_unit
+        raise SchemaError(
+            f"convention declares angle_unit {chosen.angle_unit!r}, {source} contains {unit}",
             mend=f"pass Convention(angle_unit={unit!r}, ...), or a mapping of the fields that differ",
             code="units-conflict",
         )

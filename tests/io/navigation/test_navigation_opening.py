@@ -431,10 +431,13 @@ def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
         column_order="right_to_left",
         stamp_reference="end",
     )
-    expect_refusals(
-        (SchemaError, "units-conflict", "radian", lambda: hp.open_navigation(path, convention=Convention())),
-        (SchemaError, "key-unknown", lambda: hp.open_navigation(path, convention={"colour": "red"})),
-    )
+    # a stored record is held to its declarations like a file
+    store = hp.to_store(flight, tmp_path / "line.zarr")
+    assert hp.open_navigation(store, convention={"declination": 2.0}).attrs["convention_declination"] == 2.0
+    for source in (path, store):
+        for code, convention in (("units-conflict", Convention()), ("key-unknown", {"colour": "red"})):
+            with refusal(SchemaError, code):
+                hp.open_navigation(source, convention=convention)
 
 
 def test_files_of_no_known_kind_are_refused(tmp_path: Path) -> None:
