@@ -292,16 +292,16 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     convention_attrs: dict[str, Any] = {}
     with findings.step():
         # the conventions of the navigation, with the names of assumed ones
-        accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
-        unknown, declared = set(inputs.convention) - accepted, inputs.convention
-        if timing.nav is not None and unknown:
-            raise SchemaError(
-                f"convention has {', '.join(sorted(unknown))}",
-                expected=f"some of {', '.join(sorted(accepted))}",
-                mend="pass angles in degree, and stamp= as a separate argument",
-                code="key-unknown",
-            )
         if timing.nav is not None:
+            accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
+            declared = inputs.convention
+            if unknown := set(declared) - accepted:
+                raise SchemaError(
+                    f"convention has {', '.join(sorted(unknown))}",
+                    expected=f"some of {', '.join(sorted(accepted))}",
+                    mend="pass angles in degree, and stamp= as a separate argument",
+                    code="key-unknown",
+                )
             convention_attrs = Convention(**{"stamp_reference": timing.stamp, **declared}).to_attrs()
             assumed = [name for name in ASSUMED if name not in declared]
             convention_attrs |= {"navigation_assumed": ", ".join(assumed)} if assumed else {}

@@ -51,8 +51,9 @@ from .spectrum_files import (
     require_one_grid,
     text_lines,
 )
+from .svc import dialect_of
 
-Kind = Literal["binary", "text", "csv", "unknown"]
+Kind = Literal["binary", "text", "scans", "csv", "unknown"]
 
 _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 _AGAIN = "copy the file again from the instrument"
@@ -627,6 +628,8 @@ def sniff(path: Path) -> Kind:
         return "binary"
     if _export_at(text_lines(head)) is not None:
         return "text"
+    if dialect_of(head) is not None:
+        return "scans"
     # a csv series of irradiance begins with the heading ``time`` below its comments
     lines = head.decode("utf-8-sig", "replace").splitlines()
     first = next((line for line in lines if line.strip() and not line.startswith("#")), "")

@@ -27,10 +27,9 @@ _R = TypeVar("_R")
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d{1,5})?", re.ASCII)
 # NaN and infinity as programs and Windows' C library print them, in several languages
-_NON_FINITE_SPELLINGS = {
-    **dict.fromkeys(("nan", "-nan", "n.def.", "1.#qnan", "-1.#ind", "1.#ind"), math.nan),
-    **dict.fromkeys(("inf", "infinity", "+unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
-    **dict.fromkeys(("-inf", "-infinity", "-unendlich", "-\N{INFINITY}", "-1.#inf"), -math.inf),
+_NON_FINITE_WORDS = {
+    **dict.fromkeys(("nan", "n.def.", "1.#qnan", "1.#ind"), math.nan),
+    **dict.fromkeys(("inf", "infinity", "unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
 }
 
 
@@ -45,11 +44,13 @@ def cell_number(text: str) -> float | None:
 
     Examples
     --------
-    >>> cell_number("-5,1"), cell_number("1.5E-02"), cell_number("1,5,0")
-    (-5.1, 0.015, None)
+    >>> cell_number("-5,1"), cell_number("1.5E-02"), cell_number("-Infinity"), cell_number("1,5,0")
+    (-5.1, 0.015, -inf, None)
     """
-    is_number = _NUMBER.fullmatch(text) is not None
-    return float(text.replace(",", ".")) if is_number else _NON_FINITE_SPELLINGS.get(text.lower())
+    if _NUMBER.fullmatch(text):
+        return float(text.replace(",", "."))
+    value = _NON_FINITE_WORDS.get((text[1:] if text[:1] in "+-" else text).lower())
+    return -value if value is not None and text[0] == "-" else value
 
 
 def find_paths(

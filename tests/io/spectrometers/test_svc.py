@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import warnings
 from pathlib import Path
 
@@ -19,6 +20,8 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.cli.info_command import describe_path
+from hyperpaint.io.spectrometers import svc
+from hyperpaint.io.spectrometers.reference_files import open_references
 from hyperpaint.io.spectrometers.svc import SVC_JOINS, dialect_of, open_svc, position_of, read_svc
 from hyperpaint.simulation.instruments import svc_wavelengths, write_svc
 
@@ -166,6 +169,40 @@ def test_a_german_file_is_its_english_twin(write, tmp_path) -> None:
 )
 def test_ways_to_write_the_same(write, fields) -> None:
     np.testing.assert_array_equal(open_svc(write(**fields))["reflectance"].values[0], SURFACE / PANEL)
+
+
+def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
+    row = svc.Dialect(
+        "PSR",
+        re.compile(rb"Comment:"),
+        "'Comment:' of a .sed file",
+        suffix=".sed",
+        assigns=":",
+        headings=1,
+        keys={"model": "instrument", "gps clock": "gpstime"},
+        units={"w/m^2/sr/nm": "radiance"},
+        columns=(0, 2, 1, 3),
+        scale={"radiance": 1.0},
+    )
+    monkeypatch.setattr(svc, "DIALECTS", (*svc.DIALECTS, row))
+    path = tmp_path / "door.sed"
+    header = "Comment: left door\nModel: PSR-3500\nUnits: W/m^2/sr/nm\nGPS clock: 073923, 074250\nTime: "
+    stamps = "27.05.2025 09:39:32, 27.05.2025 09:42:59\nData:\nWvl Target Reference Percent\n"
+    path.write_text(header + stamps + "350 0.04 0.08 50\n351 0.02 0.08 25\n")
+    found = open_svc(tmp_path)
+    assert (found.attrs["instrument"], found["instrument"].item()) == ("PSR", "PSR-3500")
+    assert found["reflectance"].values.tolist() == [[0.5, 0.25]]
+    assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50")
+    assert open_svc(path, "radiance", scan="reference")["radiance"].values.tolist() == [[0.08, 0.08]]
+    # its content is enough, whatever its name
+    other = path.rename(tmp_path / "door.txt")
+    references = open_references([other, write()])
+    assert [reference.attrs["instrument"] for reference in references] == ["PSR", "SVC"]
+    assert "PSR spectrum, PSR-3500" in describe_path(other)
+    path.write_text("nothing to see")
+    for read in (open_svc, describe_path):
+        with refusal(FormatError, "format-unknown", "SVC .sig file or 'Comment:' of a .sed file"):
+            read(path)
 
 
 def test_a_file_that_was_resampled(write) -> None:
