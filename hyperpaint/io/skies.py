@@ -554,5 +554,4 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
         table.append([micron, *(values or ())])
     micrometres, direct, diffuse, environment = np.array(table, np.float64).reshape(-1, 4).T
     per_nm = 1e-3
-    direct_normal = per_nm * direct / cosine
-    return sky_dataset("6S", 1000.0 * micrometres, direct_normal, per_nm * (diffuse + environment))
+    return sky_dataset("6S", 1000.0 * micrometres, per_nm * direct / cosine, per_nm * (diffuse + environment))

@@ -543,9 +543,7 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
     # a calibration, or the lab sweep to compute it from
     table = reader.one("calibration")
     reader.exclude("[calibration]", table, "path", "sweep")
-    calibration, sweep = (
-        reader.path("[calibration]", key, table.get(key)) for key in ("path", "sweep")
-    )
+    calibration, sweep = (reader.path("[calibration]", key, table.get(key)) for key in ("path", "sweep"))
     if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
         problems.add(
             "[calibration] path is missing",
@@ -557,7 +555,9 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
     table = reader.one("geometry")
     reader.exclude("[geometry]", table, "ground", "dem")
     reader.exclude("[geometry]", table, "fov_deg", "look_angle")
-    geometry = {key: tuple(value) if isinstance(value, list) else value for key, value in values(table).items()}
+    geometry = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in values(table).items()
+    }
     for key in ("dem", "look_angle"):
         if key in geometry:
             geometry[key] = reader.path("[geometry]", key, geometry[key])
@@ -695,10 +695,9 @@ def open_with_settings(
         findings.errors += line_findings.errors
     references = dict(_opened_references(collect.references, findings))
     # equal errors of several lines are reported once
-    errors = {str(error): error for error in findings.errors}
     problems.extend(
         error.problem if isinstance(error, PaintError) else Problem(text, code="input-unreadable")
-        for text, error in errors.items()
+        for text, error in {str(error): error for error in findings.errors}.items()
     )
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}

@@ -189,10 +189,9 @@ def _read(
     try:
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
     except Exception as error:  # zarr and the netCDF engines raise errors of many classes
-        hint = "" if zarr else "install for netCDF-4: python -m pip install h5netcdf"
         raise FormatError(
             f"{source}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})",
-            mend=hint,
+            mend="" if zarr else "install for netCDF-4: python -m pip install h5netcdf",
             code="file-unreadable",
         ) from error
 
@@ -274,14 +273,12 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
     array = dataset[name].reset_coords(drop=True)
     allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
     if not allowed:
-        expected = " or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives))
         raise SchemaError(
             f"{name!r} has dims ({', '.join(map(str, array.dims))})",
-            expected=expected,
+            expected=" or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives)),
             code="dims-wrong",
         )
-    kinds = "biu" if spec.dtype == "bool" else "fiu"
-    if array.dtype.kind not in kinds:
+    if array.dtype.kind not in ("biu" if spec.dtype == "bool" else "fiu"):
         raise SchemaError(f"{name!r} has dtype {array.dtype}", expected=spec.dtype, code="type-wrong")
     array = array.transpose(*allowed[0])
     if spec.units and spec.units != "1":

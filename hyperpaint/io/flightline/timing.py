@@ -153,10 +153,9 @@ def line_times(
         time[recorded] = clock.at(index.stamp[row[recorded]])
         _check_rate(index, row[recorded], timing, exposure_time, cube)
     else:
-        period_us = _NS_PER_S * float(timing.frame_period or 0.0)
-        time = clock.at(np.zeros(1, np.int64)) + np.round((frame - frame[0]) * period_us).astype(
-            "timedelta64[ns]"
-        )
+        time = clock.at(np.zeros(1, np.int64)) + np.round(
+            (frame - frame[0]) * (_NS_PER_S * float(timing.frame_period or 0.0))
+        ).astype("timedelta64[ns]")
     outside = np.isnat(time[recorded])
     if outside.any():
         if outside.all():

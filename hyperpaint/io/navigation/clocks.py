@@ -167,10 +167,9 @@ class Clock:
         if self.daily:
             stamp = stamp + next((d for d in (0, _DAY_US, -_DAY_US) if overlap(stamp + d, self.stamp)), 0)
         knot, weight, is_inside = bracket(self.stamp, stamp)
-        knot_interval = (self.utc[np.minimum(knot + 1, len(self.utc) - 1)] - self.utc[knot]).astype(
-            np.float64
-        )
-        utc = self.utc[knot] + np.round(weight * knot_interval).astype(np.int64)
+        utc = self.utc[knot] + np.round(
+            weight * (self.utc[np.minimum(knot + 1, len(self.utc) - 1)] - self.utc[knot]).astype(np.float64)
+        ).astype(np.int64)
         return np.where(is_inside, utc, NAT).astype("datetime64[ns]")
 
 

@@ -391,11 +391,11 @@ def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
     )
     calibrations = {}
     for number, name, milliseconds, *gains in heads:
-        values = cursor.array(
-            channels, np.dtype("<f8"), f"the {_CALIBRATION_KINDS[number]} calibration block"
-        )
         calibrations[_CALIBRATION_KINDS[number]] = AsdCalibration(
-            _text_of_bytes(name), nominal_integration_ms(milliseconds), (gains[0], gains[1]), values
+            _text_of_bytes(name),
+            nominal_integration_ms(milliseconds),
+            (gains[0], gains[1]),
+            cursor.array(channels, np.dtype("<f8"), f"the {_CALIBRATION_KINDS[number]} calibration block"),
         )
     return calibrations
 
@@ -707,9 +707,9 @@ def read_spectra(
             expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
             code="key-unknown",
         )
-    calibration_files = for_all(calibration.values(), read_asd)
     external_files = {
-        _CALIBRATION_KEYS[key]: file for key, file in zip(calibration, calibration_files, strict=True)
+        _CALIBRATION_KEYS[key]: file
+        for key, file in zip(calibration, for_all(calibration.values(), read_asd), strict=True)
     }
     contents = for_all(files, _read_file)
     texts = [content.name for content in contents if isinstance(content, AsdText)]
@@ -1037,8 +1037,7 @@ def open_asd(
     >>> open_asd(path, "reflectance")["reflectance"].values
     array([[0.0669, 0.0671]])
     """
-    files = find_files(paths)
-    spectra, quantity = read_spectra(files, quantity, absolute=absolute, calibration=calibration)
+    spectra, quantity = read_spectra(find_files(paths), quantity, absolute=absolute, calibration=calibration)
     # UTC of the spectra whose zone is known
     with_stamp = [s for s in spectra if s.local_time is not None]
     if utc_offset_h is None and (without_zone := [s for s in with_stamp if s.utc_offset_h is None]):

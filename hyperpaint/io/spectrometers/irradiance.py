@@ -654,11 +654,10 @@ def _from_xarray(
         error=UnitsError,
     )
     nanometres = convert(wavelength, "nm", str(wavelength.name)).values.astype(np.float64)
-    is_ordered = np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)
     refuse(
         origin,
         (
-            not is_ordered,
+            not (np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)),
             Problem(
                 f"{wavelength.name!r} does not increase",
                 mend="sort by it, and remove repeated values",

@@ -35,8 +35,7 @@ _NON_FINITE_WORDS = {
 
 def text_lines(data: bytes) -> list[str]:
     """Return the lines of a text in UTF-8 or latin-1, with any line ends; NULs are left out."""
-    text = decoded_text(data.replace(b"\0", b""))
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
 def cell_number(text: str) -> float | None:
@@ -166,14 +165,13 @@ def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
     for quantity, name in quantities:
         names_by_quantity.setdefault(quantity, []).append(name)
     if len(names_by_quantity) > 1 or None in names_by_quantity:
-        problems = [
-            Problem(f"{key or 'unknown'}: {', '.join(file_names)}", code="quantity-ambiguous")
-            for key, file_names in names_by_quantity.items()
-        ]
         raise FormatError(
             "the spectra hold several or unknown quantities",
             mend="pass quantity=",
-            problems=problems,
+            problems=[
+                Problem(f"{key or 'unknown'}: {', '.join(file_names)}", code="quantity-ambiguous")
+                for key, file_names in names_by_quantity.items()
+            ],
             code="quantity-ambiguous",
         )
     return next(str(quantity) for quantity in names_by_quantity)
