@@ -26,7 +26,7 @@ _IRRADIANCE, _RADIANCE = "W m-2 nm-1", "W m-2 sr-1 nm-1"
 
 
 def sky_lines(path: str | Path) -> list[str]:
-    """Return the lines of a text file, at most `MAX_SKY_BYTES`; raises `FormatError`."""
+    # Return the lines of a text file, at most `MAX_SKY_BYTES`; raises `FormatError`.
     content = read_limited_text(Path(path), MAX_SKY_BYTES, "the output of a model of the atmosphere")
     return content.decode("utf-8", "replace").splitlines()
 

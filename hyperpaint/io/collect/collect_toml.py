@@ -237,7 +237,7 @@ _LISTS = ("flightlines", "references", "panels")
 
 @dataclass(frozen=True)
 class IrradianceEntry:
-    """``[irradiance]``: files in a fixed order, and arguments of `open_irradiance`."""
+    # ``[irradiance]``: files in a fixed order, and arguments of `open_irradiance`.
 
     files: tuple[Path, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -246,7 +246,7 @@ class IrradianceEntry:
 
 @dataclass(frozen=True)
 class ReferenceEntry:
-    """One ``[[references]]``: a field spectrometer's files."""
+    # One ``[[references]]``: a field spectrometer's files.
 
     instrument: str
     files: tuple[Path, ...]
@@ -265,7 +265,7 @@ class ReferenceEntry:
 
 @dataclass(frozen=True)
 class PanelEntry:
-    """One ``[[panels]]``: position and reflectance of a panel."""
+    # One ``[[panels]]``: position and reflectance of a panel.
 
     line: str  #: Id of the flight line.
     along_track: tuple[int, int]  #: First line of the panel, and the one after its last.
@@ -786,7 +786,7 @@ MAX_STEP_PERIODS = 2.5
 
 @dataclass(frozen=True)
 class JoinedLine:
-    """A line of one or more cubes."""
+    # A line of one or more cubes.
 
     line: xr.Dataset
     members: tuple[str, ...]  #: Ids of its cubes; the first is the name of the line.

@@ -34,7 +34,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.errors import (
+    FormatError,
+    PaintWarning,
+    Problem,
+    Problems,
+    SchemaError,
+    TimeError,
+    UnitsError,
+)
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.units import conversion_factor
@@ -220,8 +228,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
         (stored_bytes != expected_bytes or stored_bytes > _EPH_ATT.max_bytes, found_bytes,
          f"{expected_bytes}, as its header says", "copy it again", "file-size"),
     ):  # fmt: skip
-        if is_wrong:
-            problems.add(found, expected=expected, mend=mend, code=code)
+        problems.extend([Problem(found, expected, mend, code=code)] if is_wrong else [])
     problems.raise_if_any()
     with open_input(data_path, "navigation") as file:
         file.seek(header.header_offset)

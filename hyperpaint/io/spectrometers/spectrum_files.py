@@ -34,7 +34,7 @@ _NON_FINITE_WORDS = {
 
 
 def text_lines(data: bytes) -> list[str]:
-    """Return the lines of a text in UTF-8 or latin-1, with any line ends; NULs are left out."""
+    # Return the lines of a text in UTF-8 or latin-1, with any line ends; NULs are left out.
     return decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
@@ -95,11 +95,9 @@ def find_paths(
 
 
 def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
-    """Return the results of a function for all items, in their order.
-
-    Raises FormatError: The function raised it for some items. One error lists each reason once, with its
-    items.
-    """
+    # Return the results of a function for all items, in their order.
+    # Raises FormatError: The function raised it for some items. One error lists each reason once, with its
+    # items.
     outputs: list[_R] = []
     names_by_problem: dict[Problem, list[str]] = {}
     for item in items:
@@ -120,7 +118,7 @@ def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
 def same_grids(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]],
 ) -> list[tuple[npt.NDArray[np.float64], list[str]]]:
-    """Return each distinct set of wavelengths with the names of its spectra."""
+    # Return each distinct set of wavelengths with the names of its spectra.
     groups: dict[bytes, tuple[npt.NDArray[np.float64], list[str]]] = {}
     for name, wavelength in grids:
         groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
@@ -130,22 +128,17 @@ def same_grids(
 def require_one_grid(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]], advice: Callable[[], str] = str
 ) -> None:
-    """Refuse spectra on several sets of wavelengths; ``advice`` completes the message.
-
-    Raises FormatError: There are several sets; each is listed with the names of its spectra.
-    """
+    # Refuse spectra on several sets of wavelengths; ``advice`` completes the message.
+    # Raises FormatError: There are several sets; each is listed with the names of its spectra.
     groups = same_grids(grids)
     if len(groups) > 1:
-        overlap_texts = [
-            ", overlap kept" if np.any(np.diff(wavelengths) <= 0.0) else "" for wavelengths, _ in groups
-        ]
         problems = [
             Problem(
-                f"{len(wavelengths)} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm{overlap_text}: "
-                f"{', '.join(names)}",
+                f"{len(grid)} from {grid[0]:g} to {grid[-1]:g} nm"
+                f"{', overlap kept' if np.any(np.diff(grid) <= 0.0) else ''}: {', '.join(names)}",
                 code="grid-mismatch",
             )
-            for (wavelengths, names), overlap_text in zip(groups, overlap_texts, strict=True)
+            for grid, names in groups
         ]
         raise FormatError(
             "spectra differ in their wavelengths",
@@ -156,11 +149,9 @@ def require_one_grid(
 
 
 def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
-    """Return the quantity that all files hold.
-
-    quantities: Quantity, None where unknown, and name of each file.
-    Raises FormatError: A quantity is unknown, or they differ; all are listed.
-    """
+    # Return the quantity that all files hold.
+    # quantities: Quantity, None where unknown, and name of each file.
+    # Raises FormatError: A quantity is unknown, or they differ; all are listed.
     names_by_quantity: dict[str | None, list[str]] = {}
     for quantity, name in quantities:
         names_by_quantity.setdefault(quantity, []).append(name)
@@ -206,10 +197,8 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
 
 
 def check_utc_offset(hours: float) -> None:
-    """Refuse local time minus UTC [h] beyond the offsets of all zones.
-
-    Raises TimeError: It is outside -14 to 14.
-    """
+    # Refuse local time minus UTC [h] beyond the offsets of all zones.
+    # Raises TimeError: It is outside -14 to 14.
     if not -14.0 <= hours <= 14.0:
         raise TimeError(
             f"utc_offset_h={hours}",
@@ -225,6 +214,6 @@ def listed(names: Sequence[str], max_names: int = 20) -> str:
 
 
 def warn_of(problem: str, names: Sequence[str], code: str) -> None:
-    """Warn of a problem of the named files, if there are any."""
+    # Warn of a problem of the named files, if there are any.
     if names:
         warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)

@@ -123,7 +123,7 @@ class SvcFile:
 
 
 def dialect_of(head: bytes) -> Dialect | None:
-    """Return the dialect of a file by its first bytes; None for files of another kind."""
+    # Return the dialect of a file by its first bytes; None for files of another kind.
     return next((dialect for dialect in DIALECTS if dialect.magic.match(head)), None)
 
 
@@ -290,7 +290,7 @@ _BITS = re.compile(r"[0-9]{1,9}")
 
 
 class SvcOverlap(NamedTuple):
-    """Treatment of overlapping detectors, from the header's ``factors``."""
+    # Treatment of overlapping detectors, from the header's ``factors``.
 
     text: str  # short description: preserved, removed (and where), or unknown
     # Wavelengths [nm] at which the next detector begins, if channels were removed
@@ -854,7 +854,7 @@ _DAY = dt.timedelta(days=1)
 
 @dataclass(frozen=True)
 class LocalStamp:
-    """Date and time of a local clock, without a zone."""
+    # Date and time of a local clock, without a zone.
 
     day_first: dt.datetime | None  # date read in this order; None if there is no such date
     month_first: dt.datetime | None
