@@ -1,7 +1,5 @@
 """Inputs that the fault campaigns found: each once left its parser in a wrong way."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``collect.toml``, and the tree it opens."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

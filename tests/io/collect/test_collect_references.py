@@ -1,7 +1,5 @@
 """`[[references]]` of a collect: opened with it, kept in its store, and named where they cannot be."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

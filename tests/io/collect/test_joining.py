@@ -1,7 +1,5 @@
 """Cubes of one flight: one line where the recording goes on, else lines of their own, with the reason."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

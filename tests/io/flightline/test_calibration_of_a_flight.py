@@ -1,7 +1,5 @@
 """The calibration and the dark of a flight line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

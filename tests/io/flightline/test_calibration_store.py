@@ -1,7 +1,5 @@
 """Calibration stores that hyperpaint wrote must be whole; those of others are in test_any_zarr."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Dark references, against plain means of the frames."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

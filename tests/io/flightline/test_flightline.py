@@ -1,7 +1,5 @@
 """A flight line from a Headwall folder made here by hand."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

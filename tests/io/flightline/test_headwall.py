@@ -1,7 +1,5 @@
 """Settings, frame indices and dark cubes of a Headwall folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

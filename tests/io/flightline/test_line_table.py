@@ -1,7 +1,5 @@
 """The line table: every number keeps its bits, and the pose is read again as navigation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

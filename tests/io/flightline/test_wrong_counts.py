@@ -1,7 +1,5 @@
 """Integers are counts of a flight line where their header, a dark or the user says so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

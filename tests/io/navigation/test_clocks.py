@@ -1,7 +1,5 @@
 """GPS time, leap seconds, corrections, and clocks tied to UTC."""
 
-from __future__ import annotations
-
 import datetime
 import zoneinfo
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of control points: read, or refused as FormatError and nothing else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

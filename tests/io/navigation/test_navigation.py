@@ -1,7 +1,5 @@
 """Navigation records, clocks and leap seconds, and their join to the lines of a cube."""
 
-from __future__ import annotations
-
 import datetime
 from pathlib import Path
 from typing import Any

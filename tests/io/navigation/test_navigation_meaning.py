@@ -1,7 +1,5 @@
 """What the poses of a flight line mean is kept with them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Navigation files of every kind: known values, clocks, conventions, and what is refused."""
 
-from __future__ import annotations
-
 import datetime
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Navigation files of others: values known from other programs, signs, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs of NMEA sentences, and tables without a header."""
 
-from __future__ import annotations
-
 from functools import reduce
 from operator import xor
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of other programs' skies, as their documents and sources word them, and skies fitted to tables."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

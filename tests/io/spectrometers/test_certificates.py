@@ -1,7 +1,5 @@
 """Certificates of panels: units of headings are converted, labels are none, percent is never guessed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Calibrations of FRM4SOC, and irradiance of HYPERNETS."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

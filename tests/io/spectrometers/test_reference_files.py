@@ -1,7 +1,5 @@
 """Certificates of panels, lists of pairs, and files of references."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The chain against numbers that others published, on their own files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What readers of field spectrometers share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Dialects of ``.sig`` files, what is refused, and the way back from the simulator's own writer."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

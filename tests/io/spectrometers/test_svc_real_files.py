@@ -1,7 +1,5 @@
 """Every real ``.sig`` file beside the project, against values known from elsewhere."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path

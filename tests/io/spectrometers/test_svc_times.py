@@ -1,7 +1,5 @@
 """Clocks of SVC files: stamps of any locale, and UTC by the GPS."""
 
-from __future__ import annotations
-
 import datetime as dt
 
 import numpy as np
