@@ -65,8 +65,7 @@ def test_irradiance_beyond_float32(cell: str, tmp_path: Path) -> None:
 
 def test_asd_product_beyond_float64(write_asd: Callable[..., Path]) -> None:
     # RuntimeWarning: overflow encountered in multiply
-    counts = np.full(11, 1000.0)
-    damaged = counts.copy()
+    damaged = np.full(11, 1000.0)
     damaged[4] = 1e300
     blocks: dict[int, Any] = {2: (136, np.full(11, 1e10)), 3: (136, np.full(11, 1.0))}
     path = write_asd("sky.asd", damaged, data_type=7, blocks=blocks, utc_offset_h=0.0)

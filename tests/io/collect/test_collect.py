@@ -21,9 +21,8 @@ LINES = 60
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("collect")
     return simulate_collect(
-        folder,
+        tmp_path_factory.mktemp("collect"),
         scene="plan",
         lines=LINES,
         bands=6,
@@ -62,8 +61,7 @@ def problems_of(path: Path, *, opened: bool = False, **options: Any) -> str:
 def test_the_frame_index_and_the_navigation_beside_a_cube_are_found(folder: Path) -> None:
     expected = open_collect(folder / "collect.toml")["flightlines/raw_0"].to_dataset()
     path = change(folder, (r"^frame_index = .*\n", ""), (r"^nav = .*\n", ""))
-    found = open_collect(path)["flightlines/raw_0"].to_dataset()
-    xr.testing.assert_identical(found, expected)
+    xr.testing.assert_identical(open_collect(path)["flightlines/raw_0"].to_dataset(), expected)
     for name in ("frameIndex_0.txt", "imu_gps.txt"):
         (folder / "flight" / name).unlink()
     assert "[[flightlines]] 1 no line times: found frame_period_ms" in problems_of(path)
@@ -85,8 +83,8 @@ def test_what_the_file_says(folder: Path) -> None:
         end='\n[[references]]\ninstrument = "asd_sky"\nfiles = ["asd/sky00000.asd", "asd/sky0000[12].asd"]\n',
     )
     collect = read_collect(path)
-    assert collect.name == "simulated car park"
-    assert (collect.clock.stamp, collect.clock.clock_offset_s, collect.clock.time_scale) == (
+    assert (collect.name, collect.clock.stamp, collect.clock.clock_offset_s, collect.clock.time_scale) == (
+        "simulated car park",
         "mid",
         1.5,
         "gps",
@@ -129,8 +127,7 @@ def test_the_tree_holds_every_line_and_nothing_at_its_root(folder: Path) -> None
         frame = line["frame"].values
         assert frame[0] == first
         assert not set(frame.tolist()) & {7, 8, 40}
-        expected = truth["time"].isel(along_track=frame).values
-        apart = np.abs(line["time"].values - expected).max()
+        apart = np.abs(line["time"].values - truth["time"].isel(along_track=frame).values).max()
         assert apart <= np.timedelta64(1, "us")
         assert line.attrs["collect"] == "simulated car park"
         assert "irradiance" in line

@@ -55,8 +55,7 @@ def test_an_instrument_may_be_called_by_its_model(collect: Path) -> None:
     text = collect.read_text()
     collect.write_text(text.replace('instrument = "svc"', 'instrument = "SVC HR-1024i"'))
     opened = hp.open_collect(collect)["references/SVC_HR-1024i"].to_dataset()
-    assert opened.attrs["instrument_name"] == "SVC HR-1024i"
-    assert opened.attrs["instrument"] == "SVC"
+    assert (opened.attrs["instrument_name"], opened.attrs["instrument"]) == ("SVC HR-1024i", "SVC")
     collect.write_text(text.replace('instrument = "svc"', 'instrument = "SVC HR-1024i"')
                        .replace('instrument = "asd"', 'instrument = "svc_hr-1024i"'))  # fmt: skip
     with refusal(CollectError, "name-duplicate", "'svc_hr-1024i'"):

@@ -100,8 +100,7 @@ def test_a_tabulated_line_shape_goes_with_the_line(folder: Path) -> None:
     table = make_calibration(srf=(("band", "srf_offset"), np.ones((BANDS, 5)), {"units": "1"}))
     table = table.assign_coords(srf_offset=("srf_offset", np.arange(-2.0, 3.0), NM))
     line = open_line(folder, calibration=table.assign_attrs(srf_shape="tabulated"))
-    assert line["srf"].dtype == np.float64
-    assert line["srf_offset"].values.tolist() == [-2, -1, 0, 1, 2]
+    assert (line["srf"].dtype, line["srf_offset"].values.tolist()) == (np.float64, [-2, -1, 0, 1, 2])
     assert line.attrs["srf_shape"] == "tabulated"
 
 
@@ -151,8 +150,7 @@ def test_no_dark_must_be_said(folder: Path) -> None:
         open_line(folder, dark=None)
     line = open_line(folder, dark="none")
     assert (line["dark_counts"] == 0).all()
-    assert line["dark_counts"].dtype == np.float32
-    assert line.attrs["dark_source"] == "none"
+    assert (line["dark_counts"].dtype, line.attrs["dark_source"]) == (np.float32, "none")
 
 
 def test_the_dark_of_a_calibration(folder: Path) -> None:

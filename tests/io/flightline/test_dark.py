@@ -38,8 +38,7 @@ def test_one_cube_is_the_mean_of_its_lines_and_their_spread() -> None:
     counts = frames(20)
     dark = open_dark(cube(counts, exposure=0.005), Timing(), None, LINE)
     assert dark is not None
-    assert dark.counts.dims == ELEMENT
-    assert dark.counts.dtype == np.float32
+    assert (dark.counts.dims, dark.counts.dtype) == (ELEMENT, np.float32)
     np.testing.assert_allclose(dark.counts, counts.mean(axis=0, dtype="f8"), rtol=1e-6)
     assert dark.read_noise is not None
     assert dark.read_noise.dtype == np.float32
@@ -48,10 +47,10 @@ def test_one_cube_is_the_mean_of_its_lines_and_their_spread() -> None:
     assert dark.uncertainty is not None
     np.testing.assert_allclose(dark.uncertainty, np.sqrt(variance / 20), rtol=1e-6)
     made = dark.variables(needs_noise=True)
-    assert float(made["dark_exposure_time"]) == 0.005
-    assert set(dark.variables(needs_noise=False)) == {
-        *("dark_counts", "dark_exposure_time", "dark_counts_u_random")
-    }
+    assert (float(made["dark_exposure_time"]), set(dark.variables(needs_noise=False))) == (
+        0.005,
+        {*("dark_counts", "dark_exposure_time", "dark_counts_u_random")},
+    )
 
 
 def test_few_lines_measure_no_noise_of_elements() -> None:
@@ -63,8 +62,7 @@ def test_few_lines_measure_no_noise_of_elements() -> None:
     assert set(dark.variables(needs_noise=True)) == {"dark_counts", "dark_counts_u_random"}
     assert dark.uncertainty is not None
     own = counts.var(axis=0, ddof=1, dtype="f8")
-    leant = (14 * own + 16 * own.mean()) / 30
-    np.testing.assert_allclose(dark.uncertainty, np.sqrt(leant / 15), rtol=1e-6)
+    np.testing.assert_allclose(dark.uncertainty, np.sqrt(((14 * own + 16 * own.mean()) / 30) / 15), rtol=1e-6)
     single = open_dark(cube(frames(1)), Timing(), None, LINE)
     assert single is not None
     assert set(single.variables(needs_noise=True)) == {"dark_counts"}
@@ -86,8 +84,7 @@ def test_cubes_of_unknown_times_are_averaged_line_by_line() -> None:
     one, two = frames(2, 1), frames(5, 2)
     dark = open_dark([cube(one), cube(two, 0)], Timing(), None, LINE)
     assert dark is not None
-    expected = np.concatenate([one, two]).mean(axis=0, dtype="f8")
-    np.testing.assert_allclose(dark.counts, expected, rtol=1e-6)
+    np.testing.assert_allclose(dark.counts, np.concatenate([one, two]).mean(axis=0, dtype="f8"), rtol=1e-6)
     assert "averaged" in dark.source
 
 

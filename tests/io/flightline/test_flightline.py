@@ -88,8 +88,7 @@ def test_chunks_are_those_asked_for(folder: Path, counts: np.ndarray[Any, Any]) 
 def test_a_line_costs_one_task_a_slab(folder: Path) -> None:
     import dask
 
-    line = open_line(folder)
-    (optimised,) = dask.optimize(line["counts"].data)
+    (optimised,) = dask.optimize(open_line(folder)["counts"].data)
     assert len(optimised.__dask_graph__()) <= 3 + 1
 
 
@@ -107,8 +106,7 @@ def test_dropped_frames_by_row(folder: Path, counts: np.ndarray[Any, Any]) -> No
     frames = np.delete(np.arange(LINES + 3), [5, 6, 40])
     write_index(folder / "flight" / "frameIndex_0.txt", frames)
     line = open_line(folder)
-    assert line["frame"].values.tolist() == frames.tolist()
-    assert line.attrs["dropped_frames"] == 3
+    assert (line["frame"].values.tolist(), line.attrs["dropped_frames"]) == (frames.tolist(), 3)
     assert not np.isnat(line["time"].values[1:]).any()
     assert (line["time"].values[5] - line["time"].values[4]) == np.timedelta64(21, "ms")
     np.testing.assert_array_equal(line["counts"].values, counts)
@@ -155,8 +153,7 @@ def test_a_cube_cut_short_in_flight(folder: Path, counts: np.ndarray[Any, Any]) 
         open_line(folder)
     with pytest.warns(PaintWarning, match="60 whole lines"):
         line = open_line(folder, keep_whole_lines=True)
-    assert line.sizes["along_track"] == 60
-    assert line["frame"].values[-1] == 59
+    assert (line.sizes["along_track"], line["frame"].values[-1]) == (60, 59)
 
 
 # --- exposure ----------------------------------------------------------------------------------------------
@@ -173,8 +170,7 @@ def test_the_given_exposure_wins_with_a_warning(folder: Path) -> None:
     with pytest.warns(PaintWarning) as caught:
         line = open_line(folder, exposure_time=0.004)
     assert "exposure_time 4 ms is used; settings.txt 5 ms, header comments 5 ms" in str(caught[0].message)
-    assert float(line["exposure_time"]) == 0.004
-    assert line["time"].values[1] == T0 + np.timedelta64(5, "ms")
+    assert (float(line["exposure_time"]), line["time"].values[1]) == (0.004, T0 + np.timedelta64(5, "ms"))
 
 
 def test_exposure_of_every_line(folder: Path) -> None:
@@ -201,8 +197,7 @@ def test_exposure_from_nowhere(folder: Path, counts: np.ndarray[Any, Any]) -> No
 
 
 def test_the_irradiance_is_cut_to_the_line(folder: Path) -> None:
-    line = open_line(folder)
-    seconds = (line["irradiance_time"].values - T0) / np.timedelta64(1, "s")
+    seconds = (open_line(folder)["irradiance_time"].values - T0) / np.timedelta64(1, "s")
     assert (seconds[0], seconds[-1]) == (-60, 60)
     assert "irradiance" not in open_line(folder, irradiance=None)
 
@@ -220,8 +215,7 @@ def test_mixed_datetime_units_are_one(unit: str) -> None:
     sky = make_irradiance()
     sky = sky.assign_coords(irradiance_time=sky["irradiance_time"].values.astype(f"datetime64[{unit}]"))
     made = cut_irradiance(sky, np.array([T0], "datetime64[ns]"))
-    assert made["irradiance_time"].dtype == "datetime64[ns]"
-    assert made.sizes["irradiance_time"] == 61
+    assert (made["irradiance_time"].dtype, made.sizes["irradiance_time"]) == ("datetime64[ns]", 61)
 
 
 def test_a_record_of_another_time_is_refused(folder: Path) -> None:

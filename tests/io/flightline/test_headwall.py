@@ -89,8 +89,7 @@ def test_frame_index_in_microseconds(tmp_path: Path, newline: str) -> None:
         tmp_path / "frameIndex_458.txt", "Frame#\tTimestamp\n458\t10\n459\t7010\n461\t21010\n", newline
     )
     index = read_frame_index(path)
-    assert index.frame.tolist() == [458, 459, 461]
-    assert index.stamp.tolist() == [10, 7010, 21010]
+    assert (index.frame.tolist(), index.stamp.tolist()) == ([458, 459, 461], [10, 7010, 21010])
     assert (index.clock, index.fitted) == ("instrument", False)
     assert index.frame.dtype == index.stamp.dtype == np.int64
 
@@ -98,8 +97,7 @@ def test_frame_index_in_microseconds(tmp_path: Path, newline: str) -> None:
 def test_frame_index_by_time_of_day_across_midnight(tmp_path: Path) -> None:
     text = "Frame#\tTime\n0\t23:59:59 993000\n1\t00:00:00 0\n2\t00:00:00 7000\n"
     index = read_frame_index(write(tmp_path / "f.txt", text))
-    assert index.clock == "time of day"
-    assert (index.stamp - 86_400_000_000).tolist() == [-7000, 0, 7000]
+    assert (index.clock, (index.stamp - 86_400_000_000).tolist()) == ("time of day", [-7000, 0, 7000])
 
 
 def test_frame_index_in_whole_seconds_is_straightened(tmp_path: Path) -> None:
@@ -149,8 +147,7 @@ def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], 
 
 def test_trailing_tabs_and_blank_lines_are_no_cells(tmp_path: Path) -> None:
     table = read_table(write(tmp_path / "t.txt", "a\tb\t\n1\t2\t\n\n3\t4\n"), "table", needs=["a"])
-    assert table.columns == {"a": ["1", "3"], "b": ["2", "4"]}
-    assert table.rows.tolist() == [2, 4]
+    assert (table.columns, table.rows.tolist()) == ({"a": ["1", "3"], "b": ["2", "4"]}, [2, 4])
 
 
 # --- lines of a cube ---------------------------------------------------------------------------------------
@@ -227,8 +224,7 @@ def test_sum_dark_refuses_what_is_no_raw_cube() -> None:
 
 @pytest.mark.real_data
 def test_the_real_headwall_dark_cube(shared_data: Path) -> None:
-    opened = open_envi(shared_data / "envi_cube" / "darkReference")
-    frames = sum_dark(opened["counts"], "darkReference")
+    frames = sum_dark(open_envi(shared_data / "envi_cube" / "darkReference")["counts"], "darkReference")
     assert frames.lines == 1
     assert frames.mean.shape == (978, 1600)
     assert frames.mean.mean() == pytest.approx(13.97111260, abs=5e-9)

@@ -39,8 +39,7 @@ def line_of(pose: dict[str, Any], lines: int = 3) -> xr.Dataset:
 
 
 def test_a_table_of_lines(tmp_path: Path) -> None:
-    pose = {name: [0.1, np.nan, 1 / 3] for name in POSE}
-    line = line_of(pose)
+    line = line_of({name: [0.1, np.nan, 1 / 3] for name in POSE})
     line["time"] = line.time.where(line.frame != 11)
     text = hp.io.write_line_table(line, tmp_path / "lines.csv").read_text().splitlines()
     assert "# convention_column_order: left_to_right" in text
@@ -66,8 +65,7 @@ def test_the_pose_comes_back_bit_for_bit(
     number = st.floats(-90.0, 90.0) | st.just(float("nan"))
     pose = {name: data.draw(st.lists(number, min_size=lines, max_size=lines)) for name in POSE}
     line = line_of(pose, lines)
-    path = hp.io.write_line_table(line, tmp_path_factory.mktemp("table") / "lines.csv")
-    flight = hp.open_navigation(path)
+    flight = hp.open_navigation(hp.io.write_line_table(line, tmp_path_factory.mktemp("table") / "lines.csv"))
     for name in POSE:
         np.testing.assert_array_equal(flight[name], line[name])
     np.testing.assert_array_equal(flight.navigation_time, line.time)

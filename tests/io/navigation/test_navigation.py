@@ -261,8 +261,7 @@ def test_lines_outside_the_record_have_no_time(tmp_path: Path) -> None:
 def test_without_navigation_lines_follow_the_frame_period_or_the_stamps(tmp_path: Path) -> None:
     timing = Timing(start_time="2021-07-23T14:00:00+02:00", frame_period=0.007)
     made = line_times(Path("raw_100"), 3, timing, 0.005)
-    assert made.frame.tolist() == [100, 101, 102]
-    assert ((made.time - T0) / MS).tolist() == [-2.5, 4.5, 11.5]
+    assert (made.frame.tolist(), ((made.time - T0) / MS).tolist()) == ([100, 101, 102], [-2.5, 4.5, 11.5])
     assert made.pose == {}
     index = write_index(tmp_path / "f.txt", [100, 7100, 21_100])
     made = line_times(Path("raw_0"), 3, Timing(frame_index=index, start_time=T0, stamp="mid"))
@@ -308,8 +307,7 @@ def test_two_sources_of_utc_are_one_too_many_and_files_beside_a_cube_are_named(t
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
 def test_any_datetime_unit_becomes_nanoseconds(unit: str) -> None:
     made = utc_of(np.datetime64("2021-07-23T12:00:00", unit), "start_time")
-    assert made == T0
-    assert made.dtype == "datetime64[ns]"
+    assert (made, made.dtype) == (T0, "datetime64[ns]")
 
 
 def test_zones_are_needed_of_texts_and_datetimes() -> None:

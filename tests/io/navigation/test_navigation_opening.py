@@ -64,8 +64,7 @@ def test_seconds_of_the_week_become_utc(tmp_path: Path) -> None:
 
 
 def test_a_date_gives_the_week_and_is_checked(tmp_path: Path) -> None:
-    noon_of_thursday = 4 * 86_400 + 43_200
-    path = write_sbet(tmp_path / "flight.sbet", [noon_of_thursday])
+    path = write_sbet(tmp_path / "flight.sbet", [4 * 86_400 + 43_200])
     for date in ("2021-05-20", datetime.date(2021, 5, 20), "2021-05-19", "2021-05-21"):  # dates may be local
         flight = hp.open_navigation(path, date=date)
         assert flight.attrs["gps_week"] == 2158
@@ -242,8 +241,7 @@ def test_csv_units_are_converted_but_angles_stay(tmp_path: Path, separator: str)
     flight = hp.open_navigation(write_csv(tmp_path / "f.csv", separator.join(header), separator.join(row)))
     values = [float(flight[name].values[0]) for name in POSE]
     np.testing.assert_allclose(values, [np.degrees(0.75), -77.6, 30.48, 0.1, np.nan, -3.0], rtol=1e-12)
-    assert flight["roll"].attrs["units"] == "radian"
-    assert flight.attrs["convention_angle_unit"] == "radian"
+    assert (flight["roll"].attrs["units"], flight.attrs["convention_angle_unit"]) == ("radian", "radian")
     assert str(flight.navigation_time.values[0]) == "2024-06-01T12:00:00.250000000"
 
 
@@ -306,10 +304,8 @@ def test_all_problems_of_a_csv_are_told_at_once(tmp_path: Path) -> None:
 
 
 def test_rows_without_a_time_are_counted(tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "f.csv", CSV_HEADER, ",,,,,,", *CSV_ROWS)
-    flight = hp.open_navigation(path)
-    assert flight.sizes["navigation_time"] == 2
-    assert flight.attrs["rows_without_time"] == 1
+    flight = hp.open_navigation(write_csv(tmp_path / "f.csv", CSV_HEADER, ",,,,,,", *CSV_ROWS))
+    assert (flight.sizes["navigation_time"], flight.attrs["rows_without_time"]) == (2, 1)
 
 
 # --- Headwall, AVIRIS, several files -----------------------------------------------------------------------
@@ -370,8 +366,7 @@ def write_eph(folder: Path, interleave: str = "bip", **header: str) -> Path:
 @pytest.mark.parametrize("interleave", ["bip", "bil", "bsq"])
 def test_eph_att_is_read_by_its_band_names(tmp_path: Path, interleave: str) -> None:
     flight = hp.open_navigation(write_eph(tmp_path, interleave))
-    assert flight["roll"].values.tolist() == [0.2, 0.4]
-    assert flight.pitch.values.tolist() == [0.1, 0.3]
+    assert (flight["roll"].values.tolist(), flight.pitch.values.tolist()) == ([0.2, 0.4], [0.1, 0.3])
     assert flight.latitude.values.tolist() == [31.5, 31.6]
     # the name says the week, and agrees with the stamps
     assert flight.attrs["gps_week"] == 1941
@@ -397,10 +392,8 @@ def test_a_name_that_contradicts_the_stamps_says_no_week(tmp_path: Path) -> None
 
 def test_several_files_follow_one_another(tmp_path: Path) -> None:
     first = write_sbet(tmp_path / "a.sbet", [1.0, 2.0], roll=0.1)
-    second = write_sbet(tmp_path / "b.sbet", [3.0], roll=0.2)
-    flight = hp.open_navigation([second, first], week=2158)
-    assert flight["roll"].values.tolist() == [0.1, 0.1, 0.2]
-    assert flight.attrs["source"] == "a.sbet, b.sbet"
+    flight = hp.open_navigation([write_sbet(tmp_path / "b.sbet", [3.0], roll=0.2), first], week=2158)
+    assert (flight["roll"].values.tolist(), flight.attrs["source"]) == ([0.1, 0.1, 0.2], "a.sbet, b.sbet")
     overlapping = write_sbet(tmp_path / "c.sbet", [1.5])
     with refusal(TimeError, "time-overlap", "a.sbet", "c.sbet"):
         hp.open_navigation([first, overlapping], week=2158)

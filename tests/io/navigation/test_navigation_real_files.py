@@ -48,8 +48,7 @@ def test_the_sign_of_the_wander_angle(shared_data: Path) -> None:
     # must point where the platform went
     stored = np.fromfile(shared_data / "nav/2-points.sbet", "<f8").reshape(2, 17)
     north = (stored[1, 1] - stored[0, 1]) * 6.3540e6
-    east = (stored[1, 2] - stored[0, 2]) * 6.3843e6 * np.cos(stored[0, 1])
-    track = np.degrees(np.arctan2(east, north))
+    track = np.degrees(np.arctan2((stored[1, 2] - stored[0, 2]) * 6.3843e6 * np.cos(stored[0, 1]), north))
     velocity = stored[:, 4:6].mean(axis=0)
     in_frame = np.degrees(np.arctan2(-velocity[1], velocity[0]))
     wander = np.degrees(stored[0, 10])
@@ -78,8 +77,7 @@ def test_a_line_of_aviris(shared_data: Path) -> None:
     time = (flight.navigation_time.values - flight.navigation_time.values[0]) / np.timedelta64(1, "s")
     smooth = np.ones(51) / 51
     turn = np.convolve(np.gradient(np.unwrap(flight.heading.values, period=360.0), time), smooth, "valid")
-    roll = np.convolve(flight["roll"].values, smooth, "valid")
-    slope = np.polyfit(roll, turn, 1)[0]
+    slope = np.polyfit(np.convolve(flight["roll"].values, smooth, "valid"), turn, 1)[0]
     north = np.gradient(flight.latitude.values, time) * 110.9e3
     east = np.gradient(flight.longitude.values, time) * 111.3e3 * np.cos(np.radians(flight.latitude.values))
     assert slope == pytest.approx(9.8 / np.hypot(north, east).mean(), rel=0.1)

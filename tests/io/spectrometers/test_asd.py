@@ -84,8 +84,7 @@ def test_real_details(shared_data):
     assert (sample.integration_ms, sample.gains, sample.instrument_number) == (68.0, (188, 175), 6355)
     assert read_asd(folder / "soil.asd").integration_ms == 8.5
     panel = read_asd(folder / "v7sample00005.asd").calibrations["ABS"]
-    assert panel.name == "abs64665_54.ref"
-    assert panel.values[0] == pytest.approx(0.98625571, abs=1e-8)
+    assert (panel.name, panel.values[0]) == ("abs64665_54.ref", pytest.approx(0.98625571, abs=1e-8))
     fore_optic = read_asd(folder / "v7sample00000.asd").calibrations["FO"]
     assert (fore_optic.integration_ms, fore_optic.gains) == (136.0, (31, 16))
     handheld = read_asd(folder / "handheld_raw.asd")
@@ -119,8 +118,7 @@ def test_every_real_file_opens_as_what_it_is(shared_data):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PaintWarning)  # saturated samples; what contradicts the zone
             opened = open_asd(path, utc_offset_h=0 if file.utc_offset_h is None else None)
-        assert list(opened) == [held]
-        assert opened["spectrum"].values.tolist() == [path.stem]
+        assert (list(opened), opened["spectrum"].values.tolist()) == ([held], [path.stem])
         for name in ("time", "latitude", "longitude", "altitude"):
             assert opened[name].dims == ("spectrum",)
         assert np.isnan(opened["latitude"].item()) == (not path.name.startswith("ww"))
@@ -136,13 +134,10 @@ def test_every_real_file_opens_as_what_it_is(shared_data):
 
 @pytest.mark.real_data
 def test_real_radiance_ends_at_the_splice(shared_data):
-    opened = open_asd(shared_data / "asd_binary" / "v7sample00000.asd", utc_offset_h=-6)
-    radiance = opened["radiance"]
-    known = {350: 0.00036096, 550: 0.034134, 700: 0.11626, 1000: 0.35085}
-    for nanometres, value in known.items():
+    radiance = open_asd(shared_data / "asd_binary" / "v7sample00000.asd", utc_offset_h=-6)["radiance"]
+    for nanometres, value in {350: 0.00036096, 550: 0.034134, 700: 0.11626, 1000: 0.35085}.items():
         assert at(radiance, nanometres) == pytest.approx(value, rel=5e-5)
-    assert radiance["wavelength"].values[-1] == 1000.0
-    assert radiance.attrs["units"] == "W m-2 sr-1 nm-1"
+    assert (radiance["wavelength"].values[-1], radiance.attrs["units"]) == (1000.0, "W m-2 sr-1 nm-1")
 
 
 @pytest.mark.real_data
@@ -292,8 +287,7 @@ def test_a_position_and_the_zone_that_it_hints_at(write_asd, ddmm, clock, positi
     gps = struct.pack("<5dhbbbbbh5sbb", 0, 0, *ddmm, 12.0, 1, 0, *clock, 0, 0, b"", 0, 0)
     path = write_asd("a.asd", COUNTS, gps=gps, local=dt.datetime(2024, 5, 21, 0, 33, 7))
     fix = read_asd(path).gps
-    assert (fix.latitude, fix.longitude, fix.altitude) == (*position, 12.0)
-    assert fix.utc == dt.time(*clock[::-1])
+    assert (fix.latitude, fix.longitude, fix.altitude, fix.utc) == (*position, 12.0, dt.time(*clock[::-1]))
     with pytest.warns(PaintWarning, match=r"perhaps [+-]\d+ by the GPS.*a\.asd.*zone-missing"):
         open_asd(path)
 
@@ -304,8 +298,7 @@ def test_doubtful_samples_are_said(write_asd):
         reflectance = open_asd(path, "reflectance", utc_offset_h=0)["reflectance"]
     reasons = sorted(re.search("that are (.*) become", str(w.message))[1] for w in found)
     assert reasons == ["saturated", "undefined (not finite)"]
-    expected = (GRID > 1000) | (GRID == 400)
-    np.testing.assert_array_equal(np.isnan(reflectance.values[0]), expected)
+    np.testing.assert_array_equal(np.isnan(reflectance.values[0]), (GRID > 1000) | (GRID == 400))
     np.testing.assert_array_equal(open_asd(path, "counts", utc_offset_h=0)["counts"].values[0], COUNTS)
     path = write_asd("a.asd", COUNTS, reference=COUNTS, dark_subtracted=False)
     with pytest.warns(PaintWarning, match="dark-not-subtracted"):
@@ -425,8 +418,7 @@ def test_declared_sizes_are_not_believed(write_asd, monkeypatch):
 
     monkeypatch.setattr(Cursor, "bytes", counted)
     for at_byte in range(tail, min(tail + 200, len(whole))):
-        mutant = whole[:at_byte] + b"\xff\xff\xff\x7f" + whole[at_byte + 4 :]
-        path.write_bytes(mutant)
+        path.write_bytes(whole[:at_byte] + b"\xff\xff\xff\x7f" + whole[at_byte + 4 :])
         reads.clear()
         with contextlib.suppress(FormatError):
             read_asd(path)

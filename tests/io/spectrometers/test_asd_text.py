@@ -100,8 +100,7 @@ def test_columns(tmp_path, separator, line_end, header):
 
 def test_many_columns_and_rows(tmp_path):
     columns = "Wavelength\ta.asd\tb.asd\t\n350\t1\t2\t\n351\t3\t4\t\n"
-    rows = "Wavelength,350,351\na.asd,1,3\nb.asd,2,4\n"
-    for content in (columns, rows):
+    for content in (columns, "Wavelength,350,351\na.asd,1,3\nb.asd,2,4\n"):
         text = read(tmp_path, content)
         assert text.spectra == ("a.asd", "b.asd")
         np.testing.assert_array_equal(text.values, [[1, 3], [2, 4]])

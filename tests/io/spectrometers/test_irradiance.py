@@ -81,8 +81,7 @@ def test_the_real_skyward_exports_make_a_series(shared_data):
     np.testing.assert_allclose(integral, [391.381, 391.411], atol=6e-4)
     # those of the detector: 3 nm of the first, which a camera up to 1000 nm sees
     assert (series["irradiance_fwhm"].sel(irradiance_wavelength=slice(350, 1000)) == 3.0).all()
-    assert series["irradiance_max_gap"] == 15.0
-    assert series.attrs["irradiance_srf_shape"] == "gaussian"
+    assert (series["irradiance_max_gap"], series.attrs["irradiance_srf_shape"]) == (15.0, "gaussian")
     assert "assumed" in series.attrs["irradiance_fwhm_source"]
     assert "assumed" in series.attrs["irradiance_units_source"]
 
@@ -266,8 +265,7 @@ def test_csv_series(tmp_path):
         series["irradiance_time"].values, utc("2024-05-21T09:00", "2024-05-21T09:00:02")
     )
     np.testing.assert_allclose(series["irradiance"].values, [[0.89, np.nan], [0.9, 0.8]], rtol=1e-6)
-    assert series["irradiance_fwhm"] == 2.5
-    assert series["irradiance"].dtype == np.float32
+    assert (series["irradiance_fwhm"], series["irradiance"].dtype) == (2.5, np.float32)
 
 
 def test_csv_stamps_may_each_have_their_zone(tmp_path):
@@ -332,8 +330,7 @@ def test_mutated_csv_raises_nothing_but_format_errors(tmp_path):
 
 @pytest.mark.parametrize("resolution", ["s", "ms", "us", "ns"])
 def test_every_time_resolution_comes_out_in_nanoseconds(resolution):
-    times = np.array(["2024-05-21T12:00:04", "2024-05-21T12:00:00"], f"datetime64[{resolution}]")
-    data = sky(times)
+    data = sky(np.array(["2024-05-21T12:00:04", "2024-05-21T12:00:00"], f"datetime64[{resolution}]"))
     series = open_irradiance(data, fwhm_nm=3)
     assert series["irradiance_time"].dtype == np.dtype("datetime64[ns]")
     np.testing.assert_array_equal(

@@ -34,8 +34,7 @@ def test_one_error_for_all_with_each_reason_once() -> None:
     def read(name: str) -> str:
         if name == "good":
             return name
-        msg = f"{name}: truncated: at 3"
-        raise FormatError(msg, code="file-truncated")
+        raise FormatError(f"{name}: truncated: at 3", code="file-truncated")
 
     assert for_all(["good"], read) == ["good"]
     with pytest.raises(FormatError) as caught:

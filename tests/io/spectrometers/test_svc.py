@@ -46,8 +46,7 @@ def test_a_reflectance(write) -> None:
     assert found["reflectance"].dims == ("spectrum", "wavelength")
     np.testing.assert_array_equal(found["reflectance"].values[0], SURFACE / PANEL)
     np.testing.assert_array_equal(found["wavelength"].values, GRID)
-    assert found["wavelength"].attrs["units"] == "nm"
-    assert found.attrs == {"instrument": "SVC"}
+    assert (found["wavelength"].attrs["units"], found.attrs) == ("nm", {"instrument": "SVC"})
     assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50.357", "ns")
     assert found["reference_time"].values[0] == np.datetime64("2025-05-27T07:39:23.357", "ns")
     assert found["latitude"].attrs["units"] == "degree"
@@ -69,8 +68,7 @@ def test_every_quantity_of_either_scan(write, scan, scanned, quantity, factor, u
     path = write(units=f"{quantity.capitalize()}, {quantity.capitalize()}")
     found = open_svc(path, None if scan == "reference" else quantity, scan=scan)
     np.testing.assert_allclose(found[quantity].values[0], scanned * factor, rtol=1e-14)
-    assert found[quantity].attrs["units"] == units
-    assert found.attrs["scan"] == scan
+    assert (found[quantity].attrs["units"], found.attrs["scan"]) == (units, scan)
     clock = {"target": "07:42:50.357", "reference": "07:39:23.357"}[scan]
     assert found["time"].values[0] == np.datetime64(f"2025-05-27T{clock}", "ns")
     assert "reference_time" not in found.coords
@@ -104,12 +102,10 @@ def test_the_detectors_are_told_apart(write) -> None:
     # of a file without overlap by its joins; of one that says nothing, not at all
     flat = np.arange(400.0, 2500.0, 10.0)
     removed = {"wavelength": flat, "panel": flat, "surface": flat / 2}
-    path = write(
-        "b.sig", **removed, factors="1.0, 1.0, 1.0 [Overlap: Remove @ 990,1900, Matching Type: None]"
-    )
-    names = open_svc(path)["detector"].values
-    assert flat[names == "VNIR"].max() == 990.0
-    assert flat[names == "SWIR2"].min() == 1910.0
+    names = open_svc(
+        write("b.sig", **removed, factors="1.0, 1.0, 1.0 [Overlap: Remove @ 990,1900, Matching Type: None]")
+    )["detector"].values
+    assert (flat[names == "VNIR"].max(), flat[names == "SWIR2"].min()) == (990.0, 1910.0)
     assert "detector" not in open_svc(write("c.sig", **removed, factors=None)).coords
 
 
@@ -430,8 +426,7 @@ def test_mutated_files_raise_nothing_but_format_errors(tmp_path, data) -> None:
     mutant = bytearray((german(text) if data.draw(st.booleans()) else text).encode())
     for _ in range(data.draw(st.integers(1, 6))):
         place = data.draw(st.integers(0, len(mutant)))
-        length = data.draw(st.integers(0, 12))
-        mutant[place : place + length] = data.draw(
+        mutant[place : place + data.draw(st.integers(0, 12))] = data.draw(
             st.one_of(
                 st.binary(max_size=6),
                 st.sampled_from([b",", b"=", b"\n", b"[", b"1e400", b"nan", b"9" * 400, b"-", b"data=\n"]),
@@ -452,8 +447,7 @@ def test_mutated_files_raise_nothing_but_format_errors(tmp_path, data) -> None:
 @given(latitude=st.floats(-90, 90), longitude=st.floats(-180, 180), comma=st.booleans(), blanks=st.booleans())
 def test_any_position_comes_back(latitude, longitude, comma, blanks) -> None:
     def text(angle, width, letters):
-        minutes = round(abs(angle) * 60e4)
-        degrees, rest = divmod(minutes, 600_000)
+        degrees, rest = divmod(round(abs(angle) * 60e4), 600_000)
         made = f"{degrees:0{width}d}{rest // 10_000:02d}.{rest % 10_000:04d}{letters[angle < 0]}"
         return (made.replace(".", ",") if comma else made).ljust(16 if blanks else 0)
 

@@ -105,18 +105,15 @@ def test_gps_time_finds_its_date(moment, zone, wrong) -> None:
     longitude = max(-180.0, min(180.0, 15.0 * hours))
     local = moment + dt.timedelta(hours=hours, seconds=wrong)
     gps = moment - dt.datetime.combine(moment.date(), dt.time())
-    assert utc_of(local, gps, longitude, None) == moment
-    assert utc_of(local, gps, float("nan"), hours) == moment
+    assert (utc_of(local, gps, longitude, None), utc_of(local, gps, float("nan"), hours)) == (moment, moment)
     assert utc_of(local, None, longitude, hours) == local - dt.timedelta(hours=hours)
     assert utc_of(local, None, longitude, None) is None
 
 
 def test_times_of_several_files(tmp_path) -> None:
     blank = {"gpstime": " , ", "latitude": " , ", "longitude": " , "}
-    dates = {"a": "5/6/2025", "b": "5/27/2025"}
-    for name, date in dates.items():
-        text = svc_text(time=f"{date} 9:39:32 AM, {date} 9:42:59 AM", **blank)
-        (tmp_path / f"{name}.sig").write_text(text)
+    for name, date in {"a": "5/6/2025", "b": "5/27/2025"}.items():
+        (tmp_path / f"{name}.sig").write_text(svc_text(time=f"{date} 9:39:32 AM, {date} 9:42:59 AM", **blank))
     with pytest.warns(PaintWarning, match="a.sig.*date-ambiguous"):
         assert np.isnat(open_svc(tmp_path / "a.sig", utc_offset_h=-5)["time"].values).all()
     found = open_svc(tmp_path, utc_offset_h=-5)["time"].values
