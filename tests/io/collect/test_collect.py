@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import CollectError
 from hyperpaint.io.collect.collect_toml import open_collect, read_collect
@@ -292,15 +291,3 @@ def test_one_problem_shared_by_the_lines_is_said_once(folder: Path) -> None:
     text = problems_of(folder / "collect.toml", opened=True)
     assert text.count("header-wrong") == 1
     assert "no line times" not in text
-
-
-@settings(max_examples=120)
-@given(data=st.text(max_size=25), place=st.integers(0, 700), cut=st.integers(0, 25))
-def test_mutated_files_raise_only_collect_errors(simulated: Path, data: str, place: int, cut: int) -> None:
-    whole = (simulated / "collect.toml").read_text()
-    path = simulated / "mutated.toml"
-    path.write_text(whole[:place] + data + whole[place + cut :], encoding="utf-8", errors="replace")
-    try:
-        read_collect(path)
-    except CollectError:
-        return

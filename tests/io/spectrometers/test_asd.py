@@ -5,11 +5,9 @@ import os
 import re
 import struct
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from support.refusals import expect_refusals, refusal
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
@@ -380,29 +378,6 @@ def test_contradictory_headers(write_asd, offset, packed, problem):
     path.write_bytes(data)
     with pytest.raises(FormatError, match=problem):
         read_asd(path)
-
-
-@settings(
-    max_examples=150,
-    derandomize=True,
-)
-@given(data=st.data())
-def test_mutated_files_raise_nothing_but_format_errors(tmp_path, write_asd, data):
-    version = data.draw(st.integers(1, 8))
-    seed = write_asd(
-        "seed.asd", COUNTS[:20], version=version, reference=COUNTS[:20], labels=("x",), audit=("y",),
-        blocks={kind: (ms, block[:20]) for kind, (ms, block) in BLOCKS.items()},
-    ).read_bytes()  # fmt: skip
-    mutant = bytearray(seed)
-    for _ in range(data.draw(st.integers(1, 6))):
-        at_byte = data.draw(st.integers(0, len(mutant) - 1))
-        mutant[at_byte] = data.draw(st.sampled_from([0, 1, 0x7F, 0x80, 0xFE, 0xFF]))
-    mutant = mutant[: data.draw(st.integers(0, len(mutant)))] if data.draw(st.booleans()) else mutant
-    path = Path(tmp_path, "mutant.asd")
-    path.write_bytes(mutant)
-    with contextlib.suppress(FormatError):
-        file = read_asd(path)
-        assert file.wavelength.shape == file.spectrum.shape
 
 
 def test_declared_sizes_are_not_believed(write_asd, monkeypatch):

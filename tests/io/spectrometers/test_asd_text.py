@@ -1,6 +1,4 @@
-import contextlib
 import datetime as dt
-import random
 
 import numpy as np
 import pytest
@@ -160,35 +158,3 @@ def test_sniffing(tmp_path):
     ):
         path.write_text(content)
         assert sniff(path) == kind
-
-
-def test_mutated_exports_raise_nothing_but_format_errors(tmp_path):
-    generator = random.Random(20240521)
-    seeds = [
-        preamble() + "Wavelength,a.asd\n" + "".join(f"{nm}, 0.{nm} \n" for nm in range(350, 400)),
-        "Wavelength\ta\tb\n350\t1\t2\n351\t3\t4\n",
-        "Wavelength;350;351\na;1;3\nb;2;4\n",
-    ]
-    pieces = [
-        b"\0",
-        b"\n",
-        b"\r",
-        b",",
-        b";",
-        b"\t",
-        b"nan",
-        b"1e999",
-        b"-",
-        b"9" * 400,
-        b"\xff",
-        b"Wavelength,",
-        b"_",
-    ]
-    for _ in range(400):
-        mutant = bytearray(generator.choice(seeds).encode())
-        for _ in range(generator.randint(1, 5)):
-            start = generator.randrange(len(mutant))
-            mutant[start : start + generator.randint(0, 8)] = generator.choice(pieces)
-        with contextlib.suppress(FormatError):
-            text = read(tmp_path, bytes(mutant))
-            assert text.values.shape == (len(text.spectra), len(text.wavelength))

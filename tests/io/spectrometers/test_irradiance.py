@@ -1,6 +1,4 @@
-import contextlib
 import datetime as dt
-import random
 from pathlib import Path
 
 import numpy as np
@@ -309,20 +307,6 @@ def test_damaged_csv(tmp_path, text, problem):
     (tmp_path / "sky.csv").write_text(text)
     with pytest.raises(FormatError, match=problem):
         read_irradiance_csv(tmp_path / "sky.csv")
-
-
-def test_mutated_csv_raises_nothing_but_format_errors(tmp_path):
-    generator = random.Random(7)
-    pieces = ["\0", "\n", ",", "nan", "1e999", "-", "9" * 400, "\xff", "time,", "_", "#", "Z", ":"]
-    for _ in range(300):
-        mutant = CSV.format(z="Z")
-        for _ in range(generator.randint(1, 5)):
-            start = generator.randrange(len(mutant))
-            mutant = mutant[:start] + generator.choice(pieces) + mutant[start + generator.randint(0, 8) :]
-        (tmp_path / "sky.csv").write_text(mutant, "utf-8")
-        with contextlib.suppress(FormatError):
-            table = read_irradiance_csv(tmp_path / "sky.csv")
-            assert table.values.shape == (len(table.times), len(table.wavelength))
 
 
 # --- xarray and its stores

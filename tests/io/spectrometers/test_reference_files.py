@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
@@ -77,17 +77,12 @@ def test_no_pairs(tmp_path: Path, name: str, content: bytes, told: str) -> None:
         read_pairs(path)
 
 
-HEADS = st.sampled_from([b"", b'{"a":', b"a,b\n"])
-
-
-@settings(max_examples=150)
-@given(st.binary(max_size=80), st.sampled_from(["a.csv", "a.json"]), HEADS)
-def test_any_bytes_are_read_or_refused(tmp_path: Path, data: bytes, name: str, head: bytes) -> None:
-    path = tmp_path / name
+@given(st.binary(max_size=80), st.sampled_from([b"", b'{"a":', b'{"a":["b",']))
+def test_any_bytes_are_read_or_refused(tmp_path: Path, data: bytes, head: bytes) -> None:
+    path = tmp_path / "a.json"  # the fault campaign has the other form
     path.write_bytes(head + data)
-    for reader in (read_pairs, hp.io.read_certificate):
-        with contextlib.suppress(FormatError):
-            reader(path)
+    with contextlib.suppress(FormatError):
+        read_pairs(path)
 
 
 def test_all_bad_files_are_named(tmp_path: Path) -> None:
@@ -111,31 +106,3 @@ def test_a_store_without_references(tmp_path: Path) -> None:
     hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "s.zarr", "flightlines/raw_0")
     with pytest.raises(FormatError, match="library-missing"):
         open_references([tmp_path / "s.zarr"])
-
-
-@pytest.mark.parametrize(
-    ("heading", "wavelength", "value"),
-    [
-        ("nm;R", "400", "0.981"),
-        ("Wavelength [um];R [%]", "0.4", "98.1"),
-        ("wavelength_um;reflectance_%", "0.4", "98.1"),
-        ("Wavelength (nm);Reflectance (fraction)", "400", "0.981"),
-    ],
-)  # fmt: skip
-def test_units_in_the_heading_of_a_certificate_are_converted(
-    tmp_path: Path, heading: str, wavelength: str, value: str
-) -> None:
-    path = tmp_path / "panel.csv"
-    path.write_text(f"Target;95 %\n{heading}\n{wavelength};{value}\n{float(wavelength) * 1.1};{value}\n")
-    panel = hp.io.read_certificate(path)
-    np.testing.assert_allclose(panel.wavelength, [400.0, 440.0], rtol=1e-12)
-    np.testing.assert_allclose(panel, 0.981, rtol=1e-12)
-
-
-def test_a_dark_panel_in_percent_is_no_bright_one(tmp_path: Path) -> None:
-    path = tmp_path / "panel.csv"
-    path.write_text("nm;R [%]\n400;1.1\n450;1.2\n")
-    assert hp.io.read_certificate(path).values.tolist() == pytest.approx([0.011, 0.012])
-    path.write_text("nm;R [W m-2]\n400;0.9\n450;0.9\n")
-    with pytest.raises(FormatError, match="units-unknown"):
-        hp.io.read_certificate(path)

@@ -1,6 +1,5 @@
 """Dialects of ``.sig`` files, what is refused, and the way back from the simulator's own writer."""
 
-import contextlib
 import json
 import os
 import re
@@ -412,36 +411,6 @@ def test_any_scans_come_back(tmp_path, values, comma) -> None:
     assert not file.target.flags.writeable
     if file.has_reference:  # and no warning, since warnings are errors
         np.testing.assert_array_equal(open_svc(path)["reflectance"].values[0], surface / panel)
-
-
-@settings(
-    max_examples=150,
-    derandomize=True,
-)
-@given(data=st.data())
-@pytest.mark.slow
-def test_mutated_files_raise_nothing_but_format_errors(tmp_path, data) -> None:
-    dates = {"time": "5/27/2025 9:39:32 AM, 5/27/2025 9:42:59 AM"}
-    text = svc_text(GRID[::12], PANEL[::12], SURFACE[::12], **dates)
-    mutant = bytearray((german(text) if data.draw(st.booleans()) else text).encode())
-    for _ in range(data.draw(st.integers(1, 6))):
-        place = data.draw(st.integers(0, len(mutant)))
-        mutant[place : place + data.draw(st.integers(0, 12))] = data.draw(
-            st.one_of(
-                st.binary(max_size=6),
-                st.sampled_from([b",", b"=", b"\n", b"[", b"1e400", b"nan", b"9" * 400, b"-", b"data=\n"]),
-            )
-        )
-    path = Path(tmp_path, "mutant.sig")
-    path.write_bytes(mutant)
-    with warnings.catch_warnings(), contextlib.suppress(FormatError):
-        warnings.simplefilter("ignore", PaintWarning)
-        for options in ({}, {"overlap": "trim"}):
-            found = open_svc(path, **options)
-            (values,) = found.data_vars.values()
-            assert values.shape == (1, found["wavelength"].size)
-            assert not np.isinf(values.values).any()
-        describe_path(path)
 
 
 @given(latitude=st.floats(-90, 90), longitude=st.floats(-180, 180), comma=st.booleans(), blanks=st.booleans())
