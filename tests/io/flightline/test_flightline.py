@@ -1,28 +1,40 @@
 """A flight line from a Headwall folder made here by hand."""
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given, settings, strategies as st
+from support.codecs import plain_zarr
 from support.headwall_flights import (
     BANDS,
     COLUMNS,
     ELEMENT,
+    GAIN,
     LINES,
+    NM,
     T0,
     make_calibration,
     make_irradiance,
     open_line,
     write_cube,
     write_index,
-)  # fmt: skip
+    write_nav,
+)
+from support.refusals import expect_refusals
 
+import hyperpaint as hp
 from hyperpaint.base import schema
-from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, StoreError, TimeError
 from hyperpaint.io.envi.envi_cubes import EnviArray
+from hyperpaint.io.flightline.calibration_store import open_calibration
+from hyperpaint.io.flightline.flightline_opening import open_flightline
 from hyperpaint.io.navigation.navigation_records import read_imu_gps
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
@@ -294,3 +306,345 @@ def test_counts_of_another_type_are_refused(folder: Path, counts: np.ndarray[Any
 def test_an_exposure_of_years_is_refused(folder: Path) -> None:
     with pytest.raises(TimeError, match="value-out-of-range"):
         open_line(folder, exposure_time=1e19)
+
+
+# --- the calibration and the dark of a flight line --------------------------------------------------------
+
+
+# --- calibration -------------------------------------------------------------------------------------------
+
+
+def test_wavelengths_of_the_calibration_win(folder: Path) -> None:
+    own = make_calibration().assign_coords(wavelength=("band", [500.5, 600.5, 701.0], NM))
+    with pytest.warns(PaintWarning, match="wavelength-conflict"):
+        line = open_line(folder, calibration=own)
+    assert line["wavelength"].values.tolist() == [500.5, 600.5, 701.0]
+
+
+def test_a_calibration_of_another_camera_names_both(folder: Path) -> None:
+    with pytest.raises(SchemaError, match="grid-mismatch"):
+        open_line(folder, calibration=make_calibration().isel(band=slice(2)))
+
+
+def test_gain_in_microwatts_is_converted(folder: Path) -> None:
+    gain = make_calibration()["radiance_gain"].copy(data=np.full((BANDS, COLUMNS), 2e-4))
+    gain.attrs["units"] = "uW cm-2 sr-1 nm-1 s count-1"
+    line = open_line(folder, calibration=make_calibration(radiance_gain=gain))
+    np.testing.assert_allclose(line["radiance_gain"], 2e-6, rtol=1e-7)
+
+
+def test_a_calibration_says_all_that_is_wrong_with_it() -> None:
+    wrong = make_calibration()
+    del wrong["radiance_gain"].attrs["units"]
+    wrong = wrong.assign_coords(fwhm=("band", [6.0, -6.0, 6.0], NM)).drop_vars("wavelength")
+    wrong.attrs["srf_shape"] = "box"
+    with pytest.raises(SchemaError) as caught:
+        open_calibration(wrong)
+    text = str(caught.value)
+    assert all(
+        part in text for part in ("no units", "'fwhm' is not finite", "'wavelength' is missing", "'box'")
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "match"), [(0.0, "zero, negative"), (-1.0, "zero, negative"), (np.inf, "infinite")]
+)
+def test_impossible_gains(value: float, match: str) -> None:
+    calibration = make_calibration()
+    calibration["radiance_gain"].values[0, 0] = value
+    with pytest.raises(SchemaError, match=match):
+        open_calibration(calibration)
+
+
+def test_bad_elements_are_nan_but_not_all() -> None:
+    calibration = make_calibration()
+    calibration["radiance_gain"].values[0, 0] = np.nan
+    assert np.isnan(open_calibration(calibration)["radiance_gain"].values).sum() == 1
+    calibration["radiance_gain"].values[:] = np.nan
+    with pytest.raises(SchemaError, match="NaN everywhere"):
+        open_calibration(calibration)
+
+
+def test_an_unsaid_line_shape_is_told() -> None:
+    calibration = make_calibration()
+    del calibration.attrs["srf_shape"]
+    with pytest.warns(PaintWarning, match="Gaussian"):
+        assert open_calibration(calibration).attrs["srf_shape"] == "gaussian"
+
+
+def test_a_tabulated_line_shape_needs_its_table() -> None:
+    calibration = make_calibration().assign_attrs(srf_shape="tabulated")
+    with pytest.raises(SchemaError, match="variable-missing"):
+        open_calibration(calibration)
+    table = calibration.assign(srf=(("band", "srf_offset"), np.ones((BANDS, 5)), {"units": "1"}))
+    table = table.assign_coords(srf_offset=("srf_offset", np.arange(-2.0, 3.0), NM))
+    assert open_calibration(table)["srf"].dims == ("band", "srf_offset")
+
+
+def test_a_tabulated_line_shape_goes_with_the_line(folder: Path) -> None:
+    table = make_calibration(srf=(("band", "srf_offset"), np.ones((BANDS, 5)), {"units": "1"}))
+    table = table.assign_coords(srf_offset=("srf_offset", np.arange(-2.0, 3.0), NM))
+    line = open_line(folder, calibration=table.assign_attrs(srf_shape="tabulated"))
+    assert (line["srf"].dtype, line["srf_offset"].values.tolist()) == (np.float64, [-2, -1, 0, 1, 2])
+    assert line.attrs["srf_shape"] == "tabulated"
+
+
+@pytest.mark.parametrize("suffix", [".zarr", ".nc"])
+def test_calibration_stores(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"calibration{suffix}"
+    calibration = make_calibration(radiance_gain_u=(ELEMENT, np.ones((BANDS, COLUMNS))))
+    if suffix == ".zarr":
+        plain_zarr(calibration, path)
+    else:
+        pytest.importorskip("h5netcdf")
+        calibration.to_netcdf(path, engine="h5netcdf")
+    opened = open_calibration(path)
+    assert opened["radiance_gain"].dtype == np.float32
+    assert "radiance_gain_u" in opened
+    xr.testing.assert_allclose(opened.drop_attrs(), open_calibration(calibration).drop_attrs())
+
+
+def test_what_is_no_calibration_store(tmp_path: Path) -> None:
+    expect_refusals(
+        (FormatError, "file-not-found", lambda: open_calibration(tmp_path / "none.zarr")),
+        (FormatError, "file-unreadable", lambda: open_calibration(tmp_path)),
+    )
+    (tmp_path / "a.nc").write_bytes(b"CDF\x01 is not enough")
+    with pytest.raises(FormatError, match="file-unreadable"):
+        open_calibration(tmp_path / "a.nc")
+
+
+# --- dark --------------------------------------------------------------------------------------------------
+
+
+def test_dark_is_the_mean_of_its_lines(folder: Path) -> None:
+    frames = np.fromfile(folder / "dark" / "raw_0", "u2").reshape(40, BANDS, COLUMNS).astype(np.float64)
+    line = open_line(folder)
+    np.testing.assert_allclose(line["dark_counts"], frames.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(line["read_noise"] ** 2, frames.var(axis=0, ddof=1) - 1 / 12, rtol=1e-5)
+    assert line.attrs["dark_source"] == "raw_0.hdr (40 lines)"
+
+
+def test_read_noise_of_the_calibration_stands(folder: Path) -> None:
+    calibration = make_calibration(read_noise=((), 0.5, {"units": "count"}))
+    assert float(open_line(folder, calibration=calibration)["read_noise"]) == 0.5
+
+
+def test_no_dark_must_be_said(folder: Path) -> None:
+    with pytest.raises(SchemaError, match='dark="none"'):
+        open_line(folder, dark=None)
+    line = open_line(folder, dark="none")
+    assert (line["dark_counts"] == 0).all()
+    assert (line["dark_counts"].dtype, line.attrs["dark_source"]) == (np.float32, "none")
+
+
+def test_the_dark_of_a_calibration(folder: Path) -> None:
+    stored = (ELEMENT, np.full((BANDS, COLUMNS), 42.5), {"units": "count"})
+    line = open_line(folder, dark="calibration", calibration=make_calibration(dark_counts=stored))
+    assert (line["dark_counts"] == 42.5).all()
+    with pytest.raises(SchemaError, match="'dark_counts' is missing"):
+        open_line(folder, dark="calibration")
+
+
+def test_darks_of_known_times_are_kept_apart(folder: Path) -> None:
+    paths = []
+    for name, frames, level in (("after", np.arange(60, 70), 30), ("before", np.arange(10), 10)):
+        cube = np.full((10, BANDS, COLUMNS), level, np.uint16)
+        paths.append(write_cube(folder / name, f"raw_{frames[0]}", cube, ";Exposure (ms) = 5\n"))
+        write_index(folder / name / f"frameIndex_{frames[0]}.txt", frames)
+        write_nav(folder / name / "imu_gps.txt")
+    line = open_line(folder, dark=paths)
+    assert line["dark_counts"].dims == ("dark_time", "band", "cross_track")
+    assert line["dark_counts"].values[:, 0, 0].tolist() == [10, 30]
+    assert line["dark_time"].dtype == "datetime64[ns]"
+    assert ((line["dark_time"].values - T0) / np.timedelta64(1, "ms")).tolist() == [31.5, 451.5]
+    assert line["dark_exposure_time"].values.tolist() == [0.005, 0.005]
+
+
+@pytest.mark.real_data
+def test_the_real_headwall_dark_is_a_dark(shared_data: Path, tmp_path: Path) -> None:
+    shape = (978, 1600)
+    calibration = xr.Dataset(
+        {"radiance_gain": (ELEMENT, np.ones(shape, np.float32), GAIN)},
+        {"wavelength": ("band", np.linspace(379, 1001, 978), NM), "fwhm": ("band", np.full(978, 3.0), NM)},
+        {"srf_shape": "gaussian"},
+    )  # fmt: skip
+    path = shared_data / "envi_cube" / "darkReference.hdr"
+    line = open_flightline(
+        path, dark=path, calibration=calibration, exposure_time=0.005, start_time=T0, frame_period=0.007
+    )
+    assert float(line["dark_counts"].mean(dtype="float64")) == pytest.approx(13.97111260, abs=5e-9)
+    assert line["counts"].shape == (1, *shape)
+    assert json.loads(line.attrs["envi_comments"])["Serial Number"]
+
+
+# --- calibration stores that hyperpaint wrote must be whole; those of others are in test_any_zarr ---------
+
+
+@pytest.fixture
+def calibration() -> xr.Dataset:
+    gain = np.linspace(1e-10, 2e-10, 12, dtype=np.float32).reshape(3, 4)
+    return xr.Dataset(
+        {"radiance_gain": (("band", "cross_track"), gain, {"units": "W m-2 sr-1 nm-1 s count-1"})},
+        {
+            "wavelength": ("band", [500.0, 550.0, 600.0], {"units": "nm"}),
+            "fwhm": ("band", [6.0, 6.0, 6.0], {"units": "nm"}),
+        },
+        {"srf_shape": "slit"},
+    )
+
+
+def _chunk_lost(group: Path) -> None:
+    shutil.rmtree(group / "radiance_gain" / "c")
+
+
+def _array_lost(group: Path) -> None:
+    shutil.rmtree(group / "fwhm")
+
+
+def _attributes_changed(group: Path) -> None:
+    document = json.loads((group / "zarr.json").read_text())
+    document["attributes"]["srf_shape"] = "gaussian"
+    (group / "zarr.json").write_text(json.dumps(document))
+
+
+def _chunk_damaged(group: Path) -> None:
+    chunk = group / "fwhm/c/0"
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+
+
+@pytest.mark.parametrize("where", [None, "calibration"])
+@pytest.mark.parametrize("damage", [_chunk_lost, _array_lost, _attributes_changed, _chunk_damaged])
+def test_what_we_wrote_must_be_whole(
+    damage: Callable[[Path], None], where: str | None, calibration: xr.Dataset, tmp_path: Path
+) -> None:
+    path = tmp_path / "cal.zarr"
+    hp.to_store(calibration, path, where)
+    np.testing.assert_array_equal(open_calibration(path).radiance_gain, calibration.radiance_gain)
+    damage(path / (where or ""))
+    with pytest.raises(FormatError, match="file-unreadable"):
+        open_calibration(path)
+
+
+# --- integers are counts of a flight line where their header, a dark or the user says so ------------------
+
+
+WORDLESS = {"description": "{hood}"}
+
+
+def _rewrite(folder: Path, counts: np.ndarray[Any, Any], **fields: str) -> None:
+    write_cube(folder / "flight", "raw_0", counts, **{**WORDLESS, **fields})
+
+
+def test_a_dark_says_that_integers_are_counts(folder: Path, counts: np.ndarray[Any, Any]) -> None:
+    _rewrite(folder, counts)
+    write_cube(folder / "dark", "raw_0", np.full_like(counts, 100), **WORDLESS)
+    line = open_line(folder)
+    np.testing.assert_array_equal(line["counts"].values, counts)
+    assert float(line["dark_counts"].mean()) == 100
+
+
+@pytest.mark.parametrize("said", [{"quantity": "counts", "dark": "none"}, {"dark": "none"}])
+def test_so_does_the_user(folder: Path, counts: np.ndarray[Any, Any], said: dict[str, Any]) -> None:
+    _rewrite(folder, counts)
+    assert open_line(folder, **said)["counts"].shape == counts.shape
+
+
+def test_otherwise_they_are_refused_with_the_ways_out(folder: Path, counts: np.ndarray[Any, Any]) -> None:
+    _rewrite(folder, counts)
+    with pytest.raises(FormatError, match="quantity-ambiguous"):
+        open_line(folder, dark=None)
+
+
+@pytest.mark.parametrize("said", [{}, {"quantity": "radiance"}])
+def test_integers_with_units_of_radiance_are_no_counts(
+    folder: Path, counts: np.ndarray[Any, Any], said: dict[str, Any]
+) -> None:
+    # Rationale: a vendor's radiance in integers opened as counts, and its units were of no account
+    _rewrite(folder, counts)
+    said = {"radiance_units": "uW m-2 sr-1 nm-1", "dark": None, "calibration": None, **said}
+    line = open_line(folder, **said, fwhm_nm=6.0)
+    assert "counts" not in line
+    assert line["radiance"].shape == (LINES, BANDS, counts.shape[2])
+    np.testing.assert_allclose(line["radiance"].values[3, 1, 2], counts[3, 1, 2] * 1e-6, rtol=1e-6)
+
+
+def test_a_dark_that_is_radiance_is_refused(folder: Path, counts: np.ndarray[Any, Any]) -> None:
+    write_cube(folder / "dark", "raw_0", counts, description="{[HEADWALL Hyperspec III],RADIANCE}")
+    with pytest.raises(FormatError, match="counts-missing"):
+        open_line(folder)
+
+
+def test_what_the_user_says_against_the_header_is_refused(folder: Path) -> None:
+    with pytest.raises(FormatError, match=r"header.* counts"):
+        open_line(folder, quantity="radiance", radiance_units="W m-2 sr-1 nm-1")
+
+
+# --- the line table: every number keeps its bits, and the pose is read again as navigation ----------------
+
+
+POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
+START = np.datetime64("2024-06-01T12:00:00.000000001", "ns")
+
+
+def line_of(pose: dict[str, Any], lines: int = 3) -> xr.Dataset:
+    coords = {
+        name: ("along_track", np.asarray(pose[name], float), schema.VARIABLES[name].attrs) for name in POSE
+    }
+    return xr.Dataset(
+        {
+            "reflectance": (schema.CUBE, np.zeros((lines, 2, 4), "f4"), {"units": "1"}),
+            "irradiance_age": ("along_track", np.linspace(0, 1, lines, dtype="f4"), {"units": "s"}),
+            "exposure_time": ((), 5e-3, {"units": "s"}),
+            "wavelength_note": ("band", ["a", "b"]),
+        },
+        {
+            "time": ("along_track", START + np.arange(lines) * np.timedelta64(7, "ms")),
+            "frame": ("along_track", np.arange(10, 10 + lines)),
+            "comment": ("along_track", ["x,y"] * lines),
+            **coords,
+        },
+        Convention(column_order="left_to_right", stamp_reference="end").to_attrs(),
+    )
+
+
+def test_a_table_of_lines(tmp_path: Path) -> None:
+    line = line_of({name: [0.1, np.nan, 1 / 3] for name in POSE})
+    line["time"] = line.time.where(line.frame != 11)
+    text = hp.io.write_line_table(line, tmp_path / "lines.csv").read_text().splitlines()
+    assert "# convention_column_order: left_to_right" in text
+    rows = [row for row in text if not row.startswith("#")]
+    assert rows[0] == (
+        "line,frame,time,latitude [degree],longitude [degree],altitude [m],roll [degree],pitch [degree],"
+        "heading [degree],exposure_time [s],irradiance_age [s]"
+    )
+    assert rows[1] == "0,10,2024-06-01T12:00:00.000000001Z,0.1,0.1,0.1,0.1,0.1,0.1,0.005,0.0"
+    assert rows[2] == "1,11,,,,,,,,0.005,0.5"
+    flight = hp.open_navigation(tmp_path / "lines.csv")
+    assert flight.attrs["rows_without_time"] == 1
+    assert Convention.from_attrs(flight.attrs) == Convention.from_attrs(line.attrs)
+    assert "assumed" not in flight.attrs
+
+
+@settings(max_examples=30)
+@given(st.data())
+def test_the_pose_comes_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    lines = data.draw(st.integers(1, 8))
+    number = st.floats(-90.0, 90.0) | st.just(float("nan"))
+    pose = {name: data.draw(st.lists(number, min_size=lines, max_size=lines)) for name in POSE}
+    line = line_of(pose, lines)
+    flight = hp.open_navigation(hp.io.write_line_table(line, tmp_path_factory.mktemp("table") / "lines.csv"))
+    for name in POSE:
+        np.testing.assert_array_equal(flight[name], line[name])
+    np.testing.assert_array_equal(flight.navigation_time, line.time)
+
+
+def test_what_is_no_line_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match="dim-missing"):
+        hp.io.write_line_table(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lines.csv")
+    path = hp.io.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), tmp_path / "lines.csv")
+    with pytest.raises(StoreError, match="overwrite=True"):
+        hp.io.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), path)
+    assert [one.name for one in tmp_path.iterdir()] == ["lines.csv"]
