@@ -116,14 +116,6 @@ def test_frame_index_in_whole_seconds_is_straightened(tmp_path: Path) -> None:
     assert (np.diff(index.stamp) > 0).all()
 
 
-def test_whole_seconds_need_a_steady_rate(tmp_path: Path) -> None:
-    with pytest.raises(TimeError, match="frame-rate-unknown"):
-        read_frame_index(write(tmp_path / "f.txt", "Frame#\tTime\n0\t10:00:00\n1\t10:00:00\n2\t10:00:01\n"))
-    text = "Frame#\tTime\n0\t10:00:00\n1\t10:00:01\n2\t10:00:02\n3\t10:00:30\n"
-    with pytest.raises(TimeError, match="steady"):
-        read_frame_index(write(tmp_path / "f.txt", text))
-
-
 @pytest.mark.parametrize(
     ("text", "error", "match"),
     [
@@ -141,6 +133,9 @@ def test_whole_seconds_need_a_steady_rate(tmp_path: Path) -> None:
         ("", FormatError, "header"),
         ("Frame#\tTime\n0\t25:00:00 1\n", FormatError, "line 2"),
         ("Frame#\tTimestamp\n0\t5\n\0\0", FormatError, "binary"),
+        # whole seconds need a steady rate
+        ("Frame#\tTime\n0\t10:00:00\n1\t10:00:00\n2\t10:00:01\n", TimeError, "frame-rate-unknown"),
+        ("Frame#\tTime\n0\t10:00:00\n1\t10:00:01\n2\t10:00:02\n3\t10:00:30\n", TimeError, "steady"),
     ],
 )
 def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], match: str) -> None:
@@ -216,13 +211,13 @@ def test_sums_of_a_dark_cube_are_exact() -> None:
 
 
 def test_sum_dark_refuses_what_is_no_raw_cube() -> None:
-    dims = ("along_track", "band", "cross_track")
-    with pytest.raises(FormatError, match="float32"):
-        sum_dark(xr.DataArray(np.zeros((2, 2, 2), np.float32), dims=dims), "dark")
-    with pytest.raises(FormatError, match="empty-input"):
-        sum_dark(xr.DataArray(np.zeros((0, 2, 2), np.uint16), dims=dims), "dark")
-    with pytest.raises(FormatError, match="expected"):
-        sum_dark(xr.DataArray(np.zeros((2, 2), np.uint16), dims=("y", "x")), "dark")
+    for values, dims, match in (
+        (np.zeros((2, 2, 2), np.float32), CUBE, "float32"),
+        (np.zeros((0, 2, 2), np.uint16), CUBE, "empty-input"),
+        (np.zeros((2, 2), np.uint16), ("y", "x"), "expected"),
+    ):
+        with pytest.raises(FormatError, match=match):
+            sum_dark(xr.DataArray(values, dims=dims), "dark")
 
 
 @pytest.mark.real_data
@@ -271,14 +266,10 @@ def cube(
 def test_one_cube_is_the_mean_of_its_lines_and_their_spread() -> None:
     counts = frames(20)
     dark = open_dark(cube(counts, exposure=0.005), Timing(), None, LINE)
-    assert dark is not None
-    assert (dark.counts.dims, dark.counts.dtype) == (ELEMENT, np.float32)
+    assert (dark.counts.dims, dark.counts.dtype, dark.read_noise.dtype) == (ELEMENT, np.float32, np.float32)
     np.testing.assert_allclose(dark.counts, counts.mean(axis=0, dtype="f8"), rtol=1e-6)
-    assert dark.read_noise is not None
-    assert dark.read_noise.dtype == np.float32
     variance = counts.var(axis=0, ddof=1, dtype="f8")
     np.testing.assert_allclose(dark.read_noise, np.sqrt(variance - 1 / 12), rtol=1e-6)
-    assert dark.uncertainty is not None
     np.testing.assert_allclose(dark.uncertainty, np.sqrt(variance / 20), rtol=1e-6)
     made = dark.variables(needs_noise=True)
     assert (float(made["dark_exposure_time"]), set(dark.variables(needs_noise=False))) == (
@@ -290,22 +281,18 @@ def test_one_cube_is_the_mean_of_its_lines_and_their_spread() -> None:
 def test_few_lines_measure_no_noise_of_elements() -> None:
     counts = frames(15)
     dark = open_dark(cube(counts), Timing(), None, LINE)
-    assert dark is not None
     assert dark.read_noise is None
     # their mean is less sure than that of many, which must not be unsaid
     assert set(dark.variables(needs_noise=True)) == {"dark_counts", "dark_counts_u_random"}
-    assert dark.uncertainty is not None
     own = counts.var(axis=0, ddof=1, dtype="f8")
     np.testing.assert_allclose(dark.uncertainty, np.sqrt(((14 * own + 16 * own.mean()) / 30) / 15), rtol=1e-6)
     single = open_dark(cube(frames(1)), Timing(), None, LINE)
-    assert single is not None
     assert set(single.variables(needs_noise=True)) == {"dark_counts"}
 
 
 def test_cubes_of_known_times_stay_apart_in_order() -> None:
     late, early = frames(2, 1), frames(3, 2)
     dark = open_dark([cube(late, 60, 0.004), cube(early, 0, 0.005)], Timing(), None, LINE)
-    assert dark is not None
     assert dark.counts.dims == ("dark_time", *ELEMENT)
     np.testing.assert_allclose(dark.counts[0], early.mean(axis=0, dtype="f8"), rtol=1e-6)
     np.testing.assert_allclose(dark.counts[1], late.mean(axis=0, dtype="f8"), rtol=1e-6)
@@ -317,19 +304,12 @@ def test_cubes_of_known_times_stay_apart_in_order() -> None:
 def test_cubes_of_unknown_times_are_averaged_line_by_line() -> None:
     one, two = frames(2, 1), frames(5, 2)
     dark = open_dark([cube(one), cube(two, 0)], Timing(), None, LINE)
-    assert dark is not None
     np.testing.assert_allclose(dark.counts, np.concatenate([one, two]).mean(axis=0, dtype="f8"), rtol=1e-6)
     assert "averaged" in dark.source
 
 
-def test_different_exposures_are_not_averaged() -> None:
-    with pytest.raises(SchemaError, match=r"5 ms.*unknown.*exposure-conflict"):
-        open_dark([cube(frames(2), exposure=0.005), cube(frames(2))], Timing(), None, LINE)
-
-
 def test_none_and_the_calibrations() -> None:
     none = open_dark(DARK_NONE, Timing(), None, LINE)
-    assert none is not None
     assert none.counts.dtype == np.float32
     assert not none.counts.any()
     assert none.counts.attrs["dark"] == "none"
@@ -340,7 +320,6 @@ def test_none_and_the_calibrations() -> None:
         }
     )
     given = open_dark("calibration", Timing(), calibration, LINE)
-    assert given is not None
     assert (given.counts == 12.5).all()
     assert given.counts.dtype == np.float32
     assert given.exposures == (0.005,)
@@ -351,18 +330,21 @@ def test_what_failed_to_open_is_not_reported_again() -> None:
     assert open_dark("calibration", Timing(), None, LINE) is None
 
 
-@pytest.mark.parametrize("missing", [None, [], ()])
-def test_a_dark_must_be_named(missing: Any) -> None:
-    with pytest.raises(SchemaError, match="dark-missing"):
-        open_dark(missing, Timing(), None, LINE)
+HOLLOW = {"dark_counts": (ELEMENT, np.full((BANDS, COLUMNS), np.nan), {"units": "count"})}
 
 
-def test_wrong_shapes_and_contents_are_refused() -> None:
-    with pytest.raises(SchemaError, match="grid-mismatch"):
-        open_dark(cube(frames(2)), Timing(), None, LINE.isel(cross_track=[0, 1, 2, 3, 3]))
-    radiance = xr.Dataset({"radiance": (CUBE, np.ones((2, BANDS, COLUMNS), np.float32))})
-    with pytest.raises(FormatError, match="counts-missing"):
-        open_dark(radiance, Timing(), None, LINE)
-    hollow = xr.Dataset({"dark_counts": (ELEMENT, np.full((BANDS, COLUMNS), np.nan), {"units": "count"})})
-    with pytest.raises(SchemaError, match="not-finite"):
-        open_dark(hollow, Timing(), None, LINE)
+@pytest.mark.parametrize(
+    ("source", "columns", "error", "match"),
+    [
+        *((missing, COLUMNS, SchemaError, "dark-missing") for missing in (None, [], ())),
+        ([cube(frames(2), exposure=0.005), cube(frames(2))], COLUMNS, SchemaError,
+         r"5 ms.*unknown.*exposure-conflict"),
+        (cube(frames(2)), 5, SchemaError, "grid-mismatch"),
+        (xr.Dataset({"radiance": (CUBE, np.ones((2, BANDS, COLUMNS), np.float32))}), COLUMNS, FormatError,
+         "counts-missing"),
+        (xr.Dataset(HOLLOW), COLUMNS, SchemaError, "not-finite"),
+    ],
+)  # fmt: skip
+def test_what_is_no_dark(source: Any, columns: int, error: Any, match: str) -> None:
+    with pytest.raises(error, match=match):
+        open_dark(source, Timing(), None, xr.DataArray(np.zeros((2, BANDS, columns), np.uint16), dims=CUBE))

@@ -472,45 +472,25 @@ MARCH = dt.datetime(2024, 3, 5, 17, 8, 9)
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("texts", "expected"),
     [
-        "05.03.2024 17:08:09", "5.3.24 17:08:09", "2024-03-05 17:08:09", "2024-03-05T17:08:09",
-        "2024/03/05 5:08:09 PM", "05-Mar-24 17.08.09", "05-m\u00e4r-24 17.08.09", "5-mar-2024 17.08.09",
-        "05-03-2024 17:08:09", "2024/3/5 17:08:09.000",
+        (("05.03.2024 17:08:09", "5.3.24 17:08:09", "2024-03-05 17:08:09", "2024-03-05T17:08:09",
+          "2024/03/05 5:08:09 PM", "05-Mar-24 17.08.09", "05-m\u00e4r-24 17.08.09", "5-mar-2024 17.08.09",
+          "05-03-2024 17:08:09", "2024/3/5 17:08:09.000"), MARCH),
+        (("7/29/2017 1:54:23 AM",), dt.datetime(2017, 7, 29, 1, 54, 23)),
+        (("16/10/2024 10:47:58",), dt.datetime(2024, 10, 16, 10, 47, 58)),
+        (("7/18/10 9:47:09 AM",), dt.datetime(2010, 7, 18, 9, 47, 9)),
+        (("4/4/2024 12:00:00 AM",), dt.datetime(2024, 4, 4)),
+        (("4/4/2024 12:00:00 p.m.",), dt.datetime(2024, 4, 4, 12)),
+        (("11-lug-15 13.08.32", "11-juil.-15 13.08.32"), dt.datetime(2015, 7, 11, 13, 8, 32)),
+        (("11-\u00b2\u00b2\u00b2-15 13.08.32", "11 juillet 2015", "", "now", "32/13/2024 10:00:00",
+          "2024-02-30 10:00:00", "4/4/2024 13:00:00 PM", "4/4/2024 25:00:00", "4/4/0 10:00:00",
+          "0000-00-00 00:00:00", "\u0664/\u0664/2024 10:00:00x", "1/2/2024" + " " * 200), None),
     ],
 )  # fmt: skip
-def test_stamps_that_leave_no_doubt(text) -> None:
-    assert read_stamp(text).read(None) == MARCH
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("7/29/2017 1:54:23 AM", dt.datetime(2017, 7, 29, 1, 54, 23)),
-        ("16/10/2024 10:47:58", dt.datetime(2024, 10, 16, 10, 47, 58)),
-        ("7/18/10 9:47:09 AM", dt.datetime(2010, 7, 18, 9, 47, 9)),
-        ("4/4/2024 12:00:00 AM", dt.datetime(2024, 4, 4)),
-        ("4/4/2024 12:00:00 p.m.", dt.datetime(2024, 4, 4, 12)),
-        ("11-lug-15 13.08.32", dt.datetime(2015, 7, 11, 13, 8, 32)),
-        ("11-juil.-15 13.08.32", dt.datetime(2015, 7, 11, 13, 8, 32)),
-        ("11-\u00b2\u00b2\u00b2-15 13.08.32", None),
-        ("11 juillet 2015", None),
-    ],
-)
-def test_stamps_with_one_reading(text, expected) -> None:
-    stamp = read_stamp(text)
-    assert (stamp and stamp.read(None)) == expected
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "", "now", "32/13/2024 10:00:00", "2024-02-30 10:00:00", "4/4/2024 13:00:00 PM", "4/4/2024 25:00:00",
-        "4/4/0 10:00:00", "0000-00-00 00:00:00", "\u0664/\u0664/2024 10:00:00x", "1/2/2024" + " " * 200,
-    ],
-)  # fmt: skip
-def test_what_is_no_stamp(text) -> None:
-    assert read_stamp(text) is None
+def test_stamps(texts, expected) -> None:
+    stamps = [read_stamp(text) for text in texts]
+    assert [stamp and stamp.read(None) for stamp in stamps] == [expected] * len(texts)
 
 
 @given(moment=st.datetimes(dt.datetime(1995, 1, 1), dt.datetime(2090, 1, 1)))
@@ -533,23 +513,18 @@ def test_other_files_of_an_instrument_settle_the_order() -> None:
     assert orders(("a", "16.05.2024")) == {}  # another way to write, which tells nothing about slashes
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("090724.786", dt.timedelta(hours=9, minutes=7, seconds=24, milliseconds=786)),
-        ("235960.000", dt.timedelta(days=1)),
-        ("90724,5", dt.timedelta(hours=9, minutes=7, seconds=24.5)),
-        ("", None),
-    ],
-)
-def test_gps_times(text, expected) -> None:
-    assert read_gps_time(text) == expected
-
-
-@pytest.mark.parametrize("text", ["noon", "2460", "240000", "106000", "100061", "-10000", "1e5", "9" * 500])
-def test_what_is_no_gps_time(text) -> None:
-    with pytest.raises(ValueError, match="time of day, HHMMSS"):
-        read_gps_time(text)
+def test_gps_times() -> None:
+    times = [read_gps_time(text) for text in ("090724.786", "235960.000", "90724,5", "")]
+    at = dt.timedelta(hours=9, minutes=7)
+    assert times == [
+        at + dt.timedelta(seconds=24.786),
+        dt.timedelta(days=1),
+        at + dt.timedelta(seconds=24.5),
+        None,
+    ]
+    for text in ("noon", "2460", "240000", "106000", "100061", "-10000", "1e5", "9" * 500):
+        with pytest.raises(ValueError, match="time of day, HHMMSS"):
+            read_gps_time(text)
 
 
 @given(
