@@ -555,12 +555,12 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
     table = reader.one("geometry")
     reader.exclude("[geometry]", table, "ground", "dem")
     reader.exclude("[geometry]", table, "fov_deg", "look_angle")
-    geometry = {
+    geometry: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in values(table).items()
     }
-    for key in ("dem", "look_angle"):
-        if key in geometry:
-            geometry[key] = reader.path("[geometry]", key, geometry[key])
+    geometry |= {
+        key: reader.path("[geometry]", key, geometry[key]) for key in ("dem", "look_angle") if key in geometry
+    }
     return Collect(
         path=path,
         name=reader.collect_name,

@@ -342,10 +342,11 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
         )
         for number, name, milliseconds, *gains in heads:
             kind = _CALIBRATION_KINDS[number]
-            values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
-            milliseconds = nominal_integration_ms(milliseconds)
             calibrations[kind] = AsdCalibration(
-                _text_of_bytes(name), milliseconds, (gains[0], gains[1]), values
+                _text_of_bytes(name),
+                nominal_integration_ms(milliseconds),
+                (gains[0], gains[1]),
+                cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block"),
             )
     surplus = f"{cursor.remaining} bytes follow the last block of a version {version} file"
     refuse(path.name, (not cursor.at_end, Problem(surplus, code="file-damaged")))
