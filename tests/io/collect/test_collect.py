@@ -230,16 +230,6 @@ def test_every_problem_of_the_file_is_listed(folder: Path) -> None:
         assert part in text, part
 
 
-def test_duplicate_ids_are_refused_whatever_their_case(folder: Path) -> None:
-    path = change(folder, (r'^id = "raw_30"', 'id = "RAW_0"'))
-    assert "2 lines have the id 'raw_0'" in problems_of(path)
-
-
-@pytest.mark.parametrize("name", ["", "a/b", "..", ".hidden", "zarr.json", "c", "a b", "x" * 200])
-def test_ids_are_names_of_groups(folder: Path, name: str) -> None:
-    assert "id" in problems_of(change(folder, (r'^id = "raw_30"', f'id = "{name}"')))
-
-
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -261,6 +251,12 @@ def test_ids_are_names_of_groups(folder: Path, name: str) -> None:
         (r"^\[camera\]", "[[camera]]", "'camera' is"),
         (r"^\[\[flightlines\]\]", "[[lines]]", "no [[flightlines]]"),
         (r"^cubes = .*", "cubes = []", "expected a text or a list of texts"),
+        # ids are names of groups; some systems ignore case
+        (r'^id = "raw_30"', 'id = "RAW_0"', "2 lines have the id 'raw_0'"),
+        *(
+            (r'^id = "raw_30"', f'id = "{name}"', "[[flightlines]] 2 id = ")
+            for name in ("", "a/b", "..", ".hidden", "zarr.json", "c", "a b", "x" * 200)
+        ),
     ],
 )
 def test_one_problem_at_a_time(folder: Path, old: str, new: str, expected: str) -> None:
@@ -270,10 +266,9 @@ def test_one_problem_at_a_time(folder: Path, old: str, new: str, expected: str) 
 def test_the_place_of_a_mistake_in_the_toml_is_told(folder: Path) -> None:
     text = problems_of(change(folder, (r"^bit_depth = .*", "bit_depth = = 12")))
     assert "line 7" in text
-    (folder / "collect.toml").write_bytes(b"\xff\xfe")
-    assert "not TOML" in problems_of(folder / "collect.toml")
-    (folder / "collect.toml").write_text("a = " + "[" * 10_000)
-    assert "not TOML" in problems_of(folder / "collect.toml")
+    for content in (b"\xff\xfe", b"a = " + b"[" * 10_000):
+        (folder / "collect.toml").write_bytes(content)
+        assert "not TOML" in problems_of(folder / "collect.toml")
     assert "cannot be read" in problems_of(folder / "none.toml")
 
 

@@ -115,11 +115,15 @@ def test_times_beyond_the_table_of_leap_seconds_are_told(tmp_path: Path) -> None
         ({"longitude": 1e308}, "value-out-of-range"),  # in degrees beyond float64, and still no warning
         ({"roll": [0.0, np.inf]}, "roll is inf in record 2"),
         ({"altitude": 1e6}, "altitude is 1.*value-out-of-range"),
+        # all problems at once
+        ({"seconds": [-1.0, 2.0], "latitude": 3.0, "heading": 50.0}, "(?s)time is -1.*latitude.*heading"),
     ],
 )
 def test_sbet_with_impossible_values_is_refused(tmp_path: Path, columns: dict[str, Any], match: str) -> None:
     with pytest.raises(FormatError, match=match):
-        hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [1.0, 2.0], **columns), week=2158)
+        hp.open_navigation(
+            write_sbet(tmp_path / "flight.sbet", **{"seconds": [1.0, 2.0], **columns}), week=2158
+        )
 
 
 def test_sbet_of_part_records_or_backward_times_is_refused(tmp_path: Path) -> None:
@@ -130,13 +134,6 @@ def test_sbet_of_part_records_or_backward_times_is_refused(tmp_path: Path) -> No
             hp.open_navigation(path, week=2158)
     with pytest.raises(TimeError, match=r"record 3.*time-unordered"):
         hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [5.0, 6.0, 5.5]), week=2158)
-
-
-def test_all_problems_of_an_sbet_are_told_at_once(tmp_path: Path) -> None:
-    path = write_sbet(tmp_path / "flight.sbet", [-1.0, 2.0], latitude=3.0, heading=50.0)
-    with pytest.raises(FormatError) as caught:
-        hp.open_navigation(path, week=2158)
-    assert all(word in str(caught.value) for word in ("time is -1", "latitude", "heading"))
 
 
 @settings(max_examples=40)
@@ -293,20 +290,20 @@ def test_csv_clocks(tmp_path: Path, column: str, cell: str, expected: str) -> No
         (["# declination: west", CSV_HEADER, CSV_ROWS[0]], "'declination' is 'west'"),
         ([CSV_HEADER.replace("time", "unix_time"), "12,43,-77,150,0,0,0"], "units-missing"),
         ([CSV_HEADER.replace("time", "unix_time [s]"), "-12,43,-77,150,0,0,0"], "is negative"),
+        # all problems at once
+        (
+            [
+                "# time_scale: tai",
+                CSV_HEADER.replace("roll [degree]", "roll").replace("pitch [", "tilt ["),
+                CSV_ROWS[0],
+            ],
+            "(?s)time_scale.*'roll' has no unit.*no column of pitch",
+        ),
     ],
 )
 def test_csv_that_is_none_is_refused(tmp_path: Path, lines: list[str], match: str) -> None:
     with pytest.raises(FormatError, match=match):
         hp.open_navigation(write_csv(tmp_path / "flight.csv", *lines))
-
-
-def test_all_problems_of_a_csv_are_told_at_once(tmp_path: Path) -> None:
-    header = CSV_HEADER.replace("roll [degree]", "roll").replace("pitch [degree]", "tilt")
-    with pytest.raises(FormatError) as caught:
-        hp.open_navigation(write_csv(tmp_path / "f.csv", "# time_scale: tai", header, CSV_ROWS[0]))
-    assert all(
-        word in str(caught.value) for word in ("time_scale", "'roll' has no unit", "no column of pitch")
-    )
 
 
 def test_rows_without_a_time_are_counted(tmp_path: Path) -> None:
@@ -408,15 +405,12 @@ def test_several_files_follow_one_another(tmp_path: Path) -> None:
         hp.open_navigation([table, write_imu(tmp_path / "imu_gps.txt")])
     with pytest.raises(FormatError, match="empty-input"):
         hp.open_navigation([])
-
-
-def test_every_bad_file_is_named(tmp_path: Path) -> None:
-    bad = [tmp_path / "a.sbet", tmp_path / "b.sbet"]
+    # every bad file is named
+    bad = [tmp_path / "d.sbet", tmp_path / "e.sbet"]
     for path in bad:
         path.write_bytes(bytes(137))
-    with pytest.raises(FormatError) as caught:
-        hp.open_navigation([*bad, write_sbet(tmp_path / "c.sbet", [1.0])], week=2158)
-    assert all(path.name in str(caught.value) for path in bad)
+    with pytest.raises(FormatError, match=r"(?s)d\.sbet.*e\.sbet"):
+        hp.open_navigation([*bad, overlapping], week=2158)
 
 
 def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
@@ -551,23 +545,23 @@ def test_damage_is_counted_or_refused(tmp_path: Path) -> None:
         hp.open_navigation(path, format="nmea")
 
 
+ZDA = "GPZDA,115959.00,01,06,2024,00,00"
+
+
 @pytest.mark.parametrize(
     ("texts", "error", "problem"),
     [
         ((gga("120000.00"),), TimeError, "date-missing"),
-        ((gga("120000.00", "4399.0000,X,07736.0000,W"),), FormatError, "row-unreadable"),
-        (("GPZDA,120000.00,01,06,2024,00,00",), FormatError, "position-missing"),
-        ((gga("120000.00", "9930.0000,N,07736.0000,W"),), FormatError, "latitude is 99.5"),
+        ((ZDA, gga("120000.00", "4399.0000,X,07736.0000,W")), FormatError, "row-unreadable"),
+        ((ZDA,), FormatError, "position-missing"),
+        ((ZDA, gga("120000.00", "9930.0000,N,07736.0000,W")), FormatError, "latitude is 99.5"),
     ],
 )
 def test_what_is_no_log_is_refused(
     tmp_path: Path, texts: tuple[str, ...], error: type[Exception], problem: str
 ) -> None:
-    path = log_of(tmp_path / "log.txt", "GPZDA,115959.00,01,06,2024,00,00", *texts)
-    if error is TimeError:
-        path = log_of(tmp_path / "log.txt", *texts)
     with pytest.raises(error, match=problem):
-        hp.open_navigation(path, format="nmea")
+        hp.open_navigation(log_of(tmp_path / "log.txt", *texts), format="nmea")
 
 
 COLUMNS = (
@@ -598,14 +592,14 @@ def test_columns_of_a_table_without_a_header(tmp_path: Path, separator: str) -> 
 def test_wrong_columns_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "poses.txt"
     path.write_text("302400.5 43.1 -77.6 150 0.5 -1\n")
-    with pytest.raises(FormatError, match="line 1 without 8 cells"):
-        hp.open_navigation(path, columns=COLUMNS, week=2316)
-    with pytest.raises(FormatError, match="column-missing"):
-        hp.open_navigation(
-            path, columns=["utc", "lat [deg]", "lon [deg]", "alt [m]", "roll [deg]", "pitch [deg]"]
-        )
-    with pytest.raises(SchemaError, match="option-conflict"):
-        hp.open_navigation(path, columns=COLUMNS, format="sbet")
+    few = ["utc", "lat [deg]", "lon [deg]", "alt [m]", "roll [deg]", "pitch [deg]"]
+    for options, error, match in (
+        ({"columns": COLUMNS, "week": 2316}, FormatError, "line 1 without 8 cells"),
+        ({"columns": few}, FormatError, "column-missing"),
+        ({"columns": COLUMNS, "format": "sbet"}, SchemaError, "option-conflict"),
+    ):
+        with pytest.raises(error, match=match):
+            hp.open_navigation(path, **options)
 
 
 # --- navigation files of others: values known from other programs, signs, and what is refused -------------
@@ -652,12 +646,6 @@ def test_the_sign_of_the_wander_angle(shared_data: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_a_truncated_sbet_is_refused(shared_data: Path) -> None:
-    with pytest.raises(FormatError, match="file-truncated"):
-        hp.open_navigation(shared_data / "nav/badfile.sbet", week=1947)
-
-
-@pytest.mark.real_data
 def test_a_line_of_aviris(shared_data: Path) -> None:
     flight = hp.open_navigation(shared_data / "nav/ang20170323t202244_eph_att")
     assert flight.sizes["navigation_time"] == 17_540
@@ -679,7 +667,9 @@ def test_a_line_of_aviris(shared_data: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_attitude_alone_is_no_navigation(shared_data: Path) -> None:
+def test_a_truncated_sbet_and_attitude_alone_are_refused(shared_data: Path) -> None:
+    with pytest.raises(FormatError, match="file-truncated"):
+        hp.open_navigation(shared_data / "nav/badfile.sbet", week=1947)
     with pytest.raises(FormatError) as caught:
         hp.open_navigation(shared_data / "gps_imu/px4_attitude_69s.csv")
     assert all(f"no column of {name}" in str(caught.value) for name in ("latitude", "longitude", "altitude"))

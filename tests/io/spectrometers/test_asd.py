@@ -509,8 +509,7 @@ def test_decimal_comma_and_windows_words_for_nan(tmp_path):
     np.testing.assert_array_equal(text.values, [[0.25, np.nan, np.inf]])
     np.testing.assert_array_equal(text.wavelength, [350.5, 351.5, 352.5])
 
-
-def test_old_years_and_twelve_hour_clock(tmp_path):
+    # old years and a clock of twelve hours
     text = read(tmp_path, "Spectrum saved: 01/15/120 at 12:30:00 AM\nWavelength,a\n350,1\n")
     assert text.preamble["local_time"] == dt.datetime(2020, 1, 15, 0, 30)
 

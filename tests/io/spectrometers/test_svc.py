@@ -243,12 +243,9 @@ def test_a_reference_of_zero_is_nan_and_said(tmp_path, word) -> None:
     text = svc_text(panel=panel, percent=np.where(panel == 0, 12345.0, 100 * SURFACE / PANEL))
     path = tmp_path / "a.sig"
     path.write_text(text.replace("12345.00", word), "utf-8")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)
+    with pytest.warns(PaintWarning, match="samples-undefined"):
         found = open_svc(path)["reflectance"]
     np.testing.assert_array_equal(np.isnan(found.values[0]), GRID == 500.0)
-    with pytest.warns(PaintWarning, match="samples-undefined"):
-        open_svc(path)
 
 
 def test_a_column_that_contradicts_the_scans_is_flagged(write) -> None:
@@ -768,10 +765,7 @@ def test_times_and_places(folder: Path) -> None:
     assert np.isnan(found["latitude"].item())
     found = open_svc(folder / "241016_1051_R009_T014.sig", utc_offset_h=2)
     assert found["time"].values[0] == np.datetime64("2024-10-16T08:51:32", "ns")
-
-
-@pytest.mark.real_data
-def test_a_date_that_may_be_either_is_no_date(folder: Path) -> None:
+    # a date that may be either is no date
     with pytest.warns(PaintWarning, match="date-ambiguous"):
         found = open_svc(folder / "HR.020824.0000.sig")
     assert np.isnat(found["time"].values[0])
