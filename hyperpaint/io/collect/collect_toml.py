@@ -521,13 +521,10 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
 
 
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:
-    """Return the valid part of a ``collect.toml``, so that its valid files can be checked, too.
-
-    ``path``: the file; ``problems``: takes the faults, also those of inputs that are `Unavailable` in the
-    result; ``need_irradiance``: False if only radiance will be computed.
-
-    Raises `CollectError`: The file cannot be read, or is not TOML.
-    """
+    # Return the valid part of a ``collect.toml``, so that its valid files can be checked, too.
+    # ``path``: the file; ``problems``: takes the faults, also those of inputs that are `Unavailable` in the
+    # result; ``need_irradiance``: False if only radiance will be computed.
+    # Raises `CollectError`: The file cannot be read, or is not TOML.
     try:
         reader = _Reader(path, load_tables(path, "a collect.toml"), problems)
     except FormatError as error:
@@ -794,15 +791,9 @@ class JoinedLine:
 
 
 def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -> Iterator[JoinedLine]:
-    """Yield the lines that cubes of one flight form, in their order.
-
-    Parameters
-    ----------
-    lines
-        Line of each cube by its id, in the order of recording.
-    irradiance
-        The complete irradiance record, which is cut to every line; or None.
-    """
+    # Yield the lines that cubes of one flight form, in their order.
+    # ``lines``: line of each cube by its id, in the order of recording; ``irradiance``: the complete record,
+    # which is cut to every line, or None.
     groups: list[list[str]] = []
     reasons: list[str] = []
     for name in lines:

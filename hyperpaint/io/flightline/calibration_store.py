@@ -193,14 +193,10 @@ def _read(
 
 
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
-    """Return a calibration in the units, dims and dtypes of the table of variables, with all faults listed.
-
-    ``dataset``: see `open_calibration`; ``subject``: its name in messages.
-
-    Raises `SchemaError`: Variables, units or values are missing or impossible; all problems are listed.
-
-    Warns `PaintWarning`: The line shape is not declared; a Gaussian is assumed.
-    """
+    # Return a calibration in the units, dims and dtypes of the table of variables, with all faults listed.
+    # ``dataset``: see `open_calibration`; ``subject``: its name in messages.
+    # Raises `SchemaError`: Variables, units or values are missing or impossible; all problems are listed.
+    # Warns `PaintWarning`: The line shape is not declared; a Gaussian is assumed.
     problems = Problems(f"{subject} cannot be used as calibration", SchemaError)
     shape = dataset.attrs.get("srf_shape")
     names = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_SWEEP_RESULTS) if name in dataset.variables)]

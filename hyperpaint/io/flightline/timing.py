@@ -49,7 +49,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class LineTimes:
-    """Times and poses of the lines of a cube."""
+    # Times and poses of the lines of a cube.
 
     frame: NDArray[np.int64]  #: (along_track,): Frame numbers.
     recorded: NDArray[np.bool_]  #: (along_track,): False where the frame was dropped and the line is blank.

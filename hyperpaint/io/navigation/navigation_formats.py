@@ -73,7 +73,7 @@ _WEEKS_S = 2.0 * WEEK_S
 
 @dataclass(frozen=True)
 class Dialect:
-    """A format that is a table of numbers: its columns and their meaning."""
+    # A format that is a table of numbers: its columns and their meaning.
 
     name: str  # name of the format
     content: str  # content of a file, for messages

@@ -65,7 +65,7 @@ _UTC_COLUMN = "gps_utc_date&time"
 
 @dataclass(frozen=True)
 class PoseRecord:
-    """Content of one navigation file of any format."""
+    # Content of one navigation file of any format.
 
     name: str  # file name, for messages
     format: str  # name of the format

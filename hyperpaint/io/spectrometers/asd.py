@@ -124,7 +124,7 @@ class AsdCalibration(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AsdFile:
-    """Content of one ``.asd`` file; arrays are (wavelength), float64 and read-only."""
+    # Content of one ``.asd`` file; arrays are (wavelength), float64 and read-only.
 
     name: str  # file name without its folder
     version: int  # 1 to 8
@@ -484,7 +484,7 @@ _MAX_TEXT_BYTES = 512 * 2**20
 
 
 class AsdText(NamedTuple):
-    """Content of one text export; arrays are float64 and read-only."""
+    # Content of one text export; arrays are float64 and read-only.
 
     name: str  # file name without its folder
     instrument: str

@@ -65,7 +65,7 @@ _NO_POSITION = (math.nan, math.nan)
 
 
 class Dialect(NamedTuple):
-    """Form of a text of two scans, which differs between makers and programs."""
+    # Form of a text of two scans, which differs between makers and programs.
 
     instrument: str
     magic: re.Pattern[bytes]  # first bytes of a file
@@ -101,7 +101,7 @@ _CHANNELS = re.compile(r"HR-(\d{3,4})(?!\d)")
 
 @dataclass(frozen=True, eq=False)
 class SvcFile:
-    """Content of one ``.sig`` file; arrays are (wavelength), float64, read-only, in file order."""
+    # Content of one ``.sig`` file; arrays are (wavelength), float64, read-only, in file order.
 
     name: str  # file name without its folder
     header: Mapping[str, str]  # values by key (lower case), as text
