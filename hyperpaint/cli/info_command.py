@@ -177,7 +177,7 @@ def _svc(path: Path) -> Facts:
 
     file = read_svc(path)
     overlap = overlap_of(file.header)
-    yield "is", f"SVC spectrum, {file.header.get('instrument', 'instrument unknown')}"
+    yield "is", f"{file.dialect.instrument} spectrum, {file.header.get('instrument', 'instrument unknown')}"
     reference = "white reference and target" if file.has_reference else "target without white reference"
     yield "holds", f"{reference}, in {' and '.join(dict.fromkeys(file.units))}"
     yield "wavelength", f"{range_of(file.wavelength, 'nm')}, {counted(len(file.wavelength), 'channel')}"
@@ -199,7 +199,7 @@ def _asd_text(path: Path) -> Facts:
     from hyperpaint.io.spectrometers.asd import read_asd_text
 
     text = read_asd_text(path)
-    yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
+    yield "is", f"text export of {text.instrument} spectra: {len(text.spectra)} spectra"
     likely = text.likely_quantity
     yield "holds", f"{likely} (a guess from the plot range)" if likely else "unknown units"
     yield "wavelength", range_of(text.wavelength, "nm")
@@ -480,19 +480,21 @@ _BY_SUFFIX = {
     ".toml": _collect,
     ".zip": _store,
     ".hdr": _envi,
-    ".sig": _svc,
     **dict.fromkeys((".tif", ".tiff"), _geotiff),
     **dict.fromkeys((".geojson", *VECTOR_FILES), _regions),
 }
 #: Readers of files of field spectrometers by the kind of their content.
-_BY_CONTENT = {"binary": _asd, "text": _asd_text, "csv": _irradiance_csv}
+_BY_CONTENT = {"binary": _asd, "text": _asd_text, "scans": _svc, "csv": _irradiance_csv}
 
 
 def _file(path: Path) -> Facts:
     from hyperpaint.io.spectrometers.asd import sniff
+    from hyperpaint.io.spectrometers.svc import is_named_as_scans
 
     name, suffix = path.name.lower(), path.suffix.lower()
-    reader = _BY_SUFFIX.get(suffix) or (_poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path)))
+    reader = _svc if is_named_as_scans(path) else _BY_SUFFIX.get(suffix)
+    if reader is None:
+        reader = _poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path))
     if reader is None:
         headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
         rules = (

@@ -75,18 +75,14 @@ class _Reference(NamedTuple):
 def open_dark(
     source: Any, timing: Timing, calibration: xr.Dataset | None, cube: xr.DataArray | None
 ) -> Dark | None:
-    """Open the dark references of a line; None where the cube or the calibration failed to open.
-
-    Several references with known times are stacked along ``dark_time``; otherwise they are averaged.
-
-    ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
-    ``"calibration"``; ``timing``: clock settings of the flight, also for ``frameIndex_<N>.txt`` and
-    ``imu_gps.txt`` beside a dark cube; ``calibration``: calibration of the camera, or None if it failed to
-    open; ``cube``: counts of the line, or None if they failed to open.
-
-    Raises `SchemaError`: There is no dark, or a dark does not fit the cube. Raises `FormatError`: A file is
-    not a cube of raw counts.
-    """
+    # Open the dark references of a line; None where the cube or the calibration failed to open.
+    # Several references with known times are stacked along ``dark_time``; otherwise they are averaged.
+    # ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
+    # ``"calibration"``; ``timing``: clock settings of the flight, also for ``frameIndex_<N>.txt`` and
+    # ``imu_gps.txt`` beside a dark cube; ``calibration``: calibration of the camera, or None if it failed to
+    # open; ``cube``: counts of the line, or None if they failed to open.
+    # Raises `SchemaError`: There is no dark, or a dark does not fit the cube. Raises `FormatError`: A file is
+    # not a cube of raw counts.
     if source is None or (isinstance(source, (list, tuple)) and not source):
         raise SchemaError(
             "no dark reference",

@@ -19,9 +19,18 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.errors import (
+    FormatError,
+    PaintWarning,
+    Problem,
+    Problems,
+    SchemaError,
+    TimeError,
+    UnitsError,
+)
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
 from hyperpaint.base.units import conversion_factor
+from hyperpaint.io.files.reading import refuse
 from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
 
 _MAX_FRAME = 1 << 40
@@ -98,7 +107,7 @@ def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
 
 
 def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield the sources of a cube's exposure: ``settings.txt`` beside it, then the header's comments."""
+    # Yield the sources of a cube's exposure: ``settings.txt`` beside it, then the header's comments.
     if cube is not None:
         # ``settings.txt``, or ``<id>_settings.txt`` of ``<id>_raw``
         stem = cube.name.split(".")[0]
@@ -116,19 +125,27 @@ def find_exposure(
     """Return the exposure [s] and its source: the argument, ``settings.txt``, or the header's comments."""
     argument = None if exposure_time is None else np.asarray(exposure_time, np.float64)
     if argument is not None:
-        lines = opened.sizes.get(ALONG_TRACK)
-        if argument.ndim > 1 or (argument.ndim == 1 and lines is not None and argument.size != lines):
-            raise SchemaError(
-                f"{name}: exposure_time has shape {argument.shape}",
-                expected=f"a scalar or {lines} lines",
-                code="length-mismatch",
-            )
-        if not (np.isfinite(argument).all() and (argument > 0).all()):
-            raise SchemaError(
-                f"{name}: exposure_time {argument.min() * 1000.0:g} ms",
-                expected="a positive number",
-                code="value-out-of-range",
-            )
+        lines = opened.sizes.get(ALONG_TRACK, argument.size)
+        refuse(
+            name,
+            (
+                argument.ndim > 1 or (argument.ndim == 1 and argument.size != lines),
+                Problem(
+                    f"exposure_time has shape {argument.shape}",
+                    expected=f"a scalar or {lines} lines",
+                    code="length-mismatch",
+                ),
+            ),
+            (
+                not (np.isfinite(argument).all() and (argument > 0).all()),
+                Problem(
+                    f"exposure_time {np.min(argument, initial=np.inf) * 1000.0:g} ms",
+                    expected="a positive number",
+                    code="value-out-of-range",
+                ),
+            ),
+            error=SchemaError,
+        )
     stated: dict[str, float] = {}
     for source, pairs in exposure_sources(cube, opened):
         try:
@@ -342,7 +359,7 @@ def match_frames(
 
 @dataclass(frozen=True)
 class DarkFrames:
-    """Exact sums over the lines of one dark cube."""
+    # Exact sums over the lines of one dark cube.
 
     lines: int  #: Number of lines.
     # integers, so that the sums do not depend on the order of addition
@@ -356,19 +373,16 @@ class DarkFrames:
 
     @property
     def variance(self) -> NDArray[np.float64]:
-        """Variance over the lines with n - 1 in the denominator, (band, cross_track)."""
+        # Variance over the lines with n - 1 in the denominator, (band, cross_track).
         spread = self.squares.astype(np.float64) - self.total.astype(np.float64) * self.mean
         return np.maximum(spread, 0.0) / (self.lines - 1)
 
 
 def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
-    """Sum the lines of a dark cube in blocks of lines.
-
-    ``counts``: raw counts (along_track, band, cross_track), lazily indexed; ``subject``: name of the cube in
-    messages.
-
-    Raises `FormatError`: The counts are not a cube of unsigned integers with at least one line.
-    """
+    # Sum the lines of a dark cube in blocks of lines.
+    # ``counts``: raw counts (along_track, band, cross_track), lazily indexed; ``subject``: name of the cube
+    # in messages.
+    # Raises `FormatError`: The counts are not a cube of unsigned integers with at least one line.
     problems = Problems(f"{subject} cannot serve as dark reference", FormatError)
     if counts.dims != CUBE:
         problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
