@@ -15,6 +15,7 @@ from hyperpaint.simulation.rendering.appearance import coat_of_gloss, flakes_of_
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material, base_albedo
+from hyperpaint.simulation.rendering.platforms import platform_from_poses
 from hyperpaint.simulation.rendering.scene import Scene, box, plane
 from hyperpaint.simulation.rendering.scene_spectra import generate_paint, paint_spec, spectrum_of
 
@@ -87,6 +88,7 @@ REFUSED: list[tuple[type[PaintError], str, Callable[..., Any], tuple[Any, ...], 
     (SchemaError, "name-duplicate", Scene.join, ([plane(1.0, GREY), plane(1.0, OTHER, instance="b")],), {}),
     (SchemaError, "box.*name-duplicate", Scene.join, ([box((1, 1, 1), GREY)] * 2,), {}),
     (SchemaError, "fleet='rusty'", car_park, (), {"fleet": "rusty"}),
+    (SchemaError, "time is not an array", platform_from_poses, (["a", "b"], *[[0] * 2] * 6), {"columns": 2}),
     # light
     *((SchemaError, "wavelength", of_grid, (grid,), {}) for grid in NO_GRIDS),
     *((SchemaError, "wavelength", Atmosphere.clear, (30.0,), {"wavelength": grid}) for grid in NO_GRIDS),

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
+from hyperpaint.base.facts import is_number
 from hyperpaint.base.input_files import read_limited
 
 from .materials import Material
@@ -258,7 +259,10 @@ def strip_glb(data: bytes, where: str) -> Stripped:
         original = originals[place]
         component = original.get("componentType")
         _require(
-            original.get("type") == kind and component in _GLB_BYTES and "sparse" not in original,
+            original.get("type") == kind
+            and isinstance(component, int | float)
+            and component in _GLB_BYTES
+            and "sparse" not in original,
             f"{where}: accessor {place} is {original.get('type')!s:.20}",
             expected=f"plain numbers of type {kind}",
             code="accessor-type",
@@ -382,9 +386,15 @@ def _nodes(
             node["mesh"] = _whole_number(original, "mesh", meshes - 1, where=where)
         for key, count in (("matrix", 16), ("translation", 3), ("rotation", 4), ("scale", 3)):
             if key in original:
-                node[key] = [float(value) for value in _entries(original, key, int | float, where=where)]
-                found = f"{where}: node {place} has a {key} of {len(node[key])} numbers"
-                _require(len(node[key]) == count, found, expected=f"{count}", code="length-mismatch")
+                node[key] = _entries(original, key, int | float, where=where)
+                is_finite = all(map(is_number, node[key]))
+                _require(
+                    is_finite and len(node[key]) == count,
+                    f"{where}: node {place} has a {key} of {len(node[key])} numbers",
+                    expected=f"{count} finite numbers",
+                    code="length-mismatch" if is_finite else "not-finite",
+                )
+                node[key] = list(map(float, node[key]))
         if children := _entries(original, "children", int, where=where):
             node["children"] = children
         for child in children:

@@ -570,7 +570,7 @@ class Populations(NamedTuple):
     ratio: Floats32  # (row, band) member over mean
 
     def texture(self, material: Array, instance: Array, position: Array, seed: int) -> Texture:
-        # members of pixels at positions (3, line, column) [m]; see `texturing.member_rows`
+        # members of pixels at positions (3, line, column) [m]; see `transport.mixing.member_rows`
         return self.of_rows(member_rows(material, instance, position, self.grain, seed))
 
     def of_rows(self, rows: Array) -> Texture:
@@ -616,5 +616,5 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 def rows_of_pixels(
     material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
 ) -> Array:
-    """Return the member rows of pixels, (line, column); see `texturing.member_rows`."""
+    """Return the member rows of pixels, (line, column); see `transport.mixing.member_rows`."""
     return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

@@ -957,4 +957,7 @@ def _clock(
         poses, lines = (
             (times.astype("datetime64[ns]") - base) / np.timedelta64(1, "s") for times in (poses, lines)
         )
-    return base, finite_floats(poses, "time", problems), finite_floats(lines, "line_time", problems)
+    seconds, at = finite_floats(poses, "time", problems), finite_floats(lines, "line_time", problems)
+    if not seconds.size:
+        problems.raise_if_any()  # without times nothing else can be checked
+    return base, seconds, at
