@@ -333,7 +333,7 @@ class PaintAccessor:
         population: bool = True,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Return the radiance of a traced scene under an atmosphere, as a camera's bands see it."""
+        """Return the radiance of a traced scene under an atmosphere in the bands of a camera."""
 
 class PaintArrayAccessor:
     """Methods on one cube; each returns something new."""

@@ -1,13 +1,14 @@
 """A parametric car park: rows of bays with cars, aisles with grey panels, and what stands around them.
 
-The park lies between x = -width/2 (west) and +width/2 (east), and from y = 0 northwards, so that a flight
-line along x = 0 sees all of it. Across it lie grass with trees, a kerb, and then rows of bays and aisles in
-turns: two rows share an aisle, and stand back to back with the next two. In the east it ends at a wall.
-Random numbers come from generators keyed by (seed, bay, row), so that a longer park of the same seed contains
-the cars of the shorter one, under the same names.
+The park extends from x = -width/2 (west) to +width/2 (east), and from y = 0 northwards, so that a flight
+line along x = 0 images all of it. From west to east it has grass with trees, a kerb, rows of bays and aisles
+in turn, and a wall: two rows share an aisle, and are back to back with the next two. Generators of random
+numbers are keyed by (seed, bay, row), so that a longer park of the same seed contains the cars of the shorter
+one, under the same names.
 
-A crown is a cloud of leaves: two triangles each, bent along the midrib, most of them near the surface of a
-few overlapping blobs and turned any way around facing outwards. Leaves are Lambert and let no light through.
+A crown is a cloud of leaves of two triangles each, bent along the midrib, most of them near the surface of a
+few overlapping spheres, and facing outwards in random directions. Leaves of clean car parks are opaque
+Lambert surfaces; those of a real fleet's car park also transmit light.
 """
 
 from __future__ import annotations
@@ -37,39 +38,38 @@ BAY = (5.0, 2.5)
 MAX_ROWS = 199
 
 _ROUNDING_M = 1e-9  # by which a width may be too small for its rows
-_GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of what lies west of the first row [m]
+_GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of the strips west of the first row [m]
 _AISLE, _WIDEST_AISLE = 4.5, 6.5
 _KERB_HEIGHT, _LAWN = 0.12, 0.10  # above the asphalt [m]
 _ISLAND_PERIOD, _ISLAND_START = 11, 7  # bays
-_TUFTED = 2.5  # how far from the kerb the lawn has blades [m]
-_BEYOND = 7.0  # how far the asphalt goes on before the first bay and behind the last [m]
+_TUFTED = 2.5  # width of the strip of lawn with blades, from the kerb [m]
+_BEYOND = 7.0  # length of asphalt before the first bay and behind the last [m]
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
 _TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
-_LEAF = 0.20  # length of a leaf, or of the tuft that stands for several [m]
-_CREASE_DEG = 40.0  # of trunks and posts
+_LEAF = 0.20  # length of a leaf, or of a tuft that represents several [m]
+_CREASE_DEG = 40.0  # crease angle of trunks and posts
 _FLEET_SIZE = 5000  # different cars of a fleet: more than a car park has bays
-_CARS, _PAINTS, _TREES, _WEAR = 1, 2, 3, 4  # what a random number is for
+_CARS, _PAINTS, _TREES, _WEAR = 1, 2, 3, 4  # keys of random streams
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where things are in a car park; x from west to east, y from south to north [m].
+    """Positions of the parts of a car park; x from west to east, y from south to north [m].
 
     Attributes
     ----------
     length, width, margin, line_width
-        As of the car park.
+        Arguments of `car_park`.
     bays
-        Number of bays in a row, the last one perhaps only begun.
+        Number of bays in a row, including an incomplete last one.
     rows, aisles
-        West and east end of each.
+        West and east end of every row and aisle.
     islands
-        Bay and row of every island, which takes the place of a bay; those of two rows back to back lie
-        together.
+        Bay and row of every island, which replaces a bay; islands of two rows back to back are adjacent.
     kerb, east_kerb
         West and east end of the kerbs before the first row and behind the last.
     wall, west_trees, hedge
-        Position of the wall, of the line of trees just outside the park in the west, and of the hedge.
+        Position of the wall, of the line of trees outside the park in the west, and of the hedge.
     """
 
     length: float
@@ -147,8 +147,8 @@ def _least_width(rows: int) -> float:
 def paved(layout: Layout) -> Mesh:
     """Return the ground, of the surfaces "asphalt", "line", "concrete" and "grass".
 
-    Lines are cells of the ground, not plates upon it; kerbs and islands stand out of it. A sheet of asphalt
-    a little deeper closes the joints.
+    Painted lines are cells of the ground, not plates on it; kerbs and islands are raised. A sheet of asphalt
+    5 cm below closes the joints.
     """
     return built(_ground(layout))
 
@@ -380,21 +380,21 @@ def car_park(
     panels
     islands
     coat
-        Clear coat of all paints; "own" for what the catalogue says of each (``Coat()`` of paints it does not
-        know), None for Lambert paints.
+        Clear coat of all paints; "own" for the coat of each paint in the catalogue (``Coat()`` for paints
+        beyond the catalogue), None for Lambert paints.
     flakes
-        Whether paints have the metal flakes that the catalogue says; without a coat there are none.
+        Whether paints have the metal flakes of the catalogue; paints without a coat have none.
     line_width
     leaves
     margin
     name
-        Of the scene.
+        Name of the scene.
 
     Returns
     -------
     Scene
-        Instances "ground", "car_000", "panel_20_000", "tree_west_000", "wall" ... ; `Scene.face_part` says
-        which part of a car a triangle is.
+        Instances "ground", "car_000", "panel_20_000", "tree_west_000", "wall" ... ; `Scene.face_part` has the
+        part of a car of every triangle.
 
     Raises
     ------

@@ -584,34 +584,35 @@ def pushbroom(
     altitude
         Height above z = 0 [m].
     ground_sample
-        Across-track size of a pixel on z = 0 [m]; or give ``ifov``. By default that of a 12 mm lens in front
-        of 7.4 um pixels.
+        Across-track size of a pixel on z = 0 [m], an alternative to ``ifov``; by default that of a 12 mm
+        lens and pixels of 7.4 um.
     ifov
         Angle of a pixel, pixel pitch / focal length [rad]; columns have equal steps of the tangent.
     speed
-        [m s-1]; or give ``line_spacing`` [m]. By default a line is as long as a pixel is wide.
+        Ground speed [m s-1], an alternative to ``line_spacing`` [m]; by default lines are as long as pixels
+        are wide.
     centre
         East and north of the middle of the flight [m].
     start
-        East and north of the camera at the first line [m], in place of ``centre``.
+        East and north of the camera at the first line [m], an alternative to ``centre``.
     heading
-        Of the flight, clockwise from north [degree].
+        Direction of flight, clockwise from north [degree].
     exposure_time, frame_period
         Exposure, and time from line to line [s].
     wobble
-        Spread (1 sigma) of roll, pitch and heading [degree], or one for all three: sums of nine
+        Standard deviation of roll, pitch and heading [degree], or one for all three: sums of nine
         oscillations from 0.15 to 6 Hz whose amplitudes fall with the root of the frequency.
     sway
-        The same of east, north and up [m].
+        Standard deviation of east, north and up [m], with the same oscillations.
     seed
-        Of the wobble and sway.
+        Seed of wobble and sway.
     start_time
         UTC at mid exposure of the first line.
 
     Raises
     ------
     SchemaError
-        A value is out of its range, or two of them exclude one another; all are listed.
+        A value is out of its range, or alternatives are combined; all are listed.
 
     Examples
     --------
@@ -816,23 +817,23 @@ def platform_from_poses(
     Parameters
     ----------
     time
-        Of the poses, increasing, shape (pose,): datetime64 (UTC), or seconds.
+        Times of the poses, increasing, shape (pose,): datetime64 (UTC), or seconds.
     east, north, up
-        Of the navigation unit in the scene's frame, shape (pose,) [m].
+        Position of the navigation unit in the scene's frame, shape (pose,) [m].
     roll, pitch, heading
-        Shape (pose,) [degree].
+        Its attitude, shape (pose,) [degree].
     columns
-        Of the camera.
+        Number of columns of the camera.
     ifov
         Angle of a pixel, pixel pitch / focal length [rad].
     line_time
-        Mid exposure of every line, on the clock of ``time``, shape (line,); by default a line a pose.
+        Mid exposure of every line, on the clock of ``time``, shape (line,); by default one line per pose.
     exposure_time
-        [s]
+        Exposure of a line [s].
     boresight
         Roll, pitch and heading of the camera in the frame of the navigation unit [degree].
     lever_arm
-        Camera in that frame: forward, right, down [m].
+        Position of the camera in that frame: forward, right, down [m].
 
     Raises
     ------

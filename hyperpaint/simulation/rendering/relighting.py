@@ -113,43 +113,43 @@ def relight(
     hold_edges: bool = False,
     population: bool = True,
 ) -> xr.Dataset:
-    r"""Return the radiance of a traced scene under an atmosphere, as a camera's bands see it.
+    r"""Return the radiance of a traced scene under an atmosphere in the bands of a camera.
 
     Parameters
     ----------
     traced
-        From `hyperpaint.simulation.trace`, or the store it was written to.
+        Dataset from `hyperpaint.simulation.trace`, or read from its store.
     bands
         A `BandSet`, an imager of the simulator, or a Dataset with ``wavelength`` and ``fwhm`` (attribute
         ``srf_shape``); by default the 272 bands of a Nano-Hyperspec.
     paints
-        New spectra by name of an instance ("car_007": its paint), of a material, or of a spectrum that
-        materials of the scene have; the first counts most. A value is the name of a spectrum, ``(wavelength
+        New spectra by name of an instance ("car_007": its paint), of a material, or of a spectrum of the
+        scene's materials, in this order of precedence. A value is the name of a spectrum, ``(wavelength
         [nm], reflectance)``, a DataArray with a coordinate ``wavelength``, or a function of wavelength [nm].
-        Reflectances are near normal, without the specular component. A car that was traced with flakes gets
-        as many as the named paint has, and none from a measured spectrum; one traced without stays so. A
-        paint library instead of a mapping: its paints go where a spectrum, material or instance has their
-        name, the others in turn to the cars that are left.
+        Reflectances are near normal, without the specular component. A car traced with flakes gets the flake
+        share of the named paint, and no flakes from a measured spectrum; a car traced without flakes gets
+        none. A paint library instead of a mapping: its paints replace the spectrum, material or instance of
+        their name, and the other paints are assigned in turn to the remaining cars.
     atmosphere
         The light; or the name of a preset one: "noon", "near_sunset", "cloudy".
     spectra
-        Further spectra by name, as values of ``paints`` or as a paint library; they go before the built-in
-        ones of the same name. A library as a value: of one paint it is that name's spectrum, of several each
-        is ``name/paint``.
+        Further spectra by name, as values of ``paints`` or as a paint library; they replace built-in spectra
+        of the same name. A library of one paint as a value has its key as name; of several paints each is
+        named ``key/paint``.
     variation
-        Factors of direct and of diffuse light in every line, shape (2, along_track), such as a cloud's that
-        passes while the camera flies; or `BrokenClouds`, whose shadows move over the scene. Light that
-        reaches a pixel by way of other surfaces varies with that pixel's.
+        Factors of direct and of diffuse light in every line, shape (2, along_track), for a cloud that passes
+        during the flight; or `BrokenClouds`, whose shadows move over the scene. Light from neighbouring
+        surfaces has the factors of the pixel that it reaches.
     truth
-        Add ``reflectance`` and the layers that say where light came from.
+        Add ``reflectance`` and the layers with the shares of light by source.
     clip
-        Limit reflectances to 0 to 1 where they would be an error.
+        Limit reflectances to 0 to 1 instead of an error.
     hold_edges
-        Hold tabulated spectra constant beyond their ends and their last bands with values, and bridge bands
-        without values, or not ``good``, by straight lines; they are an error otherwise.
+        Hold tabulated spectra constant beyond their ends and their last bands with values, and interpolate
+        bands without values, or not ``good``, linearly, instead of an error.
     population
-        Let every pixel show a member of the population of its paint, where a library has
-        ``member_reflectance``; False shows the centre alone.
+        Show in every pixel a member of the population of its paint, if a library has
+        ``member_reflectance``; False shows the mean.
 
     Returns
     -------
@@ -171,8 +171,8 @@ def relight(
     Warns
     -----
     PaintWarning
-        Noise takes paints of a library a little beyond 0 to 1, where they are cut; or a library says that it
-        holds the light that coats mirror, which the renderer adds once more.
+        Paints of a library exceed 0 to 1 by noise and are clipped; or a library contains the mirror
+        reflection of coats, which the renderer adds again.
 
     Notes
     -----
@@ -181,13 +181,13 @@ def relight(
     .. math:: L = e^{-k d} \sum_p w_p \frac{\int R E_{s(p)} \prod_f \rho'_f\, d\lambda}{\pi \int R\, d\lambda}
               + L_p d, \qquad \rho = \frac{\pi L_{d=0}}{\int R E\, d\lambda / \int R\, d\lambda}
 
-    The integrals are exact to 1e-5 whatever lines the light has; they are made once for every code. k and
-    L_p are means over the band.
+    The integrals are exact to 1e-5 for all absorption lines of the light; they are computed once for every
+    code. k and L_p are means over the band.
 
-    A pixel draws its member by a random field over the surface that it shows most of, which varies over
-    20, 5 and 1.25 cm, a third of the variance each: a pixel has the spread of the members whatever its size,
-    and neighbours in between are alike. Light that other surfaces throw on it has their means. The mean over
-    all members is the reflectance of the library. Seed, position and instance alone choose the member.
+    A random field over the dominant surface of a pixel selects its member. The field varies over 20, 5 and
+    1.25 cm, each with a third of the variance: pixels of any size have the spread of the members, and
+    neighbours are similar. Light from other surfaces has their mean spectra. The mean over all members is
+    the reflectance of the library. The member depends only on seed, position and instance.
 
     Examples
     --------

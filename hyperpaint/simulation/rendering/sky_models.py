@@ -7,32 +7,32 @@ it is defined at every position and time without a grid, and does not depend on 
 
 *Amount*: Kasten & Czeplak (Solar Energy 24, 1980) found in ten years at Hamburg that N oktas of cloud leave
 ``1 - 0.75 (N/8)^3.4`` of the clear sky's global irradiance. The direct beam is taken to be hidden for N/8 of
-the time; what is left beyond it is diffuse.
+the time; the rest of the remaining light is diffuse.
 
 *Colour*: Bartlett, Ciotti, Davis & Cullen (J. Geophys. Res. 103, 31017, 1998) fitted the ratio of cloudy to
 clear irradiance over 412-700 nm with ``CF (a(CF) + b(CF) (lambda/490)^-4)``, where the cloud factor CF is
-the ratio at 490 nm: overcast light is slightly bluer. Their coefficients were seen here second-hand only
-(a = 0.76 + 0.24 CF, b = 0.24 (1 - CF)), so that they are an argument. Limits: the broadband factor of Kasten
-& Czeplak stands for CF; beyond 700 nm the form is extrapolated; longer paths of light in clouds deepen the
-bands of water and oxygen, which is left out; the same authors found skies (Bering Sea) that do not follow it.
+the ratio at 490 nm: overcast light is slightly bluer. Their coefficients are known here from a secondary
+source only (a = 0.76 + 0.24 CF, b = 0.24 (1 - CF)), so that they are an argument. Limits: CF is the broadband
+factor of Kasten & Czeplak; beyond 700 nm the form is extrapolated; the deeper bands of water and oxygen, from
+longer paths in clouds, are neglected; the same authors measured skies (Bering Sea) that differ from it.
 
-*Direction*: a clear sky is that of `hyperpaint.light.sky_functions`; between clear and overcast each counts
-by the part of the sky that clouds leave or hide. The CIE overcast sky (Moon & Spencer 1942), L = L_zenith
+*Direction*: the clear sky is `hyperpaint.light.sky_functions`; between clear and overcast both are weighted
+by the part of the sky without and with clouds. The CIE overcast sky (Moon & Spencer 1942), L = L_zenith
 (1 + 2 cos theta) / 3, is a sum of a uniform sky and one whose radiance goes with cos theta. On a level
 surface the first gives pi L_z / 3 and the second 4 pi L_z / 9: shares of 3/7 and 4/7 of the diffuse
 irradiance.
 
-*Air*: what the air between a surface and the camera takes away and adds, per metre.
-Extinction is that of air molecules plus haze, such that a black thing vanishes at the visibility V, where 2 %
-of its contrast is left: ``k(550 nm) = 3.912 / V`` (Koschmieder 1924). Light scattered into a short vertical
-path comes from the sun, from the sky and from the ground; per metre it is ``k_s`` times the source function
+*Air*: extinction and path radiance of the air between a surface and the camera, per metre.
+Extinction is the sum of air molecules and haze; at the visibility V a black object has 2 % of its contrast:
+``k(550 nm) = 3.912 / V`` (Koschmieder 1924). Light scattered into a short vertical path comes from the sun,
+from the sky and from the ground; per metre it is ``k_s`` times the source function
 
     J = E_sun P(Theta) / (4 pi) + beta E_sky / pi + (1 - beta) r E / pi
 
 with the scattering angle ``Theta = 180 deg - sun zenith`` of a camera that looks straight down, the phase
 function ``P`` (Rayleigh's; Henyey & Greenstein 1941 for haze), the share ``beta`` of light that is scattered
-into the back hemisphere, and the reflectance ``r`` of the surroundings. Over a white ground without a sun,
-and where nothing is absorbed, J is the radiance of the sky: then a path changes nothing, as it must.
+into the back hemisphere, and the reflectance ``r`` of the surroundings. Over a white ground without a sun and
+without absorption, J is the radiance of the sky, and a path changes nothing.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ def clear_spread(
 ) -> dict[str, Any]:
     """Return the shares of the clear-sky functions in the diffuse irradiance by name, see `Atmosphere`.
 
-    0 where no sun shines (``sun`` [W m-2 nm-1]); under an ``overcast_share`` what it leaves of the sky.
+    Without direct light (``sun`` [W m-2 nm-1]) they are 0; an ``overcast_share`` reduces them.
     """
     clear = max(0.0, 1.0 - overcast_share / CIE_OVERCAST_SHARE) if np.any(sun) else 0.0
     _, molecular, aureole = clear * clear_sky_shares(wavelength, sun_zenith, aerosol)

@@ -1,7 +1,7 @@
-"""From a scene to the weights of its paths of light, lazily, block of lines by block of lines.
+"""Tracing: the weights of the paths of light through a scene, lazily, in blocks of lines.
 
-Nothing here knows a spectrum: `relighting` brings them in. A pixel's random numbers follow from the seed and
-its place in the flight line alone, so that blocks, threads and machines change no bit.
+Tracing needs no spectra; `relighting` applies them. The random numbers of a pixel depend only on the seed and
+its position in the flight line, so that results have the same bits for all blocks, threads and machines.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
 Sun = tuple[float, float] | Atmosphere | str
 
 
-# A scene as the kernel takes it; prepared once, shared by all tasks.
+# Arguments of the kernel for a scene; prepared once and shared by all tasks.
 class PreparedScene(NamedTuple):
     geometry: Geometry
     surfaces: Surfaces
     sources: Sources
-    codes: PathCodes  # how paths are numbered
+    codes: PathCodes  # layout of the codes of paths
     settings: TraceSettings
-    labels: LabelTables  # what follows from the number of a material or an instance
+    labels: LabelTables  # labels by the number of a material or an instance
 
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
@@ -121,40 +121,39 @@ def trace(
 ) -> xr.Dataset:
     r"""Trace the paths of light through a scene, without their spectra.
 
-    What comes out serves any paints, atmosphere and camera response (`hyperpaint.simulation.relight`),
-    without tracing again: only geometry, sun directions and coats are fixed. Store it with
-    `hyperpaint.to_store`.
+    The result can be relit with any paints, atmosphere and camera (`hyperpaint.simulation.relight`); only
+    geometry, sun directions and coats are fixed. `hyperpaint.to_store` stores it.
 
     Parameters
     ----------
     scene
-        What is seen.
+        The scene.
     platform
-        Where the camera flies and looks.
+        Path, attitude and pixels of the camera.
     suns
-        Directions from which direct light may come, at most 6: (zenith, azimuth clockwise from north)
-        [degree], an `Atmosphere`, or the name of a preset one ("noon", "near_sunset", "cloudy"). Equal ones
-        are traced once.
+        Up to six directions of direct light: (zenith, azimuth clockwise from north) [degree], an
+        `Atmosphere`, or the name of a preset one ("noon", "near_sunset", "cloudy"). Equal directions are
+        traced once.
     samples
-        Paths of a pixel, spread over its footprint and the exposure.
+        Number of paths of a pixel, spread over its footprint and the exposure.
     depth
-        Most scatterings of a path.
+        Maximum number of reflections of a path.
     seed
-        The same seed gives the same bits, whatever the chunks and the scheduler.
+        Random seed; equal seeds give equal bits for all chunks and schedulers.
     slots
-        Different paths that a pixel holds; by default 24 for each sun and sky at 64 samples, and more with
-        their square root. Where there are more, the heaviest are kept as they are and the others are
-        represented by some of them, drawn without bias: too few slots are seen as noise.
+        Maximum number of different paths stored for a pixel; by default 24 for each sun and sky, times the
+        square root of ``samples`` / 64. Of more paths the heaviest are kept, and a random, unbiased choice
+        represents the others; few slots cause noise.
     overcast
-        Also record a sky of radiance proportional to the cosine of the zenith angle, for atmospheres with
-        an ``overcast_share``; such an atmosphere among ``suns`` asks for it too.
+        Also record a sky whose radiance is proportional to the cosine of the zenith angle, for atmospheres
+        with an ``overcast_share``; recorded as well if ``suns`` contains such an atmosphere.
     clear
         Also record the functions of every sun's clear sky (`hyperpaint.light.sky_functions`); without them
-        only atmospheres whose sky is uniform or overcast can be used.
+        only atmospheres with a uniform or overcast sky can be used.
     sun_radius
-        Angular radius of the suns [degree], by default that of the sun; 0 for a point: sharp shadows.
+        Angular radius of the suns [degree]; 0 for a point with sharp shadows.
     chunk_lines
-        Lines of a dask chunk, which is one task.
+        Number of lines of a dask chunk, which is one task.
 
     Returns
     -------
@@ -162,7 +161,7 @@ def trace(
         Lazy. ``transport_weight`` and ``transport_path`` (along_track, slot, cross_track); labels
         ``material``, ``instance``, ``surface_class``, ``paint_id`` and ``car_id``, ``purity``, ``distance``
         and the position ``east``, ``north``, ``up`` (along_track, cross_track) [m]; ``sun_visibility`` and
-        ``sun_incidence`` (along_track, sun, cross_track). Attributes say what numbers mean.
+        ``sun_incidence`` (along_track, sun, cross_track). Attributes explain the numbers.
 
     Raises
     ------
