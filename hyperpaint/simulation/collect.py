@@ -34,11 +34,12 @@ from .camera import convolve_gaussian
 from .flight import CheckerboardFlight, Flight, Lines, PlanFlight, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
+    CAMERA_SOFTWARE,
     SVC_DETECTORS,
-    BilWriter,
     svc_wavelengths,
     write_asd,
     write_asd_reflectance,
+    write_bil_header,
     write_frame_index,
     write_navigation,
     write_sbet,
@@ -247,10 +248,6 @@ MARKER = "# simulated by hyperpaint"
 
 _UNFINISHED = f"{MARKER}: not finished\n"
 
-#: Marker of simulated files: software version in headers of cubes, comment in files of field spectrometers,
-#: generator of regions.
-CAMERA_SOFTWARE = "hyperpaint simulation"
-
 _BOOT = 1_234_567_891_000  # instrument's clock at the first line [ns]; it has no date
 _NAVIGATION_MARGIN_NS = 2 * 10**9  # navigation before and after the flight
 _DARK_LEAD_NS = 60 * 10**9  # time from the first dark frame to the first line
@@ -436,25 +433,11 @@ def _frame_stamps(mid_times: NDArray[np.int64], settings: SimulationSettings) ->
     )
 
 
-def _comments(flight: Flight) -> dict[str, object]:
-    # fields that Headwall software adds to an ENVI header
-    settings = flight.settings
-    return {
-        "AOI width": settings.columns,
-        "Array Pixel Pitch (um)": 7.4,
-        "AverageDispersion": round(float(flight.imager.spacing.mean()), 6),
-        "Exposure (ms)": settings.exposure_time_ms,
-        "HSIII_VERSION": CAMERA_SOFTWARE,
-        "Lens EFL (mm)": 12,
-        "Serial Number": "SIM-0001",
-    }
-
-
 def _write_dark(flight: Flight, folder: Path) -> None:
     settings = flight.settings
     dark = flight.dark_frames()
-    with BilWriter(folder / "raw_0", flight.wavelength, settings.columns, _comments(flight)) as cube:
-        cube.append(dark)
+    dark.astype("<u2").tofile(folder / "raw_0")
+    write_bil_header(folder / "raw_0", flight.wavelength, settings, len(dark))
     frames = np.arange(len(dark), dtype=np.int64)
     mid_times = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD_NS
     write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(mid_times, settings))
@@ -474,21 +457,20 @@ def _write_flight(
         frames = first_frame + np.flatnonzero(recorded[first_frame:end_frame])
         name = f"{frames[0]}"
         painted.begin(f"raw_{name}")
-        with BilWriter(
-            folder / f"raw_{name}", flight.wavelength, settings.columns, _comments(flight)
-        ) as cube:
+        with (folder / f"raw_{name}").open("wb") as cube:
             for begin in range(first_frame, end_frame, block_lines):
                 end = min(begin + block_lines, end_frame)
                 block = flight.lines(begin, end, into=reusable)
                 reusable = block if reusable is None or len(reusable.counts) < len(block.counts) else reusable
                 is_recorded = recorded[begin:end]
                 counts = block.counts if is_recorded.all() else block.counts[is_recorded]
-                cube.append(flight.detector.convert(counts))
+                cube.write(np.ascontiguousarray(flight.detector.convert(counts), "<u2").data)
                 if truth is not None:
                     truth.write(begin, block, is_recorded)
                 painted.add(block, is_recorded)
                 if progress is not None:
                     progress(end, settings.lines)
+        write_bil_header(folder / f"raw_{name}", flight.wavelength, settings, len(frames))
         stamps = _frame_stamps(flight.line_times[frames], settings)
         write_frame_index(folder / f"frameIndex_{name}.txt", frames, stamps)
     painted.write(root / REGIONS, CAMERA_SOFTWARE)

@@ -14,8 +14,6 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +21,10 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 
 from .settings import SimulationSettings
+
+#: Marker of simulated files: software version in headers of cubes, comment in files of field spectrometers,
+#: generator of regions.
+CAMERA_SOFTWARE = "hyperpaint simulation"
 
 #: Wavelengths of the simulated spectrometer [nm].
 ASD_WAVELENGTH = np.arange(350.0, 1076.0)
@@ -45,55 +47,32 @@ _LEAPS = np.array(
 _OLE_EPOCH = np.datetime64("1899-12-30T00:00:00", "s")
 
 
-class BilWriter:
-    """Writer of a cube in blocks of lines, band-interleaved by line; the header is written at the end.
-
-    Parameters
-    ----------
-    path
-        Path of the binary file, without an extension; the header is beside it.
-    wavelength
-        Centre wavelengths, shape (band,) [nm], written with three decimals.
-    columns
-        Samples of a line.
-    comments
-        Lines ``;key = value`` below the ENVI part.
-    """
-
-    def __init__(self, path: Path, wavelength: Floats, columns: int, comments: Mapping[str, object]) -> None:
-        self._path, self._wavelength, self._columns, self._comments = path, wavelength, columns, comments
-        self._lines = 0
-
-    def __enter__(self) -> Self:
-        self._file = self._path.open("wb")
-        return self
-
-    def append(self, counts: NDArray[np.uint16]) -> None:
-        self._file.write(np.ascontiguousarray(counts, dtype="<u2").data)
-        self._lines += len(counts)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
-        if kind is not None:
-            return
-        default_bands = ",".join(
-            str(1 + int(np.abs(self._wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0)
-        )
-        # Headwall headers have the comma at the start of the next line
-        wavelengths = "\n,".join(f"{nm:.3f}" for nm in self._wavelength)
-        comments = "".join(f";{key} = {value}\n" for key, value in self._comments.items())
-        self._path.with_name(self._path.name + ".hdr").write_text(
-            "ENVI\n"
-            "description = {[HEADWALL Hyperspec III]}\n"
-            f"samples = {self._columns}\nlines = {self._lines}\nbands = {len(self._wavelength)}\n"
-            "header offset = 0\nfile type = ENVI Standard\ndata type = 12\ninterleave = bil\n"
-            f"sensor type = Unknown\ndefault bands = {{{default_bands}}}\n"
-            "byte order = 0\nwavelength units = nm\n"
-            f"wavelength = {{\n{wavelengths}\n}}\n{comments}",
-            encoding="ascii",
-        )
+def write_bil_header(path: Path, wavelength: Floats, settings: SimulationSettings, lines: int) -> None:
+    """Write the header of a band-interleaved cube; ``path`` is the binary file, without an extension."""
+    default_bands = ",".join(str(1 + int(np.abs(wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0))
+    # Headwall headers have the comma at the start of the next line
+    wavelengths = "\n,".join(f"{nm:.3f}" for nm in wavelength)
+    # fields that Headwall software adds to an ENVI header
+    comments = {
+        "AOI width": settings.columns,
+        "Array Pixel Pitch (um)": 7.4,
+        "AverageDispersion": round(float(np.gradient(wavelength).mean()), 6),
+        "Exposure (ms)": settings.exposure_time_ms,
+        "HSIII_VERSION": CAMERA_SOFTWARE,
+        "Lens EFL (mm)": 12,
+        "Serial Number": "SIM-0001",
+    }
+    rows = "".join(f";{key} = {value}\n" for key, value in comments.items())
+    path.with_name(path.name + ".hdr").write_text(
+        "ENVI\n"
+        "description = {[HEADWALL Hyperspec III]}\n"
+        f"samples = {settings.columns}\nlines = {lines}\nbands = {len(wavelength)}\n"
+        "header offset = 0\nfile type = ENVI Standard\ndata type = 12\ninterleave = bil\n"
+        f"sensor type = Unknown\ndefault bands = {{{default_bands}}}\n"
+        "byte order = 0\nwavelength units = nm\n"
+        f"wavelength = {{\n{wavelengths}\n}}\n{rows}",
+        encoding="ascii",
+    )
 
 
 def write_settings(path: Path, settings: SimulationSettings) -> None:
@@ -385,7 +364,7 @@ def write_svc(
         "longitude": f"{longitude:<16}, {longitude:<16}",
         "latitude": f"{latitude:<16}, {latitude:<16}",
         "gpstime": ", ".join(f"{f'{t:%H%M%S}.000':<16}" for t in times),
-        "comm": "hyperpaint simulation",
+        "comm": CAMERA_SOFTWARE,
         "memory slot": "0, 0",
         "factors": "1.000, 1.000, 1.000 [Overlap: Preserve, Matching Type: None]",
         "inclinometer x offset": "0, 0",
