@@ -162,8 +162,7 @@ def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: fl
     starts = np.searchsorted(wavelength, centres - 4 * width)
     stops = np.searchsorted(wavelength, centres + 4 * width)
     for centre, depth, start, stop in zip(centres, depths, starts, stops, strict=True):
-        offset = (wavelength[start:stop] - centre) / width
-        total[start:stop] += depth * np.exp(-4 * np.log(2) * offset**2)
+        total[start:stop] += depth * np.exp(-4 * np.log(2) * ((wavelength[start:stop] - centre) / width) ** 2)
     return total
 
 

@@ -451,9 +451,8 @@ def _write_flight(
     truth = TruthStore(flight, root / "truth.zarr") if with_truth else None
     painted = PaintedRectangles(flight)
     recorded = settings.recorded
-    starts = settings.cube_starts.tolist()
     reusable: Lines | None = None
-    for first_frame, end_frame in itertools.pairwise(starts):
+    for first_frame, end_frame in itertools.pairwise(settings.cube_starts.tolist()):
         frames = first_frame + np.flatnonzero(recorded[first_frame:end_frame])
         name = f"{frames[0]}"
         painted.begin(f"raw_{name}")
@@ -471,8 +470,9 @@ def _write_flight(
                 if progress is not None:
                     progress(end, settings.lines)
         write_bil_header(folder / f"raw_{name}", flight.wavelength, settings, len(frames))
-        stamps = _frame_stamps(flight.line_times[frames], settings)
-        write_frame_index(folder / f"frameIndex_{name}.txt", frames, stamps)
+        write_frame_index(
+            folder / f"frameIndex_{name}.txt", frames, _frame_stamps(flight.line_times[frames], settings)
+        )
     painted.write(root / REGIONS, CAMERA_SOFTWARE)
     write_settings(folder / "settings.txt", settings)
     since = np.arange(

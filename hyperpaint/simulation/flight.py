@@ -397,8 +397,9 @@ class CarPark:
         classes[x < _KERB_END] = _CLASS["concrete"]
         classes[x < _GRASS_END] = _CLASS["grass"]
         # painted lines, at least a pixel wide, so that coarse pictures have them
-        half_width = max(_LINE_HALF_WIDTH, self.ground_sample / 2)
-        is_along = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= half_width
+        is_along = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= max(
+            _LINE_HALF_WIDTH, self.ground_sample / 2
+        )
         for edge in _ROWS:
             classes[is_along & (x >= edge) & (x <= edge + _BAY_LENGTH)] = _CLASS["painted_line"]
         # panels in the aisle
@@ -471,13 +472,12 @@ class PlanFlight(Flight):
             rng = self._rng(_GLINT, start + row)
             chance, strength = rng.random(surface.shape[1]), rng.uniform(2.0, 12.0, surface.shape[1])
             mirrored[row] = np.where((chance < self.settings.glint) & _CAR[surface[row]], strength, 0.0)
-        block = Lines(surface, mirrored > 0, *self._cubes(number, into))
         factors = self._factors(start, stop)
 
         def element_radiance(row: int) -> Floats:
             return self._element_radiance(start + row, surface[row], factors[:, row], mirrored[row])
 
-        return block, element_radiance
+        return Lines(surface, mirrored > 0, *self._cubes(number, into)), element_radiance
 
     def _element_radiance(
         self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats

@@ -97,10 +97,11 @@ class RenderedFlight(Flight):
             overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
             **shares,
         )
-        light = source_spectra(atmosphere, trace)
         factors = factor_spectra(record, bands)
         self._populations = populations_of(record, factors, bands)
-        self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
+        self._products = ProductTable(
+            bands, self._scene.codes, self.grid, source_spectra(atmosphere, trace), factors, normalise=False
+        )
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         # reflectance of paints without mirror reflection and flakes, shape (name, wavelength)

@@ -275,8 +275,9 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
     if matched:
         # irradiance weighted by the response of each element, INT E R / INT R
         values = np.asarray(np.einsum("kt,kbx->tbx", samples.factors, flight.incident) / flight.response_area)
-        dims = ("irradiance_time", BAND, CROSS_TRACK)
-        line["matched_irradiance"] = xr.Variable(dims, values, VARIABLES["irradiance"].attrs)
+        line["matched_irradiance"] = xr.Variable(
+            (("irradiance_time", BAND, CROSS_TRACK)), values, VARIABLES["irradiance"].attrs
+        )
     return line
 
 
@@ -448,7 +449,6 @@ def write_sweep(
     """
     values = {"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}
     path = input_path(path, "a folder for the sweep", StoreError, "simulate to a folder, and copy it")
-    sweep = Sweep(SweepSettings.of(values))
     for target in filter(Path.exists, (path, _truth_beside(path))):
         # remove only an earlier simulated sweep, or its truth
         try:
@@ -466,7 +466,7 @@ def write_sweep(
                 code="store-exists",
             )
         shutil.rmtree(target)
-    store_sweep(sweep, path, truth=truth, progress=progress)
+    store_sweep(Sweep(SweepSettings.of(values)), path, truth=truth, progress=progress)
     return path
 
 

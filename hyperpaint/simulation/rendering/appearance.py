@@ -184,8 +184,9 @@ def reflectance_factor(
     lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
     metal = np.asarray(flakes, np.float64)
     mixed = metal if turned is None else metal + lobes.turned * (np.asarray(turned, np.float64) - metal)
-    unturned = lobes.factor(share, measured_factor(body, index), metal)
-    return np.asarray(unturned + share * lobes.flakes * (mixed - metal))
+    return np.asarray(
+        lobes.factor(share, measured_factor(body, index), metal) + share * lobes.flakes * (mixed - metal)
+    )
 
 
 @documented()

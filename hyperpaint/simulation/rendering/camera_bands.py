@@ -307,8 +307,7 @@ class BandResponses:
         self, bands: BandSet, covered: tuple[float, float] = (0.0, np.inf), *, normalise: bool = True
     ) -> None:
         self.bands, self._normalise = bands, normalise
-        finest = min(_MAX_FINE_STEP_NM, float(bands.fwhm.min()) / 100.0)
-        self._cell = max(1, round(_FACTOR_STEP_NM / finest))
+        self._cell = max(1, round(_FACTOR_STEP_NM / min(_MAX_FINE_STEP_NM, float(bands.fwhm.min()) / 100.0)))
         self._fine_step = _FACTOR_STEP_NM / self._cell
         first_point = int(np.floor(bands.lowest() / _FACTOR_STEP_NM)) - 1
         nodes = bands.nodes

@@ -288,8 +288,7 @@ def _ends(sections: Floats) -> Iterator[Part]:
     # sheets that close the body at nose and tail; cells next to the centre line are triangles
     for row, order in ((0, 1), (-1, -1)):
         left, right = sections[row, :_COLUMNS], sections[row, : _COLUMNS - 2 : -1]
-        points = np.stack([left, right], axis=1)[::order]
-        yield Part(lattice, (points, "paint", "bumper"), crease=_CREASE_DEG)
+        yield Part(lattice, (np.stack([left, right], axis=1)[::order], "paint", "bumper"), crease=_CREASE_DEG)
 
 
 def _wheels(length: float, width: float) -> Iterator[Part]:

@@ -288,8 +288,9 @@ def _panels(layout: Layout) -> Iterator[Thing]:
         for place, level in enumerate(PANELS):
             panel = f"panel_{round(100 * level):02d}"
             plate = Part(cuboid, ((_PANEL_SIZE, _PANEL_SIZE, 0.03), panel), (0.0, 0.0, -0.01))
-            at = (begin + (place + 0.5) * pitch, float(north))
-            yield Thing(f"{panel}_{line:03d}", "panel", at, (plate,))
+            yield Thing(
+                f"{panel}_{line:03d}", "panel", ((begin + (place + 0.5) * pitch, float(north))), (plate,)
+            )
 
 
 def _trees(layout: Layout) -> Iterator[Thing]:
@@ -646,11 +647,9 @@ def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Part:
     facing /= np.linalg.norm(facing, axis=1, keepdims=True)
     along = np.cross(facing, _directions(rng, count))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    aside = np.cross(facing, along)
     size = _LEAF * rng.uniform(0.7, 1.3, (count, 1))
     fold = 0.12 * size * facing
-    tip, edge = 0.5 * size * along, 0.32 * size * aside
+    tip, edge = 0.5 * size * along, 0.32 * size * np.cross(facing, along)
     corners = np.stack([places - tip, places + edge + fold, places + tip, places - edge + fold], axis=1)
-    first = 4 * np.arange(count)[:, None, None]
-    faces = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    faces = ((4 * np.arange(count)[:, None, None]) + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     return Part(uniform, (corners.reshape(-1, 3), faces, "leaf"))

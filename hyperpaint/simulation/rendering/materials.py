@@ -395,5 +395,6 @@ def coated_reflectance(
     """
     base = np.asarray(albedo, dtype=np.float64)
     mirror = float(fresnel_reflectance(1.0, index)) if specular_included else 0.0
-    double_transmittance = _through_interface(index, geometry)
-    return np.asarray(double_transmittance * base / (1.0 - base * internal_reflectance(index)) + mirror)
+    return np.asarray(
+        _through_interface(index, geometry) * base / (1.0 - base * internal_reflectance(index)) + mirror
+    )

@@ -320,13 +320,14 @@ def strip_glb(data: bytes, where: str) -> Stripped:
     text += b" " * (-len(text) % 4)
     body += b"\0" * (-len(body) % 4)
     chunks = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(body), _BINARY) + body
-    glb = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
     material_names, mesh_names = (
         tuple(name if isinstance(name := entry.get("name"), str) else "" for entry in part)
         for part in (materials, meshes)
     )
     triangles = sum(triangle_counts[node["mesh"]] for node in nodes if "mesh" in node)
-    return Stripped(glb, material_names, mesh_names, triangles)
+    return Stripped(
+        struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks, material_names, mesh_names, triangles
+    )
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
@@ -481,8 +482,9 @@ def _by_trimesh(data: bytes, where: str) -> RawTriangles:
         faces.append(corners + sum(map(len, vertices)))
         face_group.append(np.full(len(corners), len(groups)))
         with np.errstate(all="ignore"):  # vertices that are not finite are refused later
-            points = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
-            vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
+            vertices.append(
+                np.asarray(mesh.vertices, np.float64).reshape(-1, 3) @ transform[:3, :3].T + transform[:3, 3]
+            )
         # names in the file, of which the stripped file has the numbers
         numbers = getattr(getattr(mesh.visual, "material", None), "name", None), name.partition("_")[0]
         groups.append(
@@ -576,8 +578,7 @@ def read_mesh(
     data = read_limited(file, _MAX_BYTES, "a mesh")
     _require(data.strip(), f"{file.name}: the file is empty", expected="a mesh", code="empty-input")
     raw = _READERS[suffix](data, file.name)
-    found = f"{file.name}: no triangles"
-    _require(len(raw.faces), found, expected="a mesh with faces", code="mesh-empty")
+    _require(len(raw.faces), f"{file.name}: no triangles", expected="a mesh with faces", code="mesh-empty")
     min_index, max_index, count = int(raw.faces.min()), int(raw.faces.max()), len(raw.vertices)
     _require(
         min_index >= 0 and max_index < count,

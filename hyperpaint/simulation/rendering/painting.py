@@ -105,9 +105,8 @@ def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
         )
     variables = [name for name in ("reflectance", "member_reflectance") if name in library.variables]
     reduced = library[variables].reset_coords(drop=True)
-    coords = ("wavelength", "good")
     reduced = reduced.assign_coords(
-        {name: library[name].variable for name in coords if name in library.variables}
+        {name: library[name].variable for name in (("wavelength", "good")) if name in library.variables}
     )
     reduced.attrs = dict(library.attrs)
     return {name: reduced.isel({SIGNATURE: number}) for number, name in enumerate(names)}
@@ -520,15 +519,17 @@ def _assign_spectra(
                     code="paint-all-flakes",
                 )
                 continue
-            is_named = isinstance(paints[key], str) and is_paint(name)
-            new_flakes = paint_spec(name).flakes if is_named else None
+            new_flakes = (
+                paint_spec(name).flakes if (isinstance(paints[key], str) and is_paint(name)) else None
+            )
             scales[number] = (1.0 - (new_flakes.share if new_flakes else 0.0)) / (1.0 - traced_flakes.share)
             for other_number, factor in enumerate(record.factors):
                 if factor.material == base and factor.flakes:
                     scales[other_number] = new_flakes.share / traced_flakes.share if new_flakes else 0.0
                     if new_flakes is not None:
-                        turned = new_flakes.turned if factor.turned else ""
-                        assigned[other_number] = turned or new_flakes.spectrum
+                        assigned[other_number] = (
+                            new_flakes.turned if factor.turned else ""
+                        ) or new_flakes.spectrum
     return assigned, scales
 
 

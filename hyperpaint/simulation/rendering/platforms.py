@@ -640,8 +640,9 @@ def pushbroom(
         else np.array([*start, 0.0])
     )
     moment = time[:, None] * 1e-9 + exposure_time * np.array([-0.5, 0.5])
-    spread = np.broadcast_to(np.asarray(wobble, dtype=np.float64), (3,))
-    turned = spread[:, None, None] * _oscillations(moment, seed, 0)
+    turned = np.broadcast_to(np.asarray(wobble, dtype=np.float64), (3,))[:, None, None] * _oscillations(
+        moment, seed, 0
+    )
     origin = (
         first
         + np.array([0.0, 0.0, altitude])

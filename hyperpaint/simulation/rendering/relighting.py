@@ -252,10 +252,12 @@ def relight(
             names[factor.material] = name
     line = _dataset(cubes, traced, camera, LabelTables.of(record, names))
     if truth and "sun_visibility" in traced.variables:
-        visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
-        line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
-    cosine = float(np.cos(np.radians(settings.suns[sun][0])))
-    series = _irradiance_record(traced, sky, cosine, camera, variation)
+        line["shadow"] = label(
+            (1.0 - traced["sun_visibility"].isel({SUN: sun}, drop=True)).astype(np.float32), "shadow"
+        )
+    series = _irradiance_record(
+        traced, sky, float(np.cos(np.radians(settings.suns[sun][0]))), camera, variation
+    )
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
         "name": str(traced.attrs.get("name", record.name)),
@@ -385,8 +387,9 @@ def _irradiance_record(
         np.arange(np.ceil(grid_start / _GRID_STEP_NM), np.floor(grid_end / _GRID_STEP_NM) + 1) * _GRID_STEP_NM
     )
     # direct and diffuse irradiance, (2, channel)
-    level = (atmosphere.sun * sun_cosine, atmosphere.sky)
-    curves = np.stack([cell_means(wavelength, curve, grid) for curve in level])
+    curves = np.stack(
+        [cell_means(wavelength, curve, grid) for curve in ((atmosphere.sun * sun_cosine, atmosphere.sky))]
+    )
     spectra = convolve_gaussian(curves, grid, centres, _FWHM_NM)
     # times before and after the flight; with varying light also times during the flight
     try:
@@ -559,8 +562,9 @@ class Lighting:
     def reflectance(self, surface: Floats32, variation: Floats | None) -> Floats32:
         # pi L / E of the radiance at the surface [1]; NaN without light
         factor = np.empty_like(surface)
-        factors = np.ones((2, len(surface))) if variation is None else variation
-        for line, (direct, diffuse) in enumerate(zip(*factors, strict=True)):
+        for line, (direct, diffuse) in enumerate(
+            zip(*(np.ones((2, len(surface))) if variation is None else variation), strict=True)
+        ):
             light = self.direct * direct + self.diffuse * diffuse
             scale = np.divide(np.pi, light, out=np.full_like(light, np.nan), where=light > 0)
             np.multiply(surface[line], scale.astype(np.float32), out=factor[line])
@@ -588,8 +592,9 @@ class Lighting:
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
     if variation is None:
         return weight
-    factors = variation.astype(np.float32).reshape(2, len(weight), 1, -1)
-    return np.asarray(weight * np.where(is_direct(code), *factors))
+    return np.asarray(
+        weight * np.where(is_direct(code), *variation.astype(np.float32).reshape(2, len(weight), 1, -1))
+    )
 
 
 def make_lighting(

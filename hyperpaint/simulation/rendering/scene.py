@@ -216,8 +216,7 @@ class Scene:
         keeps_area = has_area(arrays["vertices"], arrays["faces"])
         warn_of_dropped(self.name, keeps_area)
         for name, dtype, like, *_ in _ARRAYS:
-            of_faces = "faces" in (name, like)
-            kept = arrays[name][keeps_area] if of_faces else arrays[name]
+            kept = arrays[name][keeps_area] if ("faces" in (name, like)) else arrays[name]
             object.__setattr__(self, name, kept.astype(dtype))
         object.__setattr__(self, "materials", tuple(self.materials))
         object.__setattr__(self, "instances", tuple(self.instances))

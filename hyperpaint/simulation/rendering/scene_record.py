@@ -108,8 +108,9 @@ class TraceSettings:
         """Slots of a pixel: 24 for each source, times the square root of samples / 64, unless given."""
         if self.slots is not None:
             return self.slots
-        clear = CLEAR_SKY_FUNCTIONS * len(self.suns) if self.clear else 0
-        sources = len(self.suns) + 1 + self.overcast + clear
+        sources = (
+            len(self.suns) + 1 + self.overcast + (CLEAR_SKY_FUNCTIONS * len(self.suns) if self.clear else 0)
+        )
         return min(_MAX_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
 
 

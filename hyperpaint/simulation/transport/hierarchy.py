@@ -327,8 +327,9 @@ def build_geometry(
     if len(shading):
         corner_normals = shading[corners[order]]
         length = np.sqrt((corner_normals**2).sum(axis=2, keepdims=True))
-        is_smooth = (length > 0).all(axis=1, keepdims=True)
-        corner_normals = np.where(is_smooth, corner_normals / np.where(length > 0, length, 1.0), 0.0)
+        corner_normals = np.where(
+            (length > 0).all(axis=1, keepdims=True), corner_normals / np.where(length > 0, length, 1.0), 0.0
+        )
     return Geometry(
         # minimum and maximum of an axis are neighbours
         nodes[:entry_count, [0, 3, 1, 4, 2, 5]].ravel(),

@@ -131,9 +131,10 @@ def _write_rows(
                     u, v = _COS[octave % 4] / length, _SIN[octave % 4] / length
                     a, b = u * x - v * y, v * x + u * y
                     total += math.sqrt(share) * _noise(a, b, z / length, instance[line, column], octave, seed)
-            rank = 0.5 * (1.0 + math.erf(total * math.sqrt(0.5)))
             count = grain.members[surface]
-            rows[line, column] = grain.first[surface] + min(int(rank * count), count - 1)
+            rows[line, column] = grain.first[surface] + min(
+                int((0.5 * (1.0 + math.erf(total * math.sqrt(0.5)))) * count), count - 1
+            )
 
 
 @borrowing_kernel
@@ -166,8 +167,9 @@ def _normal(i: int, j: int, k: int, instance: int, octave: int, seed: int) -> fl
         np.uint64(int(instance) & _MASK),
         np.uint64(seed),
     )
-    radius = math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP))
-    return radius * math.cos(2.0 * math.pi * (np.float64(b) + 0.5) * _STEP)
+    return math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP)) * math.cos(
+        2.0 * math.pi * (np.float64(b) + 0.5) * _STEP
+    )
 
 
 _TILE = 16  # columns whose spectra are summed together, before they are written band by band
@@ -221,8 +223,9 @@ def _number(codes: Array, table: Array, places: Array, distinct: Array, index: A
         if code < 0:
             index[i] = -1
             continue
-        folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
-        place = np.int64(folded >> np.uint64(16)) & mask
+        place = (
+            np.int64((np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER) >> np.uint64(16)) & mask
+        )
         while table[place] != code:
             if table[place] < 0:
                 if number == distinct.size:
@@ -450,8 +453,9 @@ def through_air(surface: Array, extinction: Array, path_radiance: Array, distanc
     out : (line, band, column), float32
         Output.
     """
-    columns = surface.shape[2]
-    extinctions = np.ascontiguousarray(np.broadcast_to(extinction, (surface.shape[1], columns)), np.float32)
+    extinctions = np.ascontiguousarray(
+        np.broadcast_to(extinction, (surface.shape[1], surface.shape[2])), np.float32
+    )
     added = np.ascontiguousarray(np.broadcast_to(path_radiance, extinctions.shape), np.float32)
     metres = np.ascontiguousarray(np.where(np.isfinite(distance), distance, 0.0), np.float32)
     max_extinction = extinctions.max(axis=0, initial=0.0)

@@ -298,8 +298,9 @@ def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
     place = FIRST_DIGIT
     while (code >> place) & max_digit > digit:
         place += digit_bits
-    lower_digits = code & ((np.int64(1) << place) - 1)
-    return lower_digits | (digit << place) | ((code >> place) << (place + digit_bits))
+    return (
+        (code & ((np.int64(1) << place) - 1)) | (digit << place) | ((code >> place) << (place + digit_bits))
+    )
 
 
 @borrowing_kernel
@@ -308,8 +309,7 @@ def add_path(table: PathTable, code: int, weight: float) -> None:
         return
     codes, sums, in_use = table.codes, table.sums, table.in_use
     mask = codes.size - 1
-    folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
-    place = np.int64(folded >> np.uint64(16)) & mask
+    place = np.int64((np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER) >> np.uint64(16)) & mask
     while codes[place] != code:
         if codes[place] < 0:
             codes[place] = code
@@ -439,8 +439,9 @@ def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direc
             power = (
                 u * (c[0] + u * (c[1] + u * c[2])) + t * (c[3] + t * (c[4] + t * c[5])) + c[6] * u * t + c[7]
             )
-            number = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function
-            add_path(table, code | number, beta * math.exp(power))
+            add_path(
+                table, code | (FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function), beta * math.exp(power)
+            )
 
 
 # numbers of draws: even pairs for the first two surfaces, independent numbers from the third surface
@@ -629,8 +630,7 @@ def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Workspace, bloc
                 block.sun_visibility[line, sun, column] = room.lit_hits[sun] * share
                 block.incidence[line, sun, column] = room.cosines[sun] * share
             draw, _, _, _ = uniforms(settings.seed, number, column, 0, _SLOT)
-            scale = 1.0 / max(first_hits[0], 1.0)
-            write_paths(table, scale, draw, block.weight, block.code, line, column)
+            write_paths(table, 1.0 / max(first_hits[0], 1.0), draw, block.weight, block.code, line, column)
             if first_hits[0] == 0.0:  # no sample hits a surface
                 block.weight[line, 0, column], block.code[line, 0, column] = np.nan, SKY
 

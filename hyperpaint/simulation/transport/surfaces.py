@@ -122,8 +122,7 @@ def surfaces_of(
 @borrowing_kernel
 def fresnel(cosine: float, index: float) -> float:
     # reflectance of a smooth dielectric for unpolarised light from outside
-    g2 = index * index - 1.0 + cosine * cosine
-    g = math.sqrt(g2)
+    g = math.sqrt(index * index - 1.0 + cosine * cosine)
     a = (g - cosine) / (g + cosine)
     b = (cosine * (g + cosine) - 1.0) / (cosine * (g - cosine) + 1.0)
     return 0.5 * a * a * (1.0 + b * b)
