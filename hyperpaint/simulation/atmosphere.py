@@ -45,7 +45,7 @@ _WATER = ((592.0, 3.0, 40, 0.15), (650.0, 3.0, 30, 0.08), (723.0, 6.0, 130, 0.35
 
 
 def spectral_grid(first: float, last: float, step: float = GRID_STEP) -> Floats:
-    """Return an even wavelength grid [nm] that covers ``first`` to ``last``."""
+    # even wavelength grid [nm] that covers ``first`` to ``last``
     return np.arange(np.floor(first / step), np.ceil(last / step) + 1) * step
 
 
@@ -82,7 +82,7 @@ class Sky:
     airmass: float | None = None
 
     def irradiance(self, wavelength: Floats) -> tuple[Floats, Floats]:
-        """Return direct and diffuse irradiance of a level surface [W m-2 nm-1]."""
+        # direct and diffuse irradiance of a level surface [W m-2 nm-1]
         mass = 1.0 / np.cos(np.radians(self.sun_zenith)) if self.airmass is None else self.airmass
         # the tails of wide responses reach beyond the table, whose ends stand for what lies there
         wavelength = wavelength.clip(*sunlight_table().wavelength[[0, -1]])
@@ -183,25 +183,18 @@ def _oxygen(wavelength: Floats) -> Floats:
     return total
 
 
+# Change of the direct and the diffuse light during the flight
 @dataclass(frozen=True)
 class Light:
-    """Change of the direct and the diffuse light during the flight.
-
-    Attributes
-    ----------
-    drift_per_minute
-        Relative change of the direct light in a minute; the diffuse light changes half as much the other way,
-        so that the colour of the light changes too.
-    cloud
-        Fraction of the direct light that a cloud takes, time its edge needs to pass [s], and when it starts
-        [s after the first line]; None for a clear sky. A third of what is lost returns as diffuse light.
-    """
-
+    # relative change of the direct light in a minute; the diffuse light changes half as much the other way,
+    # so that the colour of the light changes too
     drift_per_minute: float = 0.0
+    # fraction of the direct light that a cloud takes, time its edge needs to pass [s], and when it starts [s
+    # after the first line]; None for a clear sky. A third of what is lost returns as diffuse light.
     cloud: tuple[float, float, float] | None = None
 
     def factors(self, seconds: Floats) -> Floats:
-        """Return factors of direct and diffuse light ``seconds`` after the first line, shape (2, time)."""
+        # factors of direct and diffuse light ``seconds`` after the first line, shape (2, time)
         minutes = np.asarray(seconds, dtype=np.float64) / 60.0
         direct = 1.0 + self.drift_per_minute * minutes
         diffuse = 1.0 - 0.5 * self.drift_per_minute * minutes
@@ -213,6 +206,6 @@ class Light:
         return np.stack([direct, diffuse])
 
     def mean_factors(self, start: Floats, stop: Floats, points: int = 32) -> Floats:
-        """Return `factors` averaged from ``start`` to ``stop`` [s], by the midpoint rule."""
+        # `factors` averaged from ``start`` to ``stop`` [s], by the midpoint rule
         times = start[:, None] + (stop - start)[:, None] * ((np.arange(points) + 0.5) / points)
         return np.asarray(self.factors(times.ravel()).reshape(2, len(start), points).mean(axis=2))

@@ -100,13 +100,10 @@ def smile(columns: int, nanometres: float) -> Floats:
 
 
 def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Floats]:
-    """Return R0(lambda) of the simulated imager [count nm J-1].
-
-    Efficiency of optics, grating and silicon x photons per joule x nm per pixel / electrons per count. The
-    efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, so that a white panel at noon
-    nearly saturates twelve bits in 5 ms. R0 falls by 4 % over the 20 nm around the oxygen band.
-    """
-
+    # R0(lambda) of the simulated imager [count nm J-1].
+    # Efficiency of optics, grating and silicon x photons per joule x nm per pixel / electrons per count. The
+    # efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, so that a white panel at noon
+    # nearly saturates twelve bits in 5 ms. R0 falls by 4 % over the 20 nm around the oxygen band.
     def responsivity(wavelength: Floats) -> Floats:
         blaze = np.exp(-0.5 * ((wavelength - 570.0) / 225.0) ** 2)
         silicon = (
@@ -118,35 +115,28 @@ def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Float
     return responsivity
 
 
+# Spectral side of a pushbroom imager: its bands, and the differences between its elements
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Imager(BandSet):
-    """Spectral side of a pushbroom imager: its bands, and the differences between its elements.
-
-    Attributes
-    ----------
-    element_factor
-        f_b,x, shape (band, cross_track).
-    """
-
     wavelength_shift: Floats
     responsivity: Callable[[Floats], Floats]
-    element_factor: Floats
+    element_factor: Floats  # f_b,x, shape (band, cross_track)
 
     @cached_property
     def whole_reach(self) -> float:
-        """Distance from the nominal centre of a band beyond which no column responds [nm]."""
+        # distance from the nominal centre of a band beyond which no column responds [nm]
         smile_reach = float(np.abs(self.wavelength_shift).max())
         if self.shape == "gaussian":
             return GAUSSIAN_REACH * float(self.fwhm.max()) + smile_reach
         return float((self.fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
     def response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        """Return R_b without element factors at wavelength shifts [nm], shape (grid, shift)."""
+        # R_b without element factors at wavelength shifts [nm], shape (grid, shift)
         offset = grid[:, None] - (self.wavelength[band] + shift)
         return np.asarray(self.responsivity(grid)[:, None] * self.line_shape(band, offset, grid[1] - grid[0]))
 
     def line_shape(self, band: int, offset: Floats, step: float) -> Floats:
-        """Return the line shape of a band [nm-1] at distances from its centre [nm], on a grid of ``step``."""
+        # line shape of a band [nm-1] at distances from its centre [nm], on a grid of ``step``
         return line_shape(offset, float(self.fwhm[band]), float(self.spacing[band]), self.shape, step)
 
     def integrals(self, spectra: Floats, grid: Floats) -> Floats:
@@ -210,36 +200,21 @@ def expected_counts(integral: Floats, exposure_time: float, etendue: float) -> F
     return exposure_time * etendue * integral
 
 
+# Electrical side of the imager
 @dataclass(frozen=True)
 class Detector:
-    """Electrical side of the imager.
-
-    Attributes
-    ----------
-    dark
-        Counts with the lens capped, shape (band, cross_track) [count].
-    electrons_per_count
-        [electron count-1]
-    read_noise
-        Standard deviation of a dark count [count].
-    bit_depth
-        Bits of the converter, which saturates at 2**bit_depth - 1.
-    """
-
-    dark: Floats
-    electrons_per_count: float
-    read_noise: float
-    bit_depth: int
+    dark: Floats  # counts with the lens capped, shape (band, cross_track) [count]
+    electrons_per_count: float  # [electron count-1]
+    read_noise: float  # standard deviation of a dark count [count]
+    bit_depth: int  # bits of the converter, which saturates at 2**bit_depth - 1
 
     @property
     def saturation_count(self) -> int:
         return int(2**self.bit_depth - 1)
 
     def read(self, signal: Floats, rng: np.random.Generator | None) -> Floats:
-        """Return the input of the converter [count]: signal, dark and, with ``rng``, shot and read noise.
-
-        The variance is signal / electrons_per_count + read_noise^2; shot noise is approximated as Gaussian.
-        """
+        # input of the converter [count]: signal, dark and, with ``rng``, shot and read noise.
+        # The variance is signal / electrons_per_count + read_noise^2; shot noise is approximated as Gaussian.
         counts = signal + self.dark
         if rng is not None:
             noise = np.maximum(signal, 0.0)
@@ -251,7 +226,7 @@ class Detector:
         return counts
 
     def convert(self, counts: Floats | NDArray[np.float32]) -> NDArray[np.uint16]:
-        """Return whole counts between 0 and `saturation_count`."""
+        # whole counts between 0 and `saturation_count`
         converted = np.empty(counts.shape, dtype=np.uint16)
         for line, line_counts in zip(converted, counts, strict=True):
             rounded = np.rint(line_counts)
@@ -448,35 +423,21 @@ _DARK, _ELEMENTS, _BAD, _DARK_RATE, _COLUMNS = 13, 14, 15, 18, 19
 _RATE_SPREAD = 0.2  # relative standard deviation of the dark current over elements
 
 
+# The simulated camera
 @dataclass(frozen=True)
 class Camera:
-    """The simulated camera.
-
-    Attributes
-    ----------
-    imager
-        Spectral response.
-    dark_bias, dark_rate
-        Counts at no exposure [count] and their growth [count s-1], shape (band, cross_track).
-    bad
-        True at dead elements and in masked columns, shape (band, cross_track).
-    electrons_per_count, read_noise, bit_depth
-        As in `hyperpaint.simulation.camera.Detector`.
-    optics
-        Blur, keystone and stray light; None for a camera without these effects.
-    pedestal
-        Counts added to the dark in all frames except dark frames [count].
-    """
-
-    imager: Imager
+    imager: Imager  # spectral response
+    # dark_bias, dark_rate: counts at no exposure [count] and their growth [count s-1], shape (band,
+    # cross_track)
     dark_bias: Floats
     dark_rate: Floats
-    bad: NDArray[np.bool_]
+    bad: NDArray[np.bool_]  # true at dead elements and in masked columns, shape (band, cross_track)
+    # electrons_per_count, read_noise, bit_depth: as in `hyperpaint.simulation.camera.Detector`
     electrons_per_count: float
     read_noise: float
     bit_depth: int
-    optics: Optics | None = None
-    pedestal: float = 0.0
+    optics: Optics | None = None  # blur, keystone and stray light; None for a camera without these effects
+    pedestal: float = 0.0  # counts added to the dark in all frames except dark frames [count]
 
     @classmethod
     def of(cls, settings: SimulationSettings) -> Camera:
@@ -522,23 +483,23 @@ class Camera:
         )
 
     def detector(self, exposure_time: float) -> Detector:
-        """Return the detector with the dark of an exposure [s]."""
+        # detector with the dark of an exposure [s]
         dark = self.dark_bias + self.dark_rate * exposure_time
         return Detector(dark, self.electrons_per_count, self.read_noise, self.bit_depth)
 
     @property
     def etendue(self) -> float:
-        """Etendue of an element [m2 sr]."""
+        # etendue of an element [m2 sr]
         return ETENDUE
 
     @cached_property
     def response_area(self) -> Floats:
-        """INT R of every element, shape (band, cross_track) [count nm J-1]."""
+        # INT R of every element, shape (band, cross_track) [count nm J-1]
         centres, reach = self.imager.wavelength, self.imager.whole_reach
         grid = spectral_grid(centres.min() - reach - 1.0, centres.max() + reach + 1.0)
         return np.asarray(self.imager.integrals(np.ones((1, len(grid))), grid)[0])
 
     def radiance_gain(self, response_area: Floats | None = None) -> Floats:
-        """1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1]."""
+        # 1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1]
         area = self.response_area if response_area is None else response_area
         return np.where(self.bad, np.nan, 1.0 / (self.etendue * area))

@@ -137,10 +137,8 @@ class PaintedRectangles:
                 yield begin, end + 1
 
     def write(self, path: Path, generator: str) -> None:
-        """Write the regions as GeoJSON in coordinates of the sensor, in the order of the paints.
-
-        ``generator`` marks the file as simulated.
-        """
+        # write the regions as GeoJSON in coordinates of the sensor, in the order of the paints.
+        # ``generator`` marks the file as simulated.
         features = []
         for number, (flightline, (top, bottom, left, right)) in sorted(self._rectangles_by_paint.items()):
             margin = max(1, min(bottom + 1 - top, right + 1 - left) // _MARGIN_DIVISOR)
@@ -184,10 +182,8 @@ def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:
 
 
 def write_references(flight: Flight, folder: Path) -> None:
-    """Write a file of both spectrometers for every paint of the cars, named after the paint.
-
-    The files are in the folders `SVC_FOLDER` and `ASD_FOLDER` of the collect.
-    """
+    # write a file of both spectrometers for every paint of the cars, named after the paint.
+    # The files are in the folders `SVC_FOLDER` and `ASD_FOLDER` of the collect.
     settings = flight.settings
     svc, asd = folder / SVC_FOLDER, folder / ASD_FOLDER
     for directory in (svc, asd):

@@ -79,29 +79,17 @@ class Layer(NamedTuple):
     attrs: Mapping[str, object]  # ``long_name``, ``units`` and the like
 
 
+# Consecutive scan lines: scene radiance, and counts before conversion
 @dataclass(frozen=True)
 class Lines:
-    """Consecutive scan lines: scene radiance, and counts before conversion.
-
-    Attributes
-    ----------
-    surface
-        Class of every pixel, shape (along_track, cross_track), int16.
-    glint
-        True for pixels that mirror the sun, shape (along_track, cross_track).
-    counts
-        Counts before conversion, shape (along_track, band, cross_track), float32 [count].
-    radiance, reflectance
-        Means weighted by the response, shape as counts, float32 [W m-2 sr-1 nm-1], [1].
-    layers
-        Further truth of every pixel, by the names of `Flight.layers`.
-    """
-
-    surface: NDArray[np.int16]
-    glint: NDArray[np.bool_]
+    surface: NDArray[np.int16]  # class of every pixel, shape (along_track, cross_track), int16
+    glint: NDArray[np.bool_]  # true for pixels that mirror the sun, shape (along_track, cross_track)
+    # counts before conversion, shape (along_track, band, cross_track), float32 [count]
     counts: NDArray[np.float32]
+    # radiance, reflectance: means weighted by the response, shape as counts, float32 [W m-2 sr-1 nm-1], [1]
     radiance: NDArray[np.float32]
     reflectance: NDArray[np.float32]
+    # further truth of every pixel, by the names of `Flight.layers`
     layers: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
 
 
@@ -109,26 +97,15 @@ class Lines:
 LineView: TypeAlias = tuple[Lines, Callable[[int], Floats]]
 
 
+# The simulated irradiance record
 @dataclass(frozen=True)
 class SkySamples:
-    """The simulated irradiance record.
-
-    Attributes
-    ----------
-    stamp
-        UTC by the clock of the logging computer, in whole seconds since 1970, shape (irradiance_time,).
-    middle
-        True time of the middle of every average, in nanoseconds after the first line, int64.
-    factors
-        Mean factors of direct and diffuse light over every average, shape (2, irradiance_time).
-    irradiance
-        Irradiance, shape (irradiance_time, irradiance_wavelength) [W m-2 nm-1].
-    """
-
+    # UTC by the clock of the logging computer, in whole seconds since 1970, shape (irradiance_time,)
     stamp: NDArray[np.int64]
+    # true time of the middle of every average, in nanoseconds after the first line, int64
     middle: NDArray[np.int64]
-    factors: Floats
-    irradiance: Floats
+    factors: Floats  # mean factors of direct and diffuse light over every average, shape (2, irradiance_time)
+    irradiance: Floats  # irradiance, shape (irradiance_time, irradiance_wavelength) [W m-2 nm-1]
 
 
 class Flight(abc.ABC):

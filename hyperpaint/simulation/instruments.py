@@ -48,7 +48,7 @@ _OLE_EPOCH = np.datetime64("1899-12-30T00:00:00", "s")
 
 
 def write_bil_header(path: Path, wavelength: Floats, settings: SimulationSettings, lines: int) -> None:
-    """Write the header of a band-interleaved cube; ``path`` is the binary file, without an extension."""
+    # write the header of a band-interleaved cube; ``path`` is the binary file, without an extension
     default_bands = ",".join(str(1 + int(np.abs(wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0))
     # Headwall headers have the comma at the start of the next line
     wavelengths = "\n,".join(f"{nm:.3f}" for nm in wavelength)
@@ -81,7 +81,7 @@ def write_settings(path: Path, settings: SimulationSettings) -> None:
 
 
 def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.int64]) -> None:
-    """Write a ``frameIndex`` file (variant A) of frame numbers and microseconds of the instrument's clock."""
+    # write a ``frameIndex`` file (variant A) of frame numbers and microseconds of the instrument's clock
     rows = "".join(
         f"{frame}\t{stamp}\n" for frame, stamp in zip(frames.tolist(), stamps.tolist(), strict=True)
     )
@@ -262,27 +262,16 @@ _EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
 _UNIT = 1e-6  # W m-2 sr-1 nm-1 per unit of the files, 1e-10 W cm-2 sr-1 nm-1
 
 
+# A detector of the SVC spectrometer
 @dataclass(frozen=True)
 class SvcDetector:
-    """A detector of the SVC spectrometer.
-
-    Attributes
-    ----------
-    channels
-        Number of channels.
-    first, last
-        Wavelengths of the outer channels [nm].
-    first_step
-        Distance of the first two channels [nm]; the distance changes linearly with the channel.
-    fwhm
-        Full width at half maximum of every channel [nm].
-    """
-
-    channels: int
+    channels: int  # number of channels
+    # first, last: wavelengths of the outer channels [nm]
     first: float
     last: float
+    # distance of the first two channels [nm]; the distance changes linearly with the channel
     first_step: float
-    fwhm: float
+    fwhm: float  # full width at half maximum of every channel [nm]
 
     @property
     def wavelength(self) -> Floats:
@@ -308,7 +297,7 @@ SVC_DETECTORS = (
 
 
 def svc_wavelengths() -> Floats:
-    """Return the wavelengths of the rows of a file, shape (1024,) [nm]; they decrease at two joins."""
+    # wavelengths of the rows of a file, shape (1024,) [nm]; they decrease at two joins
     return np.concatenate([detector.wavelength for detector in SVC_DETECTORS])
 
 

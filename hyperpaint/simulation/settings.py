@@ -59,7 +59,7 @@ ORIGIN = (43.0845, -77.6749, 160.0)
 
 
 def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
-    """Return values as a new float64 array, and note entries that are not finite numbers."""
+    # values as a new float64 array, and note entries that are not finite numbers
     try:
         array = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError):
@@ -74,7 +74,7 @@ def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
 
 
 def moment_of(value: Any) -> np.datetime64:
-    """Return a time [ns]; NaT for a value that is not a time."""
+    # time [ns]; NaT for a value that is not a time
     try:
         return np.datetime64(np.asarray(value, "datetime64[ns]").item(), "ns")
     except (ValueError, TypeError):

@@ -61,7 +61,7 @@ def _surface_attrs(flight: Flight) -> dict[str, Any]:
 
 
 def labelled(row: Variable, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
-    """Return values with the dims, dtype and attributes of a row of the table of variables."""
+    # values with the dims, dtype and attributes of a row of the table of variables
     values = np.asarray(values).astype(row.dtype)
     if dims is None:
         dims = next(d for d in (row.dims, *row.alternatives) if len(d) == values.ndim)
@@ -91,7 +91,7 @@ def _calibration(flight: Flight) -> dict[str, xr.Variable]:
 
 
 def write_calibration(flight: Flight, path: Path) -> None:
-    """Write ``calibration.zarr``: the gain of every element, wavelengths, smile, line shape, noise."""
+    # write ``calibration.zarr``: the gain of every element, wavelengths, smile, line shape, noise
     optics = flight.camera.optics
     stray_light = {} if optics is None else {"stray_light": _variable("stray_light", optics.stray_matrix)}
     calibration = xr.Dataset(
@@ -312,7 +312,7 @@ def _sweep_dataset(sweep: Sweep) -> xr.Dataset:
 
 
 def sweep_truth(sweep: Sweep) -> xr.Dataset:
-    """Return the expected results of a sweep's calibration; names start with `TRUTH`."""
+    # expected results of a sweep's calibration; names start with `TRUTH`
     camera = sweep.camera
     imager = camera.imager
     values: dict[str, Any] = {

@@ -72,7 +72,7 @@ def line_shape(
 
 
 def cubic_weights(fraction: Floats) -> Floats:
-    """Return Lagrange's cubic weights of points at -1, 0, 1 and 2 at fractions from 0 to 1, (..., 4)."""
+    # Lagrange's cubic weights of points at -1, 0, 1 and 2 at fractions from 0 to 1, (..., 4)
     t = np.asarray(fraction, np.float64)
     return np.stack(
         [

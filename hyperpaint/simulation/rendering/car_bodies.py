@@ -25,46 +25,26 @@ _WHEEL_M = (0.315, 0.20)  # radius and width
 _WHEEL_SIDES = 10
 
 
+# Proportions of a type of car: positions as fractions of its length from the nose, heights in metres
 @dataclass(frozen=True)
 class CarShape:
-    """Proportions of a type of car: positions as fractions of its length from the nose, heights in metres.
-
-    Attributes
-    ----------
-    length, width, height
-        Minimum and maximum dimensions [m].
-    cowl, windscreen_top, roof_end, rear_base
-        Positions at which windscreen, roof and rear window begin and end.
-    edge
-        Height of the shoulder: (fraction, metres) from nose to tail.
-    roof_share
-        Half width of the roof as a share of the half width of the car.
-    pillars
-        Ranges of the pillars between side windows: (from, to).
-    doors
-        Positions of the vertical seams of the doors.
-    bed
-        Start and end of a cargo bed; None for a closed car.
-    rails
-        Whether the car may have roof rails.
-    share
-        Share of all cars [1].
-    """
-
+    # length, width, height: minimum and maximum dimensions [m]
     length: tuple[float, float]
     width: tuple[float, float]
     height: tuple[float, float]
+    # cowl, windscreen_top, roof_end, rear_base: positions at which windscreen, roof and rear window begin and
+    # end
     cowl: float
     windscreen_top: float
     roof_end: float
     rear_base: float
-    edge: tuple[tuple[float, float], ...]
-    roof_share: float
-    pillars: tuple[tuple[float, float], ...]
-    doors: tuple[float, ...]
-    share: float
-    bed: tuple[float, float] | None = None
-    rails: bool = False
+    edge: tuple[tuple[float, float], ...]  # height of the shoulder: (fraction, metres) from nose to tail
+    roof_share: float  # half width of the roof as a share of the half width of the car
+    pillars: tuple[tuple[float, float], ...]  # ranges of the pillars between side windows: (from, to)
+    doors: tuple[float, ...]  # positions of the vertical seams of the doors
+    share: float  # share of all cars [1]
+    bed: tuple[float, float] | None = None  # start and end of a cargo bed; None for a closed car
+    rails: bool = False  # whether the car may have roof rails
 
     @property
     def boot_seam(self) -> float:

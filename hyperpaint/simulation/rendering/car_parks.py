@@ -52,36 +52,25 @@ _FLEET_SIZE = 5000  # different cars of a fleet: more than a car park has bays
 _CARS, _PAINTS, _TREES, _WEAR = 1, 2, 3, 4  # keys of random streams
 
 
+# Positions of the parts of a car park; x from west to east, y from south to north [m]
 @dataclass(frozen=True)
 class Layout:
-    """Positions of the parts of a car park; x from west to east, y from south to north [m].
-
-    Attributes
-    ----------
-    length, width, margin, line_width
-        Arguments of `car_park`.
-    bays
-        Number of bays in a row, including an incomplete last one.
-    rows, aisles
-        West and east end of every row and aisle.
-    islands
-        Bay and row of every island, which replaces a bay; islands of two rows back to back are adjacent.
-    kerb, east_kerb
-        West and east end of the kerbs before the first row and behind the last.
-    wall, west_trees, hedge
-        Position of the wall, of the line of trees outside the park in the west, and of the hedge.
-    """
-
+    # length, width, margin, line_width: arguments of `car_park`
     length: float
     width: float
     margin: float
     line_width: float
-    bays: int
+    bays: int  # number of bays in a row, including an incomplete last one
+    # rows, aisles: west and east end of every row and aisle
     rows: tuple[tuple[float, float], ...]
     aisles: tuple[tuple[float, float], ...]
+    # bay and row of every island, which replaces a bay; islands of two rows back to back are adjacent
     islands: tuple[tuple[int, int], ...]
+    # kerb, east_kerb: west and east end of the kerbs before the first row and behind the last
     kerb: tuple[float, float]
     east_kerb: tuple[float, float]
+    # wall, west_trees, hedge: position of the wall, of the line of trees outside the park in the west, and of
+    # the hedge
     wall: float
     west_trees: float
     hedge: float
@@ -145,11 +134,9 @@ def _least_width(rows: int) -> float:
 
 
 def paved(layout: Layout) -> Mesh:
-    """Return the ground, of the surfaces "asphalt", "line", "concrete" and "grass".
-
-    Painted lines are cells of the ground, not plates on it; kerbs and islands are raised. A sheet of asphalt
-    5 cm below closes the joints.
-    """
+    # ground, of the surfaces "asphalt", "line", "concrete" and "grass".
+    # Painted lines are cells of the ground, not plates on it; kerbs and islands are raised. A sheet of
+    # asphalt 5 cm below closes the joints.
     return built(_ground(layout))
 
 
@@ -219,10 +206,8 @@ def _level(west: float, east: float, south: float, north: float, surface: str, h
 
 
 def worn(layout: Layout, seed: int) -> list[Mesh]:
-    """Return traces of wear: stains in bays and patches in aisles, 3 mm thick, and tufts of grass.
-
-    Its surfaces are "patch" and "grass".
-    """
+    # traces of wear: stains in bays and patches in aisles, 3 mm thick, and tufts of grass.
+    # Its surfaces are "patch" and "grass".
     pieces = []
     angle = 2 * np.pi * np.arange(11) / 11
     for row, (begin, end) in enumerate(layout.rows):
@@ -254,30 +239,17 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
     return pieces
 
 
+# An object that stands in the car park
 class Thing(NamedTuple):
-    """An object that stands in the car park.
-
-    Attributes
-    ----------
-    name, kind
-        See `Instance`.
-    at
-        East and north of its origin [m].
-    parts
-        Its parts, of surfaces of `_SURROUNDINGS`; or a function of a random generator and the number of
-        leaves of a tree that returns them.
-    key
-        Distinguishes its random numbers.
-    jitter
-        Maximum random shift to the east and north [m].
-    """
-
+    # name, kind: see `Instance`
     name: str
     kind: str
-    at: tuple[float, float]
+    at: tuple[float, float]  # east and north of its origin [m]
+    # its parts, of surfaces of `_SURROUNDINGS`; or a function of a random generator and the number of leaves
+    # of a tree that returns them
     parts: Iterable[Part] | Callable[[np.random.Generator, int], Iterable[Part]]
-    key: tuple[int, ...] = ()
-    jitter: tuple[float, float] = (0.0, 0.0)
+    key: tuple[int, ...] = ()  # distinguishes its random numbers
+    jitter: tuple[float, float] = (0.0, 0.0)  # maximum random shift to the east and north [m]
 
 
 def _panels(layout: Layout) -> Iterator[Thing]:

@@ -584,7 +584,7 @@ def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
 
 
 def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
-    """Return the curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`."""
+    # curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`
     if isinstance(table, Mapping):
         problems = Problems("the table of an atmosphere cannot be used", FormatError)
         headings, arrays = list(table), []

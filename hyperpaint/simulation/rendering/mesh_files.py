@@ -43,24 +43,12 @@ _OBJ_NUMBERS: dict[str, tuple[Callable[[str], Any], int, str]] = {
 }
 
 
+# Triangles of a file
 class RawTriangles(NamedTuple):
-    """Triangles of a file.
-
-    Attributes
-    ----------
-    vertices : (vertex, 3) float64
-        Positions in the units and axes of the file.
-    faces : (face, 3) int64
-        Vertices of every triangle, not checked yet.
-    face_group : (face,) int64
-        Number of the group of every triangle.
-    groups : tuple of (str, str)
-        Names of the material and of the object of every group; empty if missing.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    face_group: NDArray[np.int64]
+    vertices: NDArray[np.float64]  # (vertex, 3) float64: positions in the units and axes of the file
+    faces: NDArray[np.int64]  # (face, 3) int64: vertices of every triangle, not checked yet
+    face_group: NDArray[np.int64]  # (face,) int64: number of the group of every triangle
+    # names of the material and of the object of every group; empty if missing
     groups: tuple[tuple[str, ...], ...]
 
 
@@ -196,23 +184,13 @@ _TRIANGLES = 4  # primitive mode of triangles
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # types of chunks: "JSON" and "BIN" in ASCII
 
 
+# A GLB file reduced to its triangles
 class Stripped(NamedTuple):
-    """A GLB file reduced to its triangles.
-
-    Attributes
-    ----------
-    data
-        A GLB file whose meshes and materials are named "0", "1", ...
-    materials, meshes
-        Names in the original file.
-    triangles
-        Number of triangles of all nodes.
-    """
-
-    data: bytes
+    data: bytes  # a GLB file whose meshes and materials are named "0", "1", ...
+    # materials, meshes: names in the original file
     materials: tuple[str, ...]
     meshes: tuple[str, ...]
-    triangles: int
+    triangles: int  # number of triangles of all nodes
 
 
 def strip_glb(data: bytes, where: str) -> Stripped:

@@ -48,23 +48,12 @@ _MAX_RATIO = 50.0
 # --- spectra of a user -------------------------------------------------------------------------------------
 
 
+# A tabulated spectrum: linear between its points, constant beyond them
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A tabulated spectrum: linear between its points, constant beyond them.
-
-    Attributes
-    ----------
-    wavelength : (point,)
-        Increasing wavelengths [nm].
-    reflectance : (point,)
-        Reflectance [1].
-    members : (member, point)
-        Population [1]; None without a population.
-    """
-
-    wavelength: Floats
-    reflectance: Floats
-    members: Floats | None = None
+    wavelength: Floats  # (point,): increasing wavelengths [nm]
+    reflectance: Floats  # (point,): reflectance [1]
+    members: Floats | None = None  # (member, point): population [1]; None without a population
 
     octaves = MEASURED
 
@@ -79,7 +68,7 @@ class Table:
 
 
 def is_library(value: Any) -> bool:
-    """Return whether a value is a dataset with ``reflectance`` (signature, band)."""
+    # whether a value is a dataset with ``reflectance`` (signature, band)
     if not hasattr(value, "data_vars") or "reflectance" not in value:
         return False
     # "paint" is the dim in libraries of version 0.2
@@ -113,10 +102,8 @@ def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
 
 
 def by_name(spectra: Any) -> dict[str, Any]:
-    """Return spectra by name: paints of a library, and paints ``name/paint`` of libraries in a mapping.
-
-    The paint of a library of one paint in a mapping has the library's name.
-    """
+    # spectra by name: paints of a library, and paints ``name/paint`` of libraries in a mapping.
+    # The paint of a library of one paint in a mapping has the library's name.
     if spectra is None:
         return {}
     if is_library(spectra) or not isinstance(spectra, Mapping):
@@ -342,29 +329,16 @@ def some_names(names: Iterable[str]) -> str:
 # --- spectra of all factors --------------------------------------------------------------------------------
 
 
+# All factors of a scene as functions of wavelength
 @dataclass(frozen=True, eq=False)
 class FactorSpectra:
-    """All factors of a scene as functions of wavelength.
-
-    Attributes
-    ----------
-    names
-        Name of the spectrum of every factor.
-    coats
-        Refractive index of the coat over every factor; None for bare surfaces and for flakes.
-    spectra
-        Spectra by name.
-    scales
-        Multiplier of every factor, for paints with another share of flakes than was traced.
-    clip
-        Limit reflectances to 0 to 1.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # name of the spectrum of every factor
+    # refractive index of the coat over every factor; None for bare surfaces and for flakes
     coats: tuple[float | None, ...]
-    spectra: Mapping[str, Spectrum]
+    spectra: Mapping[str, Spectrum]  # spectra by name
+    # multiplier of every factor, for paints with another share of flakes than was traced
     scales: tuple[float, ...]
-    clip: bool = False
+    clip: bool = False  # limit reflectances to 0 to 1
 
     def __call__(self, wavelength: Floats) -> Floats:
         """Return the factors ``rho'`` at wavelengths [nm], shape (factor, wavelength)."""
@@ -580,10 +554,8 @@ class Populations(NamedTuple):
 
 
 def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) -> Populations | None:
-    """Return the populations of a scene's materials; None if no spectrum has one.
-
-    The mean over the members of a population is the spectrum itself, in every band.
-    """
+    # populations of a scene's materials; None if no spectrum has one.
+    # The mean over the members of a population is the spectrum itself, in every band.
     count = np.zeros((2, len(record.materials)), np.int64)
     members: list[tuple[Octaves, int, int, Floats]] = []
     for factor_number, (factor, name) in enumerate(zip(record.factors, painted.names, strict=True)):
@@ -617,5 +589,5 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 def rows_of_pixels(
     material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
 ) -> Array:
-    """Return the member rows of pixels, (line, column); see `transport.mixing.member_rows`."""
+    # member rows of pixels, (line, column); see `transport.mixing.member_rows`
     return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

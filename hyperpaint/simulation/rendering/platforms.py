@@ -52,7 +52,7 @@ _SCENE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def turns(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> Floats:
-    """Return Rz(heading) Ry(pitch) Rx(roll), shape (..., 3, 3); angles [degree]."""
+    # rz(heading) Ry(pitch) Rx(roll), shape (..., 3, 3); angles [degree]
     # by quaternions
     halves = [np.radians(np.asarray(angle, dtype=np.float64)) / 2 for angle in (roll, pitch, heading)]
     (cr, cp, ch), (sr, sp, sh) = ([f(half) for half in halves] for f in (np.cos, np.sin))
@@ -229,7 +229,7 @@ _N = _F / (2 - _F)
 
 
 def geocentric(latitude: ArrayLike, longitude: ArrayLike, height: ArrayLike) -> Floats:
-    """Return earth-centred coordinates (..., 3) [m] of latitude and longitude [degree] and height [m]."""
+    # earth-centred coordinates (..., 3) [m] of latitude and longitude [degree] and height [m]
     lat, lon = np.radians(latitude), np.radians(longitude)
     h = np.asarray(height, np.float64)
     normal = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
@@ -396,21 +396,13 @@ CONVENTION = {
 }
 
 
+# A sum of sines around a mean
 class Motion(NamedTuple):
-    """A sum of sines around a mean.
-
-    Attributes
-    ----------
-    amplitude, frequency, phase
-        Parameters of the sines, shape (sine,); frequency [Hz], phase [rad].
-    mean
-        Mean of the motion.
-    """
-
+    # amplitude, frequency, phase: parameters of the sines, shape (sine,); frequency [Hz], phase [rad]
     amplitude: Floats
     frequency: Floats
     phase: Floats
-    mean: float = 0.0
+    mean: float = 0.0  # mean of the motion
 
     def at(self, seconds: Floats) -> Floats:
         # motion at times [s]
@@ -457,36 +449,21 @@ def _random_motion(sd: float, rate_sd: float, rng: np.random.Generator) -> Motio
     return Motion(amplitude, frequency, rng.uniform(0, 2 * np.pi, _SINES))
 
 
+# Pose of the navigation system, and of the camera fixed to it, at any time
 @dataclass(frozen=True)
 class Trajectory:
-    """Pose of the navigation system, and of the camera fixed to it, at any time.
-
-    Attributes
-    ----------
-    frame
-        Frame of the scene: x east, y north, z up, from the point on the ground below the camera at time zero
-        [m].
-    course
-        Direction of flight, clockwise from north [degree].
-    speed
-        Ground speed [m s-1].
-    altitude
-        Height of the navigation's reference point above the ground [m].
-    boresight
-        Roll, pitch and heading of the camera in the body [degree].
-    lever_arm
-        Position of the camera from the navigation's reference point: forward, right, down [m].
-    motions
-        Motions of ``roll``, ``pitch``, ``heading`` [degree], ``altitude``, and to the ``right`` of the course
-        [m].
-    """
-
+    # frame of the scene: x east, y north, z up, from the point on the ground below the camera at time zero
+    # [m]
     frame: LocalFrame
-    course: float
-    speed: float
-    altitude: float
+    course: float  # direction of flight, clockwise from north [degree]
+    speed: float  # ground speed [m s-1]
+    altitude: float  # height of the navigation's reference point above the ground [m]
+    # roll, pitch and heading of the camera in the body [degree]
     boresight: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # position of the camera from the navigation's reference point: forward, right, down [m]
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # motions of ``roll``, ``pitch``, ``heading`` [degree], ``altitude``, and to the ``right`` of the course
+    # [m]
     motions: Mapping[str, Motion] = field(default_factory=dict)
 
     @classmethod

@@ -479,7 +479,7 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
 
 
 def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int, Floats]:
-    """Return the irradiance of every traced source that shines, by number, on the atmosphere's grid."""
+    # irradiance of every traced source that shines, by number, on the atmosphere's grid
     sun = traced_sun(atmosphere, settings)
     first_function = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun
     shares = {
@@ -492,23 +492,15 @@ def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int,
     return {**skies, FIRST_SUN + sun: atmosphere.sun}
 
 
+# Light and camera, shared by all tasks of a relighting
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """Light and camera, shared by all tasks of a relighting.
-
-    Attributes
-    ----------
-    table
-        Products of paths.
-    direct, diffuse : (band, cross_track or 1)
-        Irradiance of a level surface in the bands [W m-2 nm-1].
-    extinction, path_radiance : (band, cross_track or 1), float32
-        Properties of the air before the camera [m-1], [W m-2 sr-1 nm-1 m-1].
-    """
-
-    table: ProductTable
+    table: ProductTable  # products of paths
+    # direct, diffuse: (band, cross_track or 1): irradiance of a level surface in the bands [W m-2 nm-1]
     direct: Floats
     diffuse: Floats
+    # extinction, path_radiance: (band, cross_track or 1), float32: properties of the air before the camera
+    # [m-1], [W m-2 sr-1 nm-1 m-1]
     extinction: Floats32
     path_radiance: Floats32
 
@@ -600,10 +592,8 @@ def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32
 def make_lighting(
     bands: BandSet, codes: PathCodes, atmosphere: Atmosphere, settings: TraceSettings, factors: Floats
 ) -> Lighting:
-    """Return light, spectra and camera of a relighting.
-
-    ``factors`` (factor, grid): spectra of all factors of paths, on the grid of `BandResponses`.
-    """
+    # light, spectra and camera of a relighting.
+    # ``factors`` (factor, grid): spectra of all factors of paths, on the grid of `BandResponses`.
     wavelength, sources = atmosphere.wavelength, source_spectra(atmosphere, settings)
     sun_cosine = float(np.cos(np.radians(settings.suns[traced_sun(atmosphere, settings)][0])))
     table = ProductTable(bands, codes, wavelength, sources, lambda _grid: factors)

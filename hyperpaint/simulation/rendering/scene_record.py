@@ -129,27 +129,15 @@ def sun_vectors(suns: Any) -> Floats:
     )
 
 
+# A scene without its geometry
 @dataclass(frozen=True)
 class SceneRecord:
-    """A scene without its geometry.
-
-    Attributes
-    ----------
-    name
-        Name of the scene.
-    materials, instances
-        Materials and instances by the numbers of the label layers.
-    members
-        Numbers of the materials of every instance.
-    factors
-        Spectra by the digits of path codes.
-    """
-
-    name: str
+    name: str  # name of the scene
+    # materials, instances: materials and instances by the numbers of the label layers
     materials: tuple[Material, ...]
     instances: tuple[Instance, ...]
-    members: tuple[tuple[int, ...], ...]
-    factors: tuple[Factor, ...]
+    members: tuple[tuple[int, ...], ...]  # numbers of the materials of every instance
+    factors: tuple[Factor, ...]  # spectra by the digits of path codes
 
     @classmethod
     def of(cls, scene: Scene) -> SceneRecord:
@@ -253,26 +241,14 @@ class SceneRecord:
         return PathCodes.of(len(self.factors), settings.depth)
 
 
+# Labels that follow from the material or the instance of a pixel
 @dataclass(frozen=True, eq=False)
 class LabelTables:
-    """Labels that follow from the material or the instance of a pixel.
-
-    Attributes
-    ----------
-    surface_class : (material + 1,), int16
-        Number of the semantic class; the last entry is for the sky.
-    paint_id : (material + 1,), int16
-        Number of the paint spectrum; -1 for other surfaces.
-    car_id : (instance + 1,), int32
-        Number of the instance if it is a car, else -1.
-    paints
-        Names of the paint spectra.
-    """
-
+    # (material + 1,), int16: number of the semantic class; the last entry is for the sky
     surface_class: NDArray[np.int16]
-    paint_id: NDArray[np.int16]
-    car_id: NDArray[np.int32]
-    paints: tuple[str, ...]
+    paint_id: NDArray[np.int16]  # (material + 1,), int16: number of the paint spectrum; -1 for other surfaces
+    car_id: NDArray[np.int32]  # (instance + 1,), int32: number of the instance if it is a car, else -1
+    paints: tuple[str, ...]  # names of the paint spectra
 
     @classmethod
     def of(cls, record: SceneRecord, names: Sequence[str] | None = None) -> LabelTables:

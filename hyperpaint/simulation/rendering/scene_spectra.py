@@ -74,22 +74,12 @@ Spectrum = Callable[[Floats], Floats]
 # --- weathered surfaces ------------------------------------------------------------------------------------
 
 
+# Spatial variation of a population over a surface
 @dataclass(frozen=True)
 class Octaves:
-    """Spatial variation of a population over a surface.
-
-    Attributes
-    ----------
-    lengths
-        Lengths of the variation [m].
-    shares
-        Shares of the variance by length [1].
-    is_averaged
-        Whether variation smaller than a pixel is averaged. False for members that were measured on pixels.
-    """
-
-    lengths: tuple[float, ...]
-    shares: tuple[float, ...]
+    lengths: tuple[float, ...]  # lengths of the variation [m]
+    shares: tuple[float, ...]  # shares of the variance by length [1]
+    # whether variation smaller than a pixel is averaged. False for members that were measured on pixels.
     is_averaged: bool = True
 
 
@@ -122,20 +112,12 @@ def dusty(reflectance: Floats, cover: Floats | float, wavelength: Floats) -> Flo
     return np.asarray(cover * dust + (1.0 - cover) ** 2 * reflectance / (1.0 - cover * dust * reflectance))
 
 
+# A surface whose spectrum varies with position; as a function it is the mean of its members
 @dataclass(frozen=True)
 class Weathered:
-    """A surface whose spectrum varies with position; as a function it is the mean of its members.
-
-    Attributes
-    ----------
-    members
-        Function that returns the members at wavelengths [nm], (member, wavelength) [1].
-    octaves
-        Spatial variation.
-    """
-
+    # function that returns the members at wavelengths [nm], (member, wavelength) [1]
     members: Callable[[Floats], Floats] = field(repr=False)
-    octaves: Octaves
+    octaves: Octaves  # spatial variation
 
     def population(self, wavelength: Floats) -> Floats:
         # members at ``wavelength`` [nm], (member, wavelength), 0 to 1
@@ -293,23 +275,12 @@ _TURNED_COSINE = float(np.sqrt(1.0 - 0.5 * (_BINDER_INDEX / _FILM_INDEX) ** 2))
 _TITANIUM = Edge(404.0, -5.0, 4.0)  # rutile absorbs in the ultraviolet
 
 
+# Contents of a base coat
 @dataclass(frozen=True)
 class Pigments:
-    """Contents of a base coat.
-
-    Attributes
-    ----------
-    absorption
-        K/S that is constant over wavelength.
-    absorbers
-        Edges and bands added to K/S.
-    interference
-        Optical thickness of the film on mica flakes [nm] and depth of its modulation, 0 to 1; None without
-        mica.
-    """
-
-    absorption: float
-    absorbers: tuple[Feature, ...] = ()
+    absorption: float  # K/S that is constant over wavelength
+    absorbers: tuple[Feature, ...] = ()  # edges and bands added to K/S
+    # optical thickness of the film on mica flakes [nm] and depth of its modulation, 0 to 1; None without mica
     interference: tuple[float, float] | None = None
 
     def albedo(self, wavelength: Floats) -> Floats:
@@ -318,12 +289,10 @@ class Pigments:
         return Paint(self.absorption, self.absorbers, interface=0.0, internal=0.0)(wavelength)
 
     def flakes(self, wavelength: Floats, *, turned: bool = False) -> Floats:
-        """Return the reflectance of the flakes through the tinted binder, 0 to 1.
-
-        Light passes the tint twice, to a flake and back, with S d = 0.05. A film on mica adds the modulation
-        cos^2(2 pi d cos(theta) / lambda), with the angle theta in the film: 0, or with ``turned`` that of
-        light which meets the flake at 45 degrees.
-        """
+        # reflectance of the flakes through the tinted binder, 0 to 1.
+        # Light passes the tint twice, to a flake and back, with S d = 0.05. A film on mica adds the
+        # modulation cos^2(2 pi d cos(theta) / lambda), with the angle theta in the film: 0, or with
+        # ``turned`` that of light which meets the flake at 45 degrees.
         tint = np.full_like(wavelength, self.absorption, dtype=np.float64)
         for absorber in self.absorbers:
             tint += absorber(wavelength)
@@ -336,15 +305,13 @@ class Pigments:
 
 
 def aluminium(wavelength: Floats) -> Floats:
-    """Return the reflectance of aluminium in a binder, with the dip of its interband transition at 825 nm.
-
-    A smooth fit to handbook values of the bare metal, about 0.92 in the green and 0.87 at 825 nm.
-    """
+    # reflectance of aluminium in a binder, with the dip of its interband transition at 825 nm.
+    # A smooth fit to handbook values of the bare metal, about 0.92 in the green and 0.87 at 825 nm.
     return 0.92 - 0.01 * (wavelength - 550.0) / 1000.0 + Bump(825.0, 65.0, -0.045)(wavelength)
 
 
 def mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]:
-    """Return the base coat of a random paint of a family of `FAMILIES`, and its colour in words."""
+    # base coat of a random paint of a family of `FAMILIES`, and its colour in words
     match family:
         case "white":
             return Pigments(rng.uniform(0.002, 0.012), (_TITANIUM,)), "white"
@@ -370,7 +337,7 @@ def mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]
 def absorbers_of(
     rows: Sequence[tuple[str, float, float, float, float]], strength: float, rng: np.random.Generator
 ) -> tuple[Feature, ...]:
-    """Return absorption edges and bands of K/S drawn around the ``rows`` of `HUES`."""
+    # absorption edges and bands of K/S drawn around the ``rows`` of `HUES`
     return tuple(
         (Edge if kind == "edge" else Bump)(
             centre + rng.normal(0.0, centre_range / 2.0),
@@ -433,35 +400,20 @@ DIRT = Octaves((0.6, 0.20, 0.06, 0.02), (0.4, 0.25, 0.2, 0.15))
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
 
+# The paint of a car of the fleet
 @dataclass(frozen=True)
 class FleetPaint:
-    """The paint of a car of the fleet.
-
-    Attributes
-    ----------
-    colour, finish
-        Colour and finish in words; the finish is "solid", "metallic" or "pearl".
-    pigments
-        Pigments of the base coat.
-    flake_share, flop
-        Share of the light in the paint that meets flakes, and the flop index, see
-        `hyperpaint.simulation.rendering.appearance.flop_index`; 0 for a solid paint.
-    age
-        Age of the car [years].
-    cover
-        Share of the car covered by dust [1].
-    index
-        Refractive index of its clear coat.
-    """
-
+    # colour, finish: colour and finish in words; the finish is "solid", "metallic" or "pearl"
     colour: str
     finish: str
-    pigments: Pigments
+    pigments: Pigments  # pigments of the base coat
+    # flake_share, flop: share of the light in the paint that meets flakes, and the flop index, see
+    # `hyperpaint.simulation.rendering.appearance.flop_index`; 0 for a solid paint
     flake_share: float
     flop: float
-    age: float
-    cover: float
-    index: float
+    age: float  # age of the car [years]
+    cover: float  # share of the car covered by dust [1]
+    index: float  # refractive index of its clear coat
 
     def base(self, wavelength: Floats) -> Floats:
         # reflectance of its base under dust at many positions on the car, (member, wavelength)

@@ -88,7 +88,7 @@ SKY = {
 
 
 def check_sky(**values: float) -> None:
-    """Raise unless the facts of a sky accept these values; `SchemaError` lists all faults."""
+    # raise unless the facts of a sky accept these values; `SchemaError` lists all faults
     problems = Problems("the light of the sky cannot be computed", SchemaError)
     check_values(SKY, values, problems)
     problems.raise_if_any()
@@ -117,7 +117,7 @@ def check_wavelengths(wavelength: Floats) -> None:
 
 
 def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
-    """Note curves that cannot be light over ``wavelength``: other shapes, values not finite or below 0."""
+    # note curves that cannot be light over ``wavelength``: other shapes, values not finite or below 0
     grid = curves["wavelength"]
     try:
         check_wavelengths(grid)
@@ -185,10 +185,8 @@ def relative_air_mass(sun_zenith: float) -> float:
 def clear_spread(
     wavelength: Floats, sun: Floats, sun_zenith: float, overcast_share: float = 0.0, aerosol: float = 0.1
 ) -> dict[str, Any]:
-    """Return the shares of the clear-sky functions in the diffuse irradiance by name, see `Atmosphere`.
-
-    Without direct light (``sun`` [W m-2 nm-1]) they are 0; an ``overcast_share`` reduces them.
-    """
+    # shares of the clear-sky functions in the diffuse irradiance by name, see `Atmosphere`.
+    # Without direct light (``sun`` [W m-2 nm-1]) they are 0; an ``overcast_share`` reduces them.
     clear = max(0.0, 1.0 - overcast_share / CIE_OVERCAST_SHARE) if np.any(sun) else 0.0
     _, molecular, aureole = clear * clear_sky_shares(wavelength, sun_zenith, aerosol)
     return {"molecular": molecular, "aureole": aureole}

@@ -56,7 +56,7 @@ class PreparedScene(NamedTuple):
 
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
-    """Build the hierarchy of a scene's triangles, and the tables of its surfaces."""
+    # build the hierarchy of a scene's triangles, and the tables of its surfaces
     record = SceneRecord.of(scene)
     geometry = build_geometry(
         scene.vertices, scene.faces, scene.normals, scene.face_material, scene.face_instance
@@ -87,7 +87,7 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
 
 
 def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: int) -> Block:
-    """Trace the lines from ``start`` to before ``stop`` of a whole flight line, now."""
+    # trace the lines from ``start`` to before ``stop`` of a whole flight line, now
     here = slice(start, stop)
     edges = platform.column_edges, platform.along_edges
     return _trace_rays(prepared, platform.origin[here], platform.rotation[here], edges, start)

@@ -150,12 +150,10 @@ def _scrambled(x: Any, seed: Any) -> Any:
 
 @borrowing_kernel
 def _sobol_reversed(place: Any) -> Any:
-    """Return the second dimension of Sobol's sequence with its 32 bits reversed.
-
-    Its direction numbers are (1 + s)^k with the shift s by a bit. With the bits of the argument as
-    coefficients of a polynomial p(x), the result is p(x + 1): halves are combined by p = a(x) + x^16 b(x) and
-    (x + 1)^16 = x^16 + 1, and so on for quarters.
-    """
+    # second dimension of Sobol's sequence with its 32 bits reversed.
+    # Its direction numbers are (1 + s)^k with the shift s by a bit. With the bits of the argument as
+    # coefficients of a polynomial p(x), the result is p(x + 1): halves are combined by p = a(x) + x^16 b(x)
+    # and (x + 1)^16 = x^16 + 1, and so on for quarters.
     place ^= place >> _16
     place ^= (place >> _8) & _BYTES
     place ^= (place >> _4) & _NIBBLES

@@ -41,10 +41,8 @@ def unit(a: Vector) -> Vector:
 
 @borrowing_kernel
 def frame_of(z: Vector) -> Frame:
-    """Return three orthonormal vectors, the last one given.
-
-    T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6 (2017).
-    """
+    # three orthonormal vectors, the last one given.
+    # T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6 (2017).
     sign = math.copysign(1.0, z[2])
     a = -1.0 / (sign + z[2])
     b = z[0] * z[1] * a
@@ -212,35 +210,19 @@ _MISS = 1e300  # distance for a ray that misses a box
 _ROUND_UP = 1.0 + 8e-16  # more than six rounding errors: T. Ize, "Robust BVH ray traversal", JCGT 2 (2013)
 
 
+# Triangles sorted for ray tracing, from `build_geometry`; lengths [m]
 class Geometry(NamedTuple):
-    """Triangles sorted for ray tracing, from `build_geometry`; lengths [m].
-
-    Attributes
-    ----------
-    nodes : (node * 12,) float64
-        Boxes of both children: minimum and maximum of x, y and z.
-    links : (node * 2,) int64
-        Node of a child; for a leaf -(16 first + count) - 1, with its first triangle and their number.
-    triangles : (face * 9,) float64
-        Corners of the triangles.
-    face_normal : (face * 3,) float64
-        Unit normals.
-    corner_normals : (face * 9,) float64
-        Unit normals at the corners; zero where a face is flat.
-    face_material, face_instance : (face,) int32
-        Labels.
-    face_number : (face,) int64
-        Number of the face in the input.
-    """
-
-    nodes: Array
+    nodes: Array  # (node * 12,) float64: boxes of both children: minimum and maximum of x, y and z
+    # (node * 2,) int64: node of a child; for a leaf -(16 first + count) - 1, with its first triangle and
+    # their number
     links: Array
-    triangles: Array
-    face_normal: Array
-    corner_normals: Array
+    triangles: Array  # (face * 9,) float64: corners of the triangles
+    face_normal: Array  # (face * 3,) float64: unit normals
+    corner_normals: Array  # (face * 9,) float64: unit normals at the corners; zero where a face is flat
+    # face_material, face_instance: (face,) int32: labels
     face_material: Array
     face_instance: Array
-    face_number: Array
+    face_number: Array  # (face,) int64: number of the face in the input
 
 
 def build_geometry(
@@ -627,10 +609,8 @@ def _on_smooth_surface(
 def hit_at(
     geometry: Geometry, face: int, weights: Vector, direction: Vector, slope: float
 ) -> tuple[Hit, Vector]:
-    """Return the hit from which a path continues, and the point on the triangle.
-
-    ``slope``: slope of the waves of the coat [rad], 0 for a flat coat.
-    """
+    # hit from which a path continues, and the point on the triangle.
+    # ``slope``: slope of the waves of the coat [rad], 0 for a flat coat.
     face_normal, normal = _normals(geometry, face, weights, direction)
     point = _interpolated(geometry.triangles, face, weights)
     origin = point

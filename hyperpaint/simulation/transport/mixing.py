@@ -32,47 +32,24 @@ _COS = tuple(math.cos(angle) for angle in (0.4, 1.5, 2.3, 0.9))
 _SIN = tuple(math.sin(angle) for angle in (0.4, 1.5, 2.3, 0.9))
 
 
+# Spatial variation of populations; arrays with a row for every material
 class Grain(NamedTuple):
-    """Spatial variation of populations; arrays with a row for every material.
-
-    Attributes
-    ----------
-    first, members : (material,) int64
-        First row and number of the members; 0 without a population.
-    length : (material, octave) float64
-        Length of the variation of an octave [m].
-    share : (material, octave) float64
-        Share of the variance [1].
-    is_averaged : (material,) bool
-        Whether octaves shorter than a pixel are averaged; False for members measured on pixels.
-    """
-
+    # first, members: (material,) int64: first row and number of the members; 0 without a population
     first: Array
     members: Array
-    length: Array
-    share: Array
+    length: Array  # (material, octave) float64: length of the variation of an octave [m]
+    share: Array  # (material, octave) float64: share of the variance [1]
+    # (material,) bool: whether octaves shorter than a pixel are averaged; False for members measured on
+    # pixels
     is_averaged: Array
 
 
+# Ratios from the mean spectra of pixels to the spectra of members
 class Texture(NamedTuple):
-    """Ratios from the mean spectra of pixels to the spectra of members.
-
-    Attributes
-    ----------
-    row : (line, column) int32
-        Row of the member; -1 for no member.
-    factor : (row,) int64
-        Factor of a path that the member changes.
-    ratio : (row, band) float32
-        Multiplier of this factor [1].
-    paths : (path, digit) int64
-        Factors of every path; -1 for no factor.
-    """
-
-    row: Array
-    factor: Array
-    ratio: Array
-    paths: Array
+    row: Array  # (line, column) int32: row of the member; -1 for no member
+    factor: Array  # (row,) int64: factor of a path that the member changes
+    ratio: Array  # (row, band) float32: multiplier of this factor [1]
+    paths: Array  # (path, digit) int64: factors of every path; -1 for no factor
 
 
 def member_rows(material: Array, instance: Array, place: Array, grain: Grain, seed: int) -> Array:

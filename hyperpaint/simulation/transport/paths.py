@@ -71,81 +71,41 @@ from .surfaces import (
 )
 
 
+# Camera position and view for the lines of a block
 class Rays(NamedTuple):
-    """Camera position and view for the lines of a block.
-
-    Attributes
-    ----------
-    origin : (line, 2, 3) float64
-        Positions at start and end of the exposure [m].
-    rotation : (line, 2, 3, 3) float64
-        Rotations from the camera's axes (forward, right, down) to the scene's, at start and end.
-    column_edges : (column + 1,) float64
-        Tangents of the edges of columns, across the track.
-    along_edges : (2,) float64
-        Tangents of the rear and front edge of a line, along the track.
-    """
-
-    origin: Array
+    origin: Array  # (line, 2, 3) float64: positions at start and end of the exposure [m]
+    # (line, 2, 3, 3) float64: rotations from the camera's axes (forward, right, down) to the scene's, at
+    # start and end
     rotation: Array
-    column_edges: Array
-    along_edges: Array
+    column_edges: Array  # (column + 1,) float64: tangents of the edges of columns, across the track
+    along_edges: Array  # (2,) float64: tangents of the rear and front edge of a line, along the track
 
 
+# Light sources besides the uniform sky
 class Sources(NamedTuple):
-    """Light sources besides the uniform sky.
-
-    Attributes
-    ----------
-    suns : (sun, 3) float64
-        Unit vectors towards the suns.
-    sun_radius : (sun,) float64
-        Angular radius [rad]; 0 for a point.
-    overcast : bool
-        Whether to record the overcast sky besides the uniform sky.
-    shapes : (sun, function, 8) float64
-        Coefficients of the functions of clear skies, see `hyperpaint.light.sky_functions`; empty without
-        clear skies.
-    """
-
-    suns: Array
-    sun_radius: Array
-    overcast: bool
+    suns: Array  # (sun, 3) float64: unit vectors towards the suns
+    sun_radius: Array  # (sun,) float64: angular radius [rad]; 0 for a point
+    overcast: bool  # whether to record the overcast sky besides the uniform sky
+    # (sun, function, 8) float64: coefficients of the functions of clear skies, see
+    # `hyperpaint.light.sky_functions`; empty without clear skies
     shapes: Array = np.zeros((0, CLEAR_SKY_FUNCTIONS, 8))
 
 
+# Recorded paths and labels, allocated by the caller. NaN (labels: -1) if all samples show the sky.
 class Block(NamedTuple):
-    """Recorded paths and labels, allocated by the caller. NaN (labels: -1) if all samples show the sky.
-
-    Attributes
-    ----------
-    weight : (line, slot, column) float32
-        Weights w [1]; 0 in empty slots.
-    code : (line, slot, column) int64
-        Codes, ascending; -1 in empty slots, which are the last.
-    material, instance : (line, column) int32
-        Labels of the pair that most samples hit first; the smaller numbers if several pairs have as many
-        samples.
-    purity : (line, column) float32
-        Share of the samples that hit this pair first [1].
-    distance : (line, column) float32
-        Mean distance of the first hits [m].
-    position : (line, 3, column) float64
-        Mean position of the first hits [m].
-    sun_visibility : (line, sun, column) float32
-        Share of the first hits that face a sun which is not occluded [1].
-    incidence : (line, sun, column) float32
-        Mean over the first hits of the cosine between normal and sun, 0 for hits that face away [1].
-    """
-
-    weight: Array
-    code: Array
+    weight: Array  # (line, slot, column) float32: weights w [1]; 0 in empty slots
+    code: Array  # (line, slot, column) int64: codes, ascending; -1 in empty slots, which are the last
+    # material, instance: (line, column) int32: labels of the pair that most samples hit first; the smaller
+    # numbers if several pairs have as many samples
     material: Array
     instance: Array
-    purity: Array
-    distance: Array
-    position: Array
+    purity: Array  # (line, column) float32: share of the samples that hit this pair first [1]
+    distance: Array  # (line, column) float32: mean distance of the first hits [m]
+    position: Array  # (line, 3, column) float64: mean position of the first hits [m]
+    # (line, sun, column) float32: share of the first hits that face a sun which is not occluded [1]
     sun_visibility: Array
+    # (line, sun, column) float32: mean over the first hits of the cosine between normal and sun, 0 for hits
+    # that face away [1]
     incidence: Array
 
     @classmethod
@@ -160,28 +120,14 @@ class Block(NamedTuple):
         return cls(*(np.empty(shape, kind) for shape, kind in _layout(lines, slots, columns, suns)))
 
 
+# Plain numbers of a trace
 class Settings(NamedTuple):
-    """Plain numbers of a trace.
-
-    Attributes
-    ----------
-    first_line
-        Number of the block's first line in the flight line, so that random numbers do not depend on blocks.
-    samples
-        Number of paths of a pixel.
-    depth
-        Maximum number of scatterings.
-    digit_bits
-        Bits of a factor in a code.
-    seed
-        Non-negative integer.
-    """
-
+    # number of the block's first line in the flight line, so that random numbers do not depend on blocks
     first_line: int
-    samples: int
-    depth: int
-    digit_bits: int
-    seed: int
+    samples: int  # number of paths of a pixel
+    depth: int  # maximum number of scatterings
+    digit_bits: int  # bits of a factor in a code
+    seed: int  # non-negative integer
 
 
 def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple[int, ...], type]]:
