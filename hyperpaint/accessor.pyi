@@ -27,8 +27,8 @@ from hyperpaint.pictures.explorer import Explorer
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.radiometry.pixel_reading import Place
 from hyperpaint.regions.proposals.proposing import Proposals
+from hyperpaint.simulation.atmosphere import BrokenClouds
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.sky_models import BrokenClouds
 from hyperpaint.surroundings.model import SceneModel
 
 METHODS: dict[str, str]

@@ -69,11 +69,11 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
 
 def _rendered(seed: int) -> dict[str, Any]:
     import hyperpaint as hp
-    from hyperpaint.simulation.rendering.camera_bands import BandSet
+    from hyperpaint.simulation.atmosphere import BrokenClouds
+    from hyperpaint.simulation.camera import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
-    from hyperpaint.simulation.rendering.sky_models import BrokenClouds
 
     light = conditions_of(seed)
     lines, columns = round(LENGTH_M / light.gsd), round(SWATH_M / light.gsd)
@@ -243,7 +243,7 @@ def factors(
     """Return reflectance factors (direction, band) without the mirror image in the coat.
 
     Takes zenith and azimuth of the light (direction,), and of the view [degree]; what
-    `simulation.rendering.appearance.reflectance_factor` returns, for many directions.
+    `simulation.rendering.materials.reflectance_factor` returns, for many directions.
     """
     from hyperpaint.simulation.rendering.materials import measured_factor
     from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part

@@ -30,12 +30,11 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats, Floats32
 
-from .atmosphere import Light, Sky, spectral_grid
+from .atmosphere import Light, Sky, cloud_transmittance, relative_air_mass, spectral_grid
 from .camera import Camera, convolve_gaussian, expected_counts
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
-from .paint_spectra import CAR_PAINTS, MATERIALS, PANELS, reflectance
 from .rendering.platforms import LocalFrame, Trajectory, TransverseMercator
-from .rendering.sky_models import cloud_transmittance, relative_air_mass
+from .rendering.scene_spectra import CAR_PAINTS, MATERIALS, PANELS, reflectance
 from .settings import ORIGIN, PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 
 _OVERCAST_OKTAS = 8.0
@@ -48,7 +47,7 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     ----------
     sky
         One of `hyperpaint.simulation.settings.SKIES`. An overcast sky transmits a quarter of the clear sky's
-        light, slightly bluer (`rendering.sky_models`), without direct sun.
+        light, slightly bluer (`atmosphere`), without direct sun.
     sun_zenith
         [degree]
     wavelength

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
+from .atmosphere import CIE_OVERCAST_SHARE, clear_spread
+from .camera import BandSet
 from .flight import Flight, Layer, Lines, LineView
-from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
 from .rendering.painting import factor_spectra, populations_of
@@ -29,7 +30,6 @@ from .rendering.relighting import ProductTable, source_spectra
 from .rendering.scene import Scene
 from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of
-from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .settings import PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 from .transport.path_codes import is_direct, is_indirect, is_mirrored

@@ -25,8 +25,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import check_fields, declared, fact
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
-from .camera import GAUSSIAN_REACH, Camera
-from .rendering.camera_bands import cubic_weights
+from .camera import GAUSSIAN_REACH, Camera, cubic_weights
 from .settings import CAMERA_FIELDS, SimulationSettings
 
 PerStep = float | Sequence[float] | Floats

@@ -7,14 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyperpaint.simulation.rendering.appearance import (
+from hyperpaint.simulation.rendering.materials import (
+    Coat,
+    Flakes,
+    Material,
     coat_of_gloss,
+    coated_reflectance,
     flakes_of_flop,
     flop_index,
     gloss_units,
     reflectance_factor,
 )
-from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, coated_reflectance
 from hyperpaint.simulation.rendering.scene_spectra import generate_paint, spectrum_of
 
 VISIBLE = np.array([380.0, 780.0])

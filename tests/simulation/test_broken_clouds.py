@@ -11,10 +11,10 @@ from support.traced_scenes import FEW_BANDS, SUN, flat_light
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.simulation.atmosphere import BrokenClouds
 from hyperpaint.simulation.rendering.materials import Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import plane
-from hyperpaint.simulation.rendering.sky_models import BrokenClouds
 
 EAST, NORTH = np.meshgrid(np.arange(0.0, 20_000.0, 50.0), np.arange(0.0, 20_000.0, 50.0))
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.simulation.atmosphere import CIE_OVERCAST_SHARE, cloud_factor, cloud_transmittance
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.sky_models import CIE_OVERCAST_SHARE, cloud_factor, cloud_transmittance
 
 GRID = np.arange(380.0, 1020.0, 2.0)
 CLEAR = Atmosphere.clear(40.0, wavelength=GRID)

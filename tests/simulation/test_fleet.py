@@ -9,8 +9,8 @@ import pytest
 from support.traced_scenes import SUN, flat_light
 
 import hyperpaint as hp
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendered_flight import RenderedFlight
-from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import Material
 from hyperpaint.simulation.rendering.platforms import pushbroom

@@ -14,9 +14,8 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
-from hyperpaint.simulation.atmosphere import Sky, spectral_grid
+from hyperpaint.simulation.atmosphere import Haze, Sky, relative_air_mass, spectral_grid
 from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
-from hyperpaint.simulation.rendering.sky_models import Haze, relative_air_mass
 
 GRID = np.arange(400.0, 1001.0, 1.0)
 UNITS = {

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.simulation.paint_spectra import Paint
 from hyperpaint.simulation.rendering.materials import (
     Coat,
     Material,
@@ -22,6 +21,7 @@ from hyperpaint.simulation.rendering.materials import (
 )
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import plane
+from hyperpaint.simulation.rendering.scene_spectra import Paint
 from hyperpaint.simulation.rendering.tracing import trace
 from hyperpaint.simulation.transport.path_codes import is_direct, is_indirect, is_mirrored
 

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from support.traced_scenes import SERIES_NM as GRID, irradiance_series as series
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
+from hyperpaint.simulation.atmosphere import Haze, built_in_sky
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.sky_models import Haze, built_in_sky
 
 HEADER = "wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]"
 

@@ -18,7 +18,7 @@ import pytest
 from oracles.mitsuba_scenes import FrameCamera
 
 import hyperpaint as hp
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material

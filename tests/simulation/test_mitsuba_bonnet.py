@@ -20,10 +20,9 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.light.sky_functions import function_shapes, relative_radiance, scattering_cosine
-from hyperpaint.simulation.rendering.appearance import gloss_units
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.materials import Coat, Material, base_albedo
+from hyperpaint.simulation.rendering.materials import Coat, Material, base_albedo, gloss_units
 from hyperpaint.simulation.rendering.platforms import Platform, matrices
 from hyperpaint.simulation.rendering.scene import Scene, plane
 from hyperpaint.simulation.rendering.scene_record import sun_vectors

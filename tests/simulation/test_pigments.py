@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS
 from hyperpaint.simulation.rendering.materials import Coat, base_albedo
 from hyperpaint.simulation.rendering.scene_spectra import (
+    CAR_PAINTS,
     FAMILIES,
     FINISHES,
     FOURTEEN,
+    MATERIALS,
     SPECTRA,
     Pigments,
     generate_paint,

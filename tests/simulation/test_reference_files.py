@@ -15,7 +15,7 @@ import hyperpaint as hp
 from hyperpaint.simulation import SimulationSettings, simulate_collect
 from hyperpaint.simulation.flight import PlanFlight
 from hyperpaint.simulation.instruments import SVC_DETECTORS, svc_wavelengths
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, reflectance
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, reflectance
 
 #: What a line of the header may look like. `test_the_pattern_is_that_of_real_files` holds it to real files.
 PAIR = r"-?[\d.]+, ?-?[\d.]+"

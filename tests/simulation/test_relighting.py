@@ -24,9 +24,8 @@ from support.traced_scenes import (
 
 import hyperpaint as hp
 from hyperpaint.base.schema import VARIABLES
-from hyperpaint.simulation.camera import smile
+from hyperpaint.simulation.camera import BandSet, smile
 from hyperpaint.simulation.rendering import tracing as tracing_module
-from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
 from hyperpaint.simulation.rendering.painting import factor_spectra

@@ -21,7 +21,7 @@ from support.traced_scenes import (
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.materials import Material
 from hyperpaint.simulation.rendering.scene import plane
 

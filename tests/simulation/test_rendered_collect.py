@@ -16,8 +16,8 @@ from click.testing import CliRunner
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
-from hyperpaint.simulation.paint_spectra import MATERIALS
 from hyperpaint.simulation.rendered_flight import RenderedFlight
+from hyperpaint.simulation.rendering.scene_spectra import MATERIALS
 
 SMALL: dict[str, Any] = {
     "scene": "rendered",

@@ -18,7 +18,7 @@ from hyperpaint.light.sky_functions import (
     relative_radiance,
     zenith_radiance,
 )
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom

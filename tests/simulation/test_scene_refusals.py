@@ -11,10 +11,17 @@ import pytest
 from support.traced_scenes import irradiance_series
 
 from hyperpaint.base.errors import FormatError, PaintError, SchemaError, UnitsError
-from hyperpaint.simulation.rendering.appearance import coat_of_gloss, flakes_of_flop
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
-from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material, base_albedo
+from hyperpaint.simulation.rendering.materials import (
+    KINDS,
+    Coat,
+    Flakes,
+    Material,
+    base_albedo,
+    coat_of_gloss,
+    flakes_of_flop,
+)
 from hyperpaint.simulation.rendering.platforms import platform_from_poses
 from hyperpaint.simulation.rendering.scene import Scene, box, plane
 from hyperpaint.simulation.rendering.scene_spectra import generate_paint, paint_spec, spectrum_of

@@ -7,8 +7,15 @@ import pytest
 from support.refusals import refusal
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES, car_body
-from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS, car_park, paved, strips_across, worn
+from hyperpaint.simulation.rendering.car_parks import (
+    CAR_TYPES,
+    NEIGHBOURS,
+    car_body,
+    car_park,
+    paved,
+    strips_across,
+    worn,
+)
 from hyperpaint.simulation.rendering.materials import Coat
 from hyperpaint.simulation.rendering.scene import PARTS, Mesh, Scene
 from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, spectrum_of

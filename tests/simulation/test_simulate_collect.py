@@ -18,7 +18,7 @@ from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.camera import convolve_gaussian
 from hyperpaint.simulation.flight import PlanFlight
-from hyperpaint.simulation.paint_spectra import MATERIALS
+from hyperpaint.simulation.rendering.scene_spectra import MATERIALS
 
 SMALL: dict[str, Any] = {"scene": "plan", "lines": 70, "bands": 12, "columns": 10, "seed": 7}
 SECOND = np.timedelta64(1, "s")

@@ -8,7 +8,7 @@ import pytest
 from hyperpaint.simulation.atmosphere import Light, Sky, solar_irradiance, spectral_grid
 from hyperpaint.simulation.camera import convolve_gaussian
 from hyperpaint.simulation.flight import CarPark
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS, Paint, reflectance
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, MATERIALS, Paint, reflectance
 
 
 def test_noon_irradiance_is_of_the_right_level() -> None:

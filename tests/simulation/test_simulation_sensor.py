@@ -12,9 +12,9 @@ from hyperpaint.simulation.camera import (
     convolve_gaussian,
     expected_counts,
     filled_etendue,
+    line_shape,
     smile,
 )
-from hyperpaint.simulation.rendering.camera_bands import line_shape
 from hyperpaint.simulation.settings import SHAPES
 
 K = np.sqrt(np.pi / (4 * np.log(2)))

@@ -13,12 +13,11 @@ from support.refusals import refusal
 from support.traced_scenes import seen_by
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.camera import Camera, nominal_responsivity
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, reflectance
+from hyperpaint.simulation.camera import BandResponses, BandSet, Camera, cell_means, nominal_responsivity
 from hyperpaint.simulation.rendering import relighting
-from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet, cell_means
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.relighting import ProductTable
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, reflectance
 from hyperpaint.simulation.settings import SimulationSettings
 from hyperpaint.simulation.transport.path_codes import (
     PathCodes,

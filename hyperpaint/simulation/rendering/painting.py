@@ -23,9 +23,9 @@ from hyperpaint.base.mirrored_light import INCLUDED, mirror_reflection
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, MEMBER, SIGNATURE
 from hyperpaint.base.units import convert
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.transport.mixing import Grain, Texture, member_rows
 
-from .camera_bands import BandSet
 from .materials import measured_factor
 from .scene_record import SceneRecord
 from .scene_spectra import MEASURED, Octaves, Spectrum, is_paint, paint_spec, spectrum_of

@@ -41,7 +41,8 @@ from hyperpaint.base.schema import (
     label,
     require,
 )
-from hyperpaint.simulation.camera import convolve_gaussian
+from hyperpaint.simulation.atmosphere import BrokenClouds
+from hyperpaint.simulation.camera import BandResponses, BandSet, cell_means, convolve_gaussian
 from hyperpaint.simulation.transport.mixing import (
     Texture,
     index_paths,
@@ -64,11 +65,9 @@ from hyperpaint.simulation.transport.path_codes import (
     source_of,
 )
 
-from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere, preset_atmosphere
 from .painting import Populations, factor_spectra, populations_of, rows_of_pixels
 from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
-from .sky_models import BrokenClouds
 
 _PATHS = ("transport_weight", "transport_path", "distance")
 
