@@ -138,15 +138,16 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     ``dust`` (along_track, cross_track) is the row of ``dust_ratio`` (row, band): what a pixel's paint is to
     the mean of its car's. ``true_direct``, ``true_shares`` (band): of the light at the middle of the scene.
     """
-    from hyperpaint.simulation.rendering.painting import factor_spectra, populations_of, rows_of_pixels
+    from hyperpaint.simulation.rendering.painting import factor_spectra, populations_of
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
+    from hyperpaint.simulation.transport.mixing import member_rows
 
     record, settings = SceneRecord.from_attrs(traced.attrs)
     painted = factor_spectra(record, bands, None, None)
     populations = populations_of(record, painted, bands)
     planes = ("along_track", "cross_track")
     east, north, up = (lit[name].values for name in ("east", "north", "up"))
-    rows = rows_of_pixels(
+    rows = member_rows(
         lit["material"].values, lit["instance"].values, east, north, up,
         grain=populations.grain, seed=settings.seed,
     )  # fmt: skip

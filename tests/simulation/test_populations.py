@@ -118,7 +118,7 @@ def field(spacing: float, made: Grain, seed: int = 3, instance: int = 0) -> np.n
     east, north = np.meshgrid(np.arange(200) * spacing, np.arange(150) * spacing)
     label = np.zeros(east.shape, np.int32)
     place = np.stack([east + 0.123, north - 7.77, 0.0 * east])
-    return member_rows(label, label + np.int32(instance), place, made, seed) / 1000.0
+    return member_rows(label, label + np.int32(instance), *place, made, seed) / 1000.0
 
 
 def test_ranks_are_even_and_alike_over_the_length() -> None:
@@ -149,5 +149,5 @@ def test_the_sky_and_plain_surfaces_have_no_member() -> None:
     label = np.array([[-1, 0, 1]], np.int32)
     made = Grain(np.array([0, 0]), np.array([0, 9]), np.ones((2, 1)), np.ones((2, 1)), np.zeros(2, bool))
     place = np.array([[[np.nan, 0.0, 1.0]]] * 3)
-    assert member_rows(label, label, place, made, 0).tolist()[0][:2] == [-1, -1]
-    assert member_rows(label, label, place, made, 0)[0, 2] >= 0
+    assert member_rows(label, label, *place, made, 0).tolist()[0][:2] == [-1, -1]
+    assert member_rows(label, label, *place, made, 0)[0, 2] >= 0

@@ -24,7 +24,7 @@ from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, MEMBER, SIGNATURE
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.camera import BandSet
-from hyperpaint.simulation.transport.mixing import Grain, Texture, member_rows
+from hyperpaint.simulation.transport.mixing import Grain, Texture
 
 from .materials import measured_factor
 from .scene_record import SceneRecord
@@ -544,10 +544,6 @@ class Populations(NamedTuple):
     factor: Array  # (row,) number of the factor that a member changes
     ratio: Floats32  # (row, band) member over mean
 
-    def texture(self, material: Array, instance: Array, position: Array, seed: int) -> Texture:
-        # members of pixels at positions (3, line, column) [m]; see `transport.mixing.member_rows`
-        return self.of_rows(member_rows(material, instance, position, self.grain, seed))
-
     def of_rows(self, rows: Array) -> Texture:
         # members of pixels, from their rows (line, column)
         return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
@@ -584,10 +580,3 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
         is_averaged[material] = octaves.is_averaged
     grain = Grain(count[0], count[1], lengths, shares, is_averaged)
     return Populations(grain, np.concatenate(factors), np.concatenate(ratios).astype(np.float32))
-
-
-def rows_of_pixels(
-    material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
-) -> Array:
-    # member rows of pixels, (line, column); see `transport.mixing.member_rows`
-    return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

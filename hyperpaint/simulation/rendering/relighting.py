@@ -47,6 +47,7 @@ from hyperpaint.simulation.transport.mixing import (
     Texture,
     index_paths,
     integrate_bands,
+    member_rows,
     mix,
     mix_shifted,
     through_air,
@@ -66,8 +67,8 @@ from hyperpaint.simulation.transport.path_codes import (
 )
 
 from .four_curves import Atmosphere, preset_atmosphere
-from .painting import Populations, factor_spectra, populations_of, rows_of_pixels
-from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
+from .painting import Populations, factor_spectra, populations_of
+from .scene_record import LabelTable, SceneRecord, TraceSettings, sun_vectors
 
 _PATHS = ("transport_weight", "transport_path", "distance")
 
@@ -249,7 +250,7 @@ def relight(
     for factor, name in zip(record.factors, painted.names, strict=True):
         if not (factor.flakes or factor.through):
             names[factor.material] = name
-    line = _dataset(cubes, traced, camera, LabelTables.of(record, names))
+    line = _dataset(cubes, traced, camera, record.labels(names)["paint_id"])
     if truth and "sun_visibility" in traced.variables:
         line["shadow"] = label(
             (1.0 - traced["sun_visibility"].isel({SUN: sun}, drop=True)).astype(np.float32), "shadow"
@@ -312,7 +313,7 @@ def _lazy_cubes(
         layers = [_whole_lines(traced[name].reset_coords(drop=True)) for name in _PIXEL_LAYERS]
         inputs = [part for layer in layers for part in (layer, "lx")]
         options = {"grain": populations.grain, "seed": seed, "meta": np.empty((0, 0), np.int32)}
-        rows = da.blockwise(rows_of_pixels, "lx", *inputs, **options, dtype=np.int32)
+        rows = da.blockwise(member_rows, "lx", *inputs, **options, dtype=np.int32)
         textured = (*lit, rows, "lx", dask.delayed(populations, pure=True, traverse=False), None)
 
     def cube(method: Callable[..., Array], dims: str, *arguments: Any, **axes: int) -> da.Array:
@@ -334,7 +335,7 @@ def _lazy_cubes(
 
 
 def _dataset(
-    cubes: dict[str, da.Array], traced: xr.Dataset, bands: BandSet, tables: LabelTables
+    cubes: dict[str, da.Array], traced: xr.Dataset, bands: BandSet, paints: LabelTable
 ) -> xr.Dataset:
     variables = {
         name: (CUBE if array.ndim == 3 else (ALONG_TRACK, CROSS_TRACK), array, VARIABLES[name].attrs)
@@ -355,13 +356,13 @@ def _dataset(
             line[name] = traced[name].variable
     if "material" in traced.variables:
         paint_id = xr.apply_ufunc(
-            tables.paint_id.__getitem__,
+            paints.table.__getitem__,
             traced["material"].reset_coords(drop=True),
             dask="parallelized",
             output_dtypes=[dtype_of("paint_id")],
             keep_attrs=True,
         )
-        line["paint_id"] = label(paint_id, "paint_id", **tables.attrs("paint_id"))
+        line["paint_id"] = label(paint_id, "paint_id", **paints.attrs)
     return line
 
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,53 +240,39 @@ class SceneRecord:
     def codes(self, settings: TraceSettings) -> PathCodes:
         return PathCodes.of(len(self.factors), settings.depth)
 
+    def labels(self, names: Sequence[str] | None = None) -> dict[str, LabelTable]:
+        """Return the label layers that follow from the material or the instance of a pixel, by name.
 
-# Labels that follow from the material or the instance of a pixel
-@dataclass(frozen=True, eq=False)
-class LabelTables:
-    # (material + 1,), int16: number of the semantic class; the last entry is for the sky
-    surface_class: NDArray[np.int16]
-    paint_id: NDArray[np.int16]  # (material + 1,), int16: number of the paint spectrum; -1 for other surfaces
-    car_id: NDArray[np.int32]  # (instance + 1,), int32: number of the instance if it is a car, else -1
-    paints: tuple[str, ...]  # names of the paint spectra
-
-    @classmethod
-    def of(cls, record: SceneRecord, names: Sequence[str] | None = None) -> LabelTables:
-        """Return the tables of a scene.
-
-        Parameters
-        ----------
-        record
-            The scene.
-        names
-            Spectrum of every material; None for the spectra of the scene.
+        ``names``: spectrum of every material; None for the spectra of the scene.
         """
-        kinds = [material.kind for material in record.materials]
-        spectra = [material.spectrum for material in record.materials] if names is None else list(names)
+        kinds = [material.kind for material in self.materials]
+        spectra = [material.spectrum for material in self.materials] if names is None else list(names)
         # all built-in paints come first, so that their numbers are equal in all scenes of a training set
         own = {name for name, kind in zip(spectra, kinds, strict=True) if kind == "paint"}
         paints = (*FOURTEEN, *sorted(own.difference(FOURTEEN)))
         paint_id = [
             paints.index(name) if kind == "paint" else -1 for name, kind in zip(spectra, kinds, strict=True)
         ]
-        cars = [number if item.kind == "car" else -1 for number, item in enumerate(record.instances)]
-        return cls(
-            np.array([*map(KINDS.index, kinds), -1], np.int16),
-            np.array([*paint_id, -1], np.int16),
-            np.array([*cars, -1], np.int32),
-            paints,
-        )
+        cars = [number if item.kind == "car" else -1 for number, item in enumerate(self.instances)]
 
-    def layers(self, material: Array, instance: Array) -> dict[str, Array]:
-        # label layers of pixels; the sky (-1) takes the last entry of the tables
+        def flags(words: Sequence[str]) -> dict[str, Any]:
+            meanings = " ".join(word.replace(" ", "_") for word in words)
+            return {"flag_values": np.arange(len(words), dtype=np.int16), "flag_meanings": meanings}
+
+        # the last entry is for the sky, whose material and instance are -1
         return {
-            "surface_class": self.surface_class[material],
-            "paint_id": self.paint_id[material],
-            "car_id": self.car_id[instance],
+            "surface_class": LabelTable(np.array([*map(KINDS.index, kinds), -1], np.int16), flags(KINDS)),
+            "paint_id": LabelTable(np.array([*paint_id, -1], np.int16), flags(paints)),
+            "car_id": LabelTable(np.array([*cars, -1], np.int32), {}),
         }
 
-    def attrs(self, name: str) -> dict[str, Any]:
-        if name not in ("surface_class", "paint_id"):
-            return {}
-        meanings = KINDS if name == "surface_class" else [paint.replace(" ", "_") for paint in self.paints]
-        return {"flag_values": np.arange(len(meanings), dtype=np.int16), "flag_meanings": " ".join(meanings)}
+
+# Label by the number of the material, or for cars of the instance, and the attributes of the layer.
+class LabelTable(NamedTuple):
+    table: NDArray[Any]
+    attrs: dict[str, Any]
+
+
+def label_layers(labels: Mapping[str, LabelTable], material: Array, instance: Array) -> dict[str, Array]:
+    # label layers of pixels
+    return {name: row.table[instance if name == "car_id" else material] for name, row in labels.items()}

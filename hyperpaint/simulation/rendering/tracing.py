@@ -40,7 +40,7 @@ from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 from .four_curves import Atmosphere, preset_atmosphere
 from .platforms import Platform
 from .scene import Scene
-from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
+from .scene_record import LabelTable, SceneRecord, TraceSettings, label_layers, sun_vectors
 
 Sun = tuple[float, float] | Atmosphere | str
 
@@ -52,7 +52,7 @@ class PreparedScene(NamedTuple):
     sources: Sources
     codes: PathCodes  # layout of the codes of paths
     settings: TraceSettings
-    labels: LabelTables  # labels by the number of a material or an instance
+    labels: dict[str, LabelTable]
 
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
@@ -66,7 +66,6 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
     if settings.clear:
         shapes = np.stack([function_shapes(zenith) for zenith, _ in settings.suns])
         sources = sources._replace(shapes=shapes)
-    labels = LabelTables.of(record)
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     # numbers of the factors of every material: base, flakes, transmittance, turned flakes
@@ -83,7 +82,7 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
         *factors[:3],
         turned_factor=factors[3],
     )
-    return PreparedScene(geometry, surfaces, sources, record.codes(settings), settings, labels)
+    return PreparedScene(geometry, surfaces, sources, record.codes(settings), settings, record.labels())
 
 
 def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: int) -> Block:
@@ -224,7 +223,7 @@ def trace(
     sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
     layout = {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}
     arrays = split_outputs(blocks, "l", layout, sizes)
-    labels = LabelTables.of(record)
+    labels = record.labels()
     utc = platform.utc.astype("datetime64[ns]")
     coords = {
         "time": (ALONG_TRACK, utc),
@@ -242,7 +241,9 @@ def trace(
             "time_coverage_end": str(utc.max()),
         },
     )
-    return traced.assign({name: label(traced[name], name, **labels.attrs(name)) for name in arrays})
+    return traced.assign(
+        {name: label(traced[name], name, **(labels[name].attrs if name in labels else {})) for name in arrays}
+    )
 
 
 def _directions(suns: Any) -> tuple[Any, bool]:
@@ -289,5 +290,5 @@ def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array
         "distance": block.distance,
         "sun_visibility": block.sun_visibility,
         "sun_incidence": block.incidence,
-        **prepared.labels.layers(block.material, block.instance),
+        **label_layers(prepared.labels, block.material, block.instance),
     }

@@ -52,14 +52,16 @@ class Texture(NamedTuple):
     paths: Array  # (path, digit) int64: factors of every path; -1 for no factor
 
 
-def member_rows(material: Array, instance: Array, place: Array, grain: Grain, seed: int) -> Array:
+def member_rows(
+    material: Array, instance: Array, east: Array, north: Array, up: Array, grain: Grain, seed: int
+) -> Array:
     """Return the member row of every pixel, (line, column) int32; -1 for no member.
 
     Parameters
     ----------
     material, instance : (line, column) int32
         Labels of a pixel; -1 for the sky.
-    place : (3, line, column) float64
+    east, north, up : (line, column) float64
         Position of a pixel [m].
     grain
         Spatial variation of every material.
@@ -70,11 +72,12 @@ def member_rows(material: Array, instance: Array, place: Array, grain: Grain, se
     --------
     >>> grain = Grain(*map(np.array, ([0], [9], [[0.1]], [[1.0]], [False])))
     >>> label = np.zeros((1, 4), np.int32)
-    >>> place = np.stack([np.array([[0.0, 0.01, 3.0, 9.0]]), 0.0 * label, 0.0 * label])
-    >>> member_rows(label, label, place, grain, 0)[0, 0] == member_rows(label, label, place, grain, 0)[0, 0]
-    np.True_
+    >>> place = np.array([[0.0, 0.01, 3.0, 9.0]]), 0.0 * label, 0.0 * label
+    >>> member_rows(label, label, *place, grain, 0).shape
+    (1, 4)
     """
     rows = np.full(material.shape, -1, np.int32)
+    place = np.stack([east, north, up])
     # median distance of neighbouring pixels [m], by scan line
     pixel = np.zeros(place.shape[1])
     if place.shape[2] > 1:
