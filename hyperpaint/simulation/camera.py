@@ -371,13 +371,8 @@ class BandResponses:
         return points, response
 
     def weights(self, sources: Floats) -> Floats:
-        """Return the weights of the grid points in the bands, shape (source, node, grid, width).
-
-        Parameters
-        ----------
-        sources : (source, fine)
-            Spectra of the sources; see `cell_means`.
-        """
+        # weights of the grid points in the bands, shape (source, node, grid, width)
+        # sources : (source, fine): spectra of the sources; see `cell_means`
         shape = (len(sources), self.bands.nodes.size, self.grid.size, self.width)
         grid_weights = np.zeros(shape)
         grid_points = self._starts[:, None] - 1 + np.arange(self._cells + 3)
@@ -462,23 +457,12 @@ ETENDUE = filled_etendue()
 
 
 def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: float) -> Floats:
-    """Return spectra at the resolution of a spectrometer of Gaussian line shape.
-
-    Parameters
-    ----------
-    spectra
-        Shape (spectrum, grid).
-    grid
-        Even wavelength grid [nm].
-    centres
-        Wavelengths of the spectrometer [nm].
-    fwhm
-        Full width at half maximum [nm].
-
-    Returns
-    -------
-    Shape (spectrum, centres), in the units of ``spectra``.
-    """
+    # spectra at the resolution of a spectrometer of Gaussian line shape
+    # spectra: shape (spectrum, grid)
+    # grid: even wavelength grid [nm]
+    # centres: wavelengths of the spectrometer [nm]
+    # fwhm: full width at half maximum [nm]
+    # Shape (spectrum, centres), in the units of ``spectra``.
     step = grid[1] - grid[0]
     convolved = np.empty((len(spectra), len(centres)))
     for index, centre in enumerate(centres):
@@ -758,13 +742,8 @@ class Optics:
         return cls(settings, wavelength) if is_on else None
 
     def image(self, window: Sequence[Floats]) -> Floats:
-        """Return the signal of the elements of a line, shape (band, column).
-
-        Parameters
-        ----------
-        window
-            ``2 * reach + 1`` lines around the line, each (band, column), without element factors.
-        """
+        # signal of the elements of a line, shape (band, column)
+        # window: ``2 * reach + 1`` lines around the line, each (band, column), without element factors
         total = np.zeros(window[0].shape)
         for along, across in self._terms:
             line = np.zeros_like(total)

@@ -509,17 +509,10 @@ class Checkerboard:
         return np.stack([first_axis[0] * x + first_axis[1] * y, second_axis[0] * x + second_axis[1] * y])
 
     def share(self, place: Floats, steps: Floats, weights: Floats) -> Floats:
-        """Return the share of the sample points of pixels that are on bright squares.
-
-        Parameters
-        ----------
-        place
-            East and north of pixel centres, shape (2, ...) [m].
-        steps
-            Vectors along width, length and exposure of a pixel, shape (step, 2, ...) [m].
-        weights
-            Weights of these vectors for every sample point, shape (point, step).
-        """
+        # share of the sample points of pixels that are on bright squares
+        # place: east and north of pixel centres, shape (2, ...) [m]
+        # steps: vectors along width, length and exposure of a pixel, shape (step, 2, ...) [m]
+        # weights: weights of these vectors for every sample point, shape (point, step)
         centre = self.numbers(*place)
         vectors = np.moveaxis(np.tensordot(self._axes / self.square, steps, axes=(1, 1)), 1, 0)
         bright = np.zeros(centre.shape[1:])

@@ -91,17 +91,10 @@ def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.
 def write_navigation(
     path: Path, pose: Mapping[str, Floats], stamps: NDArray[np.int64], utc: NDArray[np.datetime64]
 ) -> None:
-    """Write ``imu_gps.txt`` (variant A).
-
-    Parameters
-    ----------
-    pose
-        roll, pitch, heading, latitude, longitude [degree], altitude [m], each of shape (row,).
-    stamps
-        Microseconds of the instrument's clock, shape (row,).
-    utc
-        The same instants in UTC, shape (row,).
-    """
+    # write ``imu_gps.txt`` (variant A)
+    # pose: roll, pitch, heading, latitude, longitude [degree], altitude [m], each of shape (row,)
+    # stamps: microseconds of the instrument's clock, shape (row,)
+    # utc: the same instants in UTC, shape (row,)
     header = "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTimestamp\tGps_UTC_Date&Time\tStatus\tHeading\n"
     names = ("roll", "pitch", "heading", "latitude", "longitude", "altitude")
     columns = [pose[name].tolist() for name in names]
@@ -118,15 +111,9 @@ def write_navigation(
 
 
 def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime64]) -> None:
-    """Write an SBET file: rows of 17 float64, angles in radians, seconds of the GPS week, zero velocities.
-
-    Parameters
-    ----------
-    pose
-        As for `write_navigation`; heights above the ellipsoid.
-    utc
-        UTC of the rows, shape (row,).
-    """
+    # write an SBET file: rows of 17 float64, angles in radians, seconds of the GPS week, zero velocities
+    # pose: as for `write_navigation`; heights above the ellipsoid
+    # utc: UTC of the rows, shape (row,)
     leap = np.searchsorted(_LEAPS, utc, side="right") * 10**9
     week = ((utc - _GPS_EPOCH).astype(np.int64) + leap) % (7 * 86_400 * 10**9)
     rows = np.zeros((len(utc), 17), "<f8")
@@ -152,22 +139,13 @@ _LAMP_COUNTS = (
 
 
 def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, reference_stamp: int) -> None:
-    """Write an irradiance spectrum as an ASD binary file, version 7.
-
-    The file holds raw counts and three calibration blocks; irradiance is LMP x counts / FO x
-    (integration time of FO / integration time).
-
-    Parameters
-    ----------
-    irradiance
-        Irradiance on `ASD_WAVELENGTH`, shape (726,) [W m-2 nm-1].
-    stamp
-        Time by the clock of the logging computer, UTC as seconds since 1970.
-    utc_offset
-        Time zone of this computer [s].
-    reference_stamp
-        Time of the reference by the same clock.
-    """
+    # write an irradiance spectrum as an ASD binary file, version 7.
+    # The file holds raw counts and three calibration blocks; irradiance is LMP x counts / FO x (integration
+    # time of FO / integration time).
+    # irradiance: irradiance on `ASD_WAVELENGTH`, shape (726,) [W m-2 nm-1]
+    # stamp: time by the clock of the logging computer, UTC as seconds since 1970
+    # utc_offset: time zone of this computer [s]
+    # reference_stamp: time of the reference by the same clock
     counts = irradiance * _LAMP_COUNTS / _LAMP * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
     blocks = (
         (1, b"bse_sim.ref", np.full(len(ASD_WAVELENGTH), 0.99)),
@@ -181,15 +159,10 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
 def write_asd_reflectance(
     path: Path, radiance: Floats, white: Floats, *, stamp: int, utc_offset: int, reference_stamp: int
 ) -> None:
-    """Write a reflectance spectrum as an ASD binary file, version 7: counts of surface and white panel.
-
-    Parameters
-    ----------
-    radiance, white
-        Radiance of the surface and of the panel, on `ASD_WAVELENGTH`, shape (726,) [W m-2 sr-1 nm-1].
-    stamp, utc_offset, reference_stamp
-        As for `write_asd`; ``reference_stamp`` is the time of the panel.
-    """
+    # write a reflectance spectrum as an ASD binary file, version 7: counts of surface and white panel
+    # radiance, white: radiance of the surface and of the panel, on `ASD_WAVELENGTH`, shape (726,) [W m-2 sr-1
+    # nm-1]
+    # stamp, utc_offset, reference_stamp: as for `write_asd`; ``reference_stamp`` is the time of the panel
     per_radiance = np.pi * _LAMP_COUNTS / _LAMP * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
     times = stamp, utc_offset, reference_stamp
     _write_asd(path, _REFLECTANCE, radiance * per_radiance, white * per_radiance, times)
@@ -311,21 +284,12 @@ def write_svc(
     position: tuple[float, float],
     sun: tuple[float, float],
 ) -> None:
-    """Write a measurement of a white panel and a target.
-
-    Parameters
-    ----------
-    white, target
-        Radiance on `svc_wavelengths`, shape (1024,) [W m-2 sr-1 nm-1].
-    stamps
-        UTC of panel and target [s since 1970].
-    utc_offset
-        Zone of the instrument's clock [s].
-    position
-        Latitude and longitude [degree].
-    sun
-        Zenith angle and azimuth of the sun [degree].
-    """
+    # write a measurement of a white panel and a target
+    # white, target: radiance on `svc_wavelengths`, shape (1024,) [W m-2 sr-1 nm-1]
+    # stamps: UTC of panel and target [s since 1970]
+    # utc_offset: zone of the instrument's clock [s]
+    # position: latitude and longitude [degree]
+    # sun: zenith angle and azimuth of the sun [degree]
     latitude = _degrees_and_minutes(position[0], 2, "NS")
     longitude = _degrees_and_minutes(position[1], 3, "EW")
     times, local = ([np.datetime64(stamp + zone, "s").item() for stamp in stamps] for zone in (0, utc_offset))

@@ -221,9 +221,10 @@ class RenderedFlight(Flight):
         weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
         texture = None
         if self._populations is not None:
-            place, grain = np.moveaxis(block.position, 1, 0), self._populations.grain
-            rows = member_rows(block.material, block.instance, *place, grain=grain, seed=self.settings.seed)
-            texture = self._populations.of_rows(rows)
+            members, (x, y, z) = self._populations, np.moveaxis(block.position, 1, 0)
+            seed = self.settings.seed
+            rows = member_rows(block.material, block.instance, x, y, z, members.grain, seed)
+            texture = members.of_rows(rows)
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
         return record, lambda row: record.radiance[row] * per_element

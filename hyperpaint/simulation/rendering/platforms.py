@@ -502,13 +502,9 @@ class Trajectory:
         }
 
     def camera(self, seconds: Floats) -> tuple[Floats, Floats]:
-        """Return the position of the camera (..., 3) [m], and its rotation to the scene's axes (..., 3, 3).
-
-        Notes
-        -----
-        With M the rotation from north, east, down at the platform to the scene, R the attitude of the body, B
-        that of the camera in the body, and l the lever arm: p = p_nav + M R l, and the rotation is M R B.
-        """
+        # position of the camera (..., 3) [m], and its rotation to the scene's axes (..., 3, 3)
+        # With M the rotation from north, east, down at the platform to the scene, R the attitude of the body,
+        # B that of the camera in the body, and l the lever arm: p = p_nav + M R l, and the rotation is M R B
         pose = self.pose(seconds)
         position = self.frame.local(pose["latitude"], pose["longitude"], pose["altitude"])
         down = np.asarray(self.frame.axes.T @ north_east_down(pose["latitude"], pose["longitude"]))

@@ -512,19 +512,12 @@ class Lighting:
         rows: Array | None = None,
         populations: Populations | None = None,
     ) -> Floats32:
-        """Return the radiance at the surface towards the camera, (line, band, column) [W m-2 sr-1 nm-1].
-
-        Parameters
-        ----------
-        weight, code : (line, slot, column)
-            Paths as traced.
-        variation : (2, line) or (2, line, column)
-            Factors of direct and diffuse light; None for factors of 1.
-        rows : (line, column)
-            Members of ``populations`` shown by pixels.
-        populations
-            None for the means.
-        """
+        # radiance at the surface towards the camera, (line, band, column) [W m-2 sr-1 nm-1]
+        # weight, code : (line, slot, column): paths as traced
+        # variation : (2, line) or (2, line, column): factors of direct and diffuse light; None for factors of
+        # 1
+        # rows : (line, column): members of ``populations`` shown by pixels
+        # populations: None for the means
         lines, _, columns = weight.shape
         radiance = np.empty((lines, self.table.bands.wavelength.size, columns), np.float32)
         texture = None if populations is None or rows is None else populations.of_rows(rows)
@@ -745,17 +738,10 @@ class ProductTable:
         out: NDArray[np.float32],
         texture: Texture | None = None,
     ) -> None:
-        """Write the sum of weight x product over the paths of every pixel, with the smile of the columns.
-
-        Parameters
-        ----------
-        weight, codes : (line, slot, column)
-            Paths as traced; empty slots add nothing.
-        out : (line, band, column)
-            Result, in the units of the table.
-        texture
-            Members of populations shown by pixels; None for the means.
-        """
+        # write the sum of weight x product over the paths of every pixel, with the smile of the columns
+        # weight, codes : (line, slot, column): paths as traced; empty slots add nothing
+        # out : (line, band, column): result, in the units of the table
+        # texture: members of populations shown by pixels; None for the means
         distinct, index = index_paths(codes)
         lit = self._row_of_source[source_of(distinct)] >= 0
         if not lit.all():  # skip paths from dark sources

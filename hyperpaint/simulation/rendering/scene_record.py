@@ -241,10 +241,8 @@ class SceneRecord:
         return PathCodes.of(len(self.factors), settings.depth)
 
     def labels(self, names: Sequence[str] | None = None) -> dict[str, LabelTable]:
-        """Return the label layers that follow from the material or the instance of a pixel, by name.
-
-        ``names``: spectrum of every material; None for the spectra of the scene.
-        """
+        # label layers that follow from the material or the instance of a pixel, by name.
+        # ``names``: spectrum of every material; None for the spectra of the scene.
         kinds = [material.kind for material in self.materials]
         spectra = [material.spectrum for material in self.materials] if names is None else list(names)
         # all built-in paints come first, so that their numbers are equal in all scenes of a training set

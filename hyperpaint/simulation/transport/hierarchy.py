@@ -426,24 +426,13 @@ def _prepared_ray(origin: Vector, direction: Vector) -> _Ray:
 def closest(
     geometry: Geometry, stack: Array, entries: Array, origin: Vector, direction: Vector, limit: float
 ) -> tuple[float, int, Vector]:
-    """Return the nearest triangle hit by a ray.
-
-    Parameters
-    ----------
-    geometry
-        Triangles.
-    stack, entries
-        Memory for `STACK` nodes: int64 and float64.
-    origin, direction
-        Origin of the ray [m], and its direction of any length.
-    limit
-        Maximum distance, in units of this length.
-
-    Returns
-    -------
-    distance, face, weights
-        Face -1 for a miss; otherwise the hit is the sum of the face's corners with these weights.
-    """
+    # nearest triangle hit by a ray
+    # geometry: triangles
+    # stack, entries: memory for `STACK` nodes: int64 and float64
+    # origin, direction: origin of the ray [m], and its direction of any length
+    # limit: maximum distance, in units of this length
+    # returns distance, face, weights: face -1 for a miss; otherwise the hit is the sum of the face's corners
+    # with these weights
     return _traverse(geometry, stack, entries, _prepared_ray(origin, direction), limit, False)
 
 
@@ -514,17 +503,10 @@ WAVES = _waves()
 
 @borrowing_kernel
 def waved(normal: Vector, point: Vector, slope: float) -> Vector:
-    """Return the normal of a wavy surface.
-
-    Parameters
-    ----------
-    normal
-        Normal of the surface without waves.
-    point
-        Position [m]; the waves are fixed in space, so that a position always has the same normal.
-    slope
-        Root mean square of the slope, over all directions of the normal [rad].
-    """
+    # normal of a wavy surface
+    # normal: normal of the surface without waves
+    # point: position [m]; the waves are fixed in space, so that a position always has the same normal
+    # slope: root mean square of the slope, over all directions of the normal [rad]
     gradient = (0.0, 0.0, 0.0)
     for k in range(WAVES.shape[0]):
         x, y, z, phase = WAVES[k, 0], WAVES[k, 1], WAVES[k, 2], WAVES[k, 3]

@@ -373,26 +373,16 @@ def _mix_shifted(
 def integrate_bands(
     factors: Array, path_factors: Array, source: Array, weights: Array, first_band: Array, out: Array
 ) -> None:
-    """Integrate the products of paths over bands.
-
-    Every path is summed separately and in the order of wavelengths, so that its result does not depend on
-    other paths.
-
-    Parameters
-    ----------
-    factors : (factor, grid), float64
-        Spectra.
-    path_factors : (path, digit), int64
-        Factors of every path; -1 for no factor.
-    source : (path,), int64
-        Row of ``weights``; -1 for a source without light.
-    weights : (source, node, grid, width), float64
-        Integral of response x source x the basis function of a grid point, for the bands from ``first_band``.
-    first_band : (grid,), int64
-        First of the ``width`` bands to which a grid point contributes.
-    out : (node, path, band), float32
-        Output.
-    """
+    # integrate the products of paths over bands.
+    # Every path is summed separately and in the order of wavelengths, so that its result does not depend on
+    # other paths.
+    # factors : (factor, grid), float64: spectra
+    # path_factors : (path, digit), int64: factors of every path; -1 for no factor
+    # source : (path,), int64: row of ``weights``; -1 for a source without light
+    # weights : (source, node, grid, width), float64: integral of response x source x the basis function of a
+    # grid point, for the bands from ``first_band``
+    # first_band : (grid,), int64: first of the ``width`` bands to which a grid point contributes
+    # out : (node, path, band), float32: output
     grid, width = weights.shape[2], weights.shape[3]
     nodes, bands = out.shape[0], out.shape[2]
     product = np.empty(grid, np.float64)
@@ -420,19 +410,11 @@ _THIN_DEPTH = 0.15  # optical depth up to which a short series is exact to float
 
 
 def through_air(surface: Array, extinction: Array, path_radiance: Array, distance: Array, out: Array) -> None:
-    """Write L exp(-k d) + Lp d.
-
-    Parameters
-    ----------
-    surface : (line, band, column), float32
-        L [W m-2 sr-1 nm-1].
-    extinction, path_radiance : (band, column or 1), float32
-        k [m-1], Lp [W m-2 sr-1 nm-1 m-1].
-    distance : (line, column), float32
-        d [m]; not finite without air.
-    out : (line, band, column), float32
-        Output.
-    """
+    # write L exp(-k d) + Lp d
+    # surface : (line, band, column), float32: L [W m-2 sr-1 nm-1]
+    # extinction, path_radiance : (band, column or 1), float32: k [m-1], Lp [W m-2 sr-1 nm-1 m-1]
+    # distance : (line, column), float32: d [m]; not finite without air
+    # out : (line, band, column), float32: output
     extinctions = np.ascontiguousarray(
         np.broadcast_to(extinction, (surface.shape[1], surface.shape[2])), np.float32
     )

@@ -325,21 +325,12 @@ def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
 def write_paths(
     table: PathTable, scale: float, draw: float, weight: Array, code: Array, line: int, column: int
 ) -> None:
-    """Write the table of a pixel in ascending order of codes.
-
-    Parameters
-    ----------
-    table
-        Table of the pixel.
-    scale
-        Multiplier of the weights.
-    draw
-        A random number inside (0, 1), for pixels with more codes than slots: see `_thin`.
-    weight, code : (line, slot, column), float32 and int64
-        Output.
-    line, column
-        The pixel.
-    """
+    # write the table of a pixel in ascending order of codes
+    # table: table of the pixel
+    # scale: multiplier of the weights
+    # draw: a random number inside (0, 1), for pixels with more codes than slots: see `_thin`
+    # weight, code : (line, slot, column), float32 and int64: output
+    # line, column: the pixel
     slots = weight.shape[1]
     number = table.in_use[0]
     if number > slots:
@@ -356,19 +347,11 @@ def write_paths(
 
 @borrowing_kernel
 def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direction: Vector) -> None:
-    """Add an escaped path for every sky: its weight times the relative radiance of the sky in its direction.
-
-    Parameters
-    ----------
-    table
-        Table of the pixel.
-    sources
-        Sources whose skies are recorded; ``shapes`` is an array, empty without clear skies.
-    code, beta
-        Code of the path without a source, and its weight.
-    direction
-        Unit vector of the escaping path, upwards, because there is no sky below the horizon.
-    """
+    # add an escaped path for every sky: its weight times the relative radiance of the sky in its direction
+    # table: table of the pixel
+    # sources: sources whose skies are recorded; ``shapes`` is an array, empty without clear skies
+    # code, beta: code of the path without a source, and its weight
+    # direction: unit vector of the escaping path, upwards, because there is no sky below the horizon
     add_path(table, code | SKY, beta)
     cos_zenith = direction[2]
     if sources.overcast:

@@ -223,17 +223,10 @@ def _transmitted(numbers: Array, material: int, cosine: float, index: float) -> 
 
 @borrowing_kernel
 def lobes_at(surfaces: Surfaces, material: int, view: Vector, mirrored: Vector, least_alpha: float) -> Lobes:
-    """Return the lobes of a material.
-
-    Parameters
-    ----------
-    surfaces, material
-        Number of the material in the surfaces.
-    view, mirrored
-        Direction of view, in the frame of the surface and in that of its coat.
-    least_alpha
-        Minimum roughness of mirrors for light of a sun.
-    """
+    # lobes of a material
+    # surfaces, material: number of the material in the surfaces
+    # view, mirrored: direction of view, in the frame of the surface and in that of its coat
+    # least_alpha: minimum roughness of mirrors for light of a sun
     numbers = surfaces.numbers
     index = max(numbers[material, _INDEX], 1.0)
     share = numbers[material, _SHARE] if surfaces.flake_factor[material] >= 0 else 0.0
@@ -298,17 +291,10 @@ def turned_part(lobes: Lobes, light: Vector) -> float:
 def sun_weights(
     numbers: Array, lobes: Lobes, light: Vector, mirrored: Vector, radius: float
 ) -> tuple[float, float, float, float]:
-    """Return pi f cos_i of base, coat, flakes and recycled light for a sun, without the factors.
-
-    Parameters
-    ----------
-    numbers, lobes
-        Properties of all materials, and the lobes of a surface in the direction of view.
-    light, mirrored
-        Directions to the sun, in the frame of the surface and in that of its coat.
-    radius
-        Angular radius of the sun [rad]; 0 for a point.
-    """
+    # pi f cos_i of base, coat, flakes and recycled light for a sun, without the factors
+    # numbers, lobes: properties of all materials, and the lobes of a surface in the direction of view
+    # light, mirrored: directions to the sun, in the frame of the surface and in that of its coat
+    # radius: angular radius of the sun [rad]; 0 for a point
     cosine = light[2]
     entered, coat, flakes, recycled = 1.0, 0.0, 0.0, 0.0
     if lobes.refraction > 1.0:
