@@ -3,14 +3,12 @@
 The clock of a flight follows the sun of its scene; the ephemeris is independent of `hyperpaint.light`.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -577,7 +575,7 @@ class SimulationSettings(OpticsSettings):
         problems.raise_if_any()
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> SimulationSettings:
+    def of(cls, values: Mapping[str, Any]) -> Self:
         """Return settings from keywords.
 
         Raises

@@ -11,12 +11,10 @@ calibration formula. Columns differ only in smile and element factor, so that it
 shifts and interpolated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -159,7 +157,7 @@ class SweepSettings:
         problems.raise_if_any()
 
     @classmethod
-    def of(cls, values: Mapping[str, Any], camera: SimulationSettings | None = None) -> SweepSettings:
+    def of(cls, values: Mapping[str, Any], camera: SimulationSettings | None = None) -> Self:
         """Return settings from keywords, of the sweep and of the camera.
 
         Parameters

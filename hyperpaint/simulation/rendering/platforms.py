@@ -18,12 +18,10 @@ nor `hyperpaint.geometry`. A deviation is a sum of sines with random frequencies
 all times and not only at samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -340,7 +338,7 @@ class TransverseMercator:
     zone: int
 
     @classmethod
-    def of(cls, latitude: float, longitude: float) -> TransverseMercator:
+    def of(cls, latitude: float, longitude: float) -> Self:
         # projection of the zone of a position [degree] in the northern hemisphere
         if not 0.0 <= latitude < 84.0:
             raise ValueError(latitude)
@@ -467,7 +465,7 @@ class Trajectory:
     motions: Mapping[str, Motion] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, settings: SimulationSettings, frame: LocalFrame, speed: float, altitude: float) -> Trajectory:
+    def of(cls, settings: SimulationSettings, frame: LocalFrame, speed: float, altitude: float) -> Self:
         if settings.wobble == "slow":
             motions = {
                 name: Motion(np.array([amplitude]), np.array([1 / period]), np.array([phase]), mean)

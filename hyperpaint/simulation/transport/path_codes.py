@@ -13,10 +13,9 @@ The code is one int64, so that a stored table of weights needs no key:
 A negative code is an empty slot.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -91,7 +90,7 @@ class PathCodes:
     digit_bits: int
 
     @classmethod
-    def of(cls, factors: int, depth: int) -> PathCodes:
+    def of(cls, factors: int, depth: int) -> Self:
         """Return the codes for a number of factors and of scatterings.
 
         Raises

@@ -9,10 +9,8 @@ not depend on wavelength. The code of a path contains source and reflectances; w
 pixel are summed.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -109,7 +107,7 @@ class Block(NamedTuple):
     incidence: Array
 
     @classmethod
-    def empty(cls, lines: int, slots: int, columns: int, suns: int) -> Block:
+    def empty(cls, lines: int, slots: int, columns: int, suns: int) -> Self:
         """Return an uninitialised block.
 
         Examples
