@@ -244,7 +244,7 @@ def test_numbers_beyond_the_vertices_of_a_glb_are_refused(tmp_path: Path, trimes
 
 def test_what_is_stripped_holds_no_names_of_files() -> None:
     stripped = strip_glb(glb(), "two.glb")
-    assert not [word for word in (b"secret", b"uri") if word in stripped.data]
+    assert not [word for word in (b"secret", b"uri") if word in stripped[0]]
     assert stripped[1:] == (("unused", "body"), ("box", "other_box"), 24)
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 from support.refusals import refusal
 from support.traced_scenes import seen_by
+from support.transport_scenes import code as code_of
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.camera import BandResponses, BandSet, Camera, cell_means, nominal_responsivity
@@ -41,7 +42,11 @@ def paints(grid: np.ndarray) -> np.ndarray:
 def some_codes(number: int = 400, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     made = [
-        CODES.code(int(rng.choice([0, 2])), rng.integers(0, len(NAMES), rng.integers(0, 5)).tolist())
+        code_of(
+            int(rng.choice([0, 2])),
+            *rng.integers(0, len(NAMES), rng.integers(0, 5)),
+            digit_bits=CODES.digit_bits,
+        )
         for _ in range(number)
     ]
     return np.unique(made)
@@ -69,9 +74,8 @@ def at_columns(table: ProductTable, codes: np.ndarray) -> np.ndarray:
 def test_codes_say_what_went_in(factors: int, source: int, flags: Any, data: st.DataObject) -> None:
     codes = PathCodes.of(factors, 4)
     met = data.draw(st.lists(st.integers(0, factors - 1), max_size=4))
-    code = codes.code(source, met, mirror=flags[0], indirect=flags[1])
+    code = code_of(source, *met, mirror=flags[0], indirect=flags[1], digit_bits=codes.digit_bits)
     assert 0 <= code < 2**63
-    assert code == codes.code(source, met[::-1], mirror=flags[0], indirect=flags[1])
     as_array = np.array([code])
     found = codes.factors(as_array)[0]
     assert sorted(found[found >= 0].tolist()) == sorted(met)
@@ -216,7 +220,7 @@ def test_codes_of_another_scene_are_refused() -> None:
     )
     assert table.rows(np.empty(0, np.int64)).shape == (1, 0, 272)
     with pytest.raises(SchemaError, match="path-code-unknown"):
-        table.rows(np.array([table.codes.code(0, (2,))]))
+        table.rows(np.array([code_of(0, 2, digit_bits=CODES.digit_bits)]))
 
 
 def test_means_over_cells_keep_the_integral() -> None:

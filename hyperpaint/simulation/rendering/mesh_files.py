@@ -182,17 +182,11 @@ _TRIANGLES = 4  # primitive mode of triangles
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # types of chunks: "JSON" and "BIN" in ASCII
 
 
-# A GLB file reduced to its triangles
-class Stripped(NamedTuple):
-    data: bytes  # a GLB file whose meshes and materials are named "0", "1", ...
-    # materials, meshes: names in the original file
-    materials: tuple[str, ...]
-    meshes: tuple[str, ...]
-    triangles: int  # number of triangles of all nodes
-
-
-def strip_glb(data: bytes, where: str) -> Stripped:
+def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[str, ...], int]:
     """Return a GLB file with only its triangles; ``where`` names the file in messages.
+
+    Its meshes and materials are named "0", "1", ...; their names in the file and the number of triangles of
+    all nodes follow.
 
     Raises
     ------
@@ -301,9 +295,8 @@ def strip_glb(data: bytes, where: str) -> Stripped:
         for part in (materials, meshes)
     )
     triangles = sum(triangle_counts[node["mesh"]] for node in nodes if "mesh" in node)
-    return Stripped(
-        struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks, material_names, mesh_names, triangles
-    )
+    glb = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    return glb, material_names, mesh_names, triangles
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:

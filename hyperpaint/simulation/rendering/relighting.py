@@ -635,7 +635,7 @@ class ProductTable:
     >>> light = np.array([300.0, 1100.0]), {2: np.array([1.3, 1.3])}
     >>> codes, bands = PathCodes.of(factors=1, depth=4), BandSet.nano_hyperspec()
     >>> table = ProductTable(bands, codes, *light, lambda grid: np.full((1, grid.size), 0.4))
-    >>> rows = table.rows(np.array([codes.code(2, (0,))]))
+    >>> rows = table.rows(np.array([2 + (1 << 7)]))
     >>> rows.shape, rows.dtype, round(float(rows[0, 0, 0]), 6)  # (node, path, band), 0.4 x 1.3 / pi
     ((1, 1, 272), dtype('float32'), 0.165521)
     """

@@ -45,7 +45,7 @@ import functools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,31 +66,21 @@ from .materials import (
 # --- paints and plain surfaces ------------------------------------------------------------------------------
 
 
-class Feature(Protocol):
-    def __call__(self, wavelength: Floats) -> Floats:
-        """Return the height of the feature at ``wavelength`` [nm]."""
-
-
-# A logistic step of ``height`` at ``centre`` [nm]; a positive ``width`` [nm] rises, a negative one falls.
-@dataclass(frozen=True)
-class Edge:
+# An edge or band of a spectrum: ``height`` times a form of the distance from ``centre`` in units of ``width``
+# [nm].
+class Feature(NamedTuple):
+    form: Callable[[Floats], Floats]
     centre: float
     width: float
     height: float
 
     def __call__(self, wavelength: Floats) -> Floats:
-        return np.asarray(self.height * 0.5 * (1.0 + np.tanh((wavelength - self.centre) / (2 * self.width))))
+        return np.asarray(self.height * self.form((wavelength - self.centre) / self.width))
 
 
-# A Gaussian of ``height`` at ``centre`` [nm] with the standard deviation ``width`` [nm].
-@dataclass(frozen=True)
-class Bump:
-    centre: float
-    width: float
-    height: float
-
-    def __call__(self, wavelength: Floats) -> Floats:
-        return np.asarray(self.height * np.exp(-0.5 * ((wavelength - self.centre) / self.width) ** 2))
+#: Features by centre, width and height: a logistic step, which falls with a negative width, and a Gaussian.
+Edge = functools.partial(Feature, lambda distance: 0.5 * (1.0 + np.tanh(distance / 2)))
+Bump = functools.partial(Feature, lambda distance: np.exp(-0.5 * distance**2))
 
 
 # A paint layer by Kubelka-Munk and Saunderson: K/S is ``absorption`` plus the absorbers.
