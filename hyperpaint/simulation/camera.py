@@ -293,13 +293,11 @@ class BandSet:
         first = np.clip(np.floor(node_position).astype(np.int64) - 1, 0, self.nodes.size - 4)
         return first, cubic_weights(node_position - first - 1)
 
-    def lowest(self) -> float:
-        """Return the lowest wavelength at which any element responds [nm]."""
-        return float(self.wavelength[0] + self.nodes.min() - self.reach)
-
-    def highest(self) -> float:
-        """Return the highest wavelength at which any element responds [nm]."""
-        return float(self.wavelength[-1] + self.nodes.max() + self.reach)
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest wavelength at which any element responds [nm]."""
+        lowest = self.wavelength[0] + self.nodes.min() - self.reach
+        return float(lowest), float(self.wavelength[-1] + self.nodes.max() + self.reach)
 
 
 _FACTOR_STEP_NM = 0.5  # step of the grid for products of reflectances
@@ -336,7 +334,7 @@ class BandResponses:
         self.bands, self._normalise = bands, normalise
         self._cell = max(1, round(_FACTOR_STEP_NM / min(_MAX_FINE_STEP_NM, float(bands.fwhm.min()) / 100.0)))
         self._fine_step = _FACTOR_STEP_NM / self._cell
-        first_point = int(np.floor(bands.lowest() / _FACTOR_STEP_NM)) - 1
+        first_point = int(np.floor(bands.limits[0] / _FACTOR_STEP_NM)) - 1
         nodes = bands.nodes
         starts = np.floor((bands.wavelength + nodes.min() - bands.reach) / _FACTOR_STEP_NM).astype(np.int64)
         self._starts = starts - first_point

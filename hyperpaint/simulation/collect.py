@@ -109,24 +109,22 @@ class PaintedRectangles:
             continues = (label == self._label) & (np.abs(line_heights - self._heights) <= self._step)
             self._run_lengths = np.where(label < 0, 0, np.where(continues, self._run_lengths + 1, 1))
             self._label, self._heights = label, line_heights
-            if (self._run_lengths >= _MIN_SIDE_PIXELS).any():
-                self._search()
+            # keep rectangles that end at this scan line and are larger than those before
+            for run_start, run_stop in self._runs():
+                paint = int(label[run_start]) % len(self._flight.paints)
+                for height, start, stop in _rectangles(self._run_lengths[run_start:run_stop].tolist()):
+                    width = stop - start
+                    if min(height, width) >= _MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
+                        self._areas[paint] = height * width
+                        box = (self._line - height + 1, self._line, run_start + start, run_start + stop - 1)
+                        self._rectangles_by_paint[paint] = self._flightline, box
             self._line += 1
-
-    def _search(self) -> None:
-        # keep rectangles that end at this scan line and are larger than those before
-        for run_start, run_stop in self._runs():
-            paint = int(self._label[run_start]) % len(self._flight.paints)
-            for height, start, stop in _rectangles(self._run_lengths[run_start:run_stop].tolist()):
-                width = stop - start
-                if min(height, width) >= _MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
-                    self._areas[paint] = height * width
-                    box = (self._line - height + 1, self._line, run_start + start, run_start + stop - 1)
-                    self._rectangles_by_paint[paint] = self._flightline, box
 
     def _runs(self) -> Iterator[tuple[int, int]]:
         # ranges of columns with one label, similar heights, and enough lines for a rectangle
         enough = self._run_lengths >= _MIN_SIDE_PIXELS
+        if not enough.any():
+            return
         is_joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         is_joined &= np.abs(np.diff(self._heights)) <= self._step
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_joined, [False]]).astype(np.int8)))

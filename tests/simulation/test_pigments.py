@@ -21,7 +21,6 @@ from hyperpaint.simulation.rendering.scene_spectra import (
     Pigments,
     generate_paint,
     paint_spec,
-    pigments_of,
     spectrum_of,
 )
 
@@ -51,9 +50,9 @@ def test_generated_paints_are_physical_and_smooth(family: str, number: int) -> N
 @settings(max_examples=30)
 def test_a_number_is_one_paint(family: str, number: int) -> None:
     name = f"pigment:{family}:{number}"
-    generate_paint.__globals__["_generate"].cache_clear()
+    generate_paint.cache_clear()
     first = spectrum_of(name)(GRID)
-    generate_paint.__globals__["_generate"].cache_clear()
+    generate_paint.cache_clear()
     assert (spectrum_of(name)(GRID) == first).all()
 
 
@@ -92,7 +91,8 @@ def test_flakes_shine_through_the_tint_twice() -> None:
 
 def test_the_base_under_the_coat_is_the_kubelka_munk_layer() -> None:
     for family in FAMILIES:
-        paint, pigments = generate_paint(family, 3), pigments_of(family, 3)
+        paint = generate_paint(family, 3)
+        pigments = paint.pigments
         assert_allclose(base_albedo(paint.reflectance(GRID), Coat().index), pigments.albedo(GRID), rtol=1e-10)
 
 
@@ -139,7 +139,7 @@ class TestFamilies:
             assert len({generate_paint(family, number).colour for number in range(40)}) >= 6
 
     def test_pearl_flakes_have_an_interference_colour(self) -> None:
-        pearl = pigments_of("pearl", 2)
+        pearl = generate_paint("pearl", 2).pigments
         assert pearl.interference is not None
         thickness, depth = pearl.interference
         plain = Pigments(pearl.absorption, pearl.absorbers)

@@ -529,7 +529,7 @@ def read_mesh(
     MissingExtraError
         trimesh is not installed, for GLB and PLY.
     """
-    file = Path(path)
+    file, materials = Path(path), materials or {}
     suffix = file.suffix.lower()
     _require(
         suffix in _READERS,
@@ -576,8 +576,24 @@ def read_mesh(
     keeps_area = has_area(vertices, raw.faces)
     warn_of_dropped(file.stem, keeps_area)
     mesh_instance = Instance(instance or file.stem) if isinstance(instance, str) else instance
-    scene_materials, surface = _assign_materials(raw, materials or {}, default, file.name)
-    faces, surface = raw.faces[keeps_area], surface[keeps_area]
+    # material of every group
+    number_of_material: dict[Material, int] = {}
+    numbers, unassigned = np.zeros(len(raw.groups), np.int64), []
+    for group in np.unique(raw.face_group):
+        names = raw.groups[group]
+        material = next((materials[name] for name in names if name in materials), default)
+        if material is None:
+            unassigned.append(next((repr(name) for name in names if name), "a part without a name"))
+        else:
+            numbers[group] = number_of_material.setdefault(material, len(number_of_material))
+    if unassigned:
+        raise SchemaError(
+            f"{file.name}: no material for {', '.join(unassigned[:20])}",
+            mend="name them in materials=, or pass default=",
+            code="material-missing",
+        )
+    faces, surface = raw.faces[keeps_area], numbers[raw.face_group][keeps_area]
+    scene_materials = tuple(number_of_material)
     normals = np.zeros((0, 3))
     if crease is not None:
         # merge coincident vertices, so that normals are smooth across seams
@@ -601,27 +617,3 @@ def read_mesh(
         instance=mesh_instance,
         name=file.stem,
     )
-
-
-def _assign_materials(
-    raw: RawTriangles, materials: Mapping[str, Material], default: Material | None, where: str
-) -> tuple[tuple[Material, ...], NDArray[np.int64]]:
-    number_of_material: dict[Material, int] = {}
-    numbers = np.zeros(len(raw.groups), np.int64)
-    unassigned = []
-    for group in np.unique(raw.face_group):
-        known_names = [name for name in raw.groups[group] if name in materials]
-        material = materials[known_names[0]] if known_names else default
-        if material is None:
-            unassigned.append(
-                next((repr(name) for name in raw.groups[group] if name), "a part without a name")
-            )
-            continue
-        numbers[group] = number_of_material.setdefault(material, len(number_of_material))
-    if unassigned:
-        raise SchemaError(
-            f"{where}: no material for {', '.join(unassigned[:20])}",
-            mend="name them in materials=, or pass default=",
-            code="material-missing",
-        )
-    return tuple(number_of_material), numbers[raw.face_group]

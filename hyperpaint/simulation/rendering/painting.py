@@ -168,7 +168,7 @@ class SpectrumReader:
         elif callable(value) and not hasattr(value, "dims"):
             spectrum = value
         if spectrum is not None:
-            values = np.asarray(spectrum(np.arange(bands.lowest(), bands.highest() + 1.0)), np.float64)
+            values = np.asarray(spectrum(np.arange(bands.limits[0], bands.limits[1] + 1.0)), np.float64)
         else:
             try:
                 is_dataset = hasattr(value, "data_vars")
@@ -252,8 +252,8 @@ class SpectrumReader:
                 option="pass --hold-edges to extend it by its first and last value",
                 code="spectrum-coverage",
             )
-        start = min(max(int(np.searchsorted(nm, bands.lowest())) - 1, 0), nm.size - 1)
-        points = slice(start, max(int(np.searchsorted(nm, bands.highest())) + 1, start + 1))
+        start = min(max(int(np.searchsorted(nm, bands.limits[0])) - 1, 0), nm.size - 1)
+        points = slice(start, max(int(np.searchsorted(nm, bands.limits[1])) + 1, start + 1))
         is_missing = ~np.isfinite(reflectance[points])
         if is_missing.any():
             problems.add(
@@ -340,15 +340,15 @@ class FactorSpectra:
 
     def __call__(self, wavelength: Floats) -> Floats:
         """Return the factors ``rho'`` at wavelengths [nm], shape (factor, wavelength)."""
-        rows_by_key: dict[tuple[str, float | None], Floats] = {}
-        for key in zip(self.names, self.coats, strict=True):
-            if key not in rows_by_key:
-                reflectance = np.broadcast_to(self.spectra[key[0]](wavelength), wavelength.shape)
-                rows_by_key[key] = measured_factor(
-                    reflectance.clip(0, 1) if self.clip else reflectance, key[1]
-                )
-        rows = [rows_by_key[key] for key in zip(self.names, self.coats, strict=True)]
-        return np.asarray(np.stack(rows) * np.asarray(self.scales)[:, None])
+        limits = (0.0, 1.0) if self.clip else (-np.inf, np.inf)
+        keys = list(zip(self.names, self.coats, strict=True))
+        rows = {
+            (name, coat): measured_factor(
+                np.broadcast_to(self.spectra[name](wavelength), wavelength.shape).clip(*limits), coat
+            )
+            for name, coat in dict.fromkeys(keys)
+        }
+        return np.asarray(np.stack([rows[key] for key in keys]) * np.asarray(self.scales)[:, None])
 
 
 def factor_spectra(

@@ -378,8 +378,8 @@ def _irradiance_record(
     # is lazy.
     # wavelengths of the channels [nm]
     wavelength, reach = atmosphere.wavelength, _REACH * _FWHM_NM
-    min_nm = max(wavelength[0], bands.lowest() - 4 * _FWHM_NM)
-    max_nm = min(wavelength[-1], bands.highest() + 4 * _FWHM_NM)
+    min_nm = max(wavelength[0], bands.limits[0] - 4 * _FWHM_NM)
+    max_nm = min(wavelength[-1], bands.limits[1] + 4 * _FWHM_NM)
     centres = np.arange(np.ceil(min_nm / _STEP_NM), np.floor(max_nm / _STEP_NM) + 1) * _STEP_NM
     # at the ends of the spectra a channel uses the available part of its line shape
     grid_start, grid_end = max(wavelength[0], centres[0] - reach), min(wavelength[-1], centres[-1] + reach)

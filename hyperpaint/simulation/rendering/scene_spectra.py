@@ -45,7 +45,7 @@ import functools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -623,6 +623,8 @@ class PaintSpec:
         The clear coat.
     flakes
         Flakes in the base; None in a solid paint.
+    pigments
+        Pigments of the base coat of a generated paint; None for the catalogue.
     """
 
     name: str
@@ -631,6 +633,7 @@ class PaintSpec:
     trade_name: str
     coat: Coat = Coat()  # noqa: RUF009  (frozen)
     flakes: Flakes | None = None
+    pigments: Pigments | None = None
 
     def reflectance(self, wavelength: Floats) -> Floats:
         """Return the near-normal reflectance, specular component excluded, at ``wavelength`` [nm].
@@ -730,6 +733,7 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
     return tuple(f"fleet-{number}" for number in range(first, first + count))
 
 
+@functools.lru_cache(maxsize=4096)
 def generate_paint(family: str, number: int) -> PaintSpec:
     """Return a paint of a family; the same number always gives the same paint.
 
@@ -751,15 +755,6 @@ def generate_paint(family: str, number: int) -> PaintSpec:
     >>> black.reflectance(np.array([550.0, 900.0])).round(2)
     array([0.02, 0.29])
     """
-    return _generate(family, number)[0]
-
-
-def pigments_of(family: str, number: int) -> Pigments:
-    return _generate(family, number)[1]
-
-
-@functools.lru_cache(maxsize=4096)
-def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     one_of(family, FAMILIES, "family")
     if not 0 <= number < 10**9:
         raise SchemaError(
@@ -777,9 +772,8 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
         min_share, max_share = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
         flop = float(rng.uniform(4.0, 15.0))
         flakes = _flakes(name, finish, float(rng.uniform(min_share, max_share)), flop, pigments)
-    return PaintSpec(
-        name, finish, colour, f"{adjective} {colour.title()}", Coat(roughness=roughness), flakes
-    ), pigments
+    trade_name, coat = f"{adjective} {colour.title()}", Coat(roughness=roughness)
+    return PaintSpec(name, finish, colour, trade_name, coat, flakes, pigments)
 
 
 def _flakes(name: str, finish: str, share: float, flop: float, pigments: Pigments) -> Flakes:
@@ -862,7 +856,8 @@ def spectrum_of(name: str) -> Spectrum:
     if parsed := _NAME.fullmatch(name):
         family, _, digits, of_flakes, turned = parsed.groups()
         car = None if family else fleet_paint(int(digits))
-        pigments = pigments_of(family, int(digits)) if car is None else car.pigments
+        paint: Any = car or generate_paint(family, int(digits))
+        pigments: Pigments = paint.pigments
         if of_flakes:
             return _limited(functools.partial(pigments.flakes, turned=turned is not None))
         if car is not None:
