@@ -1,7 +1,5 @@
 """Gloss and flop against sums over the tracer's own reflection, and against known readings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,10 +22,8 @@ VISIBLE = np.array([380.0, 780.0])
 
 
 def glossmeter(coat: Coat, steps: int = 150) -> float:
-    """Return gloss units by a sum of the BRDF over receptor and source: ISO 2813 at 20 degrees, flat coat.
-
-    GGX in tangents and Fresnel by Snell's angles, of directions on a grid: nothing of the package.
-    """
+    # Return gloss units by a sum of the BRDF over receptor and source: ISO 2813 at 20 degrees, flat coat
+    # GGX in tangents and Fresnel by Snell's angles, of directions on a grid: nothing of the package
     angle = np.radians(20.0)
     half = 0.5 * np.radians([1.8, 3.6])
     a, b = (((np.arange(steps * k) + 0.5) / (steps * k) * 2 - 1) * h for k, h in ((2, half[0]), (4, half[1])))

@@ -1,7 +1,5 @@
 """Shadows of broken clouds: how much, how large, where they go, what scene and spectrometer see of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A flight over squares whose corners are known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ from hyperpaint.simulation.settings import PIXEL_ANGLE_RAD
 
 
 def is_bright(board: Any, east: Any, north: Any) -> Any:
-    """Tell which places are on bright squares: those whose numbers differ in being odd."""
+    # Tell which places are on bright squares: those whose numbers differ in being odd
     first, second = np.floor(board.numbers(east, north))
     return (first + second) % 2 == 1
 
@@ -56,7 +54,7 @@ def test_lines_are_the_same_however_they_are_asked_for() -> None:
 
 @pytest.mark.slow
 def test_share_is_the_mean_over_pixel_and_exposure() -> None:
-    """Expected: what 40 x 40 x 40 places and moments give, to what 80 of them can; on average, closer."""
+    # Expected: what 40 x 40 x 40 places and moments give, to what 80 of them can; on average, closer
     still = flight(wobble="none", boresight=(0, 0, 0), lever_arm=(0, 0, 0), course=0.0, board_turn=0.0)
     made = still.lines(0, 70).layers
     assert 0.02 < (abs(made["bright_share"] - 0.5) < 0.45).mean() < 0.4
@@ -84,9 +82,8 @@ def test_ground_is_level() -> None:
 
 
 def test_files_hold_what_was_flown(tmp_path: Path) -> None:
-    """Expected: both navigation files give the true pose, the truth says how the camera was mounted, and the
-    mean radiance of bright pixels is ten times that of dark ones.
-    """
+    # Expected: both navigation files give the true pose, the truth says how the camera was mounted, and the
+    # mean radiance of bright pixels is ten times that of dark ones
     path = simulate_collect(tmp_path / "board", **SMALL, navigation_rate=200, frame_clock_offset_s=0.004)
     truth = xr.open_zarr(path.parent / "truth.zarr")
     assert truth.attrs["crs"] == "EPSG:32618"

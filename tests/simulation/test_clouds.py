@@ -1,7 +1,5 @@
 """Clouds: amount, colour, where the light comes from, and what a path adds under them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st

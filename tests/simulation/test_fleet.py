@@ -1,7 +1,5 @@
 """A fleet in its shares, with age and dust, on ground that is worn."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
@@ -77,7 +75,7 @@ def test_names_lead_to_paints() -> None:
 
 
 def test_dust_is_a_layer_of_two_fluxes() -> None:
-    """Adding-doubling of a partial cover: light is sent to and fro between dust and paint."""
+    # Adding-doubling of a partial cover: light is sent to and fro between dust and paint
     cover, body = 0.3, np.array([0.02, 0.4, 0.9])
     nm = np.full(3, 600.0)
     dust = DUST(nm)

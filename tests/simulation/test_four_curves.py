@@ -1,7 +1,5 @@
 """Four spectra of light and air: where they come from, and whether they are plausible."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 from pathlib import Path
@@ -157,8 +155,7 @@ class TestSpectrl2:
 
 @pytest.mark.real_data
 class TestReferenceSpectra:
-    """ASTM G173: direct light at zenith angle 48.19 degrees, aerosol depth 0.084 at 500 nm, ozone 0.344."""
-
+    # ASTM G173: direct light at zenith angle 48.19 degrees, aerosol depth 0.084 at 500 nm, ozone 0.344
     @pytest.fixture
     def reference(self, shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
         table = np.genfromtxt(shared_data / "downwelling" / "ASTMG173.csv", delimiter=",", skip_header=3)

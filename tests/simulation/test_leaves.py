@@ -1,7 +1,5 @@
 """Thin plates that pass light: two streams, two Lambert lobes, and leaves in a car park."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.traced_scenes import FEW_BANDS, flat_light
@@ -21,7 +19,7 @@ PLATE = {"r": (np.array([300.0, 1100.0]), np.full(2, REFLECTED)),
 
 
 def test_two_plates_are_one_upon_another() -> None:
-    """Of diffuse light between them, R = R1 + T1 r t / (1 - r r) and T = T1 t / (1 - r r)."""
+    # Of diffuse light between them, R = R1 + T1 r t / (1 - r r) and T = T1 t / (1 - r r)
     passed = np.array([0.2, 0.7, 0.95])
     top, through = leaf_optics(passed, layers=1.0)
     both, under = leaf_optics(passed, layers=2.0)
@@ -50,7 +48,7 @@ def test_a_leaf_passes_half_of_the_near_infrared_and_no_red() -> None:
 
 
 def plate_over_black(below: str = "k") -> Scene:
-    """Return a plate of 200 m at a height of 2 m over black or other ground."""
+    # Return a plate of 200 m at a height of 2 m over black or other ground
     plate = Material("plate", "r", "leaf", transmittance="t")
     return Scene.join([plane(400.0, Material("ground", below)),
                        plane(200.0, plate, centre=(0.0, 0.0, 2.0), instance="plate")])  # fmt: skip
@@ -75,7 +73,7 @@ def test_a_plate_reflects_from_above_and_passes_from_below() -> None:
 
 @pytest.mark.slow
 def test_a_plate_that_takes_nothing_over_white_ground_gives_all_back() -> None:
-    """Expected: r + t^2 / (1 - r) = 1 with r + t = 1, of light that goes to and fro; over nothing r alone."""
+    # Expected: r + t^2 / (1 - r) = 1 with r + t = 1, of light that goes to and fro; over nothing r alone
     flight = pushbroom(4, 4, altitude=20.0, ground_sample=0.5)
     ones = np.array([300.0, 1100.0]), np.ones(2)
     nothing_lost = {**PLATE, "t": (ones[0], np.full(2, 1.0 - REFLECTED)), "k": ones}

@@ -1,7 +1,5 @@
 """Surfaces under a clear coat: Fresnel's equations, energy, and what an instrument reads of a base."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -30,7 +28,7 @@ INDICES = st.floats(1.05, 2.6)
 
 
 def amplitudes(angle: float, index: float) -> float:
-    """Return Fresnel's reflectance by angles (sine and tangent form), an oracle of its own."""
+    # Return Fresnel's reflectance by angles (sine and tangent form), an oracle of its own
     inside = np.arcsin(np.sin(angle) / index)
     across = np.sin(angle - inside) / np.sin(angle + inside)
     along = np.tan(angle - inside) / np.tan(angle + inside)
@@ -38,7 +36,7 @@ def amplitudes(angle: float, index: float) -> float:
 
 
 def effective_factor(albedo: np.ndarray, index: float) -> np.ndarray:
-    """Return rho' = b (1 - Fi) / (1 - b Fi) of a base of albedo b under a coat."""
+    # Return rho' = b (1 - Fi) / (1 - b Fi) of a base of albedo b under a coat
     back = internal_reflectance(index)
     return np.asarray(albedo * (1.0 - back) / (1.0 - albedo * back))
 
@@ -79,7 +77,7 @@ class TestFresnel:
 
 class TestCoatedBase:
     def brdf(self, albedo: float, index: float, cos_in: float, cos_out: float) -> float:
-        """Return the diffuse BRDF by adding the returns of light one after the other."""
+        # Return the diffuse BRDF by adding the returns of light one after the other
         returned = internal_reflectance(index)
         inside = sum(albedo * (albedo * returned) ** k for k in range(2000))
         entering = 1.0 - float(fresnel_reflectance(cos_in, index))

@@ -1,7 +1,5 @@
 """Light from an irradiance series and from tables; what is no table raises FormatError and nothing else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

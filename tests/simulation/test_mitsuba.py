@@ -3,8 +3,6 @@
 Mitsuba runs in a process of its own: its variant is global, and where it gives up it takes the process along.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import pickle
 import subprocess
@@ -48,7 +46,7 @@ numpy.savez("images.npz", **images)
 
 
 def light(sun: float = 1.0, zenith: float = 50.0) -> Atmosphere:
-    """Return light without air, of spectra so smooth that means over a band cannot differ."""
+    # Return light without air, of spectra so smooth that means over a band cannot differ
     wavelength = np.linspace(400.0, 900.0, 51)
     slope = (wavelength - 400.0) / 500.0
     none = np.zeros_like(wavelength)
@@ -56,10 +54,8 @@ def light(sun: float = 1.0, zenith: float = 50.0) -> Atmosphere:
 
 
 def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int, depth: int) -> np.ndarray:
-    """Return radiance (strip, column, band) of a frame.
-
-    Every strip of rows is the view of a camera that stands still for some lines of other random numbers.
-    """
+    # Return radiance (strip, column, band) of a frame
+    # Every strip of rows is the view of a camera that stands still for some lines of other random numbers
     half = np.tan(np.radians(camera.field_of_view / 2))
     across = np.linspace(-half, half, camera.columns + 1)
     along = np.linspace(half, -half, STRIPS + 1) * camera.rows / camera.columns
@@ -91,7 +87,7 @@ ABOVE = FrameCamera((0.0, 5.0, 15.0), (0.0, 5.0, 0.0), field_of_view=50.0, rows=
 
 
 def car_park_with(coat: Coat | None) -> Scene:
-    """Return a car park with another coat on its paints and panes, and none elsewhere."""
+    # Return a car park with another coat on its paints and panes, and none elsewhere
     # Mitsuba's sky is below the horizon as well: the ground goes on until none of it is seen
     country = plane(2e4, GROUND, centre=(0.0, 0.0, -0.02), instance="country")
     park = Scene.join([car_park(length=10.0, width=16.0, neighbours=(), seed=1), country])
@@ -121,7 +117,7 @@ SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return every scene by both renderers, ours first, shape (strip, column, band)."""
+    # Return every scene by both renderers, ours first, shape (strip, column, band)
     folder = tmp_path_factory.mktemp("mitsuba")
     made = {name: make() for name, (make, *_) in SCENES.items()}
     jobs = {}

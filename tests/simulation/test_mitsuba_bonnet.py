@@ -6,8 +6,6 @@ or, where the size of a glint counts, ``roughplastic`` with the GGX alpha of the
 the three channels of its colours, which nothing mixes.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import subprocess
@@ -85,7 +83,7 @@ numpy.save("image.npy", mitsuba.render(mitsuba.load_dict(scene), seed=1))
 
 
 def bonnet(coat: Coat | None) -> Scene:
-    """Return a panel with a crown, and the ground below."""
+    # Return a panel with a crown, and the ground below
     side = np.linspace(-HALF, HALF, STEPS + 1)
     x, y = np.meshgrid(side, side, indexing="ij")
     z = np.sqrt(CROWN**2 - x**2 - y**2) - CROWN
@@ -106,7 +104,7 @@ def bonnet(coat: Coat | None) -> Scene:
 
 
 def overcast_sky() -> Atmosphere:
-    """Return a sun in a sky of radiance that goes with the cosine of the zenith angle."""
+    # Return a sun in a sky of radiance that goes with the cosine of the zenith angle
     wavelength = np.linspace(400.0, 900.0, 3)
     none = np.zeros(3)
     light = wavelength, none + 1.0, none + 0.35, none, none
@@ -125,11 +123,9 @@ def at_bands(sky: Atmosphere, curve: np.ndarray) -> np.ndarray:
 
 
 def environment(sky: Atmosphere) -> np.ndarray:
-    """Return the radiance of a sky (row, column, band) as Mitsuba lays it out.
-
-    Its first and last row are the zenith and the nadir, the centres of its columns halves of a step clockwise
-    from north. A row lies on the horizon, where light ends.
-    """
+    # Return the radiance of a sky (row, column, band) as Mitsuba lays it out
+    # Its first and last row are the zenith and the nadir, the centres of its columns halves of a step
+    # clockwise from north. A row lies on the horizon, where light ends.
     rows, columns = 1025, 2048
     zenith = np.linspace(0.0, np.pi, rows)[:, None]
     azimuth = (np.arange(columns) + 0.5) / columns * 2.0 * np.pi - np.radians(AZIMUTH)
@@ -148,7 +144,7 @@ WHOLE: Window = ((0, 0), PIXELS)
 
 
 def our_image(scene: Scene, sky: Atmosphere, samples: int, depth: int, window: Window = WHOLE) -> np.ndarray:
-    """Return radiance (row, column, band) of a window (first row and column, size), north up."""
+    # Return radiance (row, column, band) of a window (first row and column, size), north up
     half = np.tan(np.radians(FIELD_DEG / 2))
     edges = np.linspace(-half, half, PIXELS + 1)
     down = np.broadcast_to(matrices(0.0, 0.0, 0.0), (1, 2, 3, 3))
@@ -172,7 +168,7 @@ def both_images(
     scene: Scene, sky: Atmosphere, surface: dict[str, Any], folder: Path, samples: tuple[int, int],
     depth: int, window: Window = WHOLE,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return our image and what Mitsuba makes of the same triangles meanwhile, (row, column, band)."""
+    # Return our image and what Mitsuba makes of the same triangles meanwhile, (row, column, band)
     from oracles.mitsuba_scenes import write_mesh
 
     for number, material in enumerate(scene.materials):
@@ -203,13 +199,13 @@ def plastic(coat: Coat, **more: Any) -> dict[str, Any]:
 
 
 def on_panel() -> np.ndarray:
-    """Return which pixels see the bonnet and nothing else."""
+    # Return which pixels see the bonnet and nothing else
     place = (np.arange(PIXELS) + 0.5 - PIXELS / 2) * 2 * HEIGHT * np.tan(np.radians(FIELD_DEG / 2)) / PIXELS
     return (np.abs(place)[:, None] < HALF - 0.1) & (np.abs(place)[None] < HALF - 0.1)
 
 
 def assert_same_means(ours: np.ndarray, theirs: np.ndarray, tolerance: float) -> None:
-    """Of every band."""
+    # Of every band
     ratio = ours.reshape(-1, NM.size).mean(axis=0) / theirs.reshape(-1, NM.size).mean(axis=0)
     np.testing.assert_allclose(ratio, 1.0, atol=tolerance)
 
@@ -234,7 +230,7 @@ def around_the_glint(image: np.ndarray, size: int) -> Window:
 
 @pytest.mark.parametrize("name", SKIES)
 def test_a_coated_bonnet(name: str, tmp_path: Path) -> None:
-    """The sky in the coat, the paint below; of the glint next."""
+    # The sky in the coat, the paint below; of the glint next
     coat, sky = Coat(1.5, 0.0, 0.0), SKIES[name]()
     ours, theirs = both_images(bonnet(coat), sky, plastic(coat), tmp_path, (512, 2048), 3)
     (top, left), size = around_the_glint(ours, 7)

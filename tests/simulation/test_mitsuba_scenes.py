@@ -1,7 +1,5 @@
 """What is said of a scene to Mitsuba; none of it needs Mitsuba."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +20,7 @@ GREY = Material("grey", "panel_20", "panel")
 
 
 class Transform:
-    """As much of Mitsuba's transform as is used: it remembers what it was asked for."""
-
+    # As much of Mitsuba's transform as is used: it remembers what it was asked for
     def look_at(self, **asked: Any) -> dict[str, Any]:
         return asked
 

@@ -1,7 +1,5 @@
 """Point spread, keystone, stray light and pedestal of the simulated camera, against loops in plain numpy."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import tracemalloc
@@ -40,21 +38,21 @@ SMALL: dict[str, Any] = {
 
 
 def mirrored(place: int, size: int) -> int:
-    """Return a place outside as its mirror image in the edge, however far out it is."""
+    # Return a place outside as its mirror image in the edge, however far out it is
     while not 0 <= place < size:
         place = -1 - place if place < 0 else 2 * size - 1 - place
     return place
 
 
 def gaussian(fwhm: float) -> Floats:
-    """Return exp(-t) I_n(t) by its integral over an angle, the generating function of Bessel functions."""
+    # Return exp(-t) I_n(t) by its integral over an angle, the generating function of Bessel functions
     t = fwhm**2 / (8.0 * np.log(2.0))
     angle = (np.arange(4000) + 0.5) * np.pi / 4000
     return np.array([np.mean(np.exp(t * (np.cos(angle) - 1)) * np.cos(n * angle)) for n in range(-12, 13)])
 
 
 def slow_image(scene: Floats, kernel: Floats, shifts: Floats, stray: Floats) -> Floats:
-    """Return the image of a scene (line, band, column), place by place."""
+    # Return the image of a scene (line, band, column), place by place
     lines, _, columns = scene.shape
     half = [size // 2 for size in kernel.shape]
     blurred = np.zeros_like(scene)

@@ -1,7 +1,5 @@
 """Regions of a simulated collect: they lie on their paint, and close the chain without a drawing."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import tempfile
@@ -29,7 +27,7 @@ def run(*words: object) -> Result:
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A rendered collect of two cubes, in the middle of which frames were dropped."""
+    # A rendered collect of two cubes, in the middle of which frames were dropped
     folder = tmp_path_factory.mktemp("rendered")
     return simulate_collect(
         folder, lines=200, bands=6, columns=240, samples=6, seed=3, cubes=2, dropped=DROPPED, fleet="solid"
@@ -37,7 +35,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def boxes(folder: Path) -> dict[str, tuple[str, tuple[slice, slice]]]:
-    """Return flight line and pixels of every region, edges included."""
+    # Return flight line and pixels of every region, edges included
     made = {}
     for region in hp.read_regions(folder / "regions.geojson"):
         (left, first), (right, last) = region.polygon.min(axis=0), region.polygon.max(axis=0)
@@ -50,7 +48,7 @@ def boxes(folder: Path) -> dict[str, tuple[str, tuple[slice, slice]]]:
 
 
 def truth_of(folder: Path, dropped: list[int]) -> dict[str, xr.Dataset]:
-    """Return the truth of each flight line, without the frames that were never recorded."""
+    # Return the truth of each flight line, without the frames that were never recorded
     known = xr.open_zarr(folder / "truth.zarr").drop_vars(["radiance", "reflectance"]).load()
     frames = np.setdiff1d(np.arange(known.sizes["along_track"]), dropped)
     starts = [int(path.stem.removeprefix("raw_")) for path in folder.glob("flight/raw_*.hdr")]
@@ -153,14 +151,13 @@ def test_no_region_where_pixels_are_too_coarse(tmp_path: Path) -> None:
 
 
 class _Painted(PlanFlight):
-    """A flight that sees what it is told."""
-
+    # A flight that sees what it is told
     def clean_paint(self, lines: Lines) -> np.ndarray[Any, np.dtype[np.int32]]:
         return lines.surface.astype(np.int32)
 
 
 def _found(label: Any, up: Any = None) -> list[dict[str, Any]]:
-    """Return the regions of a picture of labels."""
+    # Return the regions of a picture of labels
     label = np.asarray(label, np.int16)
     flight = _Painted(SimulationSettings(lines=label.shape[0], bands=2, columns=label.shape[1], scene="plan"))
     none = np.empty((0,), np.float32)
@@ -178,7 +175,7 @@ def _found(label: Any, up: Any = None) -> list[dict[str, Any]]:
 
 
 def test_the_largest_rectangle_is_that_of_all_rectangles() -> None:
-    """Against a search of all of them, on pictures of blots."""
+    # Against a search of all of them, on pictures of blots
     rng = np.random.default_rng(5)
     for _ in range(4):
         label = np.full((26, 30), -1)

@@ -1,7 +1,5 @@
 """Pearl: flakes whose interference colour changes with the angle between light and view."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -60,10 +58,8 @@ def traced(light: Atmosphere, paint: Material = PEARL, samples: int = 16, size: 
 
 @pytest.mark.parametrize("thickness", [180.0, 300.0, 420.0])
 def test_two_spectra_make_those_of_the_film_at_every_angle(thickness: float) -> None:
-    """Snell's angle in titanium dioxide on mica, and the phase of the film at it.
-
-    A straight line between two spectra is worst at the violet end of the thickest film.
-    """
+    # Snell's angle in titanium dioxide on mica, and the phase of the film at it
+    # A straight line between two spectra is worst at the violet end of the thickest film
     nm, depth = np.arange(400.0, 1001.0, 5.0), 0.4
     pigments = Pigments(0.0, (), (thickness, depth))
     face, turned = pigments.flakes(nm) / aluminium(nm), pigments.flakes(nm, turned=True) / aluminium(nm)
@@ -87,7 +83,7 @@ def test_light_and_view_may_change_places() -> None:
 
 @pytest.mark.parametrize("light", [lit(1.0, 0.0), lit(0.0, 1.0)])
 def test_no_light_is_lost_by_turning(light: Atmosphere) -> None:
-    """Flakes of two equal spectra are flakes of one, path by path."""
+    # Flakes of two equal spectra are flakes of one, path by path
     metal = Material("metal", "body", "paint", COAT, Flakes(SHARE, LOBE, "face"))
     assert relit(traced(light), light, 0.7, 0.7) == pytest.approx(
         relit(traced(light, metal), light, 0.7, 0.0), rel=1e-5

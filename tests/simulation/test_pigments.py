@@ -1,7 +1,5 @@
 """Car paints from a few parameters, and the catalogue of spectra."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Platforms: where rays start and look, how drones move, and the ellipsoid, against scipy and PROJ."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -32,7 +30,7 @@ ANGLE = st.floats(-80.0, 80.0)
 
 
 def ground_of(platform: Platform, along: float, across: float, moment: int = 0) -> np.ndarray:
-    """Return where the ray (along, across, 1) of every line meets z = 0."""
+    # Return where the ray (along, across, 1) of every line meets z = 0
     direction = platform.rotation[:, moment] @ np.array([along, across, 1.0])
     origin = platform.origin[:, moment]
     return origin - direction * (origin[:, 2:] / direction[:, 2:])
@@ -215,7 +213,7 @@ def flown(**effects: object) -> Trajectory:
 def test_wobble_is_that_of_drones(
     wobble: str, tilt: float, heading: float, fastest: tuple[float, float, float]
 ) -> None:
-    """Expected: spreads and highest rates [degree, degree s-1] of ``georeference_reliability.md`` 1.2."""
+    # Expected: spreads and highest rates [degree, degree s-1] of ``georeference_reliability.md`` 1.2
     path = flown(wobble=wobble, seed=3)
     pose = path.pose(SECONDS)
     yaw = (pose["heading"] + 180.0) % 360.0 - 180.0
@@ -252,7 +250,7 @@ def test_without_wobble_it_flies_straight() -> None:
 
 
 def test_camera_is_where_pose_and_mounting_put_it() -> None:
-    """Expected: by scipy's rotations and PROJ's geodesy, lever arm and boresight as rotations."""
+    # Expected: by scipy's rotations and PROJ's geodesy, lever arm and boresight as rotations
     path = flown(
         wobble="rough", course=300.0, boresight=(0.4, -0.6, 0.8), lever_arm=(0.05, -0.02, 0.12), seed=5
     )
@@ -340,7 +338,7 @@ def test_local_frame_is_that_of_proj() -> None:
 
 
 def test_directions_are_those_of_small_steps() -> None:
-    """Expected: a metre north, east and down of a place, by its coordinates, is a column of the rotation."""
+    # Expected: a metre north, east and down of a place, by its coordinates, is a column of the rotation
     here = geocentric(43.0, -77.0, 160.0)
     turned = north_east_down(43.0, -77.0)
     step = 1e-6

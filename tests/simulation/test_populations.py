@@ -1,7 +1,5 @@
 """Pixels that show members of a population: their spread, their place, and what stays as it was."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,7 @@ NM = np.linspace(390.0, 1010.0, 63)
 
 
 def library(members: np.ndarray) -> xr.Dataset:
-    """Return a library of one paint whose centre is the mean of its members (member, band)."""
+    # Return a library of one paint whose centre is the mean of its members (member, band)
     return xr.Dataset(
         {
             "reflectance": (("signature", "band"), members.mean(axis=0, keepdims=True)),
@@ -39,7 +37,7 @@ def spread_members(count: int = 200, spread: float = 0.10) -> np.ndarray:
 
 
 def panel(ground_sample: float, lines: int = 96, columns: int = 96, **more: Any) -> xr.Dataset:
-    """Return a traced flight over a coated plane."""
+    # Return a traced flight over a coated plane
     paint = Material("paint", "white", "paint", Coat(1.5, 0.05))
     flight = pushbroom(lines, columns, altitude=15.0, ground_sample=ground_sample, centre=(0.0, 0.0))
     return hp.simulation.trace(plane(200.0, paint), flight, [SUN], samples=2, depth=1, **more).compute()

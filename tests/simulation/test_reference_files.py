@@ -1,7 +1,5 @@
 """Files of field spectrometers beside a simulated collect: what real ones look like, and what they hold."""
 
-from __future__ import annotations
-
 import datetime as dt
 import re
 import tomllib
@@ -61,7 +59,7 @@ ROW = re.compile(r"\d{3,4}\.\d  -?\d+\.\d\d  -?\d+\.\d\d  -?\d+\.\d\d")
 
 
 def svc(path: Path) -> tuple[dict[str, str], np.ndarray]:
-    """Read a file of an HR-1024i strictly: keys in their order, then rows of four numbers (row, 4)."""
+    # Read a file of an HR-1024i strictly: keys in their order, then rows of four numbers (row, 4)
     first, *lines = path.read_bytes().decode("ascii").replace("\r\n", "\n").removesuffix("\n").split("\n")
     assert first == "/*** Spectra Vista SIG Data ***/"
     keys: dict[str, str] = {}
@@ -81,7 +79,7 @@ def svc(path: Path) -> tuple[dict[str, str], np.ndarray]:
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small collect with its spectrometers' files."""
+    # A small collect with its spectrometers' files
     folder = tmp_path_factory.mktemp("references")
     return simulate_collect(folder, scene="plan", lines=4, bands=4, columns=4, utc_offset_h=5.5).parent
 
@@ -117,7 +115,7 @@ def test_svc_files_hold_the_paints(collect: Path) -> None:
 
 
 def test_svc_counts_radiance_in_units_of_the_instrument(collect: Path) -> None:
-    """1e-10 W cm-2 sr-1 nm-1: a white panel at noon, by hand from the light that the flight has."""
+    # 1e-10 W cm-2 sr-1 nm-1: a white panel at noon, by hand from the light that the flight has
     _, rows = svc(collect / "svc" / "grey.sig")
     flight = PlanFlight(SimulationSettings(lines=4, bands=4, columns=4))
     for nm in (550.2, 870.0):
@@ -128,7 +126,7 @@ def test_svc_counts_radiance_in_units_of_the_instrument(collect: Path) -> None:
 
 
 def test_svc_clocks_and_places(collect: Path) -> None:
-    """Local time of the instrument's clock, UTC of its GPS, the panel first, all before the flight."""
+    # Local time of the instrument's clock, UTC of its GPS, the panel first, all before the flight
     keys, _ = svc(collect / "svc" / "red.sig")
     panel, target = (dt.datetime.strptime(text, "%m/%d/%Y %I:%M:%S %p") for text in keys["time"].split(", "))
     assert dt.timedelta(0) < target - panel < dt.timedelta(minutes=1)
@@ -149,7 +147,7 @@ def test_svc_clocks_and_places(collect: Path) -> None:
     ],
 )
 def test_svc_hours_are_those_of_a_clock_face(tmp_path: Path, moment: str, shown: str) -> None:
-    """The panel of the first paint is seen 59 minutes before the flight."""
+    # The panel of the first paint is seen 59 minutes before the flight
     simulate_collect(
         tmp_path, scene="plan", lines=4, bands=4, columns=4, start_time=moment, utc_offset_h=0.0, truth=False
     )
@@ -173,8 +171,7 @@ def test_asd_files_hold_the_paints(collect: Path) -> None:
 
 @pytest.mark.real_data
 def test_asd_headers_say_what_those_of_reflectance_do(collect: Path, shared_data: Path) -> None:
-    """Data type, fore optic, ordinate and reference flag, as in a file of the same version."""
-
+    # Data type, fore optic, ordinate and reference flag, as in a file of the same version
     def told(path: Path) -> dict[str, Any]:
         raw = path.read_bytes()
         channels = int.from_bytes(raw[204:206], "little")

@@ -1,7 +1,5 @@
 """Relighting: against theory, against a sum by hand, against tracing again, and through the whole chain."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
@@ -57,7 +55,7 @@ def panel(spectrum: str = "panel_20", coat: Coat | None = None) -> Any:
 
 @pytest.mark.parametrize("sun", [SUN, LOW_SUN])
 def test_a_lambert_plane(sun: tuple[float, float]) -> None:
-    """L = rho (E_sun cos + E_sky) / pi in every pixel and every one of 272 bands."""
+    # L = rho (E_sun cos + E_sky) / pi in every pixel and every one of 272 bands
     scene, platform = panel(), flight(8, 12, wobble=2.0)
     trace = hp.simulation.trace(scene, platform, [SUN, LOW_SUN], samples=16, sun_radius=0.0)
     made = trace.paint.relight(atmosphere=flat_light(1.2, 0.3, sun))
@@ -71,7 +69,7 @@ def test_a_lambert_plane(sun: tuple[float, float]) -> None:
 
 
 def test_a_lambert_plane_under_lines() -> None:
-    """The same where light and paint have spectra: reflectance is their irradiance-weighted mean."""
+    # The same where light and paint have spectra: reflectance is their irradiance-weighted mean
     light = dataclasses.replace(line_light(), molecular=None, aureole=None)  # met evenly, not by chance
     made = (
         hp.simulation.trace(panel("red"), flight(2, 3), [SUN], samples=4, sun_radius=0.0)
@@ -90,7 +88,7 @@ def test_a_lambert_plane_under_lines() -> None:
 
 
 def test_an_overcast_plane() -> None:
-    """Both skies give a level surface the same light; the overcast one is met by chance."""
+    # Both skies give a level surface the same light; the overcast one is met by chance
     trace = hp.simulation.trace(panel(), flight(16, 16), [SUN], samples=64, overcast=True)
     made = trace.paint.relight(FEW_BANDS, atmosphere=flat_light(0.0, 1.0, overcast_share=0.6))
     assert float(made.radiance.mean()) == pytest.approx(0.2 / np.pi, rel=2e-3)
@@ -99,7 +97,7 @@ def test_an_overcast_plane() -> None:
 
 @pytest.mark.parametrize("level", [0.05, 0.5])
 def test_a_coated_plane_reads_as_an_integrating_sphere_reads_it(level: float) -> None:
-    """Under a uniform sky, seen from above: diffuse light in, near normal out, the mirror image with it."""
+    # Under a uniform sky, seen from above: diffuse light in, near normal out, the mirror image with it
     trace = hp.simulation.trace(panel("panel_50", Coat()), flight(12, 12), [SUN], samples=256)
     nm = np.array([380.0, 1050.0])
     made = trace.paint.relight(
@@ -163,7 +161,7 @@ def test_a_sun_more_changes_nothing() -> None:
 
 
 def test_other_paints_are_another_scene(traced: xr.Dataset) -> None:
-    """Relit with swapped paints, the scene is the one that was painted so before it was traced."""
+    # Relit with swapped paints, the scene is the one that was painted so before it was traced
     swapped = tracing(two_cars("green")).paint.relight(MANY_BANDS, atmosphere=line_light()).compute()
     for paints in (
         {"car_0": "green"},
@@ -183,7 +181,7 @@ def test_other_paints_are_another_scene(traced: xr.Dataset) -> None:
 
 @pytest.mark.parametrize("new", ["silver", "brown", "white"])
 def test_a_repainted_metallic_car_has_the_flakes_of_its_new_paint(new: str) -> None:
-    """Sun alone, seen once: no chance is in it. The lobes are those of a plane painted so from the start."""
+    # Sun alone, seen once: no chance is in it. The lobes are those of a plane painted so from the start.
     spec, light = paint_spec(new), flat_light(sky=0.0)
     old = Material("lacquer", "blue", "paint", Coat(), Flakes(0.2))
     images = []
@@ -239,7 +237,7 @@ def test_columns_with_a_smile_see_what_shifted_bands_see(traced: xr.Dataset) -> 
 
 
 def test_light_that_varies(traced: xr.Dataset) -> None:
-    """Direct and diffuse light go their own ways; reflectance only follows where both do the same."""
+    # Direct and diffuse light go their own ways; reflectance only follows where both do the same
     rng = np.random.default_rng(2)
     variation = rng.uniform(0.2, 1.2, (2, 24))
     light = line_light()
@@ -392,7 +390,7 @@ def test_radiance_alone_costs_no_truth(traced: xr.Dataset, monkeypatch: pytest.M
 
 @pytest.mark.parametrize("varies", [False, True])
 def test_a_relit_scene_is_a_flight_line(varies: bool) -> None:
-    """Radiance and the record of the spectrometer give back the reflectance of the surfaces."""
+    # Radiance and the record of the spectrometer give back the reflectance of the surfaces
     lines = 24
     platform = pushbroom(lines, 6, altitude=12.0, frame_period=0.5)
     seconds = np.arange(lines) / lines

@@ -1,7 +1,5 @@
 """What cannot be relit, and how that is said."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Collects flown over a rendered car park: what their files and their truth hold."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path
@@ -32,7 +30,7 @@ SMALL: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small rendered collect of two cubes with dropped frames."""
+    # A small rendered collect of two cubes with dropped frames
     return simulate_collect(tmp_path_factory.mktemp("rendered"), **SMALL, cubes=2, dropped=[30, 31]).parent
 
 
@@ -43,7 +41,7 @@ def truth(collect: Path) -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def line() -> xr.Dataset:
-    """A line without noise, with the irradiance that every element saw itself, in light that stands still."""
+    # A line without noise, with the irradiance that every element saw itself, in light that stands still
     return simulate_line(**SMALL, matched=True, noise=False, quantise=False, drift_per_minute=0.0)
 
 
@@ -110,11 +108,9 @@ def test_surfaces_are_named_as_their_spectra(truth: xr.Dataset) -> None:
 
 
 def test_pixels_lie_where_the_navigation_file_says(collect: Path, truth: xr.Dataset) -> None:
-    """Rationale: the wobble is in the pixels, so that georeferencing can be judged by where they really are.
-
-    Expected: rays from the logged position and attitude, cut with the height of the pixel, hit it; in the
-    mean over pixels within a tenth of one, and each to what the mean of four samples spreads.
-    """
+    # Rationale: the wobble is in the pixels, so that georeferencing can be judged by where they really are
+    # Expected: rays from the logged position and attitude, cut with the height of the pixel, hit it; in the
+    # mean over pixels within a tenth of one, and each to what the mean of four samples spreads
     rows = [line.split("\t") for line in (collect / "flight" / "imu_gps.txt").read_text().splitlines()[1:]]
     log = np.array([row[:7] for row in rows], dtype=np.float64)
     frames = [
@@ -168,7 +164,7 @@ def test_counts_are_what_radiance_gain_and_noise_make(collect: Path, truth: xr.D
 
 
 def test_closure_of_float_counts(line: xr.Dataset) -> None:
-    """Counts lead to the truth, and pi L / E with the light that each element saw is its reflectance."""
+    # Counts lead to the truth, and pi L / E with the light that each element saw is its reflectance
     radiance = (line["counts"] - line["dark_counts"]) * line["radiance_gain"] / line["exposure_time"]
     np.testing.assert_allclose(radiance, line["true_radiance"], rtol=2e-5, atol=5e-9)  # beside 110 of dark
     light = line["matched_irradiance"].values[0]
@@ -176,7 +172,7 @@ def test_closure_of_float_counts(line: xr.Dataset) -> None:
 
 
 def test_sunlit_level_ground_reflects_what_its_spectrum_says() -> None:
-    """Panels lie open in the aisle: neighbours take a few per cent of the sky, and the sun is theirs."""
+    # Panels lie open in the aisle: neighbours take a few per cent of the sky, and the sun is theirs
     line = simulate_line(**{**SMALL, "columns": 160}, noise=False, quantise=False)
     names = line["surface"].attrs["flag_meanings"].split()
     lit = (line["true_shadow"].values == 0) & (line["true_purity"].values == 1)
@@ -192,7 +188,7 @@ def test_sunlit_level_ground_reflects_what_its_spectrum_says() -> None:
 
 
 def test_shadow_is_skylight_only(line: xr.Dataset) -> None:
-    """In full shadow the light is blue: less is lost where the sky is bright."""
+    # In full shadow the light is blue: less is lost where the sky is bright
     names = line["surface"].attrs["flag_meanings"].split()
     asphalt = (line["surface"].values == names.index("asphalt")) & (line["true_purity"].values == 1)
     seen = line["true_reflectance"].transpose(..., "band").values
@@ -204,7 +200,7 @@ def test_shadow_is_skylight_only(line: xr.Dataset) -> None:
 
 
 def test_sky_and_sun_keep_their_own_course_in_time() -> None:
-    """A cloud that takes all of the sun leaves shadows as they were but for the light that it scatters."""
+    # A cloud that takes all of the sun leaves shadows as they were but for the light that it scatters
     size = {**SMALL, "noise": False, "quantise": False, "drift_per_minute": 0.0, "coat": False}
     clear, cloudy = (simulate_line(**size, cloud=cloud) for cloud in (None, (0.6, 0.001, -1.0)))
     ratio = (cloudy["true_radiance"] / clear["true_radiance"]).transpose(..., "band").values

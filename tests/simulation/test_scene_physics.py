@@ -1,7 +1,5 @@
 """Rendered scenes against closed forms, from scene to reflectance; and scenes that nobody should render."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -23,7 +21,7 @@ GREY = Material("grey", "panel_20", "panel")
 
 
 def light(sun: float, sky: float, zenith: float, azimuth: float) -> Atmosphere:
-    """Return light of the same irradiance at all wavelengths, without air."""
+    # Return light of the same irradiance at all wavelengths, without air
     wavelength = np.array([300.0, 1100.0])
     none = np.zeros(2)
     return Atmosphere(wavelength, none + sun, none + sky, none, none, zenith, azimuth)
@@ -38,7 +36,7 @@ def looking(
     ifov: float = 1e-4,
     distance: float = 10.0,
 ) -> Platform:
-    """Return a camera that stands still north of a point, and sees it from a zenith angle [degree]."""
+    # Return a camera that stands still north of a point, and sees it from a zenith angle [degree]
     angle = np.radians(zenith)
     place = np.array(at) + distance * np.array([0.0, np.sin(angle), np.cos(angle)])
     turned = matrices(0.0, -zenith, 0.0)  # nose down: the view goes back to the south
@@ -55,16 +53,14 @@ def looking(
 def seen(
     scene: Scene, platform: Platform, sky: Atmosphere, spectra: Any = None, **options: Any
 ) -> xr.Dataset:
-    """Return what four bands see of a scene."""
+    # Return what four bands see of a scene
     traced = hp.simulation.trace(scene, platform, [sky], **{"sun_radius": 0.0, **options})
     return hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=spectra).compute()
 
 
 def view_factor(distance: float, height: float, half_width: float) -> float:
-    """Return the part of the diffuse light of a level spot that goes to a wall, edge to edge with its foot.
-
-    J. R. Howell, A catalog of radiation heat transfer configuration factors, B-4, for both halves.
-    """
+    # Return the part of the diffuse light of a level spot that goes to a wall, edge to edge with its foot
+    # J. R. Howell, A catalog of radiation heat transfer configuration factors, B-4, for both halves.
     slant = np.hypot(distance, height)
     near = np.arctan(half_width / distance)
     far = distance / slant * np.arctan(half_width / slant)

@@ -1,7 +1,5 @@
 """Arguments that the modules of scenes, paints and light refuse, each by its code and words."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

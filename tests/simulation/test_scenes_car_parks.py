@@ -1,7 +1,5 @@
 """Car parks: cars, their parts, the ground without overlaps, and the same cars whatever the length."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.refusals import refusal
@@ -24,7 +22,7 @@ BARE = {"neighbours": (), "islands": False, "leaves": 10}
 
 
 def faces_of(scene: Scene, name: str) -> np.ndarray:
-    """Return the corners of the triangles of an instance, shape (face, 3, 3)."""
+    # Return the corners of the triangles of an instance, shape (face, 3, 3)
     number = [one.name for one in scene.instances].index(name)
     return scene.vertices[scene.faces[scene.face_instance == number]]
 
@@ -188,7 +186,7 @@ def test_panels_lie_where_they_did_in_the_plan_view() -> None:
 
 
 def count_over(mesh: Mesh, x: float, y: float, low: float, high: float) -> int:
-    """Return how many triangles between two heights lie over a point."""
+    # Return how many triangles between two heights lie over a point
     corners = mesh.vertices[mesh.faces]
     level = (corners[..., 2] >= low).all(axis=1) & (corners[..., 2] <= high).all(axis=1)
     a, b, c = (corners[level, corner, :2] for corner in range(3))

@@ -1,7 +1,5 @@
 """Mesh files: known boxes in three formats, names and axes; and files that are damaged or lie."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import struct
@@ -36,7 +34,7 @@ OBJ = "\n".join(
 
 
 def glb(changes: dict[str, Any] | None = None, *, drop: int = 0) -> bytes:
-    """Return a GLB file with two boxes, made by hand; ``drop`` bytes missing at its end."""
+    # Return a GLB file with two boxes, made by hand; ``drop`` bytes missing at its end
     indices, points = FACES.astype("<u2").tobytes(), CORNERS.astype("<f4").tobytes()
     body = indices + points
     header: dict[str, Any] = {
@@ -77,7 +75,7 @@ def glb(changes: dict[str, Any] | None = None, *, drop: int = 0) -> bytes:
 
 
 def ply(*, binary: bool = True, vertices: int = 8) -> bytes:
-    """Return a box as a PLY file."""
+    # Return a box as a PLY file
     form = "binary_little_endian" if binary else "ascii"
     head = f"ply\nformat {form} 1.0\nelement vertex {vertices}\n"
     head += "".join(f"property float {axis}\n" for axis in "xyz")

@@ -1,7 +1,5 @@
 """Scenes: what is checked when one is made, joining, moving, and the order of factors."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -167,7 +165,7 @@ def test_moving_turns_clockwise_about_the_vertical() -> None:
 
 
 def outward(scene: Scene) -> np.ndarray:
-    """Return how far the face normals point away from the middle of a convex body."""
+    # Return how far the face normals point away from the middle of a convex body
     corners = scene.vertices[scene.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return (normal * (corners.mean(axis=1) - scene.vertices.mean(axis=0))).sum(axis=1)

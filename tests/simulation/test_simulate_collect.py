@@ -1,7 +1,5 @@
 """The files of a simulated collect, read back with code of the test's own, and the effect of every switch."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import struct
@@ -26,13 +24,13 @@ SECOND = np.timedelta64(1, "s")
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A collect of three cubes with dropped frames and bad elements."""
+    # A collect of three cubes with dropped frames and bad elements
     folder = tmp_path_factory.mktemp("simulated")
     return simulate_collect(folder, **SMALL, cubes=3, dropped=[30, 31, 44], bad_elements=3, glint=0.05).parent
 
 
 def header(path: Path) -> tuple[dict[str, str], dict[str, str]]:
-    """Read an ENVI header that holds nothing surprising: keys, and keys of the comment lines."""
+    # Read an ENVI header that holds nothing surprising: keys, and keys of the comment lines
     text = path.read_text()
     assert text.startswith("ENVI\n")
     comments = dict(
@@ -118,7 +116,7 @@ def test_frame_stamps_lead_to_the_middle_of_each_exposure(collect: Path) -> None
 
 
 def asd(path: Path) -> dict[str, Any]:
-    """Read an ASD binary of version 7 with 726 channels, to its last byte."""
+    # Read an ASD binary of version 7 with 726 channels, to its last byte
     raw = path.read_bytes()
     n = struct.unpack_from("<H", raw, 204)[0]
     assert raw[:3] == b"as7"
@@ -195,7 +193,7 @@ def test_collect_toml_names_files_that_exist(collect: Path) -> None:
 
 
 def test_truth_and_calibration_recover_each_other(collect: Path) -> None:
-    """Counts, dark, gain and truth close within the noise; dead elements have no gain."""
+    # Counts, dark, gain and truth close within the noise; dead elements have no gain
     truth = xr.open_zarr(collect / "truth.zarr").load()
     assert truth["reflectance"].dims == ("along_track", "band", "cross_track")
     assert truth["reflectance"].shape == (70, 12, 10)
@@ -344,7 +342,7 @@ OFF: dict[str, Any] = {
 
 
 def difference(name: str, **change: Any) -> float:
-    """Largest relative change of a variable when one effect is switched on."""
+    # Largest relative change of a variable when one effect is switched on
     without, with_it = simulate_line(**PLAIN, **OFF), simulate_line(**{**PLAIN, **OFF, **change})
     return float(np.nanmax(np.abs(with_it[name].values / without[name].values - 1)))
 

@@ -1,7 +1,5 @@
 """The simulated monochromator sweep against integrals written out here, and the effect of every switch."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -51,14 +49,14 @@ def triangle(offset: np.ndarray, fwhm: float) -> np.ndarray:
 
 
 def trapezoid(offset: np.ndarray, one: float, other: float) -> np.ndarray:
-    """Return two boxes convolved: how much of a box ``one`` wide lies in a box ``other`` wide."""
+    # Return two boxes convolved: how much of a box ``one`` wide lies in a box ``other`` wide
     left = np.maximum(offset - one / 2, -other / 2)
     right = np.minimum(offset + one / 2, other / 2)
     return np.maximum(right - left, 0) / (one * other)
 
 
 def oracle(sweep: xr.Dataset, step: int, band: int, column: int) -> float:
-    """Return the counts above dark of one element by a sum over 100 000 points."""
+    # Return the counts above dark of one element by a sum over 100 000 points
     centre, width = float(sweep.step_wavelength[step]), float(sweep.monochromator_fwhm)
     nm = np.linspace(centre - 4 * width, centre + 4 * width, 100_001)
     line = {"gaussian": gaussian, "triangle": triangle}[sweep.monochromator_shape](nm - centre, width)
@@ -95,7 +93,7 @@ def test_every_element_against_a_plain_sum(camera: str, monochromator: str, widt
 @pytest.mark.parametrize("camera", ["gaussian", "slit"])
 @pytest.mark.parametrize("width", [0.5, 2.0, 6.0, 12.0])
 def test_line_area_is_the_responsivity_at_the_line(camera: str, width: float) -> None:
-    """SUM_b counts / energy = responsivity per band spacing (physics 2.1), but for its curvature."""
+    # SUM_b counts / energy = responsivity per band spacing (physics 2.1), but for its curvature
     sweep = simulate_sweep(
         **SMALL,
         first_step_nm=450,
@@ -303,7 +301,7 @@ def test_noise_of_mean_and_variance(quantise: bool) -> None:
 
 
 def test_frames_drawn_together_are_as_frames_drawn_one_by_one() -> None:
-    """Mean and variance have the distributions of real averages of whole counts."""
+    # Mean and variance have the distributions of real averages of whole counts
     rng, frames = np.random.default_rng(3), 8
     raw = np.rint(110.3 + 6.0 + np.sqrt(6.0 / 20 + 0.25) * rng.standard_normal((frames, 40_000)))
     means, variances = raw.mean(axis=0), raw.var(axis=0, ddof=1)

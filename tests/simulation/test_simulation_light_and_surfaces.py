@@ -1,7 +1,5 @@
 """Light, paints and scene of the simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

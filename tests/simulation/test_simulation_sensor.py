@@ -1,7 +1,5 @@
 """The imager's forward model against hand calculations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ GRID = spectral_grid(380.0, 1030.0)
 
 
 def worked_imager(shape: str = "gaussian", slope: float = 0.0) -> Imager:
-    """Imager of the worked example: 272 bands from 400 to 1000 nm."""
+    # Imager of the worked example: 272 bands from 400 to 1000 nm
     return Imager(
         wavelength=400.0 + SPACING * np.arange(272),
         wavelength_shift=np.zeros(1),
@@ -56,7 +54,7 @@ def test_worked_example_lab() -> None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_line_area_identity(shape: str) -> None:
-    """SUM_b INT m R_b = R0(lambda) / spacing, whatever the shape and the monochromator's width."""
+    # SUM_b INT m R_b = R0(lambda) / spacing, whatever the shape and the monochromator's width
     imager = worked_imager(shape, slope=1e-3)
     for width in (0.5, 2.0, 12.0):
         line = line_shape(GRID - 650.3, width, 0.0, "gaussian", 0.05)[None]

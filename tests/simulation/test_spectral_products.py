@@ -1,7 +1,5 @@
 """Products of spectra over bands: against a dense sum, and the same whoever asks first."""
 
-from __future__ import annotations
-
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 from support.traced_scenes import seen_by
 from support.transport_scenes import code as code_of
 
@@ -61,7 +59,7 @@ def product(code: int, grid: np.ndarray = GRID) -> np.ndarray:
 
 
 def at_columns(table: ProductTable, codes: np.ndarray) -> np.ndarray:
-    """Return the products of paths as every column sees them, (path, band, cross_track)."""
+    # Return the products of paths as every column sees them, (path, band, cross_track)
     return table.to_columns(table.rows(codes).astype(np.float64).swapaxes(0, 1))
 
 
@@ -86,10 +84,10 @@ def test_codes_say_what_went_in(factors: int, source: int, flags: Any, data: st.
 
 def test_codes_that_do_not_fit_are_refused() -> None:
     assert PathCodes.of(2**14 - 1, 4).digit_bits == 14
-    with refusal(SchemaError, "path-code-too-long", "depth=3"):
-        PathCodes.of(2**14, 4)
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        PathCodes.of(3, 0)
+    expect_refusals(
+        (SchemaError, "path-code-too-long", "depth=3", lambda: PathCodes.of(2**14, 4)),
+        (SchemaError, "value-out-of-range", lambda: PathCodes.of(3, 0)),
+    )
 
 
 @pytest.mark.parametrize(
@@ -101,7 +99,7 @@ def test_codes_that_do_not_fit_are_refused() -> None:
     ],
 )
 def test_products_are_dense_integrals(shape: str, fwhm: float, responsivity: Any) -> None:
-    """Sharp lines and steep edges; the sum itself is no better than some 1e-5."""
+    # Sharp lines and steep edges; the sum itself is no better than some 1e-5
     bands = BandSet(np.linspace(399.356, 1001.42, 272), np.array(fwhm), shape, None, responsivity)
     table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
     codes = some_codes()[::97]

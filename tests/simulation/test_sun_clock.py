@@ -1,7 +1,5 @@
 """A simulated flight's clock: its sun stands where the scene is lit from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +37,7 @@ def direction(zenith: float, azimuth: float) -> np.ndarray:
 
 
 def apart(zenith: float, azimuth: float, moment: np.datetime64) -> float:
-    """Return the angle between a direction and the sun of the chain's own ephemeris [degree]."""
+    # Return the angle between a direction and the sun of the chain's own ephemeris [degree]
     seen, at = solar_position(np.array([moment]), np.array([PLACE[0]]), np.array([PLACE[1]]))
     cosine = direction(zenith, azimuth) @ direction(float(seen[0]), float(at[0]))
     return float(np.degrees(np.arccos(min(cosine, 1.0))))
@@ -85,10 +83,8 @@ def test_a_sun_that_never_stands_there_is_refused_with_all_else_that_is_wrong(tm
 
 
 def test_an_overcast_sky_asks_for_no_time() -> None:
-    """Rationale: nothing under a closed cloud shows where its sun stands.
-
-    Expected: the sun's own time where it has one, the usual one where it has none; a given one in any case.
-    """
+    # Rationale: nothing under a closed cloud shows where its sun stands
+    # Expected: the sun's own time where it has one, the usual one where it has none; a given one in any case
     low = SimulationSettings(sky="overcast", sun_zenith=60.0)
     assert low.start == SimulationSettings(sun_zenith=60.0).start
     assert SimulationSettings(sky="overcast", sun_zenith=5.0).start == DEFAULT_START

@@ -1,7 +1,5 @@
 """Tracing as labelled, lazy arrays: the same bits whatever the chunks, nothing done until it is asked for."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import pickle
@@ -137,7 +135,7 @@ def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) ->
 
 
 def test_a_car_park_is_sent_without_a_warning() -> None:
-    """Of a graph of 10 MB dask says that it is large."""
+    # Of a graph of 10 MB dask says that it is large
     made = hp.simulation.trace(car_park(), flight(), [SUN]).transport_weight.data
     assert len(pickle.dumps(dict(made.__dask_graph__()))) < 8e6
     assert made.name == hp.simulation.trace(car_park(), flight(), [SUN]).transport_weight.data.name

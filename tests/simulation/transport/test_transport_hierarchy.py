@@ -1,7 +1,5 @@
 """Rays among triangles against every triangle tried in turn, and against exact geometry."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -14,7 +12,7 @@ COUNT = 400 if COMPILED else 25
 
 
 def geometry_of(triangles: np.ndarray) -> Geometry:
-    """Return the geometry of triangles (face, 3, 3), each with a label of its own."""
+    # Return the geometry of triangles (face, 3, 3), each with a label of its own
     faces = np.arange(3 * len(triangles)).reshape(-1, 3)
     labels = np.arange(len(triangles))
     return build_geometry(triangles.reshape(-1, 3), faces, [], labels, labels)
@@ -29,7 +27,7 @@ def met(geometry: Geometry, origin: np.ndarray, direction: np.ndarray, limit: fl
 
 
 def distances(triangles: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[float, float]:
-    """Return distances to the nearest triangle, had all been a little smaller; a little larger."""
+    # Return distances to the nearest triangle, had all been a little smaller; a little larger
     a, b, c = triangles[:, 0] - origin, triangles[:, 1] - origin, triangles[:, 2] - origin
     side = np.cross(b - a, c - a)
     slope = side @ direction
@@ -133,7 +131,7 @@ def test_nothing_and_triangles_without_area_are_not_met() -> None:
 
 
 def depths(geometry: Geometry) -> int:
-    """Return the length of the longest branch."""
+    # Return the length of the longest branch
     levels = np.zeros(len(geometry.links) // 2, int)
     for node in range(len(levels)):
         for link in geometry.links[2 * node : 2 * node + 2]:

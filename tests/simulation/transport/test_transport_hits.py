@@ -1,7 +1,5 @@
 """Normals and points where light goes on: coarse meshes that stand for curved ones, and waves of a coat."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.transport_scenes import COMPILED, code, materials, staring, sun, suns, traced, weight_of
@@ -12,7 +10,7 @@ SKY, SUN = 0, 2
 
 
 def vault(sides: int = 4, smooth: bool = True) -> Geometry:
-    """Return an upright half cylinder of radius 1 along y, 30 degrees a side."""
+    # Return an upright half cylinder of radius 1 along y, 30 degrees a side
     angle = np.radians(30.0) * (np.arange(sides + 1) - sides / 2)
     around = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
     points = np.concatenate([around - np.array([0, 50, 0]), around + np.array([0, 50, 0])])
@@ -25,7 +23,7 @@ def vault(sides: int = 4, smooth: bool = True) -> Geometry:
 
 @pytest.mark.parametrize("off", [-4.0, -1.0, 1.0, 4.0])
 def test_light_fades_on_a_coarse_mesh_as_on_the_surface_it_stands_for(off: float) -> None:
-    """The facet west of the top turns its back to the sun; the round vault there still faces it."""
+    # The facet west of the top turns its back to the sun; the round vault there still faces it
     a = np.radians(off)
     inner = np.cos(np.radians(15)) / np.cos(abs(a) - np.radians(15))  # of the facet, from the axis
     point = [float(inner * np.sin(a)), 0.3, float(inner * np.cos(a))]
@@ -73,7 +71,7 @@ def test_waves_are_millimetres_to_a_centimetre_long() -> None:
 
 
 def test_orange_peel_spreads_a_glint_and_keeps_its_light() -> None:
-    """Over a patch the glint is that of more slopes: as bright on the whole, lower at its peak."""
+    # Over a patch the glint is that of more slopes: as bright on the whole, lower at its peak
     towards, light = sun(30, 270), sun(30, 90)
     flat, wavy = materials((1.5, 0.004)), materials((1.5, 0.004))
     wavy.numbers[0, 2] = 0.005

@@ -1,7 +1,5 @@
 """Traced scenes against geometry by hand, exact where chance plays no part."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from concurrent.futures import ThreadPoolExecutor
@@ -46,7 +44,7 @@ LINES, COLUMNS, SAMPLES = (12, 16, 16) if COMPILED else (2, 3, 3)
 
 @functools.cache
 def car_park() -> tuple:
-    """Return a ground, three boxes and a wall, of five materials, coated and bare, with flakes."""
+    # Return a ground, three boxes and a wall, of five materials, coated and bare, with flakes
     wall = rectangle([-3, 2.5, 0], [6, 0, 0], [0, 0, 2])
     boxes = [(*box(x, y, 0.8, 1.0), label) for x, y, label in ((-2, 0, 1), (0, 0.3, 2), (2, -0.5, 3))]
     surfaces = materials(None, (1.5, 0.05), (1.5, 0.1), (1.6, 0.02), None)
@@ -198,7 +196,7 @@ def test_rays_that_meet_nothing_are_no_part_of_a_pixel() -> None:
 
 
 def test_light_from_below_the_horizon_ends_at_the_ground() -> None:
-    """An upright wall without ground gets half of the even sky, and none through the earth."""
+    # An upright wall without ground gets half of the even sky, and none through the earth
     wall = (rectangle([0, -50, 0], [0, 100, 0], [0, 0, 50]), QUAD, 0)
     count = 2048 if COMPILED else 64
     found = traced(joined(wall), materials(None), suns(), staring([0, 0, 25.0], sun(80), 4), samples=count)
@@ -239,7 +237,7 @@ def test_smooth_normals_turn_the_light_and_not_the_shape() -> None:
 
 
 def test_codes_tell_the_mirror_from_the_diffuse_way() -> None:
-    """A smooth coat shows a sun-lit wall: sun, wall's factor, through the mirror, more than one surface."""
+    # A smooth coat shows a sun-lit wall: sun, wall's factor, through the mirror, more than one surface
     wall = (rectangle([-200, 4.0, 0], [400, 0, 0], [0, 0, 300]), QUAD, 1)
     towards = sun(60, 180)  # behind the camera's back: on the wall's face
     rays = staring([0, 0, 0.0], sun(50, 180), 8)
@@ -259,7 +257,7 @@ def test_codes_tell_the_mirror_from_the_diffuse_way() -> None:
 
 
 def test_white_grooves_lose_nothing_but_the_last_bounce() -> None:
-    """With every factor 1, Lambert surfaces under an even sky are as bright as the sky, of any shape."""
+    # With every factor 1, Lambert surfaces under an even sky are as bright as the sky, of any shape
     left = (rectangle([0, -50, 0], [-1, 0, 1], [0, 100, 0]), QUAD, 0)
     right = (rectangle([0, -50, 0], [1, 0, 1], [0, 100, 0]), QUAD, 0)
     rays = nadir(2, 4, width=1.6)
@@ -343,7 +341,7 @@ def test_every_part_of_the_key_matters() -> None:
 
 @pytest.mark.parametrize("count", [16, 64, 100, 256])
 def test_even_pairs_share_out_the_square(count: int) -> None:
-    """Any 2^m points of a (0, 2)-sequence: one in each of 2^m boxes, of every shape of a power of two."""
+    # Any 2^m points of a (0, 2)-sequence: one in each of 2^m boxes, of every shape of a power of two
     mask = (1 << (count - 1).bit_length()) - 1
     whole = 1 << (count.bit_length() - 1)
     for draw in range(3):

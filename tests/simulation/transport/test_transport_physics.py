@@ -1,7 +1,5 @@
 """Many samples against analytic radiometry: what the recorder must get right to be used as truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.transport_scenes import (
@@ -29,10 +27,9 @@ EAST = 90.0
 
 
 def glint(view: np.ndarray, light: np.ndarray, index: float, alpha: float) -> float:
-    """Return F D G / (4 cos_o) of a level surface [sr-1], from angles and tangents.
-
-    Walter et al. 2007, equation 33; Heitz 2014, equation 99 (height-correlated G); Fresnel by Snell's angles.
-    """
+    # Return F D G / (4 cos_o) of a level surface [sr-1], from angles and tangents
+    # Walter et al. 2007, equation 33; Heitz 2014, equation 99 (height-correlated G); Fresnel by Snell's
+    # angles.
     half = (view + light) / np.linalg.norm(view + light)
     outside = np.arccos(view @ half)
     inside = np.arcsin(np.sin(outside) / index)
@@ -57,11 +54,9 @@ def test_the_glint_of_a_flat_coat(view: tuple[float, float], alpha: float) -> No
 
 
 def share_seen(height: float, width: float, distance: float) -> float:
-    """Return the view factor from a level element to a rectangle that stands upright, element at its middle.
-
-    J. R. Howell, "A catalog of radiation heat transfer configuration factors", B-4 (the element faces a
-    corner of the rectangle), twice.
-    """
+    # Return the view factor from a level element to a rectangle that stands upright, element at its middle
+    # J. R. Howell, "A catalog of radiation heat transfer configuration factors", B-4 (the element faces a
+    # corner of the rectangle), twice.
     b, root = width / 2, np.hypot(height, distance)
     return float((np.arctan(b / distance) - distance / root * np.arctan(b / root)) / np.pi)
 
@@ -118,7 +113,7 @@ def test_overcast_sky_brings_the_same_light_to_a_plane() -> None:
 
 
 def test_overcast_sky_favours_what_looks_up() -> None:
-    """An upright wall gets 1 / pi of the light of a level surface; of an even sky it would be 1 / 2."""
+    # An upright wall gets 1 / pi of the light of a level surface; of an even sky it would be 1 / 2
     wall = (rectangle([0, -50, 0], [0, 100, 0], [0, 0, 50]), QUAD, 0)
     rays = staring([0, 0, 25.0], sun(80, EAST), 64)
     found = traced(joined(wall), materials(None), suns(overcast=True), rays, samples=4096)
@@ -160,7 +155,7 @@ def test_a_sun_with_a_disc_has_a_half_shadow() -> None:
 
 
 def test_light_between_floor_and_endless_wall_follows_the_series() -> None:
-    """In a right angle that goes on for ever each face sees the other by half, whatever the distance."""
+    # In a right angle that goes on for ever each face sees the other by half, whatever the distance
     floor = (rectangle([-1e6, -1e6, 0], [2e6, 0, 0], [0, 1e6, 0]), QUAD, 0)
     wall = (rectangle([-1e6, 0, 0], [2e6, 0, 0], [0, 0, 1e6]), QUAD, 1)
     rays = staring([0, -0.5, 0.0], sun(30, 180), 64)

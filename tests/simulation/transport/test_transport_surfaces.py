@@ -1,7 +1,5 @@
 """Fresnel, GGX and the lobes of a paint against their textbook forms and against sums over directions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.transport_scenes import COMPILED, materials
@@ -28,7 +26,7 @@ from hyperpaint.simulation.transport.surfaces import (
 
 
 def fresnel_by_angles(cosine: np.ndarray, index: float) -> np.ndarray:
-    """Return the mean of both polarisations from Snell's angles."""
+    # Return the mean of both polarisations from Snell's angles
     outside = np.arccos(cosine)
     inside = np.arcsin(np.sin(outside) / index)
     s = (np.cos(outside) - index * np.cos(inside)) / (np.cos(outside) + index * np.cos(inside))
@@ -37,7 +35,7 @@ def fresnel_by_angles(cosine: np.ndarray, index: float) -> np.ndarray:
 
 
 def glint_by_angles(view: np.ndarray, light: np.ndarray, index: float, alpha: float) -> float:
-    """Return F D G / (4 cos_o), GGX in tangents (Walter et al. 2007; Heitz 2014, height-correlated)."""
+    # Return F D G / (4 cos_o), GGX in tangents (Walter et al. 2007; Heitz 2014, height-correlated).
     half = (view + light) / np.linalg.norm(view + light)
     tan2 = (1 - half[2] ** 2) / half[2] ** 2
     density = alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + tan2) ** 2)
@@ -53,7 +51,7 @@ def direction(zenith: float, azimuth: float = 0.0) -> tuple[float, float, float]
 
 
 def seen(surfaces: Surfaces, view: tuple[float, float, float], least_alpha: float = 0.0) -> Lobes:
-    """Return the lobes of the first material; its coat has no waves."""
+    # Return the lobes of the first material; its coat has no waves
     return lobes_at(surfaces, 0, view, view, least_alpha)
 
 
@@ -126,7 +124,7 @@ def test_the_coat_is_the_textbook_glint(zenith: float, azimuth: float) -> None:
 
 
 def disc_around(middle: np.ndarray, radius: float, rings: int = 200) -> np.ndarray:
-    """Return directions that cover a disc evenly, (direction, 3)."""
+    # Return directions that cover a disc evenly, (direction, 3)
     r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)
     a = 2 * np.pi * (np.arange(2 * rings) + 0.5) / (2 * rings)
     r, a = (part.ravel() for part in np.meshgrid(r, a, indexing="ij"))
@@ -138,7 +136,7 @@ def disc_around(middle: np.ndarray, radius: float, rings: int = 200) -> np.ndarr
 @pytest.mark.parametrize("alpha", [0.001, 0.004, 0.03])
 @pytest.mark.parametrize(("off", "within"), [(0.0, 0.03), (0.1, 0.03), (0.5, 0.2), (2.0, 0.02), (20.0, 0.02)])
 def test_the_image_of_a_disc_is_the_mean_over_it(alpha: float, off: float, within: float) -> None:
-    """Near its rim a sharp image is in view by half: what is an ellipse there, is taken for a circle."""
+    # Near its rim a sharp image is in view by half: what is an ellipse there, is taken for a circle
     view, radius, paint = direction(30), np.radians(0.267), materials((1.5, alpha))
     middle = direction(30 + off, 180)
     points = disc_around(np.array(middle), radius, 200 if COMPILED else 10)
@@ -150,7 +148,7 @@ def test_the_image_of_a_disc_is_the_mean_over_it(alpha: float, off: float, withi
 @pytest.mark.parametrize("alpha", [0.001, 0.05, 0.3])
 @pytest.mark.parametrize("radius", [0.0, 0.00466])
 def test_light_goes_both_ways_alike(alpha: float, radius: float) -> None:
-    """f is the same with view and light exchanged: pi f cos_i, over cos_i."""
+    # f is the same with view and light exchanged: pi f cos_i, over cos_i
     paint = materials((1.5, alpha), flakes=0.4, flake_alpha=0.25)
     for first, second in (
         ((20, 0), (50, 160)),
@@ -196,7 +194,7 @@ def test_flakes_are_mirrors_met_by_refracted_light() -> None:
 @pytest.mark.parametrize("zenith", [0, 35, 70])
 @pytest.mark.parametrize("apart", [False, True])
 def test_paths_follow_the_lobes_as_the_sun_sees_them(zenith: float, apart: bool) -> None:
-    """What is scattered anywhere equals the integral of what is seen of a sun from there, lobe by lobe."""
+    # What is scattered anywhere equals the integral of what is seen of a sun from there, lobe by lobe
     paint = materials((1.5, 0.15), flakes=0.4)
     lobes = seen(paint, direction(zenith, 15))
     rng = np.random.default_rng(2)
