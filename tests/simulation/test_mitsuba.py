@@ -99,7 +99,8 @@ def car_park_with(coat: Coat | None) -> Scene:
 
 
 #: By name: how to make scene and light, camera, samples of ours and of Mitsuba, bounces. Our plane
-#: has no noise. Mitsuba's mirrors never show the sun, which is a point: smooth coats see the sky alone.
+#: has no noise; the samples of the others leave less than 0.1 % in a mean. Mitsuba's mirrors never show the
+#: sun, which is a point: smooth coats see the sky alone.
 SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int, int, int]] = {
     "plane": (
         lambda: (plane(200.0, GREY), light()),
@@ -108,10 +109,10 @@ SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int
         2048,
         4,
     ),
-    "adjacency": (lambda: (ADJACENCY, light()), BESIDE, 1024, 4096, 4),
+    "adjacency": (lambda: (ADJACENCY, light()), BESIDE, 256, 1024, 4),
     "lambert park": (lambda: (car_park_with(None), light()), ABOVE, 1024, 4096, 4),
-    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 4096, 4096, 4),
-    "one bounce": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 4096, 4096, 1),
+    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 1024, 2048, 4),
+    "one bounce": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 1024, 2048, 1),
 }
 
 
@@ -159,7 +160,6 @@ def test_pixels_agree(images: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
     # shadow and reddening lie where they should: rows and columns agree too, and neither is turned about
     for axis in (0, 1):
         np.testing.assert_allclose(ours.mean(axis=axis), theirs.mean(axis=axis), rtol=0.04)
-        flipped = np.flip(theirs.mean(axis=axis), axis=0)
-        assert np.abs(ours.mean(axis=axis) / flipped - 1.0).max() > 0.2
+        assert np.abs(ours.mean(axis=axis) / np.flip(theirs.mean(axis=axis), axis=0) - 1.0).max() > 0.2
     ours, theirs = images["lambert park"]
     assert abs(np.median(ours / theirs) - 1.0) < 0.002

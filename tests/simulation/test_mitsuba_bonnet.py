@@ -86,12 +86,10 @@ def bonnet(coat: Coat | None) -> Scene:
     # Return a panel with a crown, and the ground below
     side = np.linspace(-HALF, HALF, STEPS + 1)
     x, y = np.meshgrid(side, side, indexing="ij")
-    z = np.sqrt(CROWN**2 - x**2 - y**2) - CROWN
-    points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    points = np.stack([x, y, np.sqrt(CROWN**2 - x**2 - y**2) - CROWN], axis=-1).reshape(-1, 3)
     k = np.arange(STEPS)
-    first = (k[:, None] * (STEPS + 1) + k).reshape(-1, 1)
     cells = np.array([[0, STEPS + 1, STEPS + 2], [0, STEPS + 2, 1]])
-    faces = (first[:, None] + cells).reshape(-1, 3)
+    faces = ((k[:, None] * (STEPS + 1) + k).reshape(-1, 1)[:, None] + cells).reshape(-1, 3)
     normals = (points + np.array([0.0, 0.0, CROWN])) / CROWN
     paint = Material("paint", "paint", "paint", coat)
     return Scene.join(
@@ -105,9 +103,8 @@ def bonnet(coat: Coat | None) -> Scene:
 
 def overcast_sky() -> Atmosphere:
     # Return a sun in a sky of radiance that goes with the cosine of the zenith angle
-    wavelength = np.linspace(400.0, 900.0, 3)
     none = np.zeros(3)
-    light = wavelength, none + 1.0, none + 0.35, none, none
+    light = np.linspace(400.0, 900.0, 3), none + 1.0, none + 0.35, none, none
     return Atmosphere(*light, ZENITH, AZIMUTH, overcast_share=1.0, name="overcast")
 
 
@@ -154,8 +151,9 @@ def our_image(scene: Scene, sky: Atmosphere, samples: int, depth: int, window: W
     rows = []
     (top, left), size = window
     for row in range(top, top + size):
-        columns = edges[left : left + size + 1]
-        still = Platform(origin, down, columns, edges[[PIXELS - 1 - row, PIXELS - row]], np.arange(1))
+        still = Platform(
+            origin, down, edges[left : left + size + 1], edges[[PIXELS - 1 - row, PIXELS - row]], np.arange(1)
+        )
         traced = hp.simulation.trace(
             scene, still, [sky], samples=samples, depth=depth, seed=row, slots=64, sun_radius=SUN_RADIUS_DEG
         )
@@ -213,8 +211,7 @@ def assert_same_means(ours: np.ndarray, theirs: np.ndarray, tolerance: float) ->
 @pytest.mark.parametrize("name", SKIES)
 def test_a_solid_bonnet(name: str, tmp_path: Path) -> None:
     scene, sky = bonnet(None), SKIES[name]()
-    diffuse = {"type": "diffuse", "reflectance": PAINT}
-    ours, theirs = both_images(scene, sky, diffuse, tmp_path, (256, 1024), 3)
+    ours, theirs = both_images(scene, sky, {"type": "diffuse", "reflectance": PAINT}, tmp_path, (128, 512), 3)
     assert_same_means(ours, theirs, 0.01)
     panel = on_panel()
     assert_same_means(ours[panel], theirs[panel], 0.005)
@@ -232,7 +229,7 @@ def around_the_glint(image: np.ndarray, size: int) -> Window:
 def test_a_coated_bonnet(name: str, tmp_path: Path) -> None:
     # The sky in the coat, the paint below; of the glint next
     coat, sky = Coat(1.5, 0.0, 0.0), SKIES[name]()
-    ours, theirs = both_images(bonnet(coat), sky, plastic(coat), tmp_path, (512, 2048), 3)
+    ours, theirs = both_images(bonnet(coat), sky, plastic(coat), tmp_path, (256, 1024), 3)
     (top, left), size = around_the_glint(ours, 7)
     rest = np.ones(ours.shape[:2], bool)
     rest[top : top + size, left : left + size] = False  # Mitsuba's mirrors meet the sun by chance alone
@@ -245,9 +242,10 @@ def test_the_glint_of_a_coat_of_80_units(tmp_path: Path) -> None:
     assert gloss_units(coat) >= 80.0
     scene = bonnet(coat)
     rough = plastic(coat, type="roughplastic", distribution="ggx", alpha=coat.roughness)
-    window = around_the_glint(our_image(scene, sky, 64, 1), 3)
     samples = 16384, 2**20  # fewer leave more than 3 % of noise
-    ours, theirs = both_images(scene, sky, rough, tmp_path, samples, 1, window)
+    ours, theirs = both_images(
+        scene, sky, rough, tmp_path, samples, 1, around_the_glint(our_image(scene, sky, 64, 1), 3)
+    )
     assert (theirs[1, 1] == theirs.max(axis=(0, 1))).all()
     assert (theirs[1, 1] > 20 * np.median(theirs)).all()
     np.testing.assert_allclose(ours[1, 1] / theirs[1, 1], 1.0, atol=0.03)
