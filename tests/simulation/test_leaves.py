@@ -56,17 +56,20 @@ def plate_over_black(below: str = "k") -> Scene:
 
 @pytest.mark.slow
 def test_a_plate_reflects_from_above_and_passes_from_below() -> None:
-    flight = pushbroom(4, 4, altitude=20.0, ground_sample=0.5)
     light = flat_light(sky=0.0, direction=(40.0, 150.0))
-    over = hp.simulation.trace(plate_over_black(), flight, [(40.0, 150.0)], samples=4)
+    over = hp.simulation.trace(
+        plate_over_black(), pushbroom(4, 4, altitude=20.0, ground_sample=0.5), [(40.0, 150.0)], samples=4
+    )
     seen = hp.simulation.relight(over, FEW_BANDS, spectra=PLATE, atmosphere=light).reflectance
     np.testing.assert_allclose(seen, REFLECTED, rtol=1e-6)
     # the camera flies below the plate, over white ground that the plate lights
-    white = {**PLATE, "w": (np.array([300.0, 1100.0]), np.ones(2))}
-    below = pushbroom(4, 4, altitude=1.0, ground_sample=0.05)
     scene = plate_over_black("w")
-    traced = hp.simulation.trace(scene, below, [(40.0, 150.0)], samples=4000, depth=3)
-    lit = hp.simulation.relight(traced, FEW_BANDS, spectra=white, atmosphere=light).reflectance
+    traced = hp.simulation.trace(
+        scene, pushbroom(4, 4, altitude=1.0, ground_sample=0.05), [(40.0, 150.0)], samples=4000, depth=3
+    )
+    lit = hp.simulation.relight(
+        traced, FEW_BANDS, spectra={**PLATE, "w": (np.array([300.0, 1100.0]), np.ones(2))}, atmosphere=light
+    ).reflectance
     # three scatterings: ground and plate, no second time
     assert float(lit.mean()) == pytest.approx(PASSED, rel=0.03)
 

@@ -39,8 +39,9 @@ def part(view: tuple[float, float, float], light: tuple[float, float, float]) ->
 
 def relit(traced: xr.Dataset, light: Atmosphere, face: float, turned: float) -> float:
     levels = {"body": 0.0, "face": face, "right angle": turned}
-    spectra = {name: (ENDS, [level] * 2) for name, level in levels.items()}
-    line = hp.simulation.relight(traced, BANDS, atmosphere=light, spectra=spectra)
+    line = hp.simulation.relight(
+        traced, BANDS, atmosphere=light, spectra={name: (ENDS, [level] * 2) for name, level in levels.items()}
+    )
     return float(line.reflectance.mean())
 
 
@@ -126,8 +127,9 @@ def test_a_pearl_is_repainted() -> None:
         next(name for name in names if paint_spec(name).finish == finish) for finish in ("pearl", "metallic")
     )
     park = car_park(length=10.0, width=16.0, neighbours=(), paints=[pearl])
-    flight = pushbroom(8, 16, altitude=30.0, ground_sample=0.5, centre=(0.0, 5.0))
-    lines = hp.simulation.trace(park, flight, ["noon"], samples=8).compute()
+    lines = hp.simulation.trace(
+        park, pushbroom(8, 16, altitude=30.0, ground_sample=0.5, centre=(0.0, 5.0)), ["noon"], samples=8
+    ).compute()
     car = next(one.name for one in park.instances if one.kind == "car")
     for paint in (metal, pearl, (ENDS, [0.5, 0.5])):
         again = hp.simulation.relight(lines, BANDS, paints={car: paint}, truth=False).radiance

@@ -104,11 +104,8 @@ def trimesh() -> Any:
 
 
 def test_an_obj_box_by_material_and_by_object(tmp_path: Path) -> None:
-    path = written(tmp_path, "box.obj", OBJ)
-    scene = read_mesh(path, {"red": RED, "lower": GREY})
-    assert scene.name == "box"
-    assert scene.instances[0].name == "box"
-    assert len(scene.faces) == 12
+    scene = read_mesh(written(tmp_path, "box.obj", OBJ), {"red": RED, "lower": GREY})
+    assert (scene.name, scene.instances[0].name, len(scene.faces)) == ("box", "box", 12)
     assert volume(scene) == pytest.approx(6.0)  # faces look outwards, and the relative numbers were right
     assert [material.name for material in scene.materials] == ["red paint", "grey"]
     assert np.bincount(scene.face_material).tolist() == [10, 2]
@@ -136,8 +133,7 @@ def test_units_and_axes(tmp_path: Path) -> None:
 
 
 def test_a_glb_box_with_its_nodes_and_names(tmp_path: Path, trimesh: Any) -> None:
-    path = written(tmp_path, "two.glb", glb())
-    scene = read_mesh(path, {"body": RED, "other_box": GREY})
+    scene = read_mesh(written(tmp_path, "two.glb", glb()), {"body": RED, "other_box": GREY})
     assert sorted(np.bincount(scene.face_material).tolist()) == [12, 12]
     red = scene.vertices[scene.faces[scene.face_material == scene.materials.index(RED)]].reshape(-1, 3)
     grey = scene.vertices[scene.faces[scene.face_material == scene.materials.index(GREY)]].reshape(-1, 3)
@@ -150,8 +146,7 @@ def test_a_glb_box_with_its_nodes_and_names(tmp_path: Path, trimesh: Any) -> Non
 @pytest.mark.parametrize("binary", [True, False])
 def test_a_ply_box(tmp_path: Path, trimesh: Any, binary: bool) -> None:
     scene = read_mesh(written(tmp_path, "box.ply", ply(binary=binary)), default=GREY)
-    assert len(scene.faces) == 12
-    assert volume(scene) == pytest.approx(6.0)
+    assert (len(scene.faces), volume(scene)) == (12, pytest.approx(6.0))
 
 
 def test_an_open_mesh_is_fine_and_triangles_without_area_are_dropped(tmp_path: Path) -> None:
@@ -163,8 +158,7 @@ def test_an_open_mesh_is_fine_and_triangles_without_area_are_dropped(tmp_path: P
 
 
 def test_flat_unless_smooth(tmp_path: Path) -> None:
-    scene = read_mesh(written(tmp_path, "box.obj", OBJ), default=GREY, crease=None)
-    assert not scene.normals.any()
+    assert not read_mesh(written(tmp_path, "box.obj", OBJ), default=GREY, crease=None).normals.any()
 
 
 @pytest.mark.parametrize(
@@ -232,9 +226,10 @@ def test_a_glb_that_lies_is_refused(
 
 def test_numbers_beyond_the_vertices_of_a_glb_are_refused(tmp_path: Path, trimesh: Any) -> None:
     indices = FACES.astype("<u2").tobytes()
-    data = glb().replace(indices, b"\xff\x00" + indices[2:])
     with pytest.raises(FormatError):
-        read_mesh(written(tmp_path, "beyond.glb", data), default=GREY)
+        read_mesh(
+            written(tmp_path, "beyond.glb", glb().replace(indices, b"\xff\x00" + indices[2:])), default=GREY
+        )
     for drop in (1, 40, 150, 300, 900):
         with pytest.raises(FormatError, match="file-truncated"):
             read_mesh(written(tmp_path, "cut.glb", glb(drop=drop)), default=GREY)
@@ -281,9 +276,10 @@ def test_damage_raises_only_errors_in_words(
     ][which]  # fmt: skip
     at = data.draw(st.integers(0, len(whole)))
     skip = data.draw(st.integers(0, 40))
-    path = written(tmp_path, name, whole[:at] + junk + whole[at + skip :])
     with contextlib.suppress(PaintError, PaintWarning):  # warnings are errors: triangles without area
-        assert np.isfinite(read_mesh(path, default=GREY).vertices).all()
+        assert np.isfinite(
+            read_mesh(written(tmp_path, name, whole[:at] + junk + whole[at + skip :]), default=GREY).vertices
+        ).all()
 
 
 @pytest.mark.parametrize("parse", [parse_obj, check_ply, strip_glb])
@@ -336,6 +332,5 @@ def test_normals_of_a_fan_take_time_with_its_triangles() -> None:
     assert time.process_time() - began < 5.0
     assert count > MAX_FACES_AROUND
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
-    tip = mesh.vertices[:, 2] == 1.0
     # each triangle at the tip has its own, between those of its two neighbours
-    np.testing.assert_allclose(mesh.normals[tip, 2], np.sqrt(0.5), atol=1e-6)
+    np.testing.assert_allclose(mesh.normals[mesh.vertices[:, 2] == 1.0, 2], np.sqrt(0.5), atol=1e-6)

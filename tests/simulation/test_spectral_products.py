@@ -76,8 +76,7 @@ def test_codes_say_what_went_in(factors: int, source: int, flags: Any, data: st.
     assert 0 <= code < 2**63
     as_array = np.array([code])
     found = codes.factors(as_array)[0]
-    assert sorted(found[found >= 0].tolist()) == sorted(met)
-    assert source_of(as_array)[0] == source
+    assert (sorted(found[found >= 0].tolist()), source_of(as_array)[0]) == (sorted(met), source)
     assert is_direct(as_array)[0] == (source >= 2)
     assert (is_mirrored(as_array)[0], is_indirect(as_array)[0]) == flags
 
@@ -101,11 +100,9 @@ def test_codes_that_do_not_fit_are_refused() -> None:
 def test_products_are_dense_integrals(shape: str, fwhm: float, responsivity: Any) -> None:
     # Sharp lines and steep edges; the sum itself is no better than some 1e-5
     bands = BandSet(np.linspace(399.356, 1001.42, 272), np.array(fwhm), shape, None, responsivity)
-    table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
     codes = some_codes()[::97]
-    rows = table.rows(codes)
-    assert rows.dtype == np.float32
-    assert rows.shape == (1, codes.size, 272)
+    rows = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints).rows(codes)
+    assert (rows.dtype, rows.shape) == (np.float32, (1, codes.size, 272))
     grid = np.arange(350.0, 1050.0, 0.05 if fwhm > 3.0 else 0.01)
     for row, code in zip(rows[0], codes.tolist(), strict=True):
         np.testing.assert_allclose(row, seen_by(bands, grid, product(code, grid)), rtol=1e-4)
@@ -128,15 +125,14 @@ def test_the_slope_of_the_responsivity_counts() -> None:
 
 def test_columns_see_their_own_wavelengths() -> None:
     shift = 1.5 * np.linspace(-1.0, 1.0, 9) ** 2
-    centres = np.linspace(399.356, 1001.42, 272)
-    bands = BandSet(centres, np.array(6.0), "gaussian", shift)
-    table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
+    bands = BandSet(np.linspace(399.356, 1001.42, 272), np.array(6.0), "gaussian", shift)
     codes = some_codes()[::61]
-    seen = at_columns(table, codes)
+    seen = at_columns(ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints), codes)
     for column in (0, 1, 4, 7):
         for place, code in enumerate(codes.tolist()):
-            expected = seen_by(bands, GRID, product(code), shift[column])
-            np.testing.assert_allclose(seen[place, :, column], expected, rtol=1e-4)
+            np.testing.assert_allclose(
+                seen[place, :, column], seen_by(bands, GRID, product(code), shift[column]), rtol=1e-4
+            )
 
 
 @pytest.mark.parametrize("shift", [None, np.linspace(-0.6, 0.7, 5)], ids=["no smile", "smile"])
@@ -162,10 +158,10 @@ def test_an_imager_integrates_without_norm() -> None:
     table = ProductTable(BandSet.of(camera.imager), CODES, LIGHT.wavelength, SOURCES, paints, normalise=False)
     codes = some_codes()[::97]
     grid = np.arange(340.0, 1080.0, 0.05)
-    spectra = np.stack([np.interp(grid, GRID, product(code)) for code in codes.tolist()])
-    expected = camera.imager.integrals(spectra, grid)
-    seen = at_columns(table, codes) * camera.imager.element_factor
-    np.testing.assert_allclose(seen, expected, rtol=1e-4)
+    expected = camera.imager.integrals(
+        np.stack([np.interp(grid, GRID, product(code)) for code in codes.tolist()]), grid
+    )
+    np.testing.assert_allclose(at_columns(table, codes) * camera.imager.element_factor, expected, rtol=1e-4)
 
 
 def test_a_source_without_light_gives_nothing() -> None:
@@ -207,8 +203,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(relighting, "_MAX_CACHE_BYTES", 100 * 272 * 4)
     small = pickle.loads(pickle.dumps(table))
     for start in range(0, codes.size, 30):
-        part = codes[start : start + 30]
-        np.testing.assert_array_equal(small.rows(part), rows[:, start : start + 30])
+        np.testing.assert_array_equal(small.rows(codes[start : start + 30]), rows[:, start : start + 30])
     assert 0 < small._products.nbytes <= 100 * 272 * 4
 
 
@@ -227,11 +222,12 @@ def test_means_over_cells_keep_the_integral() -> None:
     spectrum = rng.uniform(0.0, 2.0, 300)
     for step in (0.05, 0.7, 5.0):
         grid = np.arange(380.0, 520.0, step)
-        made = cell_means(wavelength, spectrum, grid)
         inside = np.diff(
             np.concatenate([grid - step / 2, grid[-1:] + step / 2]).clip(wavelength[0], wavelength[-1])
         )
-        assert (made * inside).sum() == pytest.approx(np.trapezoid(spectrum, wavelength), rel=1e-12)
+        assert (cell_means(wavelength, spectrum, grid) * inside).sum() == pytest.approx(
+            np.trapezoid(spectrum, wavelength), rel=1e-12
+        )
 
 
 def test_bands_that_cannot_be_are_all_named() -> None:

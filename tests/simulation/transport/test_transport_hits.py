@@ -16,9 +16,10 @@ def vault(sides: int = 4, smooth: bool = True) -> Geometry:
     points = np.concatenate([around - np.array([0, 50, 0]), around + np.array([0, 50, 0])])
     k = np.arange(sides)
     low, high = np.stack([k, k + 1, k + sides + 2], 1), np.stack([k, k + sides + 2, k + sides + 1], 1)
-    faces = np.concatenate([low, high])
     normals = np.tile(around, (2, 1)) if smooth else []
-    return build_geometry(points, faces, normals, np.zeros(2 * sides), np.zeros(2 * sides))
+    return build_geometry(
+        points, np.concatenate([low, high]), normals, np.zeros(2 * sides), np.zeros(2 * sides)
+    )
 
 
 @pytest.mark.parametrize("off", [-4.0, -1.0, 1.0, 4.0])
@@ -26,22 +27,19 @@ def test_light_fades_on_a_coarse_mesh_as_on_the_surface_it_stands_for(off: float
     # The facet west of the top turns its back to the sun; the round vault there still faces it
     a = np.radians(off)
     inner = np.cos(np.radians(15)) / np.cos(abs(a) - np.radians(15))  # of the facet, from the axis
-    point = [float(inner * np.sin(a)), 0.3, float(inner * np.cos(a))]
-    rays = staring(point, sun(3, 0), 1)
+    rays = staring([float(inner * np.sin(a)), 0.3, float(inner * np.cos(a))], sun(3, 0), 1)
     lit = traced(vault(), materials(None), suns(sun(80)), rays)
-    cosine = np.cos(np.radians(80) - a)
-    np.testing.assert_allclose(weight_of(lit, code(SUN, 0)), cosine, rtol=0.1)
+    np.testing.assert_allclose(weight_of(lit, code(SUN, 0)), np.cos(np.radians(80) - a), rtol=0.1)
     np.testing.assert_array_equal(lit.sun_visibility, 1)
-    flat = traced(vault(smooth=False), materials(None), suns(sun(80)), rays)
-    assert (weight_of(flat, code(SUN, 0)) > 0).all() == (off > 0)
+    assert (
+        weight_of(traced(vault(smooth=False), materials(None), suns(sun(80)), rays), code(SUN, 0)) > 0
+    ).all() == (off > 0)
 
 
 def test_a_coarse_mesh_keeps_the_light_of_the_sky() -> None:
-    count = 4096 if COMPILED else 64
     rays = staring([0.0, 0.3, 1.0], sun(1, 0), 8)
-    found = traced(vault(), materials(None), suns(), rays, samples=count)
-    seen = found.weight.sum(axis=1).mean()
-    assert seen == pytest.approx(1.0, abs=0.004 if COMPILED else 0.1)
+    found = traced(vault(), materials(None), suns(), rays, samples=4096 if COMPILED else 64)
+    assert found.weight.sum(axis=1).mean() == pytest.approx(1.0, abs=0.004 if COMPILED else 0.1)
 
 
 @pytest.mark.parametrize("slope", [0.002, 0.01])
