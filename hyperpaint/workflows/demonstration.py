@@ -19,7 +19,8 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.io.spectrometers.asd import open_asd
 from hyperpaint.io.store import list_groups
 from hyperpaint.simulation import simulate_collect
-from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
+from hyperpaint.simulation.collect import MARKER, PARTS
+from hyperpaint.simulation.instruments import CAMERA_SOFTWARE
 from hyperpaint.validation.validation_result import aligned
 
 from .pipeline import run

@@ -66,7 +66,7 @@ from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.pictures.figures import new_figure, save_figure
 from hyperpaint.pictures.plot import overview
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.painting import assigned_paints, by_name
 from hyperpaint.simulation.rendering.relighting import relight
 from hyperpaint.simulation.rendering.scene_record import SceneRecord

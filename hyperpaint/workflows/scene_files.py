@@ -34,16 +34,15 @@ from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
 from hyperpaint.io.library import open_library
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
+from hyperpaint.simulation.atmosphere import SKY
 from hyperpaint.simulation.camera import Camera
-from hyperpaint.simulation.rendering.appearance import coat_of_gloss
 from hyperpaint.simulation.rendering.car_parks import BAY, CAR_PARK, car_park, note_car_park_faults
 from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
-from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material
+from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material, coat_of_gloss
 from hyperpaint.simulation.rendering.mesh_files import read_mesh
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, Platform, note_pushbroom_faults, pushbroom
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS, Instance, Scene, plane
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
-from hyperpaint.simulation.rendering.sky_models import SKY
 from hyperpaint.simulation.settings import CAMERA_FIELDS, SimulationSettings
 from hyperpaint.simulation.transport.path_codes import MAX_SUNS
 

@@ -16,7 +16,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, UnitsError
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.atmosphere import Sky
-from hyperpaint.simulation.paint_spectra import MATERIALS, reflectance as surface_reflectance
+from hyperpaint.simulation.rendering.scene_spectra import MATERIALS, reflectance as surface_reflectance
 
 GRID = np.arange(650.0, 1010.0, 0.05)
 SPACING = 602.064 / 271

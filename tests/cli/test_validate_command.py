@@ -14,7 +14,7 @@ from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS
 
 
 def run(*words: object) -> Result:

@@ -11,9 +11,14 @@ from support.refusals import expect_refusals
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.clear_sky import ClearSky, ozone_mass, sunlight_table
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.simulation.atmosphere import GRID_STEP, Sky, solar_irradiance, spectral_grid
+from hyperpaint.simulation.atmosphere import (
+    GRID_STEP,
+    Sky,
+    relative_air_mass,
+    solar_irradiance,
+    spectral_grid,
+)
 from hyperpaint.simulation.camera import convolve_gaussian
-from hyperpaint.simulation.rendering.sky_models import relative_air_mass
 
 FINE = spectral_grid(350.0, 1050.0)
 CHANNELS = np.arange(400.0, 1000.1, 5.0)

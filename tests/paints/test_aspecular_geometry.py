@@ -11,8 +11,14 @@ from hyperpaint.base.errors import PaintWarning
 from hyperpaint.paints.signatures.extraction import aspecular_angle, flop_of, lean_range
 from hyperpaint.regions import Region, Regions
 from hyperpaint.simulation import simulate_line
-from hyperpaint.simulation.rendering.appearance import flakes_of_flop, reflectance_factor
-from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, fresnel_reflectance
+from hyperpaint.simulation.rendering.materials import (
+    Coat,
+    Flakes,
+    Material,
+    flakes_of_flop,
+    fresnel_reflectance,
+    reflectance_factor,
+)
 
 _ZENITH = st.floats(0.0, 85.0)
 

@@ -14,7 +14,7 @@ from hyperpaint.paints.signatures import pixel_statistics
 from hyperpaint.paints.signatures.pixel_statistics import effective_pixels
 from hyperpaint.regions import pixels
 from hyperpaint.simulation import simulate_line
-from hyperpaint.simulation.paint_spectra import MATERIALS
+from hyperpaint.simulation.rendering.scene_spectra import MATERIALS
 
 # --- against the truth -------------------------------------------------------------------------------------
 

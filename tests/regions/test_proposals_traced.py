@@ -7,7 +7,7 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.regions import pixels_of
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.platforms import pushbroom

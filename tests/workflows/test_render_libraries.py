@@ -15,7 +15,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.paints import starter_library
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.painting import by_name, factor_spectra
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.workflows.scene_files import read_paints, read_spectra, spectra_digest

@@ -34,10 +34,7 @@ from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor, convert
 from hyperpaint.light.sky_functions import fit_sky
-from hyperpaint.simulation.atmosphere import spectral_grid
-from hyperpaint.simulation.settings import moment_of
-
-from .sky_models import (
+from hyperpaint.simulation.atmosphere import (
     CIE_OVERCAST_SHARE,
     HAZE,
     SKY,
@@ -49,7 +46,9 @@ from .sky_models import (
     clear_spread,
     cloud_transmittance,
     relative_air_mass,
+    spectral_grid,
 )
+from hyperpaint.simulation.settings import moment_of
 
 _CURVES = {
     "sun": ("W m-2 nm-1", "Direct solar irradiance at the ground, normal to the beam"),
@@ -97,7 +96,7 @@ class Atmosphere:
         Zenith angle and azimuth of the sun, clockwise from north [degree].
     overcast_share
         Share of the diffuse irradiance whose radiance is proportional to the cosine of the zenith angle: 0 to
-        1, 4/7 for a CIE overcast sky (see `sky_models`).
+        1, 4/7 for a CIE overcast sky (see `hyperpaint.simulation.atmosphere`).
     name
         Name of the atmosphere.
     haze
@@ -438,7 +437,7 @@ class Atmosphere:
         return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
-        """Return this clear atmosphere under clouds; `sky_models` has the model.
+        """Return this clear atmosphere under clouds; `hyperpaint.simulation.atmosphere` has the model.
 
         Parameters
         ----------
@@ -584,7 +583,7 @@ def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
 
 
 def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
-    """Return the curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`."""
+    # curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`
     if isinstance(table, Mapping):
         problems = Problems("the table of an atmosphere cannot be used", FormatError)
         headings, arrays = list(table), []

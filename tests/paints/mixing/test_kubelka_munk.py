@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.paints.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
-from hyperpaint.simulation.paint_spectra import Paint
 from hyperpaint.simulation.rendering.materials import fresnel_reflectance, internal_reflectance
+from hyperpaint.simulation.rendering.scene_spectra import Paint
 
 
 @pytest.mark.parametrize("ratio", [0.003, 0.2, 1.5, 20.0])
