@@ -189,6 +189,11 @@ class FieldDayRun:
         return self.out / STEPS["process"].product
 
     @property
+    def record(self) -> Record:
+        """Record of the products."""
+        return Record(self.out / RECORD, STEPS)
+
+    @property
     def library(self) -> Path:
         """Library of the signatures."""
         return self.out / STEPS["signatures"].product
@@ -228,13 +233,11 @@ class FieldDayRun:
             if group
         }
         inputs = [groups, {entry: _INPUTS[entry](self) for entry in step.inputs}]
-        record = Record(self.out / RECORD, STEPS)
+        record = self.record
         outcome = record.produce(
             Product(name, paths, inputs, functools.partial(step.make, self)), overwrite=self.overwrite
         )
-        if name == "validate" and outcome.state == "done":
-            record.write({"passed": self.passed})
-        elif name == "validate" and outcome.state == "unchanged":
+        if name == "validate" and outcome.state == "unchanged":
             self.passed = record.entries().get("passed")
         return outcome
 
@@ -281,6 +284,8 @@ def _validate(day: FieldDayRun) -> str:
     day.passed = validation.passed
     table = day.out / "agreement.csv"
     write_table(validation, table, overwrite=True)
+    # before the step is recorded as done: a run that is killed between them validates again
+    day.record.write({"passed": validation.passed})
     verdict = "passed" if validation.passed else f"NOT passed: {'; '.join(validation.problems[:3])}"
     return f"{table}: {verdict}"
 

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.maps.geotiff import read_geotiff_header
 from hyperpaint.workflows import field_day
 from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day
+from hyperpaint.workflows.products import Record
 
 pytestmark = pytest.mark.slow
 
@@ -184,14 +186,28 @@ def test_steps_have_names(tmp_path: Path) -> None:
         run_field_day(tmp_path / "collect.toml", skip=["process", "albedo"])
 
 
-def test_a_spoilt_record_only_costs_time(day: FieldDay, folder: Path, tmp_path: Path) -> None:
+def test_a_spoilt_record_and_a_kill_only_cost_time(
+    day: FieldDay, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     copied = tmp_path / "spoilt"
     shutil.copytree(folder, copied)
     record = copied / "products" / "steps.json"
     kept = json.loads(record.read_text())
+    skip = ["signatures", "map", "dirsig", "report"]
     record.write_text("[1, 2")
-    again = run_field_day(copied, skip=["signatures", "map", "dirsig", "report"])
-    assert {one.step: one.state for one in again.outcomes}["validate"] == "done"
+    write = Record.write
+
+    def killed(record: Record, entries: dict[str, Any]) -> None:
+        write(record, entries)
+        if entries.get("validate", {}).get("inputs"):
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Record, "write", killed)
+        run_field_day(copied, skip=skip)
+    again = run_field_day(copied, skip=skip)
+    assert {one.step: one.state for one in again.outcomes}["validate"] == "unchanged"
+    assert again.passed == day.passed is not None
     assert json.loads(record.read_text())["validate"]["inputs"] == kept["validate"]["inputs"]
 
 
