@@ -217,8 +217,8 @@ def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
     """Check whether the inputs of a collect are plausible, in seconds.
 
     Prints every finding: its name, the observed value, the expected value, and the remedy. process and run
-    check the same first: they stop at findings that make results wrong, and warn of others; --accept FINDING
-    accepts a finding. Exit status 1 if there are findings.
+    check the same first, except conventions and clocks of the navigation: they stop at findings that make
+    results wrong, and warn of others; --accept FINDING accepts a finding. Exit status 1 if there are findings.
     """
     findings = workflows.pipeline.check_collect(collect)
     for finding in findings:

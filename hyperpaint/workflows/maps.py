@@ -96,10 +96,11 @@ def location_of(
     """
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
-    names = ("longitude", "latitude", "altitude")
-    is_flown = set(names) <= set(flightline.variables)
-    track: Any = tuple(flightline[name].values for name in names) if is_flown else None
-    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid, track)
+    if dem is not None:
+        names = ("longitude", "latitude", "altitude")
+        is_flown = set(names) <= set(flightline.variables)
+        track: Any = tuple(flightline[name].values for name in names) if is_flown else None
+        location["dem"] = _heights(dem, dem_heights, geoid, track)
     if (field_of_view, focal_length_mm, pixel_pitch_um) != (None, None, None):
         location["camera"] = PinholeCamera(
             flightline.sizes["cross_track"],
