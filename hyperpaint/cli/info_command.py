@@ -268,9 +268,7 @@ def _materials(path: Path) -> Facts:
 
     materials = read_materials(path)
     names = _first_names([f"{material.id} ({material.name})" for material in materials])
-    yield from (
-        ("is", f"DIRSIG material list: {counted(len(materials), 'material')}"), ("materials", names)
-    )
+    yield from (("is", f"DIRSIG material list: {counted(len(materials), 'material')}"), ("materials", names))
 
 
 def _frame_index(path: Path) -> Facts:
@@ -455,7 +453,11 @@ def facts_of_field_folder(field: FieldFolder) -> Facts:
 
     yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
     for cube in field.cubes:
-        parts = {"frame index": cube.frame_index, "navigation": cube.navigation, "exposure": cube.has_exposure}
+        parts = {
+            "frame index": cube.frame_index,
+            "navigation": cube.navigation,
+            "exposure": cube.has_exposure,
+        }
         yield relative(cube.header), ", ".join(name if part else f"no {name}" for name, part in parts.items())
     has_toml = (field.folder / "collect.toml").exists()
     references = (f"{instrument} in {relative(path)}" for instrument, path, _ in field.references)
