@@ -28,7 +28,7 @@ from hyperpaint.report.store_report import write_report
 from .library_files import validate_files, write_signatures, write_table
 from .maps import map_of_store, mosaic_of_store, write_map
 from .pipeline import run
-from .products import Product, Record, StepOutcome, states_of
+from .products import Record, StepOutcome, states_of
 
 #: File with checksums of inputs and products of every step: a step with equal inputs is not repeated, and
 #: products that another program wrote are replaced only on request.
@@ -235,7 +235,7 @@ class FieldDayRun:
         inputs = [groups, {entry: _INPUTS[entry](self) for entry in step.inputs}]
         record = self.record
         outcome = record.produce(
-            Product(name, paths, inputs, functools.partial(step.make, self)), overwrite=self.overwrite
+            name, paths, inputs, functools.partial(step.make, self), overwrite=self.overwrite
         )
         if name == "validate" and outcome.state == "unchanged":
             self.passed = record.entries().get("passed")
