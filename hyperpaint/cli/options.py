@@ -14,7 +14,7 @@ import difflib
 import functools
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -426,6 +426,20 @@ def refuse_in_store(store: Path, *products: Path | None) -> None:
 def without_none(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that are not None; the function has defaults for other options."""
     return {name: value for name, value in options.items() if value is not None}
+
+
+def say_picture(picture: Path | None, what: str = "it") -> None:
+    """Print where a picture was drawn, if one was."""
+    if picture is not None:
+        click.echo(f"look at {what} in {picture}")
+
+
+def end_with_problems(ctx: click.Context, problems: Iterable[str], text: str) -> None:
+    """Print problems of a check on stderr, each after ``text``; if there are any, exit with status 1."""
+    lines = [f"{text}: {problem}" for problem in problems]
+    if lines:
+        click.echo("\n".join(lines), err=True)
+        ctx.exit(FAILED_CHECK)
 
 
 def say_outcome(outcome: Outcome) -> None:

@@ -16,11 +16,11 @@ from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.io.spectrometers.asd import open_asd
-from hyperpaint.io.store import list_groups
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 from hyperpaint.validation.validation_result import aligned
 
+from .maps import LINES, lines_of_store
 from .pipeline import run
 
 #: Tolerance of the relative RMS error over bands of a signature of many pixels.
@@ -110,8 +110,8 @@ def blocks_with_truth(
 
     Bands come last: the good ones from the first to the last wavelength ``bands`` [nm].
     """
-    for group in (name for name in list_groups(store) if name.startswith("flightlines/")):
-        line = xr.open_zarr(store, group=group)
+    for name in lines_of_store(store):
+        line = xr.open_zarr(store, group=f"{LINES}{name}")
         wavelength, frames = line["wavelength"].values, line["frame"].values
         is_used = line["good"].values & (wavelength >= bands[0]) & (wavelength <= bands[1])
         for start in range(0, frames.size, CHUNK_LINES):
@@ -423,9 +423,8 @@ def run_demonstration(
 
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
-    group = next(name for name in list_groups(store) if name.startswith("flightlines/"))
     try:
-        xr.open_zarr(store, group=group).paint.quicklook(picture)
+        xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}").paint.quicklook(picture)
     except MissingExtraError as error:
         say(f"no picture: {error}")
     else:

@@ -26,7 +26,7 @@ from hyperpaint.regions import Regions, read_regions
 from hyperpaint.report.store_report import write_report
 
 from .library_files import validate_files, write_signatures, write_table
-from .maps import map_of_store, mosaic_of_store, write_map
+from .maps import LINES, lines_of_store, map_of_store, mosaic_of_store, write_map
 from .pipeline import run
 from .products import Record, StepOutcome, states_of
 
@@ -206,9 +206,8 @@ class FieldDayRun:
     @functools.cached_property
     def located_lines(self) -> tuple[str, ...]:
         """Names of the flight lines with navigation, from which maps are made."""
-        lines = [name for name in list_groups(self.store) if name.startswith("flightlines/")]
-        located = [name for name in lines if "latitude" in open_store(self.store, name).variables]
-        return tuple(name.removeprefix("flightlines/") for name in located)
+        lines = ((name, open_store(self.store, f"{LINES}{name}")) for name in lines_of_store(self.store))
+        return tuple(name for name, line in lines if "latitude" in line.variables)
 
     @property
     def heights(self) -> dict[str, Any]:

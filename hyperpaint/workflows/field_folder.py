@@ -418,82 +418,64 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
     def relative(path: Path) -> str:
         return Path(os.path.relpath(path, base)).as_posix()
 
-    def key(name: str, value: Any = None, note: str = "") -> str:
-        # ``table`` is the table being written
+    def key(table: str, name: str, value: Any = None, note: str = "") -> str:
         return key_line(SCHEMA[table], name, value, note)
 
-    name = files.folder.resolve().name
-    yield f"# Written by hyperpaint init from the files in {name}."
-    yield f'# Replace every "{UNKNOWN}"; a key behind # is optional, with its default or an example.'
-    table = "collect"
-    yield from ("", "[collect]", f"name = {_quoted(name)}")
+    def of_path(path: Path | None) -> str:
+        return UNKNOWN if path is None else _without_controls(relative(path))
 
-    table = "camera"
-    yield from ("", "[camera]", key("bit_depth", 12), key("stamp", "end"))
+    name, survey, lens = files.folder.resolve().name, files.survey, files.cubes[0].lens
+    camera = [key("camera", "bit_depth", 12), key("camera", "stamp", "end")]
     if not all(cube.has_exposure for cube in files.cubes):
-        yield key("exposure_time_ms", UNKNOWN, "exposure [ms]: no settings.txt and no header states it")
+        note = "exposure [ms]: no settings.txt and no header states it"
+        camera.append(key("camera", "exposure_time_ms", UNKNOWN, note))
     if not all(cube.frame_index for cube in files.cubes):
-        yield key("frame_period_ms", UNKNOWN, "time from line to line [ms]: a cube has no frame index")
-
-    table = "calibration"
-    yield from ("", "[calibration]")
-    if files.sweep is not None:
-        yield key("sweep", _without_controls(relative(files.sweep)))
-    else:
-        calibration = files.calibration
-        yield key("path", UNKNOWN if calibration is None else _without_controls(relative(calibration)))
-
-    table = "dark"
-    yield from (
-        "",
-        "[dark]",
-        key("cubes", [_without_controls(relative(path)) for path in files.darks] or UNKNOWN),
-    )
-
-    table = "navigation"
-    yield from ("", "[navigation]  # for maps only")
-    yield "# Conventions differ between makers, and no file states them. These are assumed for a Headwall"
-    yield "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture."
-    for choice, fact in SCHEMA["navigation"].items():
-        if fact.choices:
-            yield key(choice, fact.default or "left_to_right")
-
-    table = "geometry"
-    yield from ("", "[geometry]  # for maps only")
-    if files.survey is None:
-        yield from (key("ground"), key("dem"))
-    else:
-        survey = files.survey
+        note = "time from line to line [ms]: a cube has no frame index"
+        camera.append(key("camera", "frame_period_ms", UNKNOWN, note))
+    calibration = ("path", files.calibration) if files.sweep is None else ("sweep", files.sweep)
+    ground = [key("geometry", "ground"), key("geometry", "dem")]
+    if survey is not None:
         source = f"{relative(survey.path)}, median of {survey.points} points within {survey.spread:.2f} m"
-        yield key("ground", round(survey.height, 3), f"m above the ellipsoid: {source}")
-    lens = files.cubes[0].lens
-    if lens is None:
-        yield key("fov_deg")
-    else:
-        yield key("fov_deg", float(f"{lens[0]:.6g}"), f"lens of the header: {lens[1]}")
-    yield from (key("boresight_deg"), key("lever_arm_m"))
-
-    table = "irradiance"
-    yield from ("", "[irradiance]")
-    if not files.irradiance:
-        yield key("files", UNKNOWN, "files of the irradiance spectrometer (not needed for radiance)")
-    else:
+        ground = [key("geometry", "ground", round(survey.height, 3), f"m above the ellipsoid: {source}")]
+    fov = (None, "") if lens is None else (float(f"{lens[0]:.6g}"), f"lens of the header: {lens[1]}")
+    irradiance = [
+        key("irradiance", "files", UNKNOWN, "files of the irradiance spectrometer (not needed for radiance)")
+    ]
+    if files.irradiance:
         patterns = [_without_controls(f"{relative(folder)}/*{suffix}") for folder, suffix in files.irradiance]
-        yield key("files", patterns[0] if len(patterns) == 1 else patterns)
-        yield key("quantity", "irradiance")
-        if files.utc_offset_h is None:
-            yield key("utc_offset_h", UNKNOWN, "logging PC minus UTC [h], such as -5: no file states it")
-        yield key("clock_offset_s", *_clock_offset(files.clock_offsets_s))
-        yield from (key("fwhm_nm"), key("mount"))
-        table = "alignment"
-        yield from ("", "[alignment]", key("apply", "auto"))
-
-    table = "flightlines"
+        note = "logging PC minus UTC [h], such as -5: no file states it"
+        irradiance = [
+            key("irradiance", "files", patterns[0] if len(patterns) == 1 else patterns),
+            key("irradiance", "quantity", "irradiance"),
+            *([key("irradiance", "utc_offset_h", UNKNOWN, note)] if files.utc_offset_h is None else []),
+            key("irradiance", "clock_offset_s", *_clock_offset(files.clock_offsets_s)),
+            key("irradiance", "fwhm_nm"),
+            key("irradiance", "mount"),
+            *("", "[alignment]", key("alignment", "apply", "auto")),
+        ]
+    yield from (
+        f"# Written by hyperpaint init from the files in {name}.",
+        f'# Replace every "{UNKNOWN}"; a key behind # is optional, with its default or an example.',
+        *("", "[collect]", f"name = {_quoted(name)}"),
+        *("", "[camera]", *camera),
+        *("", "[calibration]", key("calibration", calibration[0], of_path(calibration[1]))),
+        *("", "[dark]", key("dark", "cubes", list(map(of_path, files.darks)) or UNKNOWN)),
+        *("", "[navigation]  # for maps only"),
+        "# Conventions differ between makers, and no file states them. These are assumed for a Headwall",
+        "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture.",
+        *(
+            key("navigation", choice, fact.default or "left_to_right")
+            for choice, fact in SCHEMA["navigation"].items()
+            if fact.choices
+        ),
+        *("", "[geometry]  # for maps only", *ground, key("geometry", "fov_deg", *fov)),
+        *(key("geometry", "boresight_deg"), key("geometry", "lever_arm_m")),
+        *("", "[irradiance]", *irradiance),
+    )
     ids = _folder_ids(files.cubes, relative)
     for cube, cubes in _tables(files.cubes, relative):
         yield from ("", "[[flightlines]]")
-        folder_id = ids.get(cube.header.parent)
-        is_pattern = cubes.endswith(_RAW_CUBES)
+        folder_id, is_pattern = ids.get(cube.header.parent), cubes.endswith(_RAW_CUBES)
         if folder_id is not None:
             yield f"id = {_quoted(folder_id if is_pattern else f'{folder_id}_{_stem(cube)}')}"
         yield f"cube = {_quoted(cubes)}"
@@ -504,19 +486,20 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
         if cube.navigation is not None:
             yield f"nav = {_quoted(relative(cube.navigation))}"
         if cube.frame_index is None or cube.navigation is None:
-            yield key("start_time", UNKNOWN, "UTC of the first line, such as 2021-07-20T17:00:00Z")
-
-    table = "panels"
-    yield from ("", "# [[panels]]  # targets of known reflectance in the scene: they scale their line")
-    yield '# line = "raw_0"'
-    yield from map(key, ("along_track", "cross_track", "reflectance", "uncertainty"))
+            note = "UTC of the first line, such as 2021-07-20T17:00:00Z"
+            yield key("flightlines", "start_time", UNKNOWN, note)
+    yield from (
+        *("", "# [[panels]]  # targets of known reflectance in the scene: they scale their line"),
+        '# line = "raw_0"',
+        *(key("panels", name) for name in ("along_track", "cross_track", "reflectance", "uncertainty")),
+    )
     for instrument, folder, suffix in files.references:
-        yield from ("", "[[references]]", f"instrument = {_quoted(instrument)}")
-        yield f"files = {_quoted(f'{relative(folder)}/*{suffix}')}"
+        pattern = _quoted(f"{relative(folder)}/*{suffix}")
+        yield from ("", "[[references]]", f"instrument = {_quoted(instrument)}", f"files = {pattern}")
     if files.notes:
         yield from ("", "# Files without a use:")
-        for note in files.notes:
-            yield from textwrap.wrap(note, 100, initial_indent="# * ", subsequent_indent="#   ")
+    for note in files.notes:
+        yield from textwrap.wrap(note, 100, initial_indent="# * ", subsequent_indent="#   ")
     yield ""
 
 

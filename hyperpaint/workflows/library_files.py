@@ -40,7 +40,7 @@ from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.validation import Validation, validate
 
-from .maps import location_of
+from .maps import LINES, lines_of_store, location_of
 
 MAX_LISTED_REJECTIONS = 10
 MAX_STORED_REJECTIONS = 200
@@ -192,16 +192,13 @@ def _open_lines(
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
     # opened lines by name, and the names of lines that have flags
 
-    listed = list_groups(store)
-    groups = [group for group in listed if group.startswith("flightlines/")]
-    names = [group.removeprefix("flightlines/") for group in groups]
-    datasets = {}
-    if listed == [""]:
+    names, datasets = lines_of_store(store), {}
+    if list_groups(store) == [""]:
         dataset = open_store(store)
         if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) or {"y", "x"} <= set(dataset.dims):
             datasets[str(dataset.attrs.get("name", ""))] = dataset
     for name in names if not requested or not set(requested) <= set(names) else requested:
-        datasets[name] = open_store(store, f"flightlines/{name}")
+        datasets[name] = open_store(store, f"{LINES}{name}")
     if not datasets:
         raise StoreError(
             f"{store} holds no flight line",
