@@ -75,7 +75,14 @@ def parameters_of(qualified_name: str) -> dict[str, Parameter]:
     """Return the parameters of a function or dataclass, such as ``"workflows.pipeline:process"``."""
     module, _, name = qualified_name.partition(":")
     node: Any = next(node for node in _module_tree(module).body if getattr(node, "name", None) == name)
-    described = _described_parameters(ast.get_docstring(node) or "")
+    # entries of the numpydoc section: names, and the indented text below them
+    section = re.search(
+        r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-{3}|\Z)",
+        ast.get_docstring(node) or "",
+        re.M | re.S,
+    )
+    entries = re.findall(r"^(\S[^\n]*)\n((?:[ ]+[^\n]*\n?|\n)+)", section[1] if section else "", re.M)
+    described = {name: _help(text) for names, text in entries for name in re.split(r",\s*", names)}
     shared = _shared_descriptions(node)
     parameters: dict[str, Parameter] = {}
     if isinstance(node, ast.ClassDef):
@@ -175,17 +182,6 @@ def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
         if alias is not None:
             return _kind(alias, module)
     return {}
-
-
-def _described_parameters(docstring: str) -> dict[str, str]:
-    section = re.search(
-        r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-{3}|\Z)", docstring, re.M | re.S
-    )
-    texts: dict[str, str] = {}
-    entries = re.findall(r"^(\S[^\n]*)\n((?:[ ]+[^\n]*\n?|\n)+)", section[1] if section else "", re.M)
-    for names, text in entries:
-        texts |= dict.fromkeys(re.split(r",\s*", names), _help(text))
-    return texts
 
 
 def _help(text: str) -> str:

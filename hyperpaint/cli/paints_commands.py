@@ -396,13 +396,13 @@ def _detection_table(detections: xr.Dataset) -> str:
             strict=True,
         )
     ]
-    checked, checked_u = detections["checked_rate"].item(), detections["checked_rate_u"].item()
-    rate = (
-        f"above thresholds from other parts of the line: {checked:.2g} +- {checked_u:.1g} of the background"
+    names = ("checked_rate", "checked_rate_u", "explained_share")
+    checked, checked_u, share = (detections[name].item() for name in names)
+    rows_below = (
+        f"above thresholds from other parts of the line: {checked:.2g} +- {checked_u:.1g} of the background",
+        f"excluded from the background, because a paint explains them: {share:.2g} of the pixels",
     )
-    share = detections["explained_share"].item()
-    explained = f"excluded from the background, because a paint explains them: {share:.2g} of the pixels"
-    return "\n".join([*(f"  {row}" for row in aligned(rows, names=4)), f"  {rate}", f"  {explained}"])
+    return "\n".join(f"  {row}" for row in (*aligned(rows, names=4), *rows_below))
 
 
 _LISTED_PROPERTIES = ("finish", "colour", "srgb", "make", "model", "year")
@@ -485,6 +485,8 @@ def list_paints(
     LIBRARY is a Zarr store of signatures, or any file of spectra that hyperpaint reads; by default the
     starter library. A paint must meet all conditions.
     """
+    from hyperpaint.validation.validation_result import aligned
+
     if options["maximum_angle"] is not None and like is None:
         raise click.UsageError("--maximum-angle needs --like [argument-missing]")
     if options["maximum_colour_difference"] is not None and options["colour"] is None:
@@ -499,7 +501,18 @@ def list_paints(
     if not count:
         click.echo("no paint meets all conditions")
         return
-    click.echo(_paint_table(matches))
+    columns = [[str(name) for name in matches["signature"].values]]
+    properties = [
+        name
+        for name in _LISTED_PROPERTIES
+        if name in matches.variables and matches[name].dims == ("signature",)
+    ]
+    columns += [[str(value) for value in matches[name].values] for name in properties]
+    if "colour_difference" in matches.coords:
+        columns.append([f"colour difference {value:.1f}" for value in matches["colour_difference"].values])
+    if "spectral_angle" in matches.coords:
+        columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
+    click.echo("\n".join(f"  {row}" for row in aligned(list(zip(*columns, strict=True)), names=len(columns))))
     if out is not None:
         with progress_bar("writing") as progress:
             path = hp.write_library(matches, out, overwrite=overwrite, progress=progress)
@@ -519,23 +532,6 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     if path.suffix.lower() == ".sig":
         return hp.open_svc(path)
     return hp.open_asd(path) if path.is_file() and sniff(path) == "binary" else hp.open_library(path)
-
-
-def _paint_table(matches: xr.Dataset) -> str:
-    from hyperpaint.validation.validation_result import aligned
-
-    columns = [[str(name) for name in matches["signature"].values]]
-    properties = [
-        name
-        for name in _LISTED_PROPERTIES
-        if name in matches.variables and matches[name].dims == ("signature",)
-    ]
-    columns += [[str(value) for value in matches[name].values] for name in properties]
-    if "colour_difference" in matches.coords:
-        columns.append([f"colour difference {value:.1f}" for value in matches["colour_difference"].values])
-    if "spectral_angle" in matches.coords:
-        columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
-    return "\n".join(f"  {row}" for row in aligned(list(zip(*columns, strict=True)), names=len(columns)))
 
 
 @command(

@@ -150,12 +150,9 @@ def with_times(dataset: xr.Dataset) -> xr.Dataset:
 
 def size_of(count: int) -> str:
     """Return a number of bytes as text."""
-    size = float(count)
-    for unit in ("bytes", "kB", "MB"):
-        if size < 1000:
-            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
-        size /= 1000
-    return f"{size:.1f} GB"
+    units = {1000**3: "GB", 1000**2: "MB", 1000: "kB"}
+    size = next((size for size in units if count >= size), None)
+    return f"{count} bytes" if size is None else f"{count / size:.1f} {units[size]}"
 
 
 _STORED_TIMES = "nanoseconds since 1970-01-01"

@@ -306,8 +306,7 @@ def _map(day: FieldDayRun) -> str:
 def _mosaic(day: FieldDayRun) -> str:
     path = day.out / "mosaic.tif"
     # lines without navigation cannot be mapped
-    lines = day.located_lines
-    mosaic = mosaic_of_store(day.store, lines, progress=day.progress("mosaic"), **day.heights)
+    mosaic = mosaic_of_store(day.store, day.located_lines, progress=day.progress("mosaic"), **day.heights)
     write_map(mosaic, path, overwrite=True)
     return f"{path}: lines {', '.join(mosaic.attrs['flightlines'])}, the steepest view on top"
 

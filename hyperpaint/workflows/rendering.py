@@ -459,8 +459,7 @@ def run(
             if name == TRANSPORT:
                 return planned[name]
             turn.settle()
-            traced = open_group(out, TRANSPORT)
-            return _renders(traced, file, parts, [name.removeprefix(RENDERS)])[name]
+            return _renders(open_group(out, TRANSPORT), file, parts, [name.removeprefix(RENDERS)])[name]
 
         def announced(name: str) -> str:
             if name == TRANSPORT:

@@ -242,7 +242,28 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
         spectra={name: file for name, file in spectra.items() if file is not None},
         paints=values(reader.one("paints")), **values(reader.one("output")),
     )  # fmt: skip
-    _check_size(scene_file, problems)
+    if scene_file.scene["kind"] == "car_park":
+        # 1300 triangles a car, two a leaf
+        park = park_arguments(scene_file.scene)
+        bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
+        trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
+        triangles = float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
+        if triangles > _MAX_TRIANGLES:
+            problems.add(
+                f"[scene] would have some {triangles:.1e} triangles",
+                expected=f"at most {_MAX_TRIANGLES:.0e}",
+                mend="make it shorter or narrower, or give its trees fewer leaves",
+                code="scene-too-large",
+            )
+    lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
+    bands = scene_file.camera.get("bands", SimulationSettings.bands)
+    if lines * columns * bands > _MAX_VALUES:
+        problems.add(
+            f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
+            expected=f"at most {_MAX_VALUES:.0e}",
+            mend="cut the flight into several",
+            code="cube-too-large",
+        )
     problems.raise_if_any()
     return scene_file
 
@@ -462,31 +483,6 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
     options = arguments_of(SCHEMA["atmospheres"], sky)
     preset = table.get("preset", None if sources else name)
     return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
-
-
-def _check_size(scene_file: SceneFile, problems: Problems) -> None:
-    if scene_file.scene["kind"] == "car_park":
-        # 1300 triangles a car, two a leaf
-        park = park_arguments(scene_file.scene)
-        bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
-        trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
-        triangles = float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
-        if triangles > _MAX_TRIANGLES:
-            problems.add(
-                f"[scene] would have some {triangles:.1e} triangles",
-                expected=f"at most {_MAX_TRIANGLES:.0e}",
-                mend="make it shorter or narrower, or give its trees fewer leaves",
-                code="scene-too-large",
-            )
-    lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
-    bands = scene_file.camera.get("bands", SimulationSettings.bands)
-    if lines * columns * bands > _MAX_VALUES:
-        problems.add(
-            f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
-            expected=f"at most {_MAX_VALUES:.0e}",
-            mend="cut the flight into several",
-            code="cube-too-large",
-        )
 
 
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", "")
