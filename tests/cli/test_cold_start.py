@@ -1,7 +1,5 @@
 """What a fresh process imports and compiles, and what it need not."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -25,7 +23,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def loaded_after(statements: str, modules: tuple[str, ...] = HEAVY) -> list[str]:
-    """Return which modules a fresh process has loaded after some statements."""
+    # Return which modules a fresh process has loaded after some statements
     code = f"import sys\n{statements}\nprint(*(name for name in {modules} if name in sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True

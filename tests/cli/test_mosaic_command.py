@@ -1,18 +1,15 @@
 """A mosaic from the command line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
 from support.flown_lines import fly, located
 
 import hyperpaint as hp
-from hyperpaint.cli.program import main
 
 
 @pytest.fixture
@@ -35,19 +32,16 @@ def store(tmp_path: Path) -> Path:
 def test_a_mosaic_as_store_and_as_geotiff(store: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     folder = store.parent
-    done = CliRunner().invoke(main, ["mosaic", str(store), "--out", str(folder / "both.zarr"), "--quiet"])
-    assert done.exit_code == 0, done.output
+    done = hyperpaint("mosaic", store, "--out", folder / "both.zarr", "--quiet", status=0)
     assert "raw_0, raw_1" in done.output
     made = xr.open_zarr(folder / "both.zarr")
     assert {"reflectance", "quality", "flightline", "line_time", "view_zenith", "gap"} <= set(made.variables)
     # the second looks down more steeply
     assert float((made.flightline == 1).sum()) > float((made.flightline == 0).sum()) > 0
     options = ["--rule", "newest", "--gsd", "0.01", "--seamlines", str(folder / "seams.geojson"), "--quiet"]
-    done = CliRunner().invoke(main, ["mosaic", str(store), "--out", str(folder / "both.tif"), *options])
-    assert done.exit_code == 0, done.output
+    done = hyperpaint("mosaic", store, "--out", folder / "both.tif", *options, status=0)
     with rasterio.open(folder / "both.tif") as picture:
-        assert picture.count == 6
-        assert picture.crs.to_epsg() == 32617
+        assert (picture.count, picture.crs.to_epsg()) == (6, 32617)
     assert len(json.loads((folder / "seams.geojson").read_text())["features"]) == 2
 
 
@@ -60,6 +54,5 @@ def test_what_is_wrong_is_said(store: Path) -> None:
         (["--out", "map.tif", "--seamlines", str(store / "zarr.json"), "--overwrite"], "in the store itself"),
         (["--out", str(store.parent), "--overwrite"], "ends in .tif or .zarr"),
     ):
-        done = CliRunner().invoke(main, ["mosaic", str(store), *options])
-        assert done.exit_code == 2
+        done = hyperpaint("mosaic", store, *options, status=2)
         assert reason in done.output

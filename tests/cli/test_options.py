@@ -1,14 +1,12 @@
 """Options of commands: from functions, few, alike everywhere; old spellings name the new ones."""
 
-from __future__ import annotations
-
 import inspect
 import re
 
 import click
 import pytest
 from click.shell_completion import ShellComplete
-from click.testing import CliRunner
+from support.commands import hyperpaint
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -29,10 +27,8 @@ def options_of(name: str) -> list[click.Option]:
 
 
 def run(*words: str) -> str:
-    """Return the message of a refused call."""
-    done = CliRunner().invoke(main, list(words))
-    assert done.exit_code == 2, done.output
-    return done.stderr
+    # Return the message of a refused call
+    return hyperpaint(*words, status=2).stderr
 
 
 def test_the_number_of_options() -> None:
@@ -41,7 +37,7 @@ def test_the_number_of_options() -> None:
 
 
 def test_help_of_the_program_is_one_screen() -> None:
-    shown = CliRunner().invoke(main, ["--help"]).stdout
+    shown = hyperpaint("--help").stdout
     assert 24 <= len(shown.splitlines()) <= 42
     for group, commands in GROUPS.items():
         assert re.search(rf"^  {group} ", shown, re.MULTILINE)
@@ -51,7 +47,7 @@ def test_help_of_the_program_is_one_screen() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_help_of_a_command_teaches(name: str) -> None:
-    shown = CliRunner().invoke(main, [name, "--help"], terminal_width=100).stdout
+    shown = hyperpaint(name, "--help", terminal_width=100).stdout
     assert len(shown.splitlines()) <= 64
     assert f"  hyperpaint {name}" in shown
     assert all(option.help for option in options_of(name))
@@ -112,8 +108,7 @@ def test_a_wrong_setting(setting: str, message: str) -> None:
 
 def test_settings_are_listed() -> None:
     (settings,) = (option for option in options_of("simulate") if isinstance(option, Settings))
-    shown = CliRunner().invoke(main, ["simulate", "x", "--set", "?"])
-    assert shown.exit_code == 0
+    shown = hyperpaint("simulate", "x", "--set", "?", status=0)
     assert all(re.search(rf"^{name} ", shown.stdout, re.MULTILINE) for name in settings.types)
 
 

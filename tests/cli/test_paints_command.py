@@ -1,40 +1,36 @@
 """``hyperpaint paints``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
+from support.refusals import expect_words
 
 import hyperpaint as hp
-from hyperpaint.cli.program import main
 
 
 def run(*arguments: object, status: int = 0) -> str:
-    done = CliRunner().invoke(main, ["paints", *map(str, arguments)])
-    assert done.exit_code == status, done.output
-    return done.output
+    return hyperpaint("paints", *arguments, status=status).output
 
 
 def test_it_lists_the_starter_library() -> None:
     told = run("--members", 0)
     assert told.startswith("40 of 40 paints, 272 bands\n")
-    assert "Synthetic Signal Red" in told
-    assert "#831b2a" in told
+    expect_words(told, "Synthetic Signal Red", "#831b2a")
 
 
 def test_it_searches_saves_and_draws(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     out, picture = tmp_path / "red.zarr", tmp_path / "red.png"
     told = run("--colour", "red", "--limit", 3, "--members", 2, "--out", out, "--picture", picture)
-    assert "3 of 40 paints" in told
-    assert "colour difference" in told
+    expect_words(told, "3 of 40 paints", "colour difference")
     saved = hp.open_library(out)
-    assert saved["signature"].values[0] == "Synthetic Signal Red"
-    assert saved.member_reflectance.shape == (3, 2, 272)
+    assert (saved["signature"].values[0], saved.member_reflectance.shape) == (
+        "Synthetic Signal Red",
+        (3, 2, 272),
+    )
     assert picture.stat().st_size > 5000
     assert "pass --overwrite" in run("--out", out, "--members", 3, status=2)
     run("--out", out, "--members", 3, "--overwrite")
@@ -57,8 +53,7 @@ def test_a_spectrum_in_a_file(tmp_path: Path) -> None:
     table = "wavelength (nm),reflectance\n" + "".join(f"{nm:.2f},{value:.6f}\n" for nm, value in pairs)
     (tmp_path / "mine.csv").write_text(table)
     told = run("--like", tmp_path / "mine.csv", "--maximum-angle", 0.001)
-    assert "1 of 40" in told
-    assert "Synthetic Signal Red" in told
+    expect_words(told, "1 of 40", "Synthetic Signal Red")
 
 
 @pytest.mark.real_data
@@ -83,19 +78,13 @@ def test_what_it_refuses(arguments: list[str], text: str) -> None:
 
 
 def test_help_teaches() -> None:
-    told = run("--help")
-    assert "hyperpaint export starter.zarr --format dirsig" in told
-    assert "not measured" in told
+    expect_words(run("--help"), "hyperpaint export starter.zarr --format dirsig", "not measured")
 
 
 def test_info_of_dirsigs_files(tmp_path: Path) -> None:
     made = hp.write_dirsig(hp.paints.starter_library(members=2).isel(signature=[0, 3]), tmp_path / "dirsig")
     emissivity = tmp_path / "dirsig" / made.emissivity_file.values[0]
-    told = [
-        CliRunner().invoke(main, ["info", str(path)]).output
-        for path in (emissivity, tmp_path / "dirsig" / "materials.mat")
-    ]
+    told = [hyperpaint("info", path).output for path in (emissivity, tmp_path / "dirsig" / "materials.mat")]
     assert "1 signature x 2 member x 272 band" in told[0]
-    assert "DIRSIG material list: 2 materials" in told[1]
-    assert "Synthetic Carbon Black" in told[1]
+    expect_words(told[1], "DIRSIG material list: 2 materials", "Synthetic Carbon Black")
     assert isinstance(hp.open_library(emissivity), xr.Dataset)

@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM: one line, a status that says which, and a store that the same command completes."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator
@@ -10,10 +8,9 @@ from typing import Any
 
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
 
 import hyperpaint as hp
-from hyperpaint.cli.program import main
 from hyperpaint.io.store.writer import WholeRun
 
 
@@ -26,7 +23,7 @@ def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _heard() -> Iterator[None]:
-    """Hear Ctrl-C also where these tests run in the background of a shell, which ignores it there."""
+    # Hear Ctrl-C also where these tests run in the background of a shell, which ignores it there
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -49,15 +46,13 @@ def test_a_stopped_process_goes_on_where_it_was(
     call = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--quiet"]
     with monkeypatch.context() as patch:
         patch.setattr(WholeRun, "write", stop_at_the_second)
-        stopped = CliRunner().invoke(main, call)
+        stopped = hyperpaint(*call)
     assert stopped.exit_code == status
     assert stopped.stderr.splitlines()[-1].startswith(f"stopped by {number.name}: ")
     assert "Traceback" not in stopped.output
-    assert len(written) == 1
-    assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
+    assert (len(written), (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT))) == (1, before)
 
-    again = CliRunner().invoke(main, call)
-    assert again.exit_code == 0, again.output
+    again = hyperpaint(*call, status=0)
     assert f"/{written[0]} there already" in again.output
     assert hp.verify(tmp_path / "lot.zarr").ok
     assert [path.name for path in tmp_path.iterdir()] == ["lot.zarr"]
@@ -73,8 +68,10 @@ def test_the_second_signal_ends_the_process_at_once(monkeypatch: pytest.MonkeyPa
             seen.extend([signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)])
 
     monkeypatch.setattr("hyperpaint.verify", stubborn)
-    assert CliRunner().invoke(main, ["verify", "."]).exit_code == 130
-    assert seen == [signal.SIG_DFL, signal.SIG_DFL]
+    assert (hyperpaint("verify", ".").exit_code, seen) == (
+        130,
+        [signal.SIG_DFL, signal.SIG_DFL],
+    )
 
 
 def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,15 +79,15 @@ def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
         raise KeyboardInterrupt("by somebody else")
 
     monkeypatch.setattr("hyperpaint.verify", stop)
-    stopped = CliRunner().invoke(main, ["verify", "."])
-    assert (stopped.exit_code, stopped.stderr) == (130, "stopped by SIGINT\n")
+    stopped = hyperpaint("verify", ".", status=130)
+    assert stopped.stderr == "stopped by SIGINT\n"
 
 
 def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
         monkeypatch.setattr("hyperpaint.verify", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
-        assert CliRunner().invoke(main, ["verify", "."]).exit_code != 143
+        assert hyperpaint("verify", ".").exit_code != 143
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGTERM, before)

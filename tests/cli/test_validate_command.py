@@ -1,7 +1,5 @@
 """`hyperpaint validate`: from a simulated collect to an agreement table, its files, and its exit status."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -9,38 +7,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner, Result
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth
+from support.commands import hyperpaint
+from support.refusals import expect_words
 
 import hyperpaint as hp
-from hyperpaint.cli.program import main
 from hyperpaint.simulation.paint_spectra import CAR_PAINTS
-
-
-def run(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 @pytest.fixture(scope="module")
 def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A simulated collect, processed, with signatures of its solid paints by the commands themselves."""
+    # A simulated collect, processed, with signatures of its solid paints by the commands themselves
     folder = tmp_path_factory.mktemp("lot")
     size = ("--scene", "plan", "--lines", 64, "--bands", 60, "--columns", 48, "--seed", 1, "--set", "glint=0")
-    assert run("simulate", folder / "raw", *size).exit_code == 0
-    assert run("process", folder / "raw" / "collect.toml", "--out", folder / "lot.zarr").exit_code == 0
+    assert hyperpaint("simulate", folder / "raw", *size).exit_code == 0
+    assert hyperpaint("process", folder / "raw" / "collect.toml", "--out", folder / "lot.zarr").exit_code == 0
     hp.write_regions(_painted(folder / "raw" / "truth.zarr", folder / "lot.zarr"), folder / "cars.geojson")
     # in a plan every pixel shows one surface
     words = ("--regions", folder / "cars.geojson", "--out", folder / "paints.zarr", "--keep", "mixed_edge")
-    done = run("signatures", folder / "lot.zarr", *words)
-    assert done.exit_code == 0, done.output
+    hyperpaint("signatures", folder / "lot.zarr", *words, status=0)
     return folder
 
 
 def _painted(truth: Path, store: Path) -> hp.Regions:
-    """Return a square of every paint that shows one of four pixels."""
+    # Return a square of every paint that shows one of four pixels
     known = xr.open_zarr(truth)["surface"]
-    frames = xr.open_zarr(store, group="flightlines/raw_0")["frame"].values
-    surface = known.values[frames]
+    surface = known.values[xr.open_zarr(store, group="flightlines/raw_0")["frame"].values]
     made = {}
     for number, name in enumerate(known.attrs["flag_meanings"].split()):
         if name not in CAR_PAINTS:
@@ -62,7 +54,7 @@ def stored(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def references(tmp_path: Path) -> Path:
-    """A text export of the field spectrometer, named as the paint."""
+    # A text export of the field spectrometer, named as the paint
     spectrum = agreeing()[1]
     rows = zip(spectrum["wavelength"].values, spectrum["reflectance"].values[0], strict=True)
     folder = tmp_path / "asd"
@@ -78,8 +70,7 @@ def references(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_simulate_process_signatures_validate(lot: Path) -> None:
-    done = run("validate", lot / "paints.zarr", "--reference", lot / "raw/svc/*.sig")
-    assert done.exit_code == 0, done.output
+    done = hyperpaint("validate", lot / "paints.zarr", "--reference", lot / "raw/svc/*.sig", status=0)
     assert "pairs within tolerance (RMSE 0.005 + 5 % of the paint's level)" in done.stdout
     found = hp.validate(hp.open_store(lot / "paints.zarr"), hp.open_svc(lot / "raw" / "svc"))
     assert found.table() in done.stdout
@@ -98,21 +89,22 @@ def test_the_store_keeps_its_references(lot: Path, tmp_path: Path) -> None:
         for name in ("reflectance", "wavelength", "time", "source"):
             np.testing.assert_array_equal(kept[name].values, opened[name].values)
         assert kept["reflectance"].attrs["units"] == "1"
-    own = run("validate", lot / "paints.zarr")
-    assert own.exit_code == 0, own.output
-    said = run("validate", lot / "paints.zarr", "--reference", lot / "lot.zarr")
+    own = hyperpaint("validate", lot / "paints.zarr", status=0)
+    said = hyperpaint("validate", lot / "paints.zarr", "--reference", lot / "lot.zarr")
     assert said.stdout == own.stdout
-    assert "(SVC)" in own.stdout
-    assert "(ASD)" in own.stdout
-    assert "references against one another" in own.stdout
-    assert run("validate", lot / "paints.zarr", "--out", tmp_path / "t.csv").exit_code == 0
+    expect_words(own.stdout, "(SVC)", "(ASD)", "references against one another")
+    assert hyperpaint("validate", lot / "paints.zarr", "--out", tmp_path / "t.csv").exit_code == 0
     rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
-    assert {row["instrument"] for row in rows} == {"ASD", "SVC", "ASD against SVC"}
-    assert {row["passes"] for row in rows} == {"True"}
-    assert run("validate", lot / "paints.zarr", "--out", tmp_path / "t.json").exit_code == 0
+    assert ({row["instrument"] for row in rows}, {row["passes"] for row in rows}) == (
+        {"ASD", "SVC", "ASD against SVC"},
+        {"True"},
+    )
+    assert hyperpaint("validate", lot / "paints.zarr", "--out", tmp_path / "t.json").exit_code == 0
     document = json.loads((tmp_path / "t.json").read_text())
-    assert len(document["references_against_one_another"]) == len(document["pairs"]) // 2
-    assert document["units"]["spectral_angle"] == "degree"
+    assert (len(document["references_against_one_another"]), document["units"]["spectral_angle"]) == (
+        len(document["pairs"]) // 2,
+        "degree",
+    )
 
 
 def test_a_wrong_gain_fails(lot: Path, tmp_path: Path) -> None:
@@ -120,10 +112,9 @@ def test_a_wrong_gain_fails(lot: Path, tmp_path: Path) -> None:
     bright = paints.assign(reflectance=(paints["reflectance"] * np.float32(1.1)).assign_attrs(units="1"))
     hp.to_store(bright, tmp_path / "bright.zarr")
     words = ("validate", tmp_path / "bright.zarr", "--reference", lot / "raw/svc/*.sig")
-    done = run(*words)
-    assert done.exit_code == 1
+    done = hyperpaint(*words, status=1)
     assert "not passed: " in done.stderr
-    assert run(*words, "--tolerance", "spectral_angle=1.7", "--tolerance", "scale=0.12").exit_code == 0
+    assert hyperpaint(*words, "--tolerance", "spectral_angle=1.7", "--tolerance", "scale=0.12").exit_code == 0
 
 
 # --- options -----------------------------------------------------------------------------------------------
@@ -137,11 +128,12 @@ def test_options_reach_the_function(stored: Path, references: Path, tmp_path: Pa
     words = ("--panel", panel, "--pairs", pairs, "--part", "red=620-700", "--part", "blue=420-480.5")
     more = ("--tolerance", "0.5", "--reference-fwhm", 3, "--picture", tmp_path / "p.png")
     out = tmp_path / "t.json"
-    done = run("validate", stored, "--reference", references, *words, *more, "--out", out)
-    assert done.exit_code == 0, done.output
+    hyperpaint("validate", stored, "--reference", references, *words, *more, "--out", out, status=0)
     made = json.loads(out.read_text())
-    assert made["parts"] == {"red": [620.0, 700.0], "blue": [420.0, 480.5]}
-    assert made["tolerance"] == {"rmse": 0.5}
+    assert (made["parts"], made["tolerance"]) == (
+        {"red": [620.0, 700.0], "blue": [420.0, 480.5]},
+        {"rmse": 0.5},
+    )
     assert made["passed"] is True
     assert made["pairs"][0]["parts"]["red"]["scale"] == pytest.approx(1 / 0.9, rel=1e-3)
     assert made["pairs"][0]["parts"]["red"]["rmse_u"] is None
@@ -151,26 +143,31 @@ def test_options_reach_the_function(stored: Path, references: Path, tmp_path: Pa
 
 def test_tables_hold_all_digits(stored: Path, references: Path, tmp_path: Path) -> None:
     out = tmp_path / "agreement.csv"
-    assert run("validate", stored, "--reference", references / "hood.asd.txt", "--out", out).exit_code == 0
+    assert (
+        hyperpaint("validate", stored, "--reference", references / "hood.asd.txt", "--out", out).exit_code
+        == 0
+    )
     found = hp.validate(agreeing()[0], hp.open_asd(references, "reflectance"))
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["part"] for row in rows] == ["VIS", "NIR", "all"]
     for column, row in enumerate(rows):
-        assert float(row["rmse"]) == found.statistics["rmse"].values[0, column]
-        assert row["rmse_u"] == ""
-        assert int(row["bands"]) == found.statistics["bands"].values[0, column]
-    refused = run("validate", stored, "--reference", references, "--out", out)
-    assert refused.exit_code == 2
+        assert (float(row["rmse"]), row["rmse_u"], int(row["bands"])) == (
+            found.statistics["rmse"].values[0, column],
+            "",
+            found.statistics["bands"].values[0, column],
+        )
+    refused = hyperpaint("validate", stored, "--reference", references, "--out", out, status=2)
     assert "pass --overwrite to replace it" in refused.stderr
-    assert run("validate", stored, "--reference", references, "--out", out, "--overwrite").exit_code == 0
+    assert (
+        hyperpaint("validate", stored, "--reference", references, "--out", out, "--overwrite").exit_code == 0
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["agreement.csv", "asd", "paints.zarr"]
 
 
 def test_a_library_is_a_reference(stored: Path, tmp_path: Path) -> None:
     hp.to_store(library(1.01 * seen(NM, 6.0)), tmp_path / "other.zarr")
-    done = run("validate", stored, "--reference", tmp_path / "other.zarr")
-    assert done.exit_code == 0, done.output
+    done = hyperpaint("validate", stored, "--reference", tmp_path / "other.zarr", status=0)
     assert "(library)" in done.stdout
 
 
@@ -179,8 +176,9 @@ def test_a_library_of_another_program_is_a_reference_too(stored: Path, tmp_path:
     nm = np.arange(380.0, 1021.0)
     rows = "".join(f"{at:g},{100 * value:.6f}\n" for at, value in zip(nm, seen(nm, 3.0), strict=True))
     path.write_text("wavelength (nm),reflectance (%)\n" + rows)
-    done = run("validate", stored, "--reference", path, "--reference-fwhm", 3, "--tolerance", 1e-4)
-    assert done.exit_code == 0, done.output
+    hyperpaint(
+        "validate", stored, "--reference", path, "--reference-fwhm", 3, "--tolerance", 1e-4, status=0
+    )
 
 
 def test_files_of_different_wavelengths_are_opened_apart(stored: Path, tmp_path: Path) -> None:
@@ -190,8 +188,7 @@ def test_files_of_different_wavelengths_are_opened_apart(stored: Path, tmp_path:
         nm = np.arange(380.0, 1021.0, step)
         rows = "".join(f"{at:g};{value:.8f}\n" for at, value in zip(nm, smooth(nm), strict=True))
         (folder / f"{name}.txt").write_text(f"Wavelength;{name}.asd\n{rows}")
-    done = run("validate", stored, "--reference", folder / "*.txt")
-    assert done.exit_code == 0, done.output
+    done = hyperpaint("validate", stored, "--reference", folder / "*.txt", status=0)
     assert "references without a paint: roof" in done.stdout
 
 
@@ -215,8 +212,7 @@ def test_bad_calls_are_one_message(stored: Path, references: Path, tmp_path: Pat
         (poem, *reference): "poem.txt",
         (tmp_path / "none.zarr", *reference): "does not exist",
     }.items():
-        done = run("validate", *words)
-        assert done.exit_code == 2, (words, done.output)
+        done = hyperpaint("validate", *words, status=2)
         assert told in done.stderr, (told, done.stderr)
         assert "Traceback" not in done.output
     assert not list(tmp_path.glob("t.*"))
@@ -227,7 +223,7 @@ def test_a_store_named_inside_a_library_is_looked_for_beside_it_only(tmp_path: P
         paints = agreeing()[0].assign_attrs(store=name)
         hp.to_store(paints, tmp_path / "p.zarr", overwrite=True)
         (tmp_path / "references").mkdir(exist_ok=True)
-        assert "pass files with --reference" in run("validate", tmp_path / "p.zarr").stderr
+        assert "pass files with --reference" in hyperpaint("validate", tmp_path / "p.zarr").stderr
 
 
 def test_numbers_that_are_none_make_valid_json(tmp_path: Path) -> None:
@@ -243,11 +239,9 @@ def test_numbers_that_are_none_make_valid_json(tmp_path: Path) -> None:
 
 def test_messages_name_options_and_say_things_once(stored: Path, references: Path, tmp_path: Path) -> None:
     (references / "hood.asd.txt").rename(references / "door.asd.txt")
-    done = run("validate", stored, "--reference", references)
-    assert done.exit_code == 2
+    done = hyperpaint("validate", stored, "--reference", references, status=2)
     assert "name them with --pairs, or give regions a property reference" in done.stderr
-    done = run("validate", stored, "--reference", tmp_path / "none.sig")
-    assert done.exit_code == 2
+    done = hyperpaint("validate", stored, "--reference", tmp_path / "none.sig", status=2)
     assert done.stderr.count("references cannot be opened") == 1
     assert "none.sig: cannot be read" in done.stderr
 
@@ -259,21 +253,20 @@ def test_a_wrong_picture_is_refused_before_the_work(
         pytest.fail("the work was done first")
 
     monkeypatch.setattr("hyperpaint.workflows.library_files.validate_files", work)
-    done = run("validate", stored, "--reference", references, "--picture", tmp_path / "p.nope")
-    assert done.exit_code == 2
+    done = hyperpaint(
+        "validate", stored, "--reference", references, "--picture", tmp_path / "p.nope", status=2
+    )
     assert "suffix-unknown" in done.stderr
 
 
 def test_what_is_not_judged_or_missing_is_exit_1(stored: Path, references: Path, tmp_path: Path) -> None:
     words = ("validate", stored, "--reference", references)
-    assert run(*words, "--require-all").exit_code == 0
-    empty = run(*words, "--part", "SWIR=1500-1700")
-    assert empty.exit_code == 1
+    assert hyperpaint(*words, "--require-all").exit_code == 0
+    empty = hyperpaint(*words, "--part", "SWIR=1500-1700", status=1)
     assert "not passed: hood against hood: SWIR (0 of 0 bands, too few to judge)" in empty.stderr
     hp.to_store(library([seen(NM, 6.0)] * 2, ("hood", "roof")), tmp_path / "two.zarr")
     more = ("validate", tmp_path / "two.zarr", "--reference", references)
-    assert run(*more).exit_code == 0
-    missing = run(*more, "--require-all")
-    assert missing.exit_code == 1
+    assert hyperpaint(*more).exit_code == 0
+    missing = hyperpaint(*more, "--require-all", status=1)
     assert "not passed: roof: its reference is missing" in missing.stderr
     assert "1 of 2 paints compared" in missing.stdout

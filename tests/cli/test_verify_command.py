@@ -1,13 +1,12 @@
 """`verify`, `info` and `report` of a store that is not whole: what it lacks, and how to finish it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from support.refusals import expect_words
 from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
@@ -44,8 +43,7 @@ def test_an_unfinished_store_says_how_it_is_finished(
     for command, expected in ((verify, 1), (info, 0)):
         status, text = said(command, out)
         assert status == expected
-        assert again in text
-        assert f"--out {out} --to radiance" in text
+        expect_words(text, again, f"--out {out} --to radiance")
     page = write_report(out, tmp_path / "report.html")
     assert page.flightlines == ("flightlines/raw_0",)
     assert again[:40] in page.problems[0]

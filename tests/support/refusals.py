@@ -30,3 +30,11 @@ def expect_refusals(*rows: tuple[Any, ...]) -> None:
     for kind, code, *told, call in rows:
         with refusal(kind, code, *told):
             call()
+
+
+def expect_words(text: Any, *words: Any, without: tuple[Any, ...] = ()) -> None:
+    """Expect all of some words, or keys, in a text or container, and none of those ``without``."""
+    absent = [word for word in words if word not in text]
+    present = [word for word in without if word in text]
+    assert not absent, f"expected {absent} in: {text}"
+    assert not present, f"expected no {present} in: {text}"

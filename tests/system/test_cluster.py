@@ -1,7 +1,5 @@
 """What a cluster adds: workers that die, tasks that fail, a scheduler that goes; and the same for threads."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

@@ -1,7 +1,5 @@
 """The paper's last step: signatures of a flight are rendered, and measured again they are the same."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -7,8 +7,6 @@ same pixels, which leaves sensor noise and the chain; and the paint's own spectr
 curve and its neighbours take of the sky.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,18 +1,15 @@
 """Camera and irradiance record are compared before a line is processed; the store says what was applied."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
-from hyperpaint.cli.program import main
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.pipeline import run
 
@@ -21,7 +18,7 @@ GROUP = "flightlines/raw_0"
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A collect whose record is 4 nm wide, where its collect.toml says 3."""
+    # A collect whose record is 4 nm wide, where its collect.toml says 3
     folder = tmp_path_factory.mktemp("collect")
     path = simulate_collect(
         folder, lines=24, columns=32, scene="plan", seed=71, irradiance_fwhm_nm=4.0, noise=False
@@ -54,8 +51,10 @@ def oxygen_error(line: xr.Dataset, source: Path) -> float:
 
 def test_a_wrong_width_is_corrected_by_default(source: Path, store: Path) -> None:
     line = hp.open_store(store, GROUP)
-    assert line.attrs["alignment_state"] == "applied"
-    assert line.attrs["alignment_width"] == pytest.approx(4 / 3, abs=0.02)
+    assert (line.attrs["alignment_state"], line.attrs["alignment_width"]) == (
+        "applied",
+        pytest.approx(4 / 3, abs=0.02),
+    )
     assert "irradiance record corrected in flight" in line.attrs["alignment"]
     assert oxygen_error(line, source) < 0.003
 
@@ -90,6 +89,5 @@ def test_words_are_checked(source: Path, tmp_path: Path) -> None:
 
 def test_the_command_line_says_what_was_corrected(source: Path, tmp_path: Path) -> None:
     options = ["--out", str(tmp_path / "lot.zarr"), "--alignment", "auto", "--quiet"]
-    done = CliRunner().invoke(main, ["process", str(source), *options])
-    assert done.exit_code == 0, done.output
+    done = hyperpaint("process", source, *options, status=0)
     assert "/flightlines/raw_0: irradiance record corrected in flight" in done.output

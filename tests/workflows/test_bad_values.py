@@ -1,7 +1,5 @@
 """Wrong keys and values of ``collect.toml`` and ``scene.toml``: each is told once."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

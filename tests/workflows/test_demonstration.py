@@ -1,7 +1,5 @@
 """The demonstration, end to end, and that its comparison can fail."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys
@@ -10,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
+from support.refusals import expect_words
 
 import hyperpaint as hp
-from hyperpaint.cli.program import main
 from hyperpaint.workflows import demonstration
 from hyperpaint.workflows.demonstration import compare, refuse_foreign
 
@@ -24,10 +22,9 @@ SHAPE = ("--lines", "64", "--bands", "100", "--columns", "24")
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Folder of a small demonstration, and what it printed."""
+    # Folder of a small demonstration, and what it printed
     folder = tmp_path_factory.mktemp("demo") / "out"
-    done = CliRunner().invoke(main, ["demo", "--out", str(folder), *SHAPE])
-    assert done.exit_code == 0, done.output
+    done = hyperpaint("demo", "--out", folder, *SHAPE, status=0)
     assert done.stderr == ""
     return folder, done.stdout
 
@@ -40,9 +37,7 @@ def test_demo_leaves_what_it_says(demo: tuple[Path, str]) -> None:
         "regions.geojson", "survey.csv", "svc", "truth.zarr",
     }  # fmt: skip
     assert hp.verify(folder / "lot.zarr").ok
-    assert "within tolerance" in shown
-    assert "Now try:" in shown
-    assert f"hyperpaint verify {folder / 'lot.zarr'}" in shown
+    expect_words(shown, "within tolerance", "Now try:", f"hyperpaint verify {folder / 'lot.zarr'}")
 
 
 def test_demo_prints_an_aligned_table(demo: tuple[Path, str]) -> None:
@@ -85,9 +80,11 @@ def test_comparison_agrees_with_a_plain_computation(demo: tuple[Path, str]) -> N
     one = next(agreement for agreement in found.materials if agreement.material == "mixed_grass")
     rec = line["reflectance"].transpose(..., "band").values[chosen][:, bands].astype(np.float64)
     true = truth["reflectance"].transpose(..., "band").values[chosen][:, bands].astype(np.float64)
-    assert one.pixels == chosen.sum()
-    assert one.bias == pytest.approx((rec - true).mean(), abs=1e-12)
-    assert one.rmse == pytest.approx(np.sqrt(((rec - true) ** 2).mean()), rel=1e-9)
+    assert (one.pixels, one.bias, one.rmse) == (
+        chosen.sum(),
+        pytest.approx((rec - true).mean(), abs=1e-12),
+        pytest.approx(np.sqrt(((rec - true) ** 2).mean()), rel=1e-9),
+    )
     assert one.recovered == pytest.approx(rec.mean(), rel=1e-9)
     assert sum(agreement.pixels for agreement in found.materials) == found.overall.pixels == clean.sum()
 
@@ -95,7 +92,7 @@ def test_comparison_agrees_with_a_plain_computation(demo: tuple[Path, str]) -> N
 def test_a_wrong_chain_is_outside_tolerance(
     demo: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One per cent of gain is enough."""
+    # One per cent of gain is enough
     folder, _ = demo
     line = xr.open_zarr(folder / "lot.zarr", group="flightlines/raw_0").load().drop_encoding()
     wrong = line.assign(reflectance=line["reflectance"] * np.float32(1.02))
@@ -105,10 +102,9 @@ def test_a_wrong_chain_is_outside_tolerance(
     assert any(problem.startswith("all pixels: bias") for problem in found.problems)
     assert any("oxygen" in problem for problem in found.problems)
     monkeypatch.setattr(demonstration, "compare", lambda *_: found)
-    done = CliRunner().invoke(
-        main, ["demo", "--out", str(tmp_path / "again"), "--scene", "plan", "--lines", "8", "--bands", "8"]
+    done = hyperpaint(
+        "demo", "--out", tmp_path / "again", "--scene", "plan", "--lines", "8", "--bands", "8", status=1
     )
-    assert done.exit_code == 1
     assert "OUTSIDE TOLERANCE" in done.stdout
 
 
@@ -121,10 +117,8 @@ def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> Non
         refuse_foreign(tmp_path / "only_simulated", overwrite=False)
     shutil.rmtree(tmp_path / "only_simulated")
     (tmp_path / "thesis.tex").write_text("text")
-    done = CliRunner().invoke(main, ["demo", "--out", str(tmp_path), *SHAPE])
-    assert done.exit_code == 2
-    assert "is not empty (thesis.tex)" in done.stderr
-    assert "--overwrite" in done.stderr
+    done = hyperpaint("demo", "--out", tmp_path, *SHAPE, status=2)
+    expect_words(done.stderr, "is not empty (thesis.tex)", "--overwrite")
     assert [entry.name for entry in tmp_path.iterdir()] == ["thesis.tex"]
 
 

@@ -1,7 +1,5 @@
 """Whose paints the scene of a file gets when it is written for DIRSIG."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +54,7 @@ def test_without_a_library_the_built_in_spectra_are_written(tmp_path: Path) -> N
 def test_a_file_of_two_columns_repaints(tmp_path: Path) -> None:
     rows = "".join(f"{nm:.1f},0.3\n" for nm in NM)
     (tmp_path / "mine.csv").write_text("wavelength,reflectance\n" + rows)
-    text = SCENE + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n'
-    faces = exported(tmp_path, text)
+    faces = exported(tmp_path, SCENE + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')
     assert faces["mine"] > 0
     assert "asphalt" not in faces
 

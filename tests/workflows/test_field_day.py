@@ -1,7 +1,5 @@
 """`run_field_day`: two commands from a folder to products; what is there already is left alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -12,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
+from support.refusals import expect_words
 
 import hyperpaint as hp
-from hyperpaint.cli.program import main
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.maps.geotiff import read_geotiff_header
 from hyperpaint.workflows import field_day
@@ -27,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a simulated flight with its regions of paint and the height of its ground."""
+    # Folder of a simulated flight with its regions of paint and the height of its ground
     folder = tmp_path_factory.mktemp("day")
     hp.simulate_collect(
         folder, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4, fleet="solid"
@@ -38,13 +36,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def day(folder: Path) -> FieldDay:
-    written = CliRunner().invoke(main, ["init", str(folder)])
-    assert written.exit_code == 0, written.output
+    hyperpaint("init", folder, status=0)
     return run_field_day(folder / "collect.toml", skip=["report"])
 
 
 def write_level_dem(path: Path, located: xr.Dataset, height: float) -> None:
-    """Write a raster of one height around a located line."""
+    # Write a raster of one height around a located line
     rasterio = pytest.importorskip("rasterio")
     west, north = float(located["east"].min()) - 50.0, float(located["north"].max()) + 50.0
     size = int(max(np.ptp(located[name].values) for name in ("east", "north"))) + 100
@@ -64,7 +61,7 @@ def test_every_step_is_done(day: FieldDay) -> None:
 
 
 def test_pixels_lie_where_the_simulator_saw_them(folder: Path) -> None:
-    """Ground, lens and mounting are those of the table [geometry]: nothing is passed to locate."""
+    # Ground, lens and mounting are those of the table [geometry]: nothing is passed to locate
     line = hp.open_collect(folder / "author.toml")["flightlines/raw_0"].to_dataset()
     truth = xr.open_zarr(folder / "truth.zarr")
     flat = abs(truth["height"] - line.attrs["ground"]).values < 0.02  # pavement, not cars
@@ -119,7 +116,7 @@ def test_products_are_known_by_content(day: FieldDay, folder: Path) -> None:
 def test_a_step_is_done_again_after_its_product_or_the_form_of_its_record_was_lost(
     day: FieldDay, folder: Path
 ) -> None:
-    """Sizes and times, which earlier versions recorded, are no reason to refuse."""
+    # Sizes and times, which earlier versions recorded, are no reason to refuse
     (day.out / "agreement.csv").unlink()
     record = json.loads((day.out / RECORD).read_text())
     record["dirsig"]["products"] = {"dirsig": "0" * 64}
@@ -133,7 +130,7 @@ def test_a_step_is_done_again_after_its_product_or_the_form_of_its_record_was_lo
 def test_a_new_product_is_one_declaration(
     day: FieldDay, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The engine decides whether it is current, protects files of other programs, and reports it."""
+    # The engine decides whether it is current, protects files of other programs, and reports it
     shutil.copytree(folder, tmp_path / "new")
 
     def count_paints(run: FieldDayRun) -> str:
@@ -167,8 +164,7 @@ def test_lines_make_one_map(folder: Path, tmp_path: Path) -> None:
     copied = tmp_path / "two"
     shutil.copytree(folder, copied, ignore=shutil.ignore_patterns("products"))
     text = (copied / "author.toml").read_text(encoding="utf-8")
-    start = text.index("[[flightlines]]")
-    (table,) = re.findall(r"\[\[flightlines\]\]\n(?:[^\[\n].*\n?)+", text[start:])
+    (table,) = re.findall(r"\[\[flightlines\]\]\n(?:[^\[\n].*\n?)+", text[text.index("[[flightlines]]") :])
     again = re.sub(r'id = "\w+"', 'id = "again"', table)
     assert again != table
     (copied / "collect.toml").write_text(text.replace(table, f"{table}\n{again}\n"), encoding="utf-8")
@@ -229,8 +225,10 @@ def test_products_of_another_library_are_made_again(day: FieldDay, folder: Path,
     assert {one.step: one.text for one in used.outcomes}["dirsig"].endswith("3 materials")
     mended = run_field_day(copied, skip=skip, overwrite=True)
     states = {outcome.step: outcome for outcome in mended.outcomes}
-    assert {states[step].state for step in ("signatures", "validate", "dirsig")} == {"done"}
-    assert hp.open_library(library).sizes["signature"] == first.sizes["signature"]
+    assert (
+        {states[step].state for step in ("signatures", "validate", "dirsig")},
+        hp.open_library(library).sizes["signature"],
+    ) == ({"done"}, first.sizes["signature"])
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray, of affine
@@ -279,11 +277,9 @@ def test_a_step_that_fails_does_not_end_the_day(
     (day.out / "agreement.csv").unlink()
     with monkeypatch.context() as patch:
         patch.setattr("hyperpaint.workflows.field_day.validate_files", refuse)
-        again = CliRunner().invoke(main, ["run", str(folder), "--skip", "report"])
+        again = hyperpaint("run", folder, "--skip", "report")
     assert again.exit_code == 2
-    assert "validate    failed" in again.output
-    assert "the disk is full" in again.output
-    assert "map         done" in again.output
+    expect_words(again.output, "validate    failed", "the disk is full", "map         done")
     assert (day.out / "raw_0.tif").exists()
 
 
@@ -302,7 +298,7 @@ def test_proposed_paints_are_not_compared_by_name(day: FieldDay, folder: Path, t
 def test_a_flight_cut_into_five_cubes_has_the_same_signatures(
     day: FieldDay, folder: Path, tmp_path: Path
 ) -> None:
-    """ASD files and darks lie elsewhere as well; no bit of any paint differs."""
+    # ASD files and darks lie elsewhere as well; no bit of any paint differs
     cut = tmp_path / "cut"
     hp.simulate_collect(
         cut, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4, cubes=5, truth=False,
@@ -313,7 +309,7 @@ def test_a_flight_cut_into_five_cubes_has_the_same_signatures(
     for name in ("asd", "dark"):
         shutil.move(cut / name, tmp_path / name)
     elsewhere = ["--asd", str(tmp_path / "asd"), "--dark", str(tmp_path / "dark")]
-    written = CliRunner().invoke(main, ["init", str(cut), *elsewhere])
+    written = hyperpaint("init", cut, *elsewhere)
     assert "5 cubes, 1 dark" in written.output
     other = run_field_day(cut, skip=["validate", "map", "dirsig", "report"])
     one, five = (hp.open_library(each.out / "paints.zarr") for each in (day, other))

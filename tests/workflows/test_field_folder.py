@@ -1,7 +1,5 @@
 """`find_field_files` and its ``collect.toml``: what is found is named, what no file says is marked."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -10,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.workflows.field_folder import (
@@ -22,7 +21,7 @@ from hyperpaint.workflows.field_folder import (
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a small simulated collect: two cubes, clocks that agree."""
+    # Folder of a small simulated collect: two cubes, clocks that agree
     folder = tmp_path_factory.mktemp("collect")
     hp.simulate_collect(
         folder, scene="plan", lines=40, bands=12, columns=10, cubes=2, seed=5, clock_offset_s=0.0
@@ -32,7 +31,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(simulated: Path, tmp_path: Path) -> Path:
-    """A copy of it without what hyperpaint wrote about it."""
+    # A copy of it without what hyperpaint wrote about it
     copied = tmp_path / "flight_day"
     shutil.copytree(simulated, copied, ignore=shutil.ignore_patterns("collect.toml", "truth.zarr"))
     return copied
@@ -46,9 +45,11 @@ def test_everything_of_a_collect_is_found(folder: Path) -> None:
         "frameIndex_20.txt",
     ]
     assert {str(cube.navigation and cube.navigation.name) for cube in found.cubes} == {"imu_gps.txt"}
-    assert [path.parent.name for path in found.darks] == ["dark"]
-    assert found.calibration == folder / "calibration.zarr"
-    assert [path.name for path, _ in found.irradiance] == ["asd"]
+    assert (
+        [path.parent.name for path in found.darks],
+        found.calibration,
+        [path.name for path, _ in found.irradiance],
+    ) == (["dark"], folder / "calibration.zarr", ["asd"])
     assert {(instrument, path.name) for instrument, path, _ in found.references} <= {
         ("asd", "asd_reflectance"),
         ("svc", "svc"),
@@ -82,9 +83,11 @@ def test_what_lies_elsewhere_is_named(folder: Path, tmp_path: Path) -> None:
     )
     path = write_collect_toml(found)
     written = tomllib.loads(path.read_text(encoding="utf-8"))
-    assert written["irradiance"]["files"] == "../asd/*.asd"
-    assert written["dark"]["cubes"] == ["../dark/raw_0.hdr"]
-    assert written["calibration"]["path"] == "../calibration.zarr"
+    assert (written["irradiance"]["files"], written["dark"]["cubes"], written["calibration"]["path"]) == (
+        "../asd/*.asd",
+        ["../dark/raw_0.hdr"],
+        "../calibration.zarr",
+    )
     assert set(hp.open_collect(path).children) >= {"flightlines", "irradiance", "calibration"}
 
 
@@ -110,8 +113,7 @@ def test_a_record_that_misses_the_flight_asks_for_its_clock(tmp_path: Path) -> N
 
 
 def test_cubes_that_are_not_raw_are_said(folder: Path) -> None:
-    header = folder / "flight" / "raw_0.hdr"
-    text = header.read_text(encoding="utf-8")
+    text = (folder / "flight" / "raw_0.hdr").read_text(encoding="utf-8")
     (folder / "flight" / "raw_0_rd.hdr").write_text(text.replace("data type = 12", "data type = 4"))
     shutil.copy(folder / "flight" / "raw_0", folder / "flight" / "raw_0_rd")
     found = find_field_files(folder)
@@ -127,10 +129,10 @@ def test_two_calibrations_are_not_chosen_between(folder: Path) -> None:
 
 
 def test_a_folder_without_a_flight_is_one_error(tmp_path: Path) -> None:
-    with pytest.raises(hp.errors.CollectError, match="cube-missing"):
-        find_field_files(tmp_path)
-    with pytest.raises(hp.errors.CollectError, match="folder-not-found"):
-        find_field_files(tmp_path / "absent")
+    expect_refusals(
+        (hp.errors.CollectError, "cube-missing", lambda: find_field_files(tmp_path)),
+        (hp.errors.CollectError, "folder-not-found", lambda: find_field_files(tmp_path / "absent")),
+    )
 
 
 def test_a_collect_that_is_there_stays(folder: Path) -> None:

@@ -1,7 +1,5 @@
 """Signatures of paints that the demonstration prints, and that their comparison can fail."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +18,7 @@ BANDS = (420.0, 980.0)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small rendered collect, processed."""
+    # A small rendered collect, processed
     made = tmp_path_factory.mktemp("closure")
     collect = hp.simulate_collect(
         made, lines=120, bands=24, columns=80, samples=8, seed=2, dropped=4, cubes=2, fleet="solid"
@@ -51,8 +49,10 @@ def test_signatures_agree_with_a_plain_computation(folder: Path) -> None:
         true = (
             truth["reflectance"].transpose(..., "band").values[here][:, bands].mean(axis=0, dtype=np.float64)
         )
-        assert (one.pixels, one.cars) == (here.sum(), len(np.unique(truth["car_id"].values[here])))
-        assert one.recovered == pytest.approx(seen.mean(), rel=1e-9)
+        assert ((one.pixels, one.cars), one.recovered) == (
+            (here.sum(), len(np.unique(truth["car_id"].values[here]))),
+            pytest.approx(seen.mean(), rel=1e-9),
+        )
         assert one.error == pytest.approx(np.sqrt(((seen / true - 1) ** 2).mean()), rel=1e-6)
         file = [Path(str(source)).stem for source in field["source"].values].index(name)
         wanted = np.interp(wavelength[bands], field["wavelength"], field["reflectance"][file]).mean()
@@ -60,7 +60,7 @@ def test_signatures_agree_with_a_plain_computation(folder: Path) -> None:
 
 
 def test_field_spectra_and_scene_show_the_same_paints(folder: Path) -> None:
-    """What the ASD saw and what roofs show differ by sky and slope; flakes shine towards the sun."""
+    # What the ASD saw and what roofs show differ by sky and slope; flakes shine towards the sun
     for one in compare_paints(folder / "lot.zarr", folder / "truth.zarr", BANDS):
         solid = paint_spec(one.paint).finish == "solid"
         if one.pixels > 20:
@@ -87,10 +87,11 @@ def test_a_wrong_chain_shows_in_the_signatures(
 
 def test_table(folder: Path) -> None:
     found = compare_paints(folder / "lot.zarr", folder / "truth.zarr", BANDS)
-    lines = signature_table(found).splitlines()
-    table = lines[: len(found) + 2]
-    assert len({len(line) for line in table}) == 1
-    assert [line.split()[0] for line in table[2:]] == sorted(one.paint for one in found)
+    table = signature_table(found).splitlines()[: len(found) + 2]
+    assert (len({len(line) for line in table}), [line.split()[0] for line in table[2:]]) == (
+        1,
+        sorted(one.paint for one in found),
+    )
     assert "ASD" in signature_table(found)
 
 

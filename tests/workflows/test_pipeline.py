@@ -1,7 +1,5 @@
 """`process`: what lands in the store, when nothing is done, and what is refused."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Iterator
@@ -19,7 +17,7 @@ from hyperpaint.workflows.pipeline import run
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a small simulated collect: two cubes, dropped frames."""
+    # Folder of a small simulated collect: two cubes, dropped frames
     folder = tmp_path_factory.mktemp("collect")
     hp.simulate_collect(folder, scene="plan", lines=72, bands=20, columns=12, cubes=2, dropped=3, seed=3)
     return folder
@@ -27,13 +25,13 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def store(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The processed collect; tests only read it."""
+    # The processed collect; tests only read it
     return hp.process(source / "collect.toml", tmp_path_factory.mktemp("store") / "lot.zarr")
 
 
 @pytest.fixture
 def collect(source: Path, tmp_path: Path) -> Path:
-    """A copy of the collect that a test may spoil; its ``collect.toml``."""
+    # A copy of the collect that a test may spoil; its ``collect.toml``
     shutil.copytree(source, tmp_path / "raw", copy_function=shutil.copy2)
     return tmp_path / "raw" / "collect.toml"
 
@@ -58,7 +56,7 @@ def state_of(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 def round_bits(values: np.ndarray[Any, Any], bits: int) -> np.ndarray[Any, Any]:
-    """Round float32 to ``bits`` mantissa bits, to nearest-even, by integer arithmetic of its own."""
+    # Round float32 to ``bits`` mantissa bits, to nearest-even, by integer arithmetic of its own
     raw = values.view(np.uint32).astype(np.uint64)
     drop = 23 - bits
     half = np.uint64((1 << (drop - 1)) - 1)
@@ -76,13 +74,17 @@ def test_a_collect_becomes_one_group_a_line_and_the_archives(store: Path) -> Non
     assert set(groups_of(store)) == {*lines, "calibration", "irradiance", *references}
     assert hp.verify(store).ok
     for line in lines_of(store):
-        assert line["counts"].dtype == np.uint16
-        assert line["reflectance"].dtype == np.float32
-        assert line["quality"].dtype == np.uint16
-        assert line["irradiance_age"].dtype == np.float32
-        assert line["reflectance"].attrs["keep_bits"] == 12
-        assert line["counts"].data.chunksize[0] == 32
-        assert line.attrs["hyperpaint_format"] == 3
+        assert (
+            line["counts"].dtype,
+            line["reflectance"].dtype,
+            line["quality"].dtype,
+            line["irradiance_age"].dtype,
+        ) == (np.uint16, np.float32, np.uint16, np.float32)
+        assert (
+            line["reflectance"].attrs["keep_bits"],
+            line["counts"].data.chunksize[0],
+            line.attrs["hyperpaint_format"],
+        ) == (12, 32, 3)
 
 
 def test_stored_reflectance_is_the_computed_one_rounded(store: Path) -> None:
@@ -110,9 +112,11 @@ def test_store_and_files_give_the_same_bits(source: Path, store: Path) -> None:
 def test_overview_is_the_picture_of_the_line(store: Path) -> None:
     line = next(lines_of(store))
     picture = line["overview"]
-    assert picture.dims == ("overview_y", "overview_x", "rgb")
-    assert picture.dtype == np.uint8
-    assert picture.shape == (line.sizes["along_track"], line.sizes["cross_track"], 3)
+    assert (picture.dims, picture.dtype, picture.shape) == (
+        ("overview_y", "overview_x", "rgb"),
+        np.uint8,
+        (line.sizes["along_track"], line.sizes["cross_track"], 3),
+    )
     expected = hp.pictures.rgb(line[["reflectance"]]).values
     np.testing.assert_allclose(picture.values / 255.0, expected, atol=0.51 / 255)
 
@@ -122,8 +126,7 @@ def test_lines_say_how_their_light_divides(store: Path) -> None:
     line = xr.open_zarr(store, group="flightlines/raw_0")
     assert line["sky_state"].attrs["flag_meanings"].split()[int(line["sky_state"][0])] == "clear"
     for name in ("diffuse_fraction", "diffuse_fraction_u"):
-        assert line[name].dims == ("along_track", "band")
-        assert line[name].dtype == np.float32
+        assert (line[name].dims, line[name].dtype) == (("along_track", "band"), np.float32)
         assert bool(((line[name] > 0.0) & (line[name] < 1.0)).all())
 
 
@@ -132,9 +135,7 @@ def test_rerun_changes_nothing(collect: Path, tmp_path: Path) -> None:
     first = run(collect, out)
     before = state_of(tmp_path)
     second = run(collect, out)
-    assert set(second.unchanged) == set(first.written)
-    assert second.written == ()
-    assert state_of(tmp_path) == before
+    assert (set(second.unchanged), second.written, state_of(tmp_path)) == (set(first.written), (), before)
 
 
 @pytest.mark.slow
@@ -280,8 +281,7 @@ def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Pat
     ) as cluster:
         found = run(collect, tmp_path / "lot.zarr", scheduler=cluster.scheduler_address)
         again = run(collect, tmp_path / "lot.zarr")
-    assert len(found.written) == 6
-    assert again.written == ()
+    assert (len(found.written), again.written) == (6, ())
     for line, expected in zip(lines_of(found.path), lines_of(store), strict=True):
         for name in ("counts", "reflectance", "quality", "overview"):
             np.testing.assert_array_equal(line[name].values, expected[name].values)

@@ -1,19 +1,16 @@
 """Every library that hyperpaint writes is rendered as it is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
 from support.traced_scenes import SUN, flat_light, flight, two_cars
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
-from hyperpaint.cli.program import main
 from hyperpaint.paints import starter_library
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.painting import by_name, factor_spectra
@@ -27,7 +24,7 @@ Write = Callable[[xr.Dataset, Path], Path]
 
 
 def library() -> xr.Dataset:
-    """Return three paints with populations."""
+    # Return three paints with populations
     paints = starter_library(members=4).isel(signature=[5, 9, 0])
     return paints.assign_coords(signature=("signature", np.array(NAMES, object)))
 
@@ -96,8 +93,7 @@ def test_a_digest_follows_every_value() -> None:
     other.member_reflectance[2, 3, 7] += 0.01
     plain = np.array([400.0, 900.0]), np.array([0.2, 0.3])
     digests = {spectra_digest(one) for one in ({"a": paints}, {"a": other}, {"b": paints}, {"a": plain})}
-    assert len(digests) == 4
-    assert spectra_digest({"a": paints}) == spectra_digest({"a": paints.copy(deep=True)})
+    assert (len(digests), spectra_digest({"a": paints})) == (4, spectra_digest({"a": paints.copy(deep=True)}))
 
 
 def test_bands_without_values_are_named_and_held_on_request() -> None:
@@ -185,10 +181,8 @@ def test_render_takes_a_library_and_traces_once(tmp_path: Path) -> None:
     hp.write_library(library(), tmp_path / "x.zarr")
     (tmp_path / "scene.toml").write_text(SCENE)
     arguments = ["render", str(tmp_path / "scene.toml"), "--quiet"]
-    first = CliRunner().invoke(main, arguments)
-    assert first.exit_code == 0, first.output
-    again = CliRunner().invoke(main, [*arguments, "--library", str(tmp_path / "x.zarr"), "--overwrite"])
-    assert again.exit_code == 0, again.output
+    hyperpaint(*arguments, status=0)
+    again = hyperpaint(*arguments, "--library", tmp_path / "x.zarr", "--overwrite", status=0)
     assert "transport" in again.output
     line = hp.open_store(tmp_path / "scene.zarr", "renders/noon")
     painted = dict(zip(line.paint_id.flag_values, line.paint_id.flag_meanings.split(), strict=True))

@@ -1,26 +1,26 @@
 """`hyperpaint signatures`: from a processed store and a GeoJSON file to a stored library."""
 
-from __future__ import annotations
-
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner, Result
+from support.commands import hyperpaint
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.cli.program import main
 from hyperpaint.workflows.library_files import write_signatures
 
+signatures = partial(hyperpaint, "signatures")
 HOOD = hp.Region("hood", [(1, 2), (9, 2), (9, 12), (1, 12)], flightline="raw_0", properties={"make": "x"})
 ROOF = hp.Region("roof", [(2, 3), (12, 9), (4, 15)], flightline="raw_16", properties={"reference": "svc"})
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a processed collect of two flight lines."""
+    # Return a processed collect of two flight lines
     folder = tmp_path_factory.mktemp("collect")
     collect = hp.simulate_collect(
         folder / "raw", lines=32, bands=24, columns=16, cubes=2, scene="plan", truth=False
@@ -33,14 +33,9 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return hp.write_regions(hp.Regions((HOOD, ROOF)), tmp_path_factory.mktemp("regions") / "r.geojson")
 
 
-def run(*words: object) -> Result:
-    return CliRunner().invoke(main, ["signatures", *map(str, words)])
-
-
 def test_command_makes_the_library_of_the_function(store: Path, drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "paints.zarr"
-    done = run(store, "--regions", drawn, "--out", out, "--members", 7, "--no-flags")
-    assert done.exit_code == 0, done.output
+    done = signatures(store, "--regions", drawn, "--out", out, "--members", 7, "--no-flags", status=0)
     assert done.stdout.splitlines()[0] == f"{out}: 2 paints, 24 bands"
     assert done.stdout.splitlines()[1].startswith("  hood  ")
     assert hp.verify(out).ok
@@ -52,33 +47,41 @@ def test_command_makes_the_library_of_the_function(store: Path, drawn: Path, tmp
     expected = hp.extract_signatures(lines, drawn, members=7)
     for name in expected.data_vars:
         assert found[name].values.tobytes() == expected[name].values.tobytes(), name
-    assert found["reference"].values.tolist() == ["", "svc"]
-    assert found.flightline.values.tolist() == ["raw_0", "raw_16"]
+    assert (found["reference"].values.tolist(), found.flightline.values.tolist()) == (
+        ["", "svc"],
+        ["raw_0", "raw_16"],
+    )
     assert (found.reflectance_u_random > 0).any("band").all()
-    assert found.attrs["store"] == "lot.zarr"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["paints.zarr"]
+    assert (found.attrs["store"], sorted(path.name for path in tmp_path.iterdir())) == (
+        "lot.zarr",
+        ["paints.zarr"],
+    )
 
 
 @pytest.mark.slow
 def test_command_again(store: Path, drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "paints.zarr"
-    assert run(store, "--regions", drawn, "--out", out).exit_code == 0
+    assert signatures(store, "--regions", drawn, "--out", out).exit_code == 0
     before = xr.open_zarr(out).attrs["created"]
-    assert run(store, "--regions", drawn, "--out", out).exit_code == 0
-    assert xr.open_zarr(out).attrs["created"] == before
-    refused = run(store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", 5)
-    assert refused.exit_code == 2
+    assert (
+        signatures(store, "--regions", drawn, "--out", out).exit_code,
+        xr.open_zarr(out).attrs["created"],
+    ) == (
+        0,
+        before,
+    )
+    refused = signatures(store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", 5, status=2)
     assert "pass --overwrite to replace it" in refused.stderr
-    done = run(store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", 5, "--overwrite")
-    assert done.exit_code == 0, done.output
+    signatures(
+        store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", 5, "--overwrite", status=0
+    )
     assert xr.open_zarr(out).attrs["smoothing"] == "box, 5 bands"
 
 
 def test_regions_without_a_flight_line(store: Path, tmp_path: Path) -> None:
     nameless = hp.Regions((hp.Region("hood", HOOD.polygon),))
     path = hp.write_regions(nameless, tmp_path / "r.geojson")
-    done = run(store, "--regions", path, "--out", tmp_path / "l.zarr")
-    assert done.exit_code == 2
+    done = signatures(store, "--regions", path, "--out", tmp_path / "l.zarr", status=2)
     assert "'hood' names no flight line, expected 'raw_0' or 'raw_16'" in done.stderr
 
 
@@ -118,8 +121,7 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
         (store, "--regions", tmp_path / "none", "--out", out): "does not exist",
         (store, "--out", out): "no region can be proposed",
     }.items():
-        done = run(*words)
-        assert done.exit_code == 2, (words, done.output)
+        done = signatures(*words, status=2)
         assert told in done.stderr, done.stderr
         assert "Traceback" not in done.output
         assert not out.exists()
@@ -127,10 +129,18 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
 
 def test_a_store_without_flight_lines(tmp_path: Path, drawn: Path) -> None:
     hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "other.zarr")
-    with pytest.raises(StoreError, match="flightline-missing"):
-        write_signatures(tmp_path / "other.zarr", drawn, tmp_path / "l.zarr")
-    with pytest.raises(SchemaError, match="output-in-store"):
-        write_signatures(tmp_path / "other.zarr", drawn, tmp_path / "other.zarr")
+    expect_refusals(
+        (
+            StoreError,
+            "flightline-missing",
+            lambda: write_signatures(tmp_path / "other.zarr", drawn, tmp_path / "l.zarr"),
+        ),
+        (
+            SchemaError,
+            "output-in-store",
+            lambda: write_signatures(tmp_path / "other.zarr", drawn, tmp_path / "other.zarr"),
+        ),
+    )
 
 
 @pytest.mark.slow
@@ -156,6 +166,5 @@ def test_flags_are_kept_or_excluded(store: Path, drawn: Path, tmp_path: Path) ->
 
 def test_command_without_the_mirrored_sky(store: Path, drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "l.zarr"
-    done = run(store, "--regions", drawn, "--out", out, "--specular-sky")
-    assert done.exit_code == 0, done.output
+    signatures(store, "--regions", drawn, "--out", out, "--specular-sky", status=0)
     assert xr.open_zarr(out).attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")

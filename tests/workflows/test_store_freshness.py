@@ -1,7 +1,5 @@
 """`process` again: what is the same is left alone, what is not is told, and inputs are never written over."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path
@@ -39,8 +37,10 @@ def test_a_copied_collect_is_the_same(collect: Path, store: Path, tmp_path: Path
     shutil.copytree(collect.parent, tmp_path / "copy", copy_function=shutil.copyfile)
     for file in collect.parent.iterdir():
         os.utime(file, (1e9, 1e9))
-    assert process(collect, store).written == ()
-    assert process(tmp_path / "copy" / "collect.toml", store).written == ()
+    assert (process(collect, store).written, process(tmp_path / "copy" / "collect.toml", store).written) == (
+        (),
+        (),
+    )
 
 
 def test_a_cube_of_other_content_is_told_whatever_its_times(collect: Path, store: Path) -> None:
@@ -109,8 +109,7 @@ def test_other_numerics_are_said_and_computed_on_request(
     assert report.notes == ("made by numerics 1, this is 7: --overwrite computes it again",)
     with pytest.raises(hp.StoreError, match=r"version 1 of the numerics;.*store-ex"):
         process(collect, store)
-    assert process(collect, store, overwrite=True).written == LINES
-    assert hp.verify(store).notes == ()
+    assert (process(collect, store, overwrite=True).written, hp.verify(store).notes) == (LINES, ())
 
 
 def test_other_settings_cut_short_are_not_whole(

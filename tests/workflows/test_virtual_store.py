@@ -1,7 +1,5 @@
 """Virtual stores: the bits of `process` out of raw files that are not copied, and refusals of others."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -9,6 +7,7 @@ import shlex
 import shutil
 import uuid
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,12 @@ import fsspec
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
-from support.refusals import refusal
+from support.commands import hyperpaint
+from support.refusals import expect_refusals, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, StoreError
 from hyperpaint.cli.info_command import facts_of_path
-from hyperpaint.cli.program import main as cli
 from hyperpaint.workflows.virtual_store import virtualise
 
 icechunk = pytest.importorskip("icechunk", reason="icechunk is not installed (extra `virtual`)")
@@ -45,7 +43,7 @@ def wanted(collect: Path, tmp_path_factory: pytest.TempPathFactory) -> xr.Datase
 
 @pytest.fixture
 def copied(collect: Path, tmp_path: Path) -> Path:
-    """Return a collect of the same files that a test may change."""
+    # Return a collect of the same files that a test may change
     shutil.copytree(collect.parent, tmp_path / "day")
     return tmp_path / "day" / "collect.toml"
 
@@ -60,7 +58,7 @@ def assert_same(line: xr.Dataset, wanted: xr.Dataset) -> None:
 
 
 def rewritten(collect: Path, interleave: str = "bil", dtype: str = "<u2", offset: int = 0) -> Path:
-    """Write the cube of a collect in another layout; return its data file."""
+    # Write the cube of a collect in another layout; return its data file
     data = collect.parent / "flight" / "raw_0"
     header = data.with_suffix(".hdr")
     order = {"bil": (0, 1, 2), "bip": (0, 2, 1), "bsq": (1, 0, 2)}[interleave]
@@ -83,8 +81,10 @@ def test_the_bits_of_process_and_nothing_copied(collect: Path, wanted: xr.Datase
     )
     assert_same(hp.io.open_virtual(tmp_path / NAME, allow=str(collect.parent), chunks=None), wanted)
     again = virtualise(collect, tmp_path / NAME)
-    assert (again.written, again.unchanged) == ((), ("flightlines/raw_0",))
-    assert sorted(path.name for path in tmp_path.iterdir()) == [NAME]
+    assert ((again.written, again.unchanged), sorted(path.name for path in tmp_path.iterdir())) == (
+        ((), ("flightlines/raw_0",)),
+        [NAME],
+    )
     facts = facts_of_path(tmp_path / NAME, [str(collect.parent)])
     assert "1 flight line" in facts["is"]
     assert f"counts: {LINES} along_track" in facts["/flightlines/raw_0 holds"]
@@ -118,7 +118,7 @@ def test_layouts_that_cannot_be_referred_to(copied: Path, tmp_path: Path) -> Non
 
 
 def shortened(collect: Path, lines: int) -> None:
-    """Cut a collect's cube and its frame index."""
+    # Cut a collect's cube and its frame index
     flight = collect.parent / "flight"
     os.truncate(flight / "raw_0", lines * 6 * 10 * 2)
     text = (flight / "raw_0.hdr").read_text()
@@ -183,15 +183,20 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
     assert float(hp.io.open_virtual(out)["saturation_count"]) == 8191
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "notes.txt").write_text("notes")
-    for overwrite in (False, True):
-        with pytest.raises(StoreError, match="store-exists"):
-            virtualise(copied, tmp_path / "notes", overwrite=overwrite)
-        with pytest.raises(StoreError, match="output-is-input"):
-            virtualise(copied, copied.parent, overwrite=overwrite)
-    with refusal(StoreError, "group-unknown", "flightlines/raw_0"):
-        hp.io.open_virtual(out, "flightlines/raw_1")
-    with pytest.raises(StoreError, match="store-unreadable"):
-        hp.io.open_virtual(tmp_path / "notes")
+    expect_refusals(
+        *(
+            (StoreError, code, partial(virtualise, copied, place, overwrite=overwrite))
+            for overwrite in (False, True)
+            for code, place in (("store-exists", tmp_path / "notes"), ("output-is-input", copied.parent))
+        ),
+        (
+            StoreError,
+            "group-unknown",
+            "flightlines/raw_0",
+            lambda: hp.io.open_virtual(out, "flightlines/raw_1"),
+        ),
+        (StoreError, "store-unreadable", lambda: hp.io.open_virtual(tmp_path / "notes")),
+    )
 
 
 @pytest.mark.parametrize(
@@ -220,14 +225,12 @@ def test_the_place_of_the_raw_files(collect: Path, wanted: xr.Dataset, tmp_path:
 
 
 def test_the_command_line_says_what_to_allow(collect: Path, tmp_path: Path) -> None:
-    run = CliRunner().invoke(cli, ["virtual", str(collect), "--out", str(tmp_path / NAME)])
+    run = hyperpaint("virtual", collect, "--out", tmp_path / NAME)
     flight = str(collect.parent / "flight")
     assert run.exit_code == 0, run.output
     assert f"allow={flight!r}" in run.output
-    shown = CliRunner().invoke(cli, ["info", str(tmp_path / NAME)]).output
-    assert "NOT READ" in shown
-    assert f"pass --allow '{flight}'" in shown
-    assert "NOT READ" not in CliRunner().invoke(cli, ["info", str(tmp_path / NAME), "--allow", flight]).output
+    expect_words(hyperpaint("info", tmp_path / NAME).output, "NOT READ", f"pass --allow '{flight}'")
+    assert "NOT READ" not in hyperpaint("info", tmp_path / NAME, "--allow", flight).output
 
 
 def test_the_old_store_is_there_until_the_new_one_is(
@@ -248,8 +251,10 @@ def test_the_old_store_is_there_until_the_new_one_is(
                 virtualise(copied, out, overwrite=True)
         assert float(hp.io.open_virtual(out)["saturation_count"]) in (4095, 8191), broken
     virtualise(copied, out, overwrite=True)
-    assert float(hp.io.open_virtual(out)["saturation_count"]) == 8191
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["day", NAME]
+    assert (
+        float(hp.io.open_virtual(out)["saturation_count"]),
+        sorted(path.name for path in tmp_path.iterdir()),
+    ) == (8191, ["day", NAME])
 
 
 @pytest.mark.parametrize("lost", ["chunks", "manifests"])
@@ -272,7 +277,7 @@ def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path, lost: 
 
 @pytest.fixture
 def bucket(collect: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Serve a collect's files from a bucket of S3, as moto mocks it on this machine."""
+    # Serve a collect's files from a bucket of S3, as moto mocks it on this machine
     moto = pytest.importorskip("moto.server", reason="moto is not installed: no bucket to read from")
     pytest.importorskip("s3fs", reason="s3fs is not installed: fsspec reads no S3")
     served = moto.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
