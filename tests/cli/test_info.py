@@ -1,16 +1,22 @@
 """What `describe_path` says of files and stores; the command line's own tests cover every kind of file."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from support.codecs import plain_zarr
 from support.library_examples import make_library
-from support.refusals import expect_refusals, expect_words
+from support.refusals import expect_error, expect_refusals, expect_words
+from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
-from hyperpaint.cli.info_command import describe_path
+from hyperpaint.cli.flight_commands import verify
+from hyperpaint.cli.info_command import describe_path, info
+from hyperpaint.io.store.writer import WholeRun
+from hyperpaint.report import write_report
 
 
 @pytest.fixture
@@ -89,3 +95,49 @@ def test_a_paint_library(tmp_path: Path, name: str) -> None:
 def test_a_folder_of_texts_of_single_spectra() -> None:
     folder = Path(__file__).parents[1] / "io" / "library" / "conformance" / "ecostress"
     assert "3 spectra" in describe_path(folder)
+
+
+# --- `verify`, `info` and `report` of a store that is not whole: what it lacks, and how to finish it ---
+
+
+def said(command: Any, *words: object) -> tuple[int, str]:
+    done = CliRunner().invoke(command, [str(word) for word in words])
+    return done.exit_code, done.output
+
+
+@pytest.fixture
+def collect(tmp_path: Path) -> Path:
+    return tiny_collect(tmp_path / "raw", 2)
+
+
+def test_an_unfinished_store_says_how_it_is_finished(
+    collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, write = tmp_path / "lot.zarr", WholeRun.write
+
+    def stop(self: WholeRun, group: str, dataset: xr.Dataset, **options: Any) -> None:
+        if group.endswith("raw_1"):
+            raise KeyboardInterrupt
+        write(self, group, dataset, **options)
+
+    monkeypatch.setattr(WholeRun, "write", stop)
+    expect_error(KeyboardInterrupt, None, lambda: hp.process(collect, out, to="radiance"))
+    again = "unfinished: 1 of 2 groups are written, without /flightlines/raw_1; to finish it"
+    for command, expected in ((verify, 1), (info, 0)):
+        status, text = said(command, out)
+        assert status == expected
+        expect_words(text, again, f"--out {out} --to radiance")
+    page = write_report(out, tmp_path / "report.html")
+    assert page.flightlines == ("flightlines/raw_0",)
+    assert again[:40] in page.problems[0]
+
+
+def test_inputs_are_compared_on_request(collect: Path, tmp_path: Path) -> None:
+    out = hp.process(collect, tmp_path / "lot.zarr", to="radiance")
+    status, text = said(verify, out, "--inputs")
+    assert (status, "all unchanged" in text) == (0, True)
+    collect.with_name("raw_0").write_bytes(bytes(collect.with_name("raw_0").stat().st_size))
+    status, text = said(verify, out, "--collect", collect)
+    assert status == 1
+    assert "/flightlines/raw_0: its inputs have changed" in text
+    assert said(verify, out)[0] == 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.commands import hyperpaint
 from support.flown_lines import EAST, MAP, NORTH, fly, located
-from support.refusals import expect_words
+from support.refusals import expect_error, expect_words
 
 import hyperpaint as hp
 
@@ -135,8 +135,6 @@ def test_regions_of_a_geopackage(
     np.testing.assert_allclose(np.sort(read[0].polygon, axis=0), np.sort(drawn[0].polygon, axis=0))
     assert (read[0].name, dict(read[0].properties)["make"]) == ("hood", "x")
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(hp.errors.MissingExtraError, match="extra-missing"):
-        hp.read_regions(path)
+    expect_error(hp.errors.MissingExtraError, "extra-missing", lambda: hp.read_regions(path))
     path.write_text("<OGRVRTDataSource/>")
-    with pytest.raises(hp.FormatError, match=r"no gpkg file"):
-        hp.read_regions(path)
+    expect_error(hp.FormatError, r"no gpkg file", lambda: hp.read_regions(path))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.commands import hyperpaint
-from support.refusals import expect_words, refusal
+from support.refusals import expect_error, expect_errors, expect_words, refusal
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -234,10 +234,18 @@ def test_one_line_alone(lot: Path, tmp_path: Path) -> None:
     assert done.flightlines == ("flightlines/raw_20",)
     with refusal(SchemaError, "flightline-unknown", "'raw_1'"):
         hp.report.write_report(lot, tmp_path / "none.html", flightlines=["raw_1"])
-    with pytest.raises(SchemaError, match=r"cards=-1.*out-of-range"):
-        hp.report.write_report(lot, tmp_path / "none.html", cards=-1)
-    with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
-        hp.report.write_report(lot, tmp_path / "none.html", max_lines=0)
+    expect_errors(
+        (
+            SchemaError,
+            r"cards=-1.*out-of-range",
+            lambda: hp.report.write_report(lot, tmp_path / "none.html", cards=-1),
+        ),
+        (
+            SchemaError,
+            r"lines=0.*out-of-range",
+            lambda: hp.report.write_report(lot, tmp_path / "none.html", max_lines=0),
+        ),
+    )
     assert not (tmp_path / "none.html").exists()
 
 
@@ -263,8 +271,11 @@ def test_a_library_beside_the_store(lot: Path, tmp_path: Path) -> None:
     assert "paints.zarr" in words(tmp_path / "r.html")
     alone = tmp_path / "line.zarr"
     hp.to_store(flight().line, alone)
-    with pytest.raises(SchemaError, match="library-missing"):
-        hp.report.write_report(lot, tmp_path / "s.html", library=alone)
+    expect_error(
+        SchemaError,
+        "library-missing",
+        lambda: hp.report.write_report(lot, tmp_path / "s.html", library=alone),
+    )
 
 
 def test_what_is_missing_is_left_out(tmp_path: Path) -> None:
@@ -276,8 +287,7 @@ def test_what_is_missing_is_left_out(tmp_path: Path) -> None:
     assert "There is no picture" not in words(tmp_path / "a.html")  # that of radiance is shown
     empty = tmp_path / "c.zarr"
     hp.to_store(xr.Dataset({"a": ("x", np.arange(3.0))}), empty, "other")
-    with pytest.raises(StoreError, match="store-empty"):
-        hp.report.write_report(empty, tmp_path / "c.html")
+    expect_error(StoreError, "store-empty", lambda: hp.report.write_report(empty, tmp_path / "c.html"))
 
 
 def test_damage_is_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> None:
@@ -303,25 +313,9 @@ def test_the_command(lot: Path, tmp_path: Path) -> None:
     assert call(tmp_path / "nothing.zarr", "--out", tmp_path / "x.html").exit_code == 2
 
 
-def spoil_n(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(n=("signature", ["many", "few"], {"units": "1"}))
-
-
-def spoil_quality(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(quality=("signature", [np.nan, 1.0]))
-
-
-def spoil_n_eff(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(n_eff=(("signature", "band"), np.ones((2, library.sizes["band"])), {"units": "1"}))
-
-
 def spoil_quantile(library: xr.Dataset) -> xr.Dataset:
     text = [f"q{level}" for level in library["quantile"].values]
     return library.assign_coords(quantile=("quantile", text, {"units": "1"}))
-
-
-def spoil_units(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(sun_zenith=("signature", ["high", "low"], {"units": "radian"}))
 
 
 def spoil_regions(library: xr.Dataset) -> xr.Dataset:
@@ -329,20 +323,8 @@ def spoil_regions(library: xr.Dataset) -> xr.Dataset:
     return library.drop_vars("region").assign(region=(("band", "signature"), text.T))
 
 
-def spoil_flags(line: xr.Dataset) -> xr.Dataset:
-    return line.assign(quality=line["quality"].astype(np.float32))
-
-
 def spoil_lines(line: xr.Dataset) -> xr.Dataset:
     return line.isel(along_track=slice(0, 0))
-
-
-def spoil_times(line: xr.Dataset) -> xr.Dataset:
-    return line.isel(irradiance_time=slice(0, 0))
-
-
-def spoil_clock(line: xr.Dataset) -> xr.Dataset:
-    return line.drop_vars("irradiance_time")
 
 
 def spoil_layer(line: xr.Dataset) -> xr.Dataset:
@@ -350,45 +332,67 @@ def spoil_layer(line: xr.Dataset) -> xr.Dataset:
     return line.assign(glint_fraction=(("along_track", "cross_track"), text))
 
 
-@pytest.mark.parametrize(
-    ("group", "spoil", "named"),
-    [
-        ("signatures", spoil_n, "'n' is"),
-        ("signatures", spoil_quality, "'quality' is float"),
-        ("signatures", spoil_n_eff, "'n_eff'"),
-        ("signatures", spoil_quantile, "'quantile' is"),
-        ("signatures", spoil_units, "'sun_zenith' is"),
-        ("signatures", spoil_regions, "regions"),
-        ("flightlines/raw_0", spoil_flags, "quality is float32"),
-        ("flightlines/raw_0", spoil_lines, "no pixels"),
-        ("flightlines/raw_0", spoil_times, "irradiance_time"),
-        ("flightlines/raw_0", spoil_clock, "irradiance_time"),
-        ("flightlines/raw_0", spoil_layer, "glint_fraction"),
-    ],
-)
+#: Group, change of its content, and words of the problem that the page names.
+ODD: list[tuple[str, Callable[[xr.Dataset], xr.Dataset], str]] = [
+    (
+        "signatures",
+        lambda library: library.assign(n=("signature", ["many", "few"], {"units": "1"})),
+        "'n' is",
+    ),
+    (
+        "signatures",
+        lambda library: library.assign(quality=("signature", [np.nan, 1.0])),
+        "'quality' is float",
+    ),
+    (
+        "signatures",
+        lambda library: library.assign(
+            n_eff=(("signature", "band"), np.ones((2, library.sizes["band"])), {"units": "1"})
+        ),
+        "'n_eff'",
+    ),
+    ("signatures", spoil_quantile, "'quantile' is"),
+    (
+        "signatures",
+        lambda library: library.assign(sun_zenith=("signature", ["high", "low"], {"units": "radian"})),
+        "'sun_zenith' is",
+    ),
+    ("signatures", spoil_regions, "regions"),
+    (
+        "flightlines/raw",
+        lambda line: line.assign(quality=line["quality"].astype(np.float32)),
+        "quality is float32",
+    ),
+    ("flightlines/raw", spoil_lines, "no pixels"),
+    ("flightlines/raw", lambda line: line.isel(irradiance_time=slice(0, 0)), "irradiance_time"),
+    ("flightlines/raw", lambda line: line.drop_vars("irradiance_time"), "irradiance_time"),
+    ("flightlines/raw", spoil_layer, "glint_fraction"),
+]
+
+
 @pytest.mark.slow
-def test_odd_contents_are_named_and_the_rest_is_shown(
-    lot: Path, tmp_path: Path, group: str, spoil: Callable[[xr.Dataset], xr.Dataset], named: str
-) -> None:
-    # Rationale: `to_store` takes any dataset, also one that no step of ours has made
-    # Expected: the page is there, names what is wrong, and shows what comes after it; exit status 1
-    odd = tmp_path / "odd.zarr"
-    held = {name: hp.open_store(lot, name).load() for name in ("flightlines/raw_0", "signatures")}
-    held[group] = spoil(held[group])
-    for name, made in held.items():
-        for variable in made.variables.values():
-            variable.encoding.clear()
-        hp.to_store(made, odd, name)
-    run = hyperpaint("report", odd, "--out", tmp_path / "r.html", "--quiet", status=1)
-    told = [line for line in run.stderr.splitlines() if line.startswith(f"cannot be read: /{group}, ")]
-    assert any(named in line for line in told), run.stderr
+def test_odd_contents_are_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> None:
+    # `to_store` takes any dataset, also one that no step of ours has made: the page is there, names all that
+    # is wrong, and shows what comes after it; exit status 1
+    kinds = {"flightlines/raw": "flightlines/raw_0", "signatures": "signatures"}
+    contents = {kind: hp.open_store(lot, name).load() for kind, name in kinds.items()}
+    odd = [(f"{kind}_{number}", kind, spoil, named) for number, (kind, spoil, named) in enumerate(ODD, 1)]
+    for group, kind, spoil, _ in (
+        *odd,
+        *((name, kind, lambda same: same, "") for kind, name in kinds.items()),
+    ):
+        hp.to_store(spoil(contents[kind]).drop_encoding(), tmp_path / "odd.zarr", group)
+    run = hyperpaint("report", tmp_path / "odd.zarr", "--out", tmp_path / "r.html", "--quiet", status=1)
     page = parsed(tmp_path / "r.html")
     shown = " ".join(page.words)
-    assert named in shown
-    assert shown.count("Provenance") == 2
-    assert "red hood" in shown
+    for group, _, _, named in odd:
+        start = f"cannot be read: /{group}, "
+        told = [line for line in run.stderr.splitlines() if line.startswith(start)]
+        assert any(named in line for line in told), run.stderr
+    expect_words(shown, "red hood", *(named for *_, named in odd))
+    assert shown.count("Provenance") == len(ODD) + 2
     # of the paints, at least the spectra; of the line, whatever has nothing to do with what is wrong
-    assert len(page.pictures) >= (1 if spoil is spoil_lines else 3)
+    assert len(page.pictures) >= 3 * len(ODD)
 
 
 def test_a_zipped_store_is_shown(tmp_path: Path) -> None:

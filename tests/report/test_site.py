@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.commands import hyperpaint
-from support.refusals import expect_words
+from support.refusals import expect_error, expect_words
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -141,8 +141,11 @@ def test_reflectance_is_computed_where_the_store_has_counts_alone(tmp_path: Path
     assert copy.reflectance.values.tobytes() == expected.reflectance.values.tobytes()
     assert "counts" not in copy
     assert "flags_from" in copy.quality.attrs  # looked for on the way
-    with pytest.raises(StoreError, match=r"missing.*store-empty"):
-        write_site(tmp_path / "raw.zarr", tmp_path / "linked", link="../raw.zarr")
+    expect_error(
+        StoreError,
+        r"missing.*store-empty",
+        lambda: write_site(tmp_path / "raw.zarr", tmp_path / "linked", link="../raw.zarr"),
+    )
 
 
 def grid(line: xr.Dataset) -> xr.Dataset:
@@ -171,8 +174,13 @@ def test_maps_and_a_library_beside_the_store(tmp_path: Path) -> None:
         ("map.zarr", False),
         "library",
     )
-    with pytest.raises(SchemaError, match="option-conflict"):
-        write_site(tmp_path / "map.zarr", tmp_path / "b", library=tmp_path / "paints.zarr", link="../a")
+    expect_error(
+        SchemaError,
+        "option-conflict",
+        lambda: write_site(
+            tmp_path / "map.zarr", tmp_path / "b", library=tmp_path / "paints.zarr", link="../a"
+        ),
+    )
 
 
 @pytest.mark.parametrize(
@@ -198,8 +206,7 @@ def test_a_linked_store_is_not_copied(lot: Path, tmp_path: Path, link: str, orig
     ],
 )
 def test_what_is_no_address_is_refused(lot: Path, tmp_path: Path, link: str) -> None:
-    with pytest.raises(SchemaError, match="link-invalid"):
-        write_site(lot, tmp_path / "page", link=link)
+    expect_error(SchemaError, "link-invalid", lambda: write_site(lot, tmp_path / "page", link=link))
     assert not (tmp_path / "page").exists()
 
 
@@ -218,8 +225,9 @@ def test_only_a_site_is_replaced_and_only_when_asked(lot: Path, tmp_path: Path) 
     (tmp_path / "mine" / "site.json").write_text("{}")
     other = call("--out", tmp_path / "mine", "--overwrite")
     assert "holds other files" in other.stderr
-    with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
-        write_site(lot, tmp_path / "new", max_lines=0)
+    expect_error(
+        SchemaError, r"lines=0.*out-of-range", lambda: write_site(lot, tmp_path / "new", max_lines=0)
+    )
 
 
 # --- in a browser ------------------------------------------------------------------------------------------

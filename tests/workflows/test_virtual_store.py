@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.commands import hyperpaint
-from support.refusals import expect_refusals, expect_words
+from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, StoreError
@@ -112,8 +112,7 @@ def test_other_layouts(copied: Path, wanted: xr.Dataset, interleave: str, dtype:
 
 def test_layouts_that_cannot_be_referred_to(copied: Path, tmp_path: Path) -> None:
     rewritten(copied, "bsq")
-    with pytest.raises(FormatError, match="interleave-unsupported"):
-        virtualise(copied, tmp_path / NAME)
+    expect_error(FormatError, "interleave-unsupported", lambda: virtualise(copied, tmp_path / NAME))
     assert not (tmp_path / NAME).exists()
 
 
@@ -166,19 +165,16 @@ def test_other_raw_files_are_refused(copied: Path, tmp_path: Path, damage: str) 
         data.write_bytes(bytes(data.stat().st_size))
         os.utime(data, (2e9, 2e9))
         words = "changed at 2033"
-    with pytest.raises(StoreError, match=rf"(?s){words}.*again"):
-        hp.io.open_virtual(tmp_path / NAME)
+    expect_error(StoreError, rf"(?s){words}.*again", lambda: hp.io.open_virtual(tmp_path / NAME))
     assert words in facts_of_path(tmp_path / NAME)["/flightlines/raw_0 NOT READ"]
-    with pytest.raises(icechunk.IcechunkError, match="virtual"):
-        line["counts"].load()
+    expect_error(icechunk.IcechunkError, "virtual", lambda: line["counts"].load())
 
 
 def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.icechunk"
     virtualise(copied, out)
     copied.write_text(copied.read_text().replace("bit_depth = 12", "bit_depth = 13"))
-    with pytest.raises(StoreError, match="store-exists"):
-        virtualise(copied, out)
+    expect_error(StoreError, "store-exists", lambda: virtualise(copied, out))
     assert virtualise(copied, out, overwrite=True).written
     assert float(hp.io.open_virtual(out)["saturation_count"]) == 8191
     (tmp_path / "notes").mkdir()
@@ -205,8 +201,7 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
      "http://user@host/x", "http://host/x/../y", "http://host/%2e%2e/y", "s3://bucket\\x", "file:///etc/../x"],
 )  # fmt: skip
 def test_urls_that_icechunk_does_not_read(collect: Path, tmp_path: Path, prefix: str) -> None:
-    with pytest.raises(StoreError, match="url-unusable"):
-        virtualise(collect, tmp_path / NAME, prefix=prefix)
+    expect_error(StoreError, "url-unusable", lambda: virtualise(collect, tmp_path / NAME, prefix=prefix))
     assert not list(tmp_path.iterdir())
 
 
@@ -263,15 +258,13 @@ def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path, lost: 
     out = tmp_path / NAME
     virtualise(copied, out)
     shutil.rmtree(out / lost)
-    with pytest.raises(StoreError, match="store-damaged"):
-        hp.io.open_virtual(out)
+    expect_error(StoreError, "store-damaged", lambda: hp.io.open_virtual(out))
     assert virtualise(copied, out).written
     assert hp.io.open_virtual(out).load().sizes["along_track"] == 73
     assert not virtualise(copied, out).written
     shutil.rmtree(out / "snapshots")
     (out / "snapshots").mkdir()
-    with pytest.raises(StoreError, match="store-damaged"):
-        virtualise(copied, out)
+    expect_error(StoreError, "store-damaged", lambda: virtualise(copied, out))
     assert virtualise(copied, out, overwrite=True).written
 
 
@@ -297,14 +290,16 @@ def bucket(collect: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 def test_raw_files_in_a_bucket(collect: Path, wanted: xr.Dataset, tmp_path: Path, bucket: str) -> None:
     virtualise(collect, tmp_path / NAME, prefix=f"s3://{bucket}")
-    with pytest.raises(StoreError, match=f"allow='s3://{bucket}/flight'"):
-        hp.io.open_virtual(tmp_path / NAME)
+    expect_error(StoreError, f"allow='s3://{bucket}/flight'", lambda: hp.io.open_virtual(tmp_path / NAME))
     assert_same(hp.io.open_virtual(tmp_path / NAME, allow=f"s3://{bucket}"), wanted)
     s3 = fsspec.filesystem("s3")
     s3.pipe(f"{bucket}/flight/raw_0", bytes((collect.parent / "flight" / "raw_0").stat().st_size))
     s3.invalidate_cache()
-    with pytest.raises(StoreError, match=r"raw_0: etag .*, expected"):
-        hp.io.open_virtual(tmp_path / NAME, allow=f"s3://{bucket}")
+    expect_error(
+        StoreError,
+        r"raw_0: etag .*, expected",
+        lambda: hp.io.open_virtual(tmp_path / NAME, allow=f"s3://{bucket}"),
+    )
 
 
 def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
@@ -326,7 +321,11 @@ def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
 
 
 def test_errors_are_hyperpaints_own(tmp_path: Path) -> None:
-    with pytest.raises(PaintError):
-        virtualise(tmp_path / "collect.toml", tmp_path / NAME)
-    with pytest.raises(StoreError, match="output-is-url"):
-        virtualise(tmp_path / "collect.toml", "s3://bucket/lot.icechunk")
+    expect_errors(
+        (PaintError, None, lambda: virtualise(tmp_path / "collect.toml", tmp_path / NAME)),
+        (
+            StoreError,
+            "output-is-url",
+            lambda: virtualise(tmp_path / "collect.toml", "s3://bucket/lot.icechunk"),
+        ),
+    )

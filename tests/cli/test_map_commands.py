@@ -1,5 +1,6 @@
 """A map from the command line."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -127,3 +128,55 @@ def test_a_store_of_one_nameless_line_has_no_line_of_a_name(store: Path, tmp_pat
     done = hyperpaint(*call, "--line", "nope", status=2)
     assert "no flight line 'nope'" in done.output
     assert hyperpaint(*call).exit_code == 0
+
+
+# --- A mosaic from the command line ---
+
+
+@pytest.fixture
+def store_mosaic(tmp_path: Path) -> Path:
+    pytest.importorskip("pyproj")
+    lines = {}
+    for number in range(2):
+        flown = fly(40, 20, "calm", heading=30.0 + 90.0 * number, seed=number)
+        values = np.random.default_rng(number).random((40, 6, 20)).astype(np.float32)
+        line = located(flown, reflectance=(("along_track", "band", "cross_track"), values, {"units": "1"}))
+        zenith = (("along_track", "cross_track"), np.full((40, 20), 5.0 - number), {"units": "degree"})
+        line = line.assign_coords(
+            wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}), view_zenith=zenith
+        )
+        lines[f"/flightlines/raw_{number}"] = line
+    hp.to_store(xr.DataTree.from_dict(lines), tmp_path / "lot.zarr")
+    return tmp_path / "lot.zarr"
+
+
+def test_a_mosaic_as_store_and_as_geotiff(store_mosaic: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    folder = store_mosaic.parent
+    done = hyperpaint("mosaic", store_mosaic, "--out", folder / "both.zarr", "--quiet", status=0)
+    assert "raw_0, raw_1" in done.output
+    made = xr.open_zarr(folder / "both.zarr")
+    assert {"reflectance", "quality", "flightline", "line_time", "view_zenith", "gap"} <= set(made.variables)
+    # the second looks down more steeply
+    assert float((made.flightline == 1).sum()) > float((made.flightline == 0).sum()) > 0
+    options = ["--rule", "newest", "--gsd", "0.01", "--seamlines", str(folder / "seams.geojson"), "--quiet"]
+    done = hyperpaint("mosaic", store_mosaic, "--out", folder / "both.tif", *options, status=0)
+    with rasterio.open(folder / "both.tif") as picture:
+        assert (picture.count, picture.crs.to_epsg()) == (6, 32617)
+    assert len(json.loads((folder / "seams.geojson").read_text())["features"]) == 2
+
+
+def test_what_is_wrong_is_said_mosaic(store_mosaic: Path) -> None:
+    for options, reason in (
+        (["--out", "map.png"], "ends in .tif or .zarr"),
+        (["--line", "raw_9", "--out", "map.zarr"], "no raw_9"),
+        (["--out", str(store_mosaic), "--overwrite"], "in the store itself"),
+        (["--out", str(store_mosaic / "map.tif")], "in the store itself"),
+        (
+            ["--out", "map.tif", "--seamlines", str(store_mosaic / "zarr.json"), "--overwrite"],
+            "in the store itself",
+        ),
+        (["--out", str(store_mosaic.parent), "--overwrite"], "ends in .tif or .zarr"),
+    ):
+        done = hyperpaint("mosaic", store_mosaic, *options, status=2)
+        assert reason in done.output
