@@ -278,58 +278,41 @@ LINES = ("flightlines/raw_0", "flightlines/raw_1")
 
 
 @pytest.fixture
-def collect_freshness(tmp_path: Path) -> Path:
+def tiny(tmp_path: Path) -> Path:
     return tiny_collect(tmp_path / "raw", 2)
 
 
 @pytest.fixture
-def store_freshness(collect_freshness: Path, tmp_path: Path) -> Path:
-    return process(collect_freshness, tmp_path / "lot.zarr").path
+def radiance_store(tiny: Path, tmp_path: Path) -> Path:
+    return process(tiny, tmp_path / "lot.zarr").path
 
 
-def process(collect_freshness: Path, out: Path, **options: Any) -> Any:
-    return run(collect_freshness, out, to="radiance", **options)
+def process(collect: Path, out: Path, **options: Any) -> Any:
+    return run(collect, out, to="radiance", **options)
 
 
-def test_a_copied_collect_is_the_same(collect_freshness: Path, store_freshness: Path, tmp_path: Path) -> None:
-    shutil.copytree(collect_freshness.parent, tmp_path / "copy", copy_function=shutil.copyfile)
-    for file in collect_freshness.parent.iterdir():
+def test_content_alone_tells_other_inputs(tiny: Path, radiance_store: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiny.parent, tmp_path / "copy", copy_function=shutil.copyfile)
+    for file in tiny.parent.iterdir():
         os.utime(file, (1e9, 1e9))
-    assert (
-        process(collect_freshness, store_freshness).written,
-        process(tmp_path / "copy" / "collect.toml", store_freshness).written,
-    ) == (
-        (),
-        (),
-    )
-
-
-def test_a_cube_of_other_content_is_told_whatever_its_times(
-    collect_freshness: Path, store_freshness: Path
-) -> None:
-    cube = collect_freshness.with_name("raw_1")
-    status = cube.stat()
-    values = np.fromfile(cube, "<f4")
+    for collect in (tiny, tmp_path / "copy" / "collect.toml"):
+        assert process(collect, radiance_store).written == ()
+    # another header makes other values of the same file
+    header, cube = tiny.with_name("raw_1.hdr"), tiny.with_name("raw_1")
+    text = header.read_text()
+    for old, new in (("interleave = bil", "interleave = bip"), ("byte order = 0", "byte order = 1")):
+        assert old in text
+        header.write_text(text.replace(old, new))
+        expect_error(hp.StoreError, r"raw_1 .*store-exists", lambda: process(tiny, radiance_store))
+    header.write_text(text)
+    # whatever its times are
+    status, values = cube.stat(), np.fromfile(cube, "<f4")
     values[7] += 1
     values.tofile(cube)
     os.utime(cube, ns=(status.st_atime_ns, status.st_mtime_ns))
-    caught = expect_error(
-        hp.StoreError, r"raw_1 .*store-exists", lambda: process(collect_freshness, store_freshness)
-    )
-    assert "raw_0" not in str(caught)
-    assert process(collect_freshness, store_freshness, overwrite=True).written == (LINES[1],)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"), [("interleave = bil", "interleave = bip"), ("byte order = 0", "byte order = 1")]
-)
-def test_another_header_makes_other_values_of_the_same_file(
-    old: str, new: str, collect_freshness: Path, store_freshness: Path
-) -> None:
-    header = collect_freshness.with_name("raw_1.hdr")
-    assert old in header.read_text()
-    header.write_text(header.read_text().replace(old, new))
-    expect_error(hp.StoreError, r"raw_1 .*store-exists", lambda: process(collect_freshness, store_freshness))
+    error = expect_error(hp.StoreError, r"raw_1 .*store-exists", lambda: process(tiny, radiance_store))
+    assert "raw_0" not in str(error)
+    assert process(tiny, radiance_store, overwrite=True).written == (LINES[1],)
 
 
 def test_the_command_that_finishes_a_run_names_its_options() -> None:
@@ -363,26 +346,26 @@ def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pyte
 
 
 def test_other_numerics_are_said_and_computed_on_request(
-    collect_freshness: Path, store_freshness: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: Path, radiance_store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in ("workflows.pipeline", "workflows.products", "io.store.manifest"):
         monkeypatch.setattr(f"hyperpaint.{module}.NUMERICS_VERSION", 7)
-    report = hp.verify(store_freshness)
+    report = hp.verify(radiance_store)
     assert report.ok
     assert report.notes == ("made by numerics 1, this is 7: --overwrite computes it again",)
     expect_error(
         hp.StoreError,
         r"version 1 of the numerics;.*store-ex",
-        lambda: process(collect_freshness, store_freshness),
+        lambda: process(tiny, radiance_store),
     )
     assert (
-        process(collect_freshness, store_freshness, overwrite=True).written,
-        hp.verify(store_freshness).notes,
+        process(tiny, radiance_store, overwrite=True).written,
+        hp.verify(radiance_store).notes,
     ) == (LINES, ())
 
 
 def test_other_settings_cut_short_are_not_whole(
-    collect_freshness: Path, store_freshness: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: Path, radiance_store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from hyperpaint.io.store.writer import WholeRun
 
@@ -393,40 +376,33 @@ def test_other_settings_cut_short_are_not_whole(
             raise KeyboardInterrupt
         write(self, group, dataset, **options)
 
-    collect_freshness.write_text(
-        collect_freshness.read_text().replace("frame_period_ms = 7.0", "frame_period_ms = 8.0")
-    )
+    tiny.write_text(tiny.read_text().replace("frame_period_ms = 7.0", "frame_period_ms = 8.0"))
     with monkeypatch.context() as patch:
         patch.setattr(WholeRun, "write", stop)
-        expect_error(
-            KeyboardInterrupt, None, lambda: process(collect_freshness, store_freshness, overwrite=True)
-        )
-    report = hp.verify(store_freshness)
+        expect_error(KeyboardInterrupt, None, lambda: process(tiny, radiance_store, overwrite=True))
+    report = hp.verify(radiance_store)
     assert "unfinished: 1 of 2 groups are written, without /flightlines/raw_1" in str(report)
-    assert (
-        report.resume
-        == f"hyperpaint process {collect_freshness} --out {store_freshness} --to radiance --overwrite"
-    )
-    assert process(collect_freshness, store_freshness, overwrite=True).written == (LINES[1],)
-    assert hp.verify(store_freshness).ok
+    assert report.resume == f"hyperpaint process {tiny} --out {radiance_store} --to radiance --overwrite"
+    assert process(tiny, radiance_store, overwrite=True).written == (LINES[1],)
+    assert hp.verify(radiance_store).ok
 
 
 @pytest.mark.parametrize("overwrite", [True, False])
 def test_inputs_are_never_written_over(
-    collect_freshness: Path, store_freshness: Path, overwrite: bool, tmp_path: Path
+    tiny: Path, radiance_store: Path, overwrite: bool, tmp_path: Path
 ) -> None:
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    for out in (collect_freshness.parent, tmp_path, collect_freshness.parent / ".." / "raw"):
+    for out in (tiny.parent, tmp_path, tiny.parent / ".." / "raw"):
         with pytest.raises(hp.StoreError, match="output-is-input") as caught:
-            process(collect_freshness, out, overwrite=overwrite)
+            process(tiny, out, overwrite=overwrite)
         assert "whether or not it may overwrite" in str(caught.value)
-    inside = tiny_collect(store_freshness / "raw", 1)
+    inside = tiny_collect(radiance_store / "raw", 1)
     expect_error(
         hp.StoreError,
         r"raw_0.*output-is-input",
-        lambda: process(inside, store_freshness, overwrite=overwrite),
+        lambda: process(inside, radiance_store, overwrite=overwrite),
     )
-    shutil.rmtree(store_freshness / "raw")
+    shutil.rmtree(radiance_store / "raw")
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
@@ -447,28 +423,28 @@ def test_paths_are_found_in_whatever_names_them(tmp_path: Path) -> None:
 
 
 def test_inputs_are_compared_whole(
-    collect_freshness: Path, store_freshness: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: Path, radiance_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    report = compare_inputs(store_freshness)
-    assert (report.collect, report.blocks, report.problems) == (collect_freshness, 2, ())
+    report = compare_inputs(radiance_store)
+    assert (report.collect, report.blocks, report.problems) == (tiny, 2, ())
     assert "all unchanged" in str(report)
     # what no sample shows
     monkeypatch.setattr("hyperpaint.workflows.pipeline.sampled_digest", lambda _: "same")
-    run(collect_freshness, store_freshness, to="radiance", overwrite=True)
-    assert compare_inputs(store_freshness).problems == ()
-    cube = collect_freshness.with_name("raw_1")
+    run(tiny, radiance_store, to="radiance", overwrite=True)
+    assert compare_inputs(radiance_store).problems == ()
+    cube = tiny.with_name("raw_1")
     values = np.fromfile(cube, "<f4")
     values[7] += 1
     values.tofile(cube)
-    assert compare_inputs(store_freshness).problems == (
+    assert compare_inputs(radiance_store).problems == (
         f"/{LINES[1]}: radiance, lines 0 to 5: differs from the stored samples",
     )
-    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), store_freshness, "signatures")
-    os.rename(collect_freshness.parent, tmp_path / "elsewhere")
-    expect_error(hp.StoreError, "file-not-found", lambda: compare_inputs(store_freshness))
+    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), radiance_store, "signatures")
+    os.rename(tiny.parent, tmp_path / "elsewhere")
+    expect_error(hp.StoreError, "file-not-found", lambda: compare_inputs(radiance_store))
     moved = tmp_path / "elsewhere/collect.toml"
     moved.write_text(moved.read_text().replace("7.0", "8.0", 1))
-    assert [text[:19] for text in compare_inputs(store_freshness, moved).problems] == [
+    assert [text[:19] for text in compare_inputs(radiance_store, moved).problems] == [
         "/flightlines/raw_0:",
         "/flightlines/raw_1:",
     ]
@@ -481,11 +457,9 @@ def test_inputs_of_other_stores_are_not_known(tmp_path: Path) -> None:
 
 # --- camera and irradiance record are compared before a line is processed ---
 
-GROUP = "flightlines/raw_0"
-
 
 @pytest.fixture(scope="module")
-def source_aligned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # A collect whose record is 4 nm wide, where its collect.toml says 3
     folder = tmp_path_factory.mktemp("collect")
     path = simulate_collect(
@@ -495,66 +469,49 @@ def source_aligned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def store_aligned(source_aligned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return hp.process(source_aligned, tmp_path_factory.mktemp("store") / "lot.zarr")
-
-
-def copy_of(source_aligned: Path, folder: Path, table: str) -> Path:
-    shutil.copytree(source_aligned.parent, folder)
-    path = folder / source_aligned.name
+def copy_of(collect: Path, folder: Path, table: str) -> Path:
+    shutil.copytree(collect.parent, folder)
+    path = folder / collect.name
     path.write_text(path.read_text() + table)
     return path
 
 
-def oxygen_error(line: xr.Dataset, source_aligned: Path) -> float:
-    truth = xr.open_zarr(source_aligned.parent / "truth.zarr").reflectance.values
-    measured = line.reflectance.values.astype(float)
-    near = abs(line.wavelength.values - 760.5) < 6
-    ratio = np.nanmean(measured, axis=(0, 2)) / np.nanmean(
-        np.where(np.isnan(measured), np.nan, truth), axis=(0, 2)
-    )
-    return float(abs(ratio - 1)[near].max())
+def oxygen_error(line: xr.Dataset, collect: Path) -> float:
+    truth = xr.open_zarr(collect.parent / "truth.zarr").reflectance.values
+    measured, near = line.reflectance.values.astype(float), abs(line.wavelength.values - 760.5) < 6
+    true_mean = np.nanmean(np.where(np.isnan(measured), np.nan, truth), axis=(0, 2))
+    return float(abs(np.nanmean(measured, axis=(0, 2)) / true_mean - 1)[near].max())
 
 
-def test_a_wrong_width_is_corrected_by_default(source_aligned: Path, store_aligned: Path) -> None:
-    line = hp.open_store(store_aligned, GROUP)
-    assert (line.attrs["alignment_state"], line.attrs["alignment_width"]) == (
-        "applied",
-        pytest.approx(4 / 3, abs=0.02),
-    )
+def test_a_wrong_width_is_corrected_by_default(wide: Path, tmp_path: Path) -> None:
+    store = tmp_path / "lot.zarr"
+    done = hyperpaint("process", wide, "--out", store, "--alignment", "auto", "--quiet", status=0)
+    assert "/flightlines/raw_0: irradiance record corrected in flight" in done.output
+    assert run(wide, store, alignment="auto").written == ()
+    line = hp.open_store(store, LINES[0])
+    assert line.attrs["alignment_state"] == "applied"
+    assert line.attrs["alignment_width"] == pytest.approx(4 / 3, abs=0.02)
     assert "irradiance record corrected in flight" in line.attrs["alignment"]
-    assert oxygen_error(line, source_aligned) < 0.003
-
-
-def test_a_store_computes_again_what_it_holds(store_aligned: Path) -> None:
-    line = hp.open_store(store_aligned, GROUP)
+    assert oxygen_error(line, wide) < 0.003
+    # the store computes again what it holds
     again = hp.reflectance(line.drop_vars("reflectance"), keep_bits=12)
     np.testing.assert_array_equal(again.reflectance, line.reflectance)
-    assert hp.open_store(store_aligned, "irradiance").irradiance_fwhm.values == pytest.approx(3.0)
+    assert hp.open_store(store, "irradiance").irradiance_fwhm.values == pytest.approx(3.0)
+    # without the option it is corrected as well
+    default = hp.open_store(hp.process(wide, tmp_path / "default.zarr"), LINES[0])
+    assert_same(default, line, "reflectance")
 
 
-def test_a_rerun_changes_nothing(source_aligned: Path, store_aligned: Path) -> None:
-    assert run(source_aligned, store_aligned).written == ()
-
-
-def test_never_is_a_warning_and_the_collect_may_say_so(source_aligned: Path, tmp_path: Path) -> None:
-    path = copy_of(source_aligned, tmp_path / "raw", '\n[alignment]\napply = "never"\n')
+def test_never_is_a_warning_and_the_collect_may_say_so(wide: Path, tmp_path: Path) -> None:
+    path = copy_of(wide, tmp_path / "raw", '\n[alignment]\napply = "never"\n')
     with pytest.warns(PaintWarning, match="irradiance record differ"):
         hp.process(path, tmp_path / "lot.zarr")
-    line = hp.open_store(tmp_path / "lot.zarr", GROUP)
+    line = hp.open_store(tmp_path / "lot.zarr", LINES[0])
     assert line.attrs["alignment_state"] == "not applied"
-    assert oxygen_error(line, source_aligned) > 0.02
-
-
-def test_words_are_checked_aligned(source_aligned: Path, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        hp.process(source_aligned, tmp_path / "lot.zarr", alignment="yes")  # type: ignore[arg-type]
-    path = copy_of(source_aligned, tmp_path / "raw", '\n[alignment]\napply = "yes"\n')
-    expect_error(CollectError, "alignment", lambda: hp.process(path, tmp_path / "lot.zarr"))
-
-
-def test_the_command_line_says_what_was_corrected(source_aligned: Path, tmp_path: Path) -> None:
-    options = ["--out", str(tmp_path / "lot.zarr"), "--alignment", "auto", "--quiet"]
-    done = hyperpaint("process", source_aligned, *options, status=0)
-    assert "/flightlines/raw_0: irradiance record corrected in flight" in done.output
+    assert oxygen_error(line, wide) > 0.02
+    words: Any = {"alignment": "yes"}
+    path = copy_of(wide, tmp_path / "wrong", '\n[alignment]\napply = "yes"\n')
+    expect_errors(
+        (SchemaError, "choice-unknown", lambda: hp.process(wide, tmp_path / "x.zarr", **words)),
+        (CollectError, "alignment", lambda: hp.process(path, tmp_path / "x.zarr")),
+    )
