@@ -33,11 +33,10 @@ def line() -> xr.Dataset:
     )
 
 
-def test_a_finished_group(tmp_path: Path, line: xr.Dataset) -> None:
+def test_groups_say_whether_they_are_complete(tmp_path: Path, line: xr.Dataset) -> None:
     hp.to_store(line, tmp_path / "lot.zarr", "flightlines/raw_0")
-    text = describe_path(tmp_path / "lot.zarr")
     expect_words(
-        text,
+        describe_path(tmp_path / "lot.zarr"),
         "1 group with arrays",
         "state: complete, written 20",
         "counts: 40 along_track x 3 band x 2 cross_track, uint16 [count]",
@@ -45,26 +44,18 @@ def test_a_finished_group(tmp_path: Path, line: xr.Dataset) -> None:
         "exposure: 5 ms (collect.toml)",
         "also holds: read_noise",
     )
-
-
-def test_a_damaged_group(tmp_path: Path, line: xr.Dataset) -> None:
-    hp.to_store(line, tmp_path / "lot.zarr")
-    next((tmp_path / "lot.zarr/counts/c").rglob("*/0/0")).unlink()
-    assert "NOT COMPLETE: " in describe_path(tmp_path / "lot.zarr")
-
-
-def test_a_copy_without_a_manifest(tmp_path: Path, line: xr.Dataset) -> None:
-    plain_zarr(line.assign_attrs(hyperpaint_version="0.1"), tmp_path / "lot.zarr")
-    expect_words(describe_path(tmp_path / "lot.zarr"), "not in a manifest", without=("another program",))
-
-
-def test_a_store_of_another_program(tmp_path: Path, line: xr.Dataset) -> None:
+    hp.to_store(line, tmp_path / "damaged.zarr")
+    next((tmp_path / "damaged.zarr/counts/c").rglob("*/0/0")).unlink()
+    assert "NOT COMPLETE: " in describe_path(tmp_path / "damaged.zarr")
+    # a copy without a manifest, and a store of another program
+    plain_zarr(line.assign_attrs(hyperpaint_version="0.1"), tmp_path / "copy.zarr")
     plain_zarr(line, tmp_path / "other.zarr")
-    text = describe_path(tmp_path / "other.zarr")
-    expect_words(
-        text,
-        "not in a manifest, so that completeness is unknown; written at an unknown time by another",
-        without=("NOT COMPLETE",),
+    unknown = "not in a manifest, so that completeness is unknown; written at an unknown time by another"
+    expect_words(describe_path(tmp_path / "copy.zarr"), "not in a manifest", without=("another program",))
+    expect_words(describe_path(tmp_path / "other.zarr"), unknown, without=("NOT COMPLETE",))
+    expect_refusals(
+        (hp.FormatError, "file-not-found", lambda: describe_path(tmp_path / "none")),
+        (hp.StoreError, "format-unknown", lambda: describe_path(tmp_path)),
     )
 
 
@@ -73,13 +64,6 @@ def test_the_simulators_stores(tmp_path: Path) -> None:
     for name in ("calibration.zarr", "truth.zarr"):
         assert "not in a manifest" in describe_path(collect.parent / name)
     assert "5 ms (collect.toml)" in describe_path(collect)
-
-
-def test_what_is_not_there(tmp_path: Path) -> None:
-    expect_refusals(
-        (hp.FormatError, "file-not-found", lambda: describe_path(tmp_path / "none")),
-        (hp.StoreError, "format-unknown", lambda: describe_path(tmp_path)),
-    )
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -120,20 +121,30 @@ def test_a_record_that_misses_the_flight_asks_for_its_clock(tmp_path: Path) -> N
     assert any(line.startswith("clock_offset_s") for line in unknown_keys(write_collect_toml(found)))
 
 
-def test_cubes_that_are_not_raw_are_said(folder: Path) -> None:
+def test_files_without_a_use_are_said(folder: Path, tmp_path: Path) -> None:
+    # a cube of floats, two calibrations, a survey of a slope, binned pixels
     text = (folder / "flight" / "raw_0.hdr").read_text(encoding="utf-8")
     (folder / "flight" / "raw_0_rd.hdr").write_text(text.replace("data type = 12", "data type = 4"))
     shutil.copy(folder / "flight" / "raw_0", folder / "flight" / "raw_0_rd")
-    found = find_field_files(folder)
-    assert len(found.cubes) == 2
-    assert any("raw_0_rd.hdr is not used" in note for note in found.notes)
-
-
-def test_two_calibrations_are_not_chosen_between(folder: Path) -> None:
     shutil.copytree(folder / "calibration.zarr", folder / "older.zarr")
+    (folder / "survey.csv").write_text("name,ellipsoidal_height_m\nA,100.0\nB,103.5\n")
+    for header in (folder / "flight").glob("*.hdr"):
+        header.write_text(header.read_text() + ";Row binning = 2\n")
     found = find_field_files(folder)
-    assert found.calibration is None
-    assert any("several calibrations" in note for note in found.notes)
+    assert (len(found.cubes), found.calibration, found.survey) == (2, None, None)
+    notes = ("raw_0_rd.hdr is not used", "several calibrations", "heights differ by 3.50 m")
+    expect_words("\n".join(found.notes), *notes)
+    assert {cube.lens for cube in found.cubes} == {None}
+    assert "fov_deg" not in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))["geometry"]
+    # heights that do not say what they are above, and a calibration that does not open
+    (folder / "survey.csv").write_text("name,height_m\nA,100.0\nB,100.5\n")
+    os.mkfifo(tmp_path / "camera.zarr")
+    found = find_field_files(folder, calibration=tmp_path / "camera.zarr")
+    assert (found.calibration, found.survey) == (None, None)
+    assert any(re.match(r".*camera\.zarr is not used: .* a pipe", note) for note in found.notes)
+    assert any("height-column-missing" in note for note in found.notes)
+    path = write_collect_toml(found, overwrite=True)
+    assert "geometry" in tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def test_a_folder_without_a_flight_is_one_error(tmp_path: Path) -> None:
@@ -143,34 +154,28 @@ def test_a_folder_without_a_flight_is_one_error(tmp_path: Path) -> None:
     )
 
 
-def test_a_collect_that_is_there_stays(folder: Path) -> None:
+def test_the_ground_and_the_lens_are_those_of_the_simulator(simulated: Path, folder: Path) -> None:
     found = find_field_files(folder)
     path = write_collect_toml(found)
-    expect_error(hp.StoreError, "exists", lambda: write_collect_toml(found))
-    assert write_collect_toml(found, overwrite=True) == path
-
-
-def test_the_ground_and_the_lens_are_those_of_the_simulator(simulated: Path, folder: Path) -> None:
-    written = tomllib.loads(write_collect_toml(find_field_files(folder)).read_text(encoding="utf-8"))
+    written = tomllib.loads(path.read_text(encoding="utf-8"))
     truth = tomllib.loads((simulated / "collect.toml").read_text(encoding="utf-8"))
     assert written["geometry"]["ground"] == pytest.approx(truth["geometry"]["ground"], abs=1e-3)
     assert written["geometry"]["fov_deg"] == pytest.approx(truth["geometry"]["fov_deg"], rel=1e-5)
-
-
-def test_heights_that_do_not_say_what_they_are_above_are_not_used(folder: Path) -> None:
-    survey = folder / "survey.csv"
-    survey.write_text(survey.read_text().replace("ellipsoidal_height_m", "height_m"))
-    found = find_field_files(folder)
-    assert found.survey is None
-    assert any("height-column-missing" in note for note in found.notes)
-    assert "geometry" in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))
-
-
-def test_a_survey_of_a_slope_is_no_height_of_the_ground(folder: Path) -> None:
-    (folder / "survey.csv").write_text("name,ellipsoidal_height_m\nA,100.0\nB,103.5\n")
-    found = find_field_files(folder)
-    assert found.survey is None
-    assert any("heights differ by 3.50 m" in note for note in found.notes)
+    assert "id" not in written["flightlines"][0]  # one flight needs none
+    # a collect that exists stays, and what is no TOML is not written over
+    expect_error(hp.StoreError, "exists", lambda: write_collect_toml(found))
+    assert write_collect_toml(found, overwrite=True) == path
+    for place in (
+        folder / "flight/settings.txt",
+        folder / "flight/raw_0",
+        folder / "calibration.zarr/zarr.json",
+    ):
+        before = place.read_bytes()
+        expect_error(hp.StoreError, "file-foreign", partial(write_collect_toml, found, place, overwrite=True))
+        assert place.read_bytes() == before
+    # a processed store is no calibration to choose
+    hp.process(path, folder / "products" / "lot.zarr")
+    assert find_field_files(folder).calibration == folder / "calibration.zarr"
 
 
 @pytest.mark.parametrize(
@@ -200,35 +205,6 @@ def test_a_survey_in_other_units_or_of_endless_cells_is_refused(
     expect_error(hp.errors.FormatError, problem, lambda: _surveyed_heights(tmp_path / "survey.csv"))
 
 
-def test_binned_pixels_leave_the_field_of_view_open(folder: Path) -> None:
-    for header in (folder / "flight").glob("*.hdr"):
-        header.write_text(header.read_text() + ";Row binning = 2\n")
-    found = find_field_files(folder)
-    assert {cube.lens for cube in found.cubes} == {None}
-    assert "fov_deg" not in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))["geometry"]
-
-
-def test_what_is_no_toml_is_not_written_over(folder: Path) -> None:
-    for name in ("flight/settings.txt", "flight/raw_0", "calibration.zarr/zarr.json"):
-        before = (folder / name).read_bytes()
-        with pytest.raises(hp.StoreError, match="file-foreign"):
-            write_collect_toml(find_field_files(folder), folder / name, overwrite=True)
-        assert (folder / name).read_bytes() == before
-
-
-def test_a_calibration_that_does_not_open_is_said(folder: Path, tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "camera.zarr")
-    found = find_field_files(folder, calibration=tmp_path / "camera.zarr")
-    assert found.calibration is None
-    assert any(re.match(r".*camera\.zarr is not used: .* a pipe", note) for note in found.notes)
-
-
-def test_a_processed_store_is_no_calibration_to_choose(folder: Path) -> None:
-    path = write_collect_toml(find_field_files(folder))
-    hp.process(path, folder / "products" / "lot.zarr")
-    assert find_field_files(folder).calibration == folder / "calibration.zarr"
-
-
 def test_two_flights_whose_cubes_have_the_same_names_open(folder: Path) -> None:
     shutil.copytree(folder / "flight", folder / "second flight")
     path = write_collect_toml(find_field_files(folder))
@@ -241,11 +217,6 @@ def test_two_flights_whose_cubes_have_the_same_names_open(folder: Path) -> None:
     path = write_collect_toml(find_field_files(folder), overwrite=True)
     tables = tomllib.loads(path.read_text(encoding="utf-8"))["flightlines"]
     assert [table["id"] for table in tables] == ["flight_raw_0", "flight_raw_20", "second_flight"]
-
-
-def test_one_flight_needs_no_id(folder: Path) -> None:
-    path = write_collect_toml(find_field_files(folder))
-    assert "id" not in tomllib.loads(path.read_text(encoding="utf-8"))["flightlines"][0]
 
 
 # --- `run_field_day`: two commands from a folder to products; what is there already is left alone ---
