@@ -6,15 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 from support.codecs import plain_zarr
+from support.commands import hyperpaint
 from support.library_examples import make_library
 from support.refusals import expect_error, expect_refusals, expect_words
 from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
-from hyperpaint.cli.flight_commands import verify
-from hyperpaint.cli.info_command import describe_path, info
+from hyperpaint.cli.info_command import describe_path
 from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.report import write_report
 
@@ -84,11 +83,6 @@ def test_a_folder_of_texts_of_single_spectra() -> None:
 # --- `verify`, `info` and `report` of a store that is not whole: what it lacks, and how to finish it ---
 
 
-def said(command: Any, *words: object) -> tuple[int, str]:
-    done = CliRunner().invoke(command, [str(word) for word in words])
-    return done.exit_code, done.output
-
-
 @pytest.fixture
 def collect(tmp_path: Path) -> Path:
     return tiny_collect(tmp_path / "raw", 2)
@@ -107,10 +101,9 @@ def test_an_unfinished_store_says_how_it_is_finished(
     monkeypatch.setattr(WholeRun, "write", stop)
     expect_error(KeyboardInterrupt, None, lambda: hp.process(collect, out, to="radiance"))
     again = "unfinished: 1 of 2 groups are written, without /flightlines/raw_1; to finish it"
-    for command, expected in ((verify, 1), (info, 0)):
-        status, text = said(command, out)
-        assert status == expected
-        expect_words(text, again, f"--out {out} --to radiance")
+    for command, status in (("verify", 1), ("info", 0)):
+        output = hyperpaint(command, out, status=status).output
+        expect_words(output, again, f"--out {out} --to radiance")
     page = write_report(out, tmp_path / "report.html")
     assert page.flightlines == ("flightlines/raw_0",)
     assert again[:40] in page.problems[0]
@@ -118,10 +111,8 @@ def test_an_unfinished_store_says_how_it_is_finished(
 
 def test_inputs_are_compared_on_request(collect: Path, tmp_path: Path) -> None:
     out = hp.process(collect, tmp_path / "lot.zarr", to="radiance")
-    status, text = said(verify, out, "--inputs")
-    assert (status, "all unchanged" in text) == (0, True)
+    assert "all unchanged" in hyperpaint("verify", out, "--inputs", status=0).output
     collect.with_name("raw_0").write_bytes(bytes(collect.with_name("raw_0").stat().st_size))
-    status, text = said(verify, out, "--collect", collect)
-    assert status == 1
-    assert "/flightlines/raw_0: its inputs have changed" in text
-    assert said(verify, out)[0] == 0
+    changed = hyperpaint("verify", out, "--collect", collect, status=1).output
+    assert "/flightlines/raw_0: its inputs have changed" in changed
+    hyperpaint("verify", out, status=0)

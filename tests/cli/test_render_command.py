@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.commands import hyperpaint
-from support.refusals import expect_error, expect_words
+from support.refusals import expect_error, expect_errors, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
@@ -304,49 +305,32 @@ def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 # --- what is refused ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("spectrum", "problem"),
-    [
+def test_calls_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    out = tmp_path / "out.zarr"
+    render: Any = partial(hp.render_scene, scene_file(tmp_path))
+    unknown = "no atmosphere 'dusk' in the scene file, expected some of noon, cloudy"
+    expect_errors(
+        (SchemaError, "samples=0", lambda: render(out, samples=0)),
+        (SchemaError, "samples=1000000000000", lambda: render(out, samples=10**12)),
+        (SchemaError, "to='reflectance'", lambda: render(out, to="reflectance")),
+        (SchemaError, unknown, lambda: render(out, atmospheres=["dusk"])),
+        (StoreError, "output-is-url", lambda: render("s3://bucket/out.zarr")),
+    )
+    # spectra that no paint has
+    file = scene_file(tmp_path, SCENE + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')
+    for spectrum, problem in (
         ("300,0.2\n1200,1.3\n", "value-out-of-range"),
         ("500,0.2\n600,0.3\n", "spectrum-coverage"),
         ("300,0.2\n1200,nan\n", "not-finite"),
-    ],
-)
-def test_spectra_that_no_paint_has_are_refused(tmp_path: Path, spectrum: str, problem: str) -> None:
-    (tmp_path / "mine.csv").write_text(spectrum)
-    file = scene_file(tmp_path, SCENE + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')
-    expect_error((SchemaError, FormatError), problem, lambda: hp.render_scene(file, tmp_path / "out.zarr"))
-    assert not (tmp_path / "out.zarr").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        ({"samples": 0}, "samples=0"),
-        ({"samples": 10**12}, "samples=1000000000000"),
-        ({"to": "reflectance"}, "to='reflectance'"),
-        ({"atmospheres": ["dusk"]}, "no atmosphere 'dusk' in the scene file, expected some of noon, cloudy"),
-    ],
-)
-def test_calls_that_make_no_sense_are_refused(tmp_path: Path, options: dict[str, Any], problem: str) -> None:
-    expect_error(
-        SchemaError, problem, lambda: hp.render_scene(scene_file(tmp_path), tmp_path / "out.zarr", **options)
-    )
-    assert not (tmp_path / "out.zarr").exists()
-
-
-def test_scenes_larger_than_the_disk_are_refused_before_anything_is_built(tmp_path: Path) -> None:
+    ):
+        (tmp_path / "mine.csv").write_text(spectrum)
+        expect_error((SchemaError, FormatError), problem, partial(hp.render_scene, file, out))
+    # a scene larger than the disk is refused before anything is built
     text = SCENE.replace("lines = 40", "lines = 1_000_000").replace("columns = 24", "columns = 20_000")
     text = text.replace("ground_sample_m = 0.4", "ground_sample_m = 0.001")
     file = scene_file(tmp_path, text.replace("bands = 12", "bands = 4"))
-    expect_error(StoreError, r"633\.30 GiB.*disk-full", lambda: hp.render_scene(file, tmp_path / "out.zarr"))
-    assert not (tmp_path / "out.zarr").exists()
-
-
-def test_urls_are_refused(tmp_path: Path) -> None:
-    expect_error(
-        StoreError, "output-is-url", lambda: hp.render_scene(scene_file(tmp_path), "s3://bucket/out.zarr")
-    )
+    expect_error(StoreError, r"633\.30 GiB.*disk-full", lambda: hp.render_scene(file, out))
+    assert not out.exists()
 
 
 def test_problems_are_one_message_and_status_2(tmp_path: Path) -> None:

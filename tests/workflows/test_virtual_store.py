@@ -37,8 +37,7 @@ def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def wanted(collect: Path, tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
-    store = hp.process(collect, tmp_path_factory.mktemp("store") / "lot.zarr", reflectance="none")
-    return hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+    return computed(collect, tmp_path_factory.mktemp("store") / "lot.zarr")
 
 
 @pytest.fixture
@@ -55,6 +54,12 @@ def assert_same(line: xr.Dataset, wanted: xr.Dataset) -> None:
         assert values.tobytes() == wanted[name].values.tobytes(), name
         assert product[name].dtype == wanted[name].dtype
     assert product["reflectance"].attrs == wanted["reflectance"].attrs
+
+
+def computed(collect: Path, store: Path) -> xr.Dataset:
+    # Return the product of the counts that `process` stores
+    hp.process(collect, store, reflectance="none")
+    return hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
 
 
 def rewritten(collect: Path, interleave: str = "bil", dtype: str = "<u2", offset: int = 0) -> Path:
@@ -129,8 +134,7 @@ def shortened(collect: Path, lines: int) -> None:
 
 def test_the_last_short_slab_is_copied(copied: Path, tmp_path: Path) -> None:
     shortened(copied, 73)  # a prime
-    store = hp.process(copied, tmp_path / "lot.zarr", reflectance="none")
-    expected = hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+    expected = computed(copied, tmp_path / "lot.zarr")
     virtualise(copied, tmp_path / NAME)
     line = hp.io.open_virtual(tmp_path / NAME)
     assert line["counts"].variable.chunksizes["along_track"] == (32, 32, 9)
@@ -141,8 +145,7 @@ def test_lost_frames_are_copied(copied: Path, tmp_path: Path) -> None:
     index = copied.parent / "flight" / "frameIndex_0.txt"
     rows = index.read_text().splitlines(keepends=True)
     index.write_text("".join(rows[:-20] + rows[-19:]))  # by number now: one of the lines was never recorded
-    store = hp.process(copied, tmp_path / "lot.zarr", reflectance="none")
-    expected = hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+    expected = computed(copied, tmp_path / "lot.zarr")
     assert (expected["counts"] == 65535).all(("band", "cross_track")).sum() == 1
     virtualise(copied, tmp_path / NAME)
     assert_same(hp.io.open_virtual(tmp_path / NAME), expected)
@@ -311,8 +314,7 @@ def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
         (flight / f"{name}.hdr").write_text(half)
     text = copied.read_text().replace('cube = "flight/raw_0.hdr"', 'cube = "flight/raw_*.hdr"')
     copied.write_text(text)
-    store = hp.process(copied, tmp_path / "lot.zarr", reflectance="none")
-    expected = hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+    expected = computed(copied, tmp_path / "lot.zarr")
     assert expected.sizes["along_track"] == LINES
     virtualise(copied, tmp_path / NAME)
     line = hp.io.open_virtual(tmp_path / NAME)
