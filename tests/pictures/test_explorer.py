@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_raises, refusal
+from support.refusals import expect_errors, refusal
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -96,12 +96,12 @@ def test_regions_to_begin_with_can_be_drawn() -> None:
     with pytest.raises(SchemaError, match="region-coordinates"):
         Explored(flight().line, hp.Regions(tuple(BEGIN), "map"))
     holed = hp.Region("ring", [(0, 0), (5, 0), (5, 9)], ([(2, 1), (3, 1), (3, 2)],))
-    expect_raises((SchemaError, r"ring.*region-holes", lambda: Explored(flight().line, holed)))
+    expect_errors((SchemaError, r"ring.*region-holes", lambda: Explored(flight().line, holed)))
 
 
 def test_a_line_without_reflectance_or_wavelength_is_refused() -> None:
     line = flight().line
-    expect_raises(
+    expect_errors(
         (SchemaError, "reflectance", lambda: Explored(line.drop_vars("counts"))),
         (SchemaError, "wavelength", lambda: Explored(line.drop_vars("wavelength"))),
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -67,7 +67,7 @@ def test_what_has_no_card_is_refused(measured: tuple[xr.Dataset, xr.Dataset]) ->
     card = hp.pictures.paint_card
     cut = line.isel(cross_track=slice(5, None))
     mapped = library.assign_attrs(coordinates_of_regions="map")
-    expect_raises(
+    expect_errors(
         (SchemaError, r"'blue'.*paint-unknown", lambda: card(line, library, "blue")),
         (SchemaError, "library-missing", lambda: card(line, line, "red $roof")),
         (

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 from support.strategies import flight
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
@@ -163,7 +163,7 @@ def test_quicklook_draws_a_picture(tmp_path: Any) -> None:
 
 def test_quicklook_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    expect_raises((MissingExtraError, r"\[viz\].*extra-missing", lambda: quicklook(flight().line)))
+    expect_errors((MissingExtraError, r"\[viz\].*extra-missing", lambda: quicklook(flight().line)))
 
 
 def test_smile_does_not_tint_the_picture() -> None:
@@ -211,7 +211,7 @@ def test_the_overview_serves_where_few_lines_are_asked_for(no_compute: Any) -> N
     # without a cube it is all there is
     alone = line.drop_vars(["counts", "reflectance"])
     np.testing.assert_array_equal(rgb(alone).values, small.values)
-    expect_raises(
+    expect_errors(
         (SchemaError, "variable-missing", lambda: rgb(alone.drop_vars("overview"))),
         (SchemaError, r"lines=0.*out-of-range", lambda: rgb(line, lines=0)),
     )

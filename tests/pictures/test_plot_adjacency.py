@@ -11,7 +11,7 @@ from hyperpaint.base.errors import SchemaError
 
 pytest.importorskip("matplotlib")
 
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 from hyperpaint.pictures.plot import adjacency_figure
 
@@ -82,7 +82,7 @@ def test_what_cannot_be_drawn() -> None:
     with pytest.raises(SchemaError) as refused:
         adjacency_figure(line, NEAR, hp.Regions((NEAR, FAR)), without=line.isel(band=slice(5)), width=0)
     assert refused.value.codes == ("grid-mismatch", "value-out-of-range", "region-number")
-    expect_raises(
+    expect_errors(
         (
             SchemaError,
             r"'off'.*region-empty",

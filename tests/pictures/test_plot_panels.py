@@ -6,7 +6,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from support.laid_panels import Laid, flown_over
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -32,7 +32,7 @@ def test_curves_are_the_factors(tmp_path: Path) -> None:
 
 
 def test_a_line_without_panels_has_no_picture() -> None:
-    expect_raises((SchemaError, "variable-missing", lambda: hp.pictures.panel_figure(flight().line)))
+    expect_errors((SchemaError, "variable-missing", lambda: hp.pictures.panel_figure(flight().line)))
 
 
 def test_a_report_has_a_part_for_panels() -> None:

@@ -18,7 +18,7 @@ from hyperpaint.paints.colours import srgb
 pytest.importorskip("matplotlib")
 
 from matplotlib.figure import Figure
-from support.refusals import expect_raises, expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import save_figure
@@ -114,7 +114,7 @@ def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset)
     with pytest.raises(SchemaError) as refused:
         spectrum(line, pixels=[(20, 0), (0, -1)], axes=axes())
     assert refused.value.codes == ("pixel-outside",) * 2
-    expect_raises(
+    expect_errors(
         (SchemaError, r"whole.*type-wrong", lambda: spectrum(line, pixels=(0.5, 1.0))),
         (SchemaError, "curve-number", lambda: spectrum(line, pixels=[(0, 0)] * 25)),
     )
@@ -132,7 +132,7 @@ def test_without_matplotlib(line: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    expect_raises(
+    expect_errors(
         (MissingExtraError, r"\[viz\].*extra-missing", lambda: spectrum(line, pixels=(0, 0))),
         (MissingExtraError, r"\[viz\].*extra-missing", lambda: triptych(line, LEFT)),
     )
@@ -198,9 +198,9 @@ def test_curves_have_the_colours_of_their_paints(paints: xr.Dataset) -> None:
 
 @pytest.mark.filterwarnings("ignore:.*counts-averaged")
 def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:
-    expect_raises((SchemaError, "region-number", lambda: triptych(line, hp.Regions((LEFT, RIGHT)))))
+    expect_errors((SchemaError, "region-number", lambda: triptych(line, hp.Regions((LEFT, RIGHT)))))
     dark = line.assign(saturation_count=((), np.float32(60.0), {"units": "count"}))
-    expect_raises(
+    expect_errors(
         (SchemaError, r"'left'.*region-empty", lambda: triptych(dark, LEFT)),
         (SchemaError, "counts", lambda: triptych(line.drop_vars("counts"), LEFT)),
     )
@@ -273,7 +273,7 @@ def test_a_picture_replaces_an_old_one_as_a_whole(tmp_path: Path, monkeypatch: p
 
     with monkeypatch.context() as patched:
         patched.setattr(figure, "savefig", half)
-        expect_raises((StoreError, r"No space left.* free", lambda: save_figure(figure, path)))
+        expect_errors((StoreError, r"No space left.* free", lambda: save_figure(figure, path)))
     assert path.read_bytes() == before
     save_figure(figure, tmp_path / "without_suffix")
     assert sorted(each.name for each in tmp_path.iterdir()) == ["spectra.png", "without_suffix.png"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -12,6 +12,7 @@ import pytest
 from hyperpaint.base.errors import PaintError
 
 E = TypeVar("E", bound=PaintError)
+F = TypeVar("F", bound=BaseException)
 
 
 @contextmanager
@@ -32,8 +33,22 @@ def expect_refusals(*rows: tuple[Any, ...]) -> None:
             call()
 
 
-def expect_raises(*rows: tuple[Any, ...]) -> None:
-    """Expect the error of every row: class, regular expression of its message, and the raising call."""
-    for kind, match, call in rows:
-        with pytest.raises(kind, match=match):
-            call()
+def expect_words(text: Any, *words: Any, without: tuple[Any, ...] = ()) -> None:
+    """Expect all of some words, or keys, in a text or container, and none of those ``without``."""
+    absent = [word for word in words if word not in text]
+    present = [word for word in without if word in text]
+    assert not absent, f"expected {absent} in: {text}"
+    assert not present, f"expected no {present} in: {text}"
+
+
+def expect_error(kind: type[F], match: str | None, call: Callable[[], Any]) -> F:
+    """Return the error of a call, of one class, whose message matches a pattern."""
+    with pytest.raises(kind, match=match) as caught:
+        call()
+    return caught.value
+
+
+def expect_errors(*rows: tuple[type[BaseException], str, Callable[[], Any]]) -> None:
+    """Expect the error of every row: class, pattern of its message, and the call that raises it."""
+    for row in rows:
+        expect_error(*row)

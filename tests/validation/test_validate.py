@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
-from support.refusals import expect_raises, expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
@@ -146,9 +146,9 @@ def test_units_are_converted_and_wanted() -> None:
     )
     assert value_of(hp.validate(signatures, percent, reference_fwhm=3.0), "rmse") < 1e-5
     bare = references.assign(reflectance=references["reflectance"].assign_attrs(units="sr-1"))
-    expect_raises((SchemaError, r"reference 1:.*'sr-1'", lambda: hp.validate(signatures, bare)))
+    expect_errors((SchemaError, r"reference 1:.*'sr-1'", lambda: hp.validate(signatures, bare)))
     del references["reflectance"].attrs["units"]
-    expect_raises((SchemaError, "units-missing", lambda: hp.validate(signatures, references)))
+    expect_errors((SchemaError, "units-missing", lambda: hp.validate(signatures, references)))
 
 
 # --- wavelengths that are wrong ----------------------------------------------------------------------------
@@ -457,4 +457,4 @@ def test_dtypes_and_units() -> None:
 def test_units_error_of_signatures() -> None:
     signatures, references = agreeing()
     signatures["reflectance"].attrs["units"] = "furlong"
-    expect_raises(((SchemaError, UnitsError), "furlong", lambda: hp.validate(signatures, references)))
+    expect_errors(((SchemaError, UnitsError), "furlong", lambda: hp.validate(signatures, references)))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.dirsig import open_emissivity, read_emissivity
@@ -81,7 +81,7 @@ def test_a_new_file_may_have_tabs_and_blank_lines(tmp_path: Path, end: str) -> N
     found = read_emissivity(written(tmp_path, NEW, end))
     assert [curve.wavelength.tolist() for curve in found.curves] == [[0.4, 0.5], [0.4, 0.6]]
     assert [curve.emissivity.tolist() for curve in found.curves] == [[0.9, 0.8], [0.7, 0.1]]
-    expect_raises((FormatError, "grid-mismatch", lambda: open_emissivity(tmp_path / "paint.ems")))
+    expect_errors((FormatError, "grid-mismatch", lambda: open_emissivity(tmp_path / "paint.ems")))
     # the last line needs no end
     assert len(read_emissivity(written(tmp_path, NEW[:-2])).curves) == 2
 
@@ -144,7 +144,7 @@ def test_all_problems_are_told_at_once(tmp_path: Path) -> None:
 def test_what_is_no_such_file_is_refused(data: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.ems"
     path.write_bytes(data)
-    expect_raises(
+    expect_errors(
         (FormatError, r"x\.ems", lambda: read_emissivity(path)),
         (FormatError, "file-unreadable", lambda: read_emissivity(tmp_path / "missing.ems")),
     )
@@ -174,4 +174,4 @@ def test_text_is_what_formatting_one_by_one_gives(wavelength, count, random) -> 
 
 
 def test_wavelengths_that_are_written_alike_are_refused() -> None:
-    expect_raises((SchemaError, "wavelength-unordered", lambda: ColumnText([400.0, 400.00001])))
+    expect_errors((SchemaError, "wavelength-unordered", lambda: ColumnText([400.0, 400.00001])))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.dirsig_exports import BANDS, NM, files, library
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
@@ -65,7 +65,7 @@ def test_all_wrong_options_are_told_at_once(tmp_path: Path, max_curves: Any) -> 
     ],
 )
 def test_what_is_no_library_is_refused(change: Any, said: str, tmp_path: Path) -> None:
-    expect_raises((SchemaError, said, lambda: hp.write_dirsig(change(library()), tmp_path / "out")))
+    expect_errors((SchemaError, said, lambda: hp.write_dirsig(change(library()), tmp_path / "out")))
     assert not list(tmp_path.iterdir())
 
 
@@ -90,7 +90,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     out = tmp_path / "out"
     hp.write_dirsig(library(), out)
     before = files(out)
-    expect_raises((StoreError, "overwrite=True", lambda: hp.write_dirsig(library(seed=1), out)))
+    expect_errors((StoreError, "overwrite=True", lambda: hp.write_dirsig(library(seed=1), out)))
     assert files(out) == before
     hp.write_dirsig(library(paints=2, seed=1), out, overwrite=True)
     assert not (out / "emissivity/paint_2.ems").exists()
@@ -112,7 +112,7 @@ def test_files_of_others_are_never_replaced(tmp_path: Path) -> None:
     ):
         with pytest.raises(StoreError, match=message):
             hp.write_dirsig(library(), tmp_path / name, overwrite=True)
-    expect_raises((StoreError, "folder-is-url", lambda: hp.write_dirsig(library(), "s3://bucket/out")))
+    expect_errors((StoreError, "folder-is-url", lambda: hp.write_dirsig(library(), "s3://bucket/out")))
     assert files(tmp_path) == before
     (tmp_path / "empty").mkdir()
     hp.write_dirsig(library(), tmp_path / "empty")

@@ -20,7 +20,7 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 from support import ROOT
 from support.envi_cubes import CODES, FROM_LBS, toy, write_cube
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
@@ -171,7 +171,7 @@ def test_declared_sizes_allocate_nothing(tmp_path: Path, changed: str) -> None:
     key = changed.split(" =")[0]
     kept = [text for text in header.read_text().splitlines() if not text.startswith(key)]
     header.write_text("\n".join([*kept, changed]))
-    expect_raises((FormatError, "file-size", lambda: open_envi(header)))
+    expect_errors((FormatError, "file-size", lambda: open_envi(header)))
 
 
 def test_contradictions_are_refused(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_file_cut_while_it_is_read_is_noticed(tmp_path: Path, monkeypatch: pytes
     status_of = os.fstat
     # after the check whether the file has changed
     monkeypatch.setattr(os, "fstat", lambda file: (status_of(file), _resize(header, -10))[0])
-    expect_raises((FormatError, "file-truncated", lambda: line["values"].load()))
+    expect_errors((FormatError, "file-truncated", lambda: line["values"].load()))
 
 
 # --- laziness ----------------------------------------------------------------------------------------------

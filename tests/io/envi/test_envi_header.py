@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.envi.envi_cubes import parse_header, read_header
@@ -227,7 +227,7 @@ def test_same_value_twice_is_noted_and_comments_keep_the_first() -> None:
 def test_foreign_files(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "foreign.hdr"
     path.write_bytes(content)
-    expect_raises((FormatError, r"foreign\.hdr", lambda: read_header(path)))
+    expect_errors((FormatError, r"foreign\.hdr", lambda: read_header(path)))
 
 
 def test_damaged_headers_raise_format_error_only(shared_data: Path) -> None:
@@ -325,7 +325,7 @@ def test_oversized_header_is_refused(tmp_path: Path) -> None:
     with open(path, "wb") as file:
         file.write(b"ENVI\n")
         file.truncate(2**30)
-    expect_raises((FormatError, "over 4 MB", lambda: read_header(path)))
+    expect_errors((FormatError, "over 4 MB", lambda: read_header(path)))
 
 
 @pytest.mark.real_data

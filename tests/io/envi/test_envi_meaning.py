@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.envi_cubes import FROM_LBS, toy, write_cube
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
@@ -266,4 +266,4 @@ def test_what_the_header_contradicts_is_refused(
     tmp_path: Path, dtype: str, lines: tuple[str, ...], quantity: str, message: str
 ) -> None:
     header = write_cube(tmp_path / "toy", toy(dtype), *lines)
-    expect_raises((FormatError, message, lambda: open_envi(header, quantity=quantity)))
+    expect_errors((FormatError, message, lambda: open_envi(header, quantity=quantity)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, strategies as st
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.envi.envi_cubes import EnviParser, slab_lines, slab_offsets
@@ -87,8 +87,8 @@ def test_the_parser_serves_virtualizarr(tmp_path: Path, registry: Any) -> None:
 def test_the_parser_refuses_what_would_be_read_wrongly(tmp_path: Path, registry: Any) -> None:
     _cube(tmp_path, "bil", 12, "<u2", 0)
     url = f"file://{tmp_path}/raw_0"
-    expect_raises((FormatError, "length-mismatch", lambda: EnviParser(lines=32)(url, registry)))
+    expect_errors((FormatError, "length-mismatch", lambda: EnviParser(lines=32)(url, registry)))
     (tmp_path / "raw_0").write_bytes(bytes(1198))
-    expect_raises((FormatError, "file-size", lambda: EnviParser()(url, registry)))
+    expect_errors((FormatError, "file-size", lambda: EnviParser()(url, registry)))
     (tmp_path / "raw_0.hdr").write_text("ENVI\nsamples = 5\n")
-    expect_raises((FormatError, "key-missing", lambda: EnviParser()(url, registry)))
+    expect_errors((FormatError, "key-missing", lambda: EnviParser()(url, registry)))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
@@ -121,7 +121,7 @@ def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
         patched.setattr(publishing, "_settle", lambda _: None)  # as a process that is killed
         with pytest.raises(Power):
             hp.write_library(new, path, overwrite=overwrite)
-    expect_raises((FormatError, r"no header|no such file", lambda: hp.open_library(path)))
+    expect_errors((FormatError, r"no header|no such file", lambda: hp.open_library(path)))
     hp.write_library(new, path, overwrite=overwrite)
     assert hp.open_library(path).sizes["signature"] == 5
     assert sorted(p.name for p in tmp_path.iterdir()) == ["paints.hdr", "paints.sli", "paints.sli.json"]
@@ -143,7 +143,7 @@ def test_one_writer_at_a_time(library: xr.Dataset, tmp_path: Path) -> None:
     def second(done: int, total: int) -> None:
         if done == total:  # it is there by now
             return
-        expect_raises((StoreError, "is being written", lambda: hp.write_library(library, path)))
+        expect_errors((StoreError, "is being written", lambda: hp.write_library(library, path)))
 
     hp.write_library(library, path, progress=second)
     assert hp.open_library(path).sizes["signature"] == 5

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.refusals import expect_raises, expect_refusals, refusal
+from support.refusals import expect_errors, expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, StoreError
@@ -342,7 +342,7 @@ def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> No
 def test_several__one_bad_file_is_an_error_that_names_it(tmp_path: Path) -> None:
     write_text(tmp_path, "450,0.1\n550,0.2\n", "a.txt")
     write_text(tmp_path, "nothing\n", "b.txt")
-    expect_raises((FormatError, r"b.txt.*table-missing", lambda: hp.open_library(tmp_path)))
+    expect_errors((FormatError, r"b.txt.*table-missing", lambda: hp.open_library(tmp_path)))
 
 
 def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_path: Path) -> None:
@@ -366,7 +366,7 @@ def test_zarr__that_is_no_library_is_refused(tmp_path: Path) -> None:
     import xarray as xr
 
     hp.to_store(xr.Dataset({"x": ("y", [1.0])}), tmp_path / "x.zarr")
-    expect_raises((FormatError, "library-missing", lambda: hp.open_library(tmp_path / "x.zarr")))
+    expect_errors((FormatError, "library-missing", lambda: hp.open_library(tmp_path / "x.zarr")))
     with pytest.raises(StoreError):
         hp.open_library(tmp_path / "absent.zarr")
 
@@ -384,7 +384,7 @@ def ecostress(x: list[float], y: list[float], units: str, x_units: str = "Wavele
 
 def test_nanometres_that_are_called_micrometres_are_refused(tmp_path: Path) -> None:
     path = write_text(tmp_path, ecostress([400.0, 500.0, 590.0], [10.0] * 3, "Reflectance (percent)"))
-    expect_raises((FormatError, "wavelength-range", lambda: hp.open_library(path)))
+    expect_errors((FormatError, "wavelength-range", lambda: hp.open_library(path)))
     assert hp.open_library(path, wavelength=[400, 500, 590])["wavelength"].values.tolist() == [400, 500, 590]
     far = write_text(tmp_path, ecostress([1.2, 20.0, 216.0], [10.0] * 3, "Reflectance (percent)"), "far.txt")
     assert hp.open_library(far)["wavelength"].values.max() == 216_000.0

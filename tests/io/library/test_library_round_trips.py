@@ -12,7 +12,7 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 from support import painted_lines
 from support.library_examples import NAMES, make_library
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
@@ -188,7 +188,7 @@ def test_csv__edited_in_a_spreadsheet(library: xr.Dataset, tmp_path: Path) -> No
 )
 def test_csv__what_is_no_table_is_said(first: str, row: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text(f"{first}\n{row}\n")
-    expect_raises((FormatError, said, lambda: hp.open_library(tmp_path / "x.csv")))
+    expect_errors((FormatError, said, lambda: hp.open_library(tmp_path / "x.csv")))
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
@@ -213,7 +213,7 @@ def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path:
     shifted = library.assign_coords(wavelength=library["wavelength"] + 1.0)
     other = hp.write_library(shifted, tmp_path / "other" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
-    expect_raises((FormatError, "grid-mismatch", lambda: hp.open_library(path)))
+    expect_errors((FormatError, "grid-mismatch", lambda: hp.open_library(path)))
     fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
     # an axis without values, which an index would fill the memory with

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
@@ -168,11 +168,11 @@ def test_usgs_text__without_wavelengths_says_what_is_missing(text: Path, tmp_pat
     alone = tmp_path / "a" / "b" / "c" / USGS
     alone.parent.mkdir(parents=True)
     alone.write_bytes((text / USGS).read_bytes())
-    expect_raises((FormatError, "wavelength-missing", lambda: hp.open_library(alone)))
+    expect_errors((FormatError, "wavelength-missing", lambda: hp.open_library(alone)))
 
 
 def test_wavelengths_are_no_spectrum(text: Path) -> None:
-    expect_raises((FormatError, "quantity-wrong", lambda: hp.open_library(text / WAVELENGTHS)))
+    expect_errors((FormatError, "quantity-wrong", lambda: hp.open_library(text / WAVELENGTHS)))
 
 
 @pytest.mark.parametrize(("name", "first"), [("PVC_Red", (344.200012, 0.367868)), ("R90", (250.0, 0.942517))])

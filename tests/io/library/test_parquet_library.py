@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import xarray as xr
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 
@@ -58,7 +58,7 @@ def test_what_is_no_library_is_refused(tmp_path, changes, message):
 def test_damaged_files_are_refused(tmp_path):
     whole = foreign(tmp_path / "x.parquet").read_bytes()
     pq.write_table(pa.table({"name": ["a"]}), tmp_path / "x.parquet")
-    expect_raises((hp.FormatError, "column-missing", lambda: hp.open_library(tmp_path / "x.parquet")))
+    expect_errors((hp.FormatError, "column-missing", lambda: hp.open_library(tmp_path / "x.parquet")))
     for cut in (4, 40, len(whole) // 2, len(whole) - 4):
         (tmp_path / "cut.parquet").write_bytes(whole[:cut])
         with pytest.raises(hp.FormatError, match="file-unreadable"):
@@ -96,4 +96,4 @@ def test_paints_of_one_name_stay_apart(tmp_path):
     ]
     at = rows.schema.get_field_index("additional_properties")
     pq.write_table(rows.set_column(at, rows.schema.field(at), pa.array(keys)), path)
-    expect_raises((hp.FormatError, "record-unmatched", lambda: hp.open_library(path)))
+    expect_errors((hp.FormatError, "record-unmatched", lambda: hp.open_library(path)))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 from support.wrong_quantities import NM, Case, objection, remarks, sunlight, table
 
 import hyperpaint as hp
@@ -172,7 +172,7 @@ def test_reflectance__opens_without_a_word(case: Case, tmp_path: Path) -> None:
     ],
 )
 def test_real_texts_of_light__are_refused(shared_data: Path, name: str, word: str) -> None:
-    expect_raises((FormatError, word, lambda: hp.open_library(shared_data / name)))
+    expect_errors((FormatError, word, lambda: hp.open_library(shared_data / name)))
 
 
 def test_columns_of_spread__are_those_of_the_paint_before_them(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_raises
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base import schema
@@ -288,16 +288,16 @@ def test_coordinates_that_no_grid_has_are_refused() -> None:
     distances = {"x": 0.25 * (np.arange(30) + 0.5), "y": 0.25 * (np.arange(40) + 0.5)}
     made = map_of(values(), turned(37.0), None).assign_coords(distances)
     assert grid_of(made) is not None
-    expect_raises((SchemaError, "place-ambiguous", lambda: grid_of(made.isel(x=slice(3, None)))))
+    expect_errors((SchemaError, "place-ambiguous", lambda: grid_of(made.isel(x=slice(3, None)))))
     col, row = np.meshgrid(np.arange(30) + 0.5, np.arange(40) + 0.5)
     east, north = place(turned(37.0), col, row)
     placed = made.drop_vars(["x", "y"]).assign_coords(east=(("y", "x"), east), north=(("y", "x"), north))
     part = grid_of(placed.isel(x=slice(4, None, 2)))
     assert part is not None
     np.testing.assert_allclose(place(part.transform, 0.5, 0.5), (east[0, 4], north[0, 4]), rtol=0, atol=1e-7)
-    expect_raises((SchemaError, r"'east'.*spacing-uneven", lambda: grid_of(placed.isel(x=[0, 1, 5]))))
+    expect_errors((SchemaError, r"'east'.*spacing-uneven", lambda: grid_of(placed.isel(x=[0, 1, 5]))))
     unknown = placed.assign_coords(east=placed["east"].where(col != 7.5))
-    expect_raises((SchemaError, r"'east'.*spacing-uneven", lambda: grid_of(unknown)))
+    expect_errors((SchemaError, r"'east'.*spacing-uneven", lambda: grid_of(unknown)))
 
 
 def test_places_are_written_to_the_last_bit(tmp_path: Path) -> None:
@@ -326,14 +326,14 @@ def test_places_are_written_to_the_last_bit(tmp_path: Path) -> None:
     ],
 )
 def test_grids_that_envi_cannot_tell(transform: Any, match: str) -> None:
-    expect_raises((SchemaError, match, lambda: envi_map_info(Grid(transform, None))))
+    expect_errors((SchemaError, match, lambda: envi_map_info(Grid(transform, None))))
 
 
 @pytest.mark.parametrize("text", ["1 2 3", "a b c d e f", "0 1 0 0 0 nan", "0 1 1 0 1 1", 5])
 def test_a_geotransform_that_is_none_is_refused(tmp_path: Path, text: Any) -> None:
     made = map_of(values(), turned(0.0), None)
     made["spatial_ref"].attrs["GeoTransform"] = text
-    expect_raises((SchemaError, "transform-wrong", lambda: hp.io.write_envi(made, tmp_path / "map")))
+    expect_errors((SchemaError, "transform-wrong", lambda: hp.io.write_envi(made, tmp_path / "map")))
 
 
 # --- whole or not at all -----------------------------------------------------------------------------------
@@ -355,7 +355,7 @@ def test_an_interrupted_export_leaves_what_was_there(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="power cut"):
         hp.io.write_envi(_failing(), tmp_path / "line", overwrite=True)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-    expect_raises((StoreError, "power cut", lambda: hp.io.write_envi(_failing(), tmp_path / "other")))
+    expect_errors((StoreError, "power cut", lambda: hp.io.write_envi(_failing(), tmp_path / "other")))
     assert sorted(before) == sorted(path.name for path in tmp_path.iterdir())
 
 
