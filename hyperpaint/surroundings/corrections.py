@@ -115,7 +115,7 @@ def remove_mirrored_sky(
     # all corrections must follow this one: mirrored light does not scale with the light on the paint
     numbers = {"strength": (strength, 0.0, 1.0), "sky_view_factor": (sky_view_factor, 0.0, 1.0)}
     line = _checked(line, CORRECTIONS, numbers)
-    split = _split(line, diffuse, sun_zenith, sky)
+    split = split_of(line, diffuse, sun_zenith, sky)
     mirrored = (strength * sky_view_factor * split.fraction * sky_above(split)).astype(np.float32)
     text = (
         f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({split.source}) "
@@ -196,7 +196,7 @@ def correct_light(
     numbers = {"neighbour_reflectance": neighbour_reflectance, **plain}
     ranges = {name: (value, 0.0, 10.0) for name, value in numbers.items()}
     line = _checked(line, ("light_corrected", "tilt"), ranges)
-    split = _split(line, diffuse, sun_zenith, sky)
+    split = split_of(line, diffuse, sun_zenith, sky)
     gain: Any = 0.0
     if split.sky not in ("uniform", "overcast"):
         gain = (1.0 - split.cloud) * _on_bands(sunward_gain(split.wavelength, split.zenith))
@@ -264,14 +264,6 @@ def sky_above(split: LightSplit) -> Any:
         return 1.0
     clear = 0.0 if split.sky == "overcast" else _on_bands(zenith_radiance(split.wavelength, split.zenith))
     return (1.0 - split.cloud) * clear + split.cloud * OVERCAST_ZENITH
-
-
-def _split(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None) -> LightSplit:
-    if isinstance(diffuse, str) and diffuse == "shadow":
-        raise SchemaError(
-            "diffuse='shadow'", expected="'model', 'pvlib' or a measured spectrum", code="choice-unknown"
-        )
-    return split_of(line, diffuse, sun_zenith, sky)
 
 
 def _on_bands(values: Any) -> xr.DataArray:

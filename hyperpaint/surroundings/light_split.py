@@ -157,7 +157,14 @@ class LightSplit:
         return above, sunward
 
 
-def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None = None) -> LightSplit:
+def split_of(
+    line: xr.Dataset,
+    diffuse: Any,
+    sun_zenith: float | None,
+    sky: str | None = None,
+    *,
+    from_shadow: bool = False,
+) -> LightSplit:
     """Return the division of the light of a line, or of a paint library.
 
     Parameters
@@ -172,6 +179,8 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
         [degree]; by default from time and place.
     sky
         One of `SKIES`; by default from the record, clear with a model, uniform with a measured spectrum.
+    from_shadow
+        Whether ``diffuse`` may be "shadow", from which a survey starts as from "model".
 
     Raises
     ------
@@ -196,10 +205,11 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
     declared = _line_split(line, sun_zenith) if diffuse is None else None
     if declared is not None:
         return _from_line_split(line, declared, wavelength, sun_zenith, sky)
-    if diffuse is not None and diffuse not in SOURCES:
+    sources = SOURCES if from_shadow else SOURCES[:2]
+    if diffuse is not None and diffuse not in sources:
         raise SchemaError(
             f"diffuse={diffuse!r}",
-            expected=f"{', '.join(map(repr, SOURCES))} or a measured spectrum",
+            expected=f"{', '.join(map(repr, sources))} or a measured spectrum",
             code="choice-unknown",
         )
     zenith = sun_zenith_of(line, sun_zenith)

@@ -926,7 +926,7 @@ def survey(
     wavelength = variables["wavelength"].values.astype(np.float64)
     good = _good_bands(line, cube, wavelength)
     try:
-        line_split = split_of(line, diffuse, sun_zenith).mean()
+        line_split = split_of(line, diffuse, sun_zenith, from_shadow=True).mean()
     except SchemaError as error:
         if not (isinstance(diffuse, str) and diffuse == "shadow"):
             raise

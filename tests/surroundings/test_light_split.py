@@ -114,12 +114,26 @@ def test_a_sun_that_is_said_goes_before_the_clock() -> None:
 
 
 def test_words_that_are_none() -> None:
+    body = flat()
+    body["reflectance"].attrs["mirror_reflection"] = "excluded"
+    corner = hp.Region("corner", [(0, 0), (4, 0), (4, 4), (0, 4)])
     expect_refusals(
         (SchemaError, "choice-unknown", lambda: split_of(flat(), "guess", 30.0)),
         (
             SchemaError,
             "choice-unknown",
             lambda: hp.surroundings.remove_mirrored_sky(flat(), diffuse="shadow", sun_zenith=30.0),
+        ),
+        (
+            SchemaError,
+            "choice-unknown",
+            "'model', 'pvlib' or",
+            lambda: hp.extract_signatures(body, corner, coat=True, diffuse="shadow", sun_zenith=30.0),
+        ),
+        (
+            SchemaError,
+            "choice-unknown",
+            lambda: hp.surroundings.correct_coat(body, diffuse="shadow", sun_zenith=30.0),
         ),
     )
 

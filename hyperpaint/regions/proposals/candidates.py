@@ -259,7 +259,7 @@ def sunny_lines(
         return no_sun
     nm = line["wavelength"].values.astype(np.float64)
     infrared = np.flatnonzero(nm >= min(GAPS.infrared_nm, float(nm.max())))
-    fraction = split_of(line, diffuse, zenith).fraction
+    fraction = split_of(line, diffuse, zenith, from_shadow=True).fraction
     if ALONG_TRACK not in fraction.dims:
         return no_sun
     record = line["irradiance"]
