@@ -219,8 +219,7 @@ class Detector(NamedTuple):
 
 def _is_near(distance: Array, level: Array, limit: Floats) -> Bools:
     # Whether each paint explains spectra (spectrum, signature)
-    in_range = (level >= DETECTION.min_level) & (level <= DETECTION.max_level)
-    return np.asarray((distance <= limit) & in_range)
+    return np.asarray((distance <= limit) & ((level >= DETECTION.min_level) & (level <= DETECTION.max_level)))
 
 
 def make_detector(
@@ -663,8 +662,7 @@ def _lazy_detector(
 ) -> Any:
     # Delayed detector: sums over blocks in their order, then thresholds
     blocks, masks = cube.to_delayed().ravel(), is_background.to_delayed().ravel()
-    pixels = max(1, cube.shape[0] * cube.shape[2])
-    share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * pixels))
+    share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * max(1, cube.shape[0] * cube.shape[2])))
     size = int(np.ceil(share * CHUNK_LINES * cube.shape[2]))
     background = dask.delayed(block_background, pure=True)
     backgrounds = [

@@ -392,8 +392,7 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
             code="file-too-large",
         )
     try:
-        text = raw.decode("utf-8-sig")
-        document = json.loads(text, object_pairs_hook=_object, parse_constant=_no_constant)
+        document = json.loads(raw.decode("utf-8-sig"), object_pairs_hook=_object, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
         raise FormatError(

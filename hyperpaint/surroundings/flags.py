@@ -254,8 +254,7 @@ def _flag_block(
         arguments.Glinting(lean, MIRROR.coat),
         arguments.Unmixed(amount, added, together, misfit),
     )
-    brightest = np.argmax(added, axis=2)[..., None]
-    adjacency_segment = np.take_along_axis(neighbours, brightest, 2)[..., 0]
+    adjacency_segment = np.take_along_axis(neighbours, np.argmax(added, axis=2)[..., None], 2)[..., 0]
     layers = {
         "glint_fraction": amount[..., 2],
         "blocked_direct": 1.0 - amount[..., 0],

@@ -316,8 +316,7 @@ def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]
     fits &= scene.size[mixtures.segment] >= SHADOWS.min_telling_px
     boxes = find_objects(number + 1) if fits.any() else []
     for row in np.flatnonzero(fits):
-        window = padded(boxes[mixtures.segment[row]], SHADOWS.beside_px)
-        numbers = number[window]
+        numbers = number[padded(boxes[mixtures.segment[row]], SHADOWS.beside_px)]
         near = binary_dilation(numbers == mixtures.segment[row], iterations=SHADOWS.beside_px)
         fits[row] = (numbers[near] == mixtures.body[row]).sum() >= SHADOWS.beside_px
     return np.asarray(fits)
@@ -445,8 +444,7 @@ def shaded_pixels(
     on_ground = np.append(level, False)[number]
     for lines, block in line_blocks(channels):
         segment = number[lines]
-        is_dark = block.mean(axis=2) < SHADOWS.max_pixel_level * lit_brightness[segment]
-        tested = on_ground[lines] & is_dark
+        tested = on_ground[lines] & (block.mean(axis=2) < SHADOWS.max_pixel_level * lit_brightness[segment])
         amount, misfit = solve(block[tested].astype(np.float64), reference[segment[tested]], None, light)
         bluer = amount[:, 1] > amount[:, 0] + SHADOWS.min_pixel_sky_excess
         missing = (amount[:, 0] < SHADOWS.max_pixel_direct) & bluer & (misfit < SHADOWS.max_pixel_misfit)

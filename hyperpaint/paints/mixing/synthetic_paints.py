@@ -548,8 +548,7 @@ def _averaged(weights: Floats, values: Floats) -> Floats:
 
 
 def _require(library: xr.Dataset) -> None:
-    names = [SIGNATURE, "reflectance", "wavelength"]
-    schema.require(library, names, "new paints", schema.LIBRARY_VARIABLES)
+    schema.require(library, [SIGNATURE, "reflectance", "wavelength"], "new paints", schema.LIBRARY_VARIABLES)
 
 
 def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:

@@ -278,13 +278,11 @@ def sunny_lines(
     )
     has_level = np.isfinite(level)
     stamps, level = stamps[has_level], level[has_level]
-    free_level = np.median(np.interp(time[free], stamps, level))
-    dimmed = stamps[level <= GAPS.min_of_free * free_level]
+    dimmed = stamps[level <= GAPS.min_of_free * np.median(np.interp(time[free], stamps, level))]
     # time to the nearest dimmed sample or end of the record
     bounds = np.concatenate([[stamps[0]], dimmed, [stamps[-1]]])
     later = np.clip(np.searchsorted(bounds, time), 1, bounds.size - 1)
-    distance = np.minimum(bounds[later] - time, time - bounds[later - 1])
-    free = free & (distance > GAPS.around_s * 1e9)
+    free = free & (np.minimum(bounds[later] - time, time - bounds[later - 1]) > GAPS.around_s * 1e9)
     return (free, float(infrared_fraction[free].mean())) if free.any() else no_sun
 
 
@@ -422,8 +420,7 @@ def measured_lean(
     if not sd < prior:
         return prior_lean
     weight = prior**2 / (prior**2 + sd**2)
-    hessian = np.array([[fitted[3], fitted[4]], [fitted[4], fitted[5]]])
-    curvature = float(sun @ hessian @ sun) / spacing**2
+    curvature = float(sun @ np.array([[fitted[3], fitted[4]], [fitted[4], fitted[5]]]) @ sun) / spacing**2
     # only a roof that curves down has a level position
     shift = weight * slope / -curvature / spacing * sun if curvature < 0.0 else np.full(2, np.inf)
     return Lean(prior * sd / float(np.hypot(prior, sd)), shift, -float(np.degrees(np.arctan(slope))))

@@ -605,8 +605,7 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ver
     measures = measured(piece, picture, limits)
     spectrum, mean_level = measures.spectrum, float(measures.spectrum.mean()) if measures.pixels else 0.0
     if not car.is_car or car.footprint is None:
-        reason = car.roof.reason
-        return Verdict(piece, measures, objections=[reason], scenery=mean_level < SURFACES.dark)
+        return Verdict(piece, measures, objections=[car.roof.reason], scenery=mean_level < SURFACES.dark)
     verdict = Verdict(piece, measures, "panel")
     if car.rank[0] < _CERTAIN:
         verdict.objections.append(
