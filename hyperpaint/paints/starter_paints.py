@@ -23,8 +23,14 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import takes_quantities
 
 from .colours import paint_colours, srgb_hex
-from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
-from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
+from .mixing.synthetic_paints import (
+    SPECULAR,
+    Interface,
+    absorption_to_scattering,
+    synthetic_library,
+    text_column,
+    thick_layer_reflectance,
+)
 
 #: First and last wavelength [nm], and number of bands of a pushbroom camera for the visible and near
 #: infrared.

@@ -16,8 +16,7 @@ from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.paints.signatures import EXCLUDED
-from hyperpaint.paints.signatures.pixel_gathering import gather
-from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
+from hyperpaint.paints.signatures.pixel_statistics import QUANTILES, gather
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.regions import pixels_of, regions_from
 

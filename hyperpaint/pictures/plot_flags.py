@@ -15,7 +15,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, numbers_of
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.paints.signatures.pixel_gathering import gather
+from hyperpaint.paints.signatures.pixel_statistics import gather
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, pixels_of, regions_from
 

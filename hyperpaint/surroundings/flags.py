@@ -27,8 +27,8 @@ from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
 from .detection_rules import FLAGS, MIRROR
-from .full_light import SATURATED_IN_LOBE, Light, max_excesses
 from .model import SHADED
+from .segments import SATURATED_IN_LOBE, Light, max_excesses
 from .surveying import to_channels, to_nominal_channels
 
 #: Layers from which bits are set, and layers that explain them.
@@ -113,7 +113,7 @@ def flag(
 
     ``glint_fraction`` is all light that looks like direct light of another colour than the body, including
     light from flakes in a paint, and from leaning grey paint. The bit of glint is set only in a lobe of a
-    coat, with a core that stands out (`hyperpaint.surroundings.full_light`), and in saturated pixels that a
+    coat, with a core that stands out (`hyperpaint.surroundings.segments`), and in saturated pixels that a
     lobe encloses.
 
     Known limits: the wide lobe of a worn coat can be distinguished from flakes on coloured and on black paint

@@ -24,27 +24,15 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 
 from .detection_rules import BODIES, DARK_COATS, DIFFUSE, GLINT, SHADOWS, SURVEY, VEGETATION
-from .full_light import (
+from .light_split import LightSplit, shadow_side_of, split_of
+from .model import CELL, LIT, SHADED, SceneModel, nearest_at
+from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
+from .segments import (
     AS_GLINT,
     Light,
     Matches,
     Mixtures,
     Picture,
-    least_amounts,
-    match_segments,
-    median_spectra,
-    mirror_lobes,
-    mixtures_of,
-    padded,
-    senders_of,
-    solve,
-    unmix_spectra,
-    without_sun,
-)
-from .light_split import LightSplit, shadow_side_of, split_of
-from .model import CELL, LIT, SHADED, SceneModel, nearest_at
-from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
-from .segments import (
     Segments,
     Touching,
     beyond,
@@ -53,8 +41,18 @@ from .segments import (
     distinct_pairs,
     divide,
     edge_distance,
+    least_amounts,
+    match_segments,
+    median_spectra,
+    mirror_lobes,
+    mixtures_of,
+    padded,
     sample_pixels,
+    senders_of,
+    solve,
     touching,
+    unmix_spectra,
+    without_sun,
 )
 
 # --- leaves by their spectrum: lawns are ground with shadows, crowns of trees are not cars -----------------

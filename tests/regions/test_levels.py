@@ -8,8 +8,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hyperpaint.regions.proposals.cars import Level, Place, level_light, level_place
-from hyperpaint.regions.proposals.footprints import Footprint, Roof, find_roof
+from hyperpaint.regions.proposals.cars import (
+    Footprint,
+    Level,
+    Place,
+    Roof,
+    find_roof,
+    level_light,
+    level_place,
+)
 
 Floats = npt.NDArray[np.float64]
 AXIS = np.array([0.0, 1.0])

@@ -19,8 +19,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece, lean_to_sun
-from hyperpaint.regions.proposals.cars import Level, Verdict, judge_level
-from hyperpaint.regions.proposals.footprints import hull_of
+from hyperpaint.regions.proposals.cars import Level, Verdict, hull_of, judge_level
 from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.surroundings.corrections import remove_mirrored_sky
 

@@ -8,10 +8,17 @@ import scipy.optimize
 from support.analytic_scenes import smooth_edge
 
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.full_light import Light, senders_of, solve
 from hyperpaint.surroundings.light_split import mirrored_radiances
 from hyperpaint.surroundings.model import LIT, SHADED
-from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
+from hyperpaint.surroundings.segments import (
+    Light,
+    Segments,
+    distance_to,
+    edge_distance,
+    senders_of,
+    solve,
+    touching,
+)
 from hyperpaint.surroundings.surveying import match_shade, of_shadows, shaded_pixels
 
 NM = np.linspace(412.0, 988.0, 24)

@@ -15,10 +15,9 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.full_light import Light, Matches
 from hyperpaint.surroundings.light_split import measured_fraction, mirrored_radiances, shadow_side_of
 from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
-from hyperpaint.surroundings.segments import divide, touching
+from hyperpaint.surroundings.segments import Light, Matches, divide, touching
 from hyperpaint.surroundings.surveying import (
     channel_noise,
     channel_numbers,

@@ -60,8 +60,15 @@ from .line_sources import (
     relative_azimuth,
     source_of,
 )
-from .pixel_gathering import gather
-from .pixel_statistics import CENTRES, QUANTILES, chosen_members, effective_pixels, excluded_of, summarise
+from .pixel_statistics import (
+    CENTRES,
+    QUANTILES,
+    chosen_members,
+    effective_pixels,
+    excluded_of,
+    gather,
+    summarise,
+)
 
 # --- correction of the clear coat for regions of paint -----------------------------------------------------
 

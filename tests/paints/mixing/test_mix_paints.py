@@ -14,7 +14,11 @@ from support.library_examples import make_library
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.paints.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
+from hyperpaint.paints.mixing.synthetic_paints import (
+    Interface,
+    absorption_to_scattering,
+    thick_layer_reflectance,
+)
 
 WHITE, BLACK, RED = "Synthetic Polar White", "Synthetic Carbon Black", "Synthetic Signal Red"
 
