@@ -144,7 +144,7 @@ def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
     sides = np.bincount(4 * pair + np.concatenate(directions), minlength=4 * pairs.size).reshape(-1, 4)
     del codes, directions, pair
     trim_memory()
-    return Touching(pairs // max(count, 1), pairs % max(count, 1), sides.sum(axis=1), sides)
+    return Touching(*np.divmod(pairs, max(count, 1)), sides.sum(axis=1), sides)
 
 
 def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
@@ -166,29 +166,27 @@ def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
 
 def distinct_pairs(one: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:
     """Return the distinct pairs of numbers below ``count``, sorted."""
-    codes = np.unique(one * count + other)
-    return codes // max(count, 1), codes % max(count, 1)
+    first, second = np.divmod(np.unique(one * count + other), max(count, 1))
+    return first, second
 
 
 def border_steps(channels: Floats32, number: npt.NDArray[np.int32], pairs: Touching) -> Array:
     """Return the mean difference in brightness of neighbouring pixels across a border (pair,) [1]."""
     count = int(number.max()) + 1
     codes = pairs.one * count + pairs.other
-    total = np.zeros(codes.size)
+    # sums by axis and by order of the pair
+    sums = np.zeros((2, 2, codes.size))
     for axis, (before, after) in enumerate(_NEIGHBOURS):
-        sums_of_orders = np.zeros((2, codes.size))
         for lines, block in line_blocks(channels, overlap=1 - axis):
             numbers, level = number[lines.start : lines.start + len(block)], block.mean(axis=2)
             first, second = numbers[before].ravel(), numbers[after].ravel()
             differ = np.flatnonzero((first != second) & (first >= 0) & (second >= 0))
             step = np.abs(level[before] - level[after]).ravel()[differ].astype(np.float64)
             one, other = first[differ].astype(np.int64), second[differ].astype(np.int64)
-            for sums, code in zip(sums_of_orders, (one * count + other, other * count + one), strict=True):
+            for row, code in zip(sums[axis], (one * count + other, other * count + one), strict=True):
                 # sequential sums: the same bits for any blocks
-                np.add.at(sums, np.searchsorted(codes, code), np.nan_to_num(step))
-        for sums in sums_of_orders:
-            total += sums
-    return total / pairs.length
+                np.add.at(row, np.searchsorted(codes, code), np.nan_to_num(step))
+    return np.asarray((sums[0, 0] + sums[0, 1] + sums[1, 0] + sums[1, 1]) / pairs.length)
 
 
 #: Slices of pixels and their neighbours, first in the next line, then in the next column.
@@ -260,21 +258,15 @@ def median_spectra(channels: Floats32, samples: list[Ints]) -> Floats:
     """Return medians (segment, channel) of the pixels with flat indices ``samples``; NaN without values."""
     flat = channels.reshape(-1, channels.shape[2])
     medians = np.full((len(samples), channels.shape[2]), np.nan)
-    for segment, indices in enumerate(samples):
-        if indices.size:
-            medians[segment] = _median(gather(flat, indices).astype(np.float64))
+    for median, indices in zip(medians, samples, strict=True):
+        values = gather(flat, indices).astype(np.float64)
+        if indices.size and not np.isnan(values).any():
+            median[:] = np.median(values, axis=0)
+            continue
+        for column, is_finite in enumerate(np.isfinite(values).T):
+            if is_finite.any():
+                median[column] = np.median(values[is_finite, column])
     return medians
-
-
-def _median(values: Floats) -> Floats:
-    # Median of the finite values in every column; NaN without finite values
-    if not np.isnan(values).any():
-        return np.asarray(np.median(values, axis=0))
-    median = np.full(values.shape[1], np.nan)
-    for column, is_finite in enumerate(np.isfinite(values).T):
-        if is_finite.any():
-            median[column] = np.median(values[is_finite, column])
-    return median
 
 
 def unmix_spectra(
@@ -366,8 +358,9 @@ def _match_glint(
     lit = state[near[1]] != SHADED
     segment, body_near = near[0][lit], body[near[1][lit]].astype(np.int64)
     is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
-    is_candidate = (state[segment] == LIT) & (segment != body_near)
-    is_candidate &= is_finite[segment] & is_finite[body_near]
+    is_candidate = (
+        (state[segment] == LIT) & (segment != body_near) & is_finite[segment] & is_finite[body_near]
+    )
     segment, body_near = distinct_pairs(segment[is_candidate], body_near[is_candidate], len(spectrum))
     amount, misfit, _ = unmix_spectra(
         spectrum[segment], body_near, np.nan_to_num(spectrum), light, GLINT.tolerance, AS_GLINT
@@ -408,11 +401,14 @@ def _could_be_shade(spectrum: Floats, dark: Ints, bright: Ints, light: Light) ->
         spectrum[dark], bright, np.nan_to_num(spectrum), light, GLINT.shade_tolerance, _AS_SHADE
     )
     direct, sky, level = amount[:, 0], amount[:, 1], spectrum.mean(axis=1)
-    fits = (sky > GLINT.min_shade_sky) & (misfit * GLINT.shade_tolerance < GLINT.max_shade_misfit)
-    fits &= level[dark] < GLINT.max_shade_brightness * level[bright]
     # objects that hide the sky send light instead, at most as much as a bright wall in the sun
-    fits &= (sky < GLINT.max_shade_sky) & (direct < 0.02 + 0.14 * np.clip(1.0 - sky, 0.0, 1.0))
-    return np.asarray(fits)
+    return np.asarray(
+        (sky > GLINT.min_shade_sky)
+        & (sky < GLINT.max_shade_sky)
+        & (misfit * GLINT.shade_tolerance < GLINT.max_shade_misfit)
+        & (level[dark] < GLINT.max_shade_brightness * level[bright])
+        & (direct < 0.02 + 0.14 * np.clip(1.0 - sky, 0.0, 1.0))
+    )
 
 
 #: Number of pairs solved together, to limit memory.
@@ -494,20 +490,22 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> I
     from hyperpaint.kernels.segmentation import nearest_sources
 
     level = spectrum.mean(axis=1)
-    sends = (level > MIXTURES.min_sender_level) & (size >= MIXTURES.min_sender_px)
-    sends &= spectrum.std(axis=1) > MIXTURES.min_sender_colour * level
+    sends = (
+        (level > MIXTURES.min_sender_level)
+        & (size >= MIXTURES.min_sender_px)
+        & (spectrum.std(axis=1) > MIXTURES.min_sender_colour * level)
+    )
     centre = number[::CELL, ::CELL]
     labels = np.full((*centre.shape, MIXTURES.neighbours_of_cell), -1, np.int32)
     labels[..., 0] = np.where(np.append(sends, False)[centre], centre, -1)
-    distances = np.full(labels.shape, np.inf)
-    distances[..., 0][labels[..., 0] >= 0] = 0.0
+    distances = np.where(labels >= 0, 0.0, np.inf)
     nearest_sources(labels, distances, MIXTURES.reach_px / CELL)
     # number of cells of every segment to which a sender is nearest
     cell_segment = np.repeat(centre.ravel().astype(np.int64), MIXTURES.neighbours_of_cell)
     nearest = labels.ravel().astype(np.int64)
     codes = (cell_segment * size.size + nearest)[(cell_segment >= 0) & (nearest >= 0)]
     pairs, cells = np.unique(codes, return_counts=True)
-    segment, sender = pairs // max(size.size, 1), pairs % max(size.size, 1)
+    segment, sender = np.divmod(pairs, max(size.size, 1))
     order = np.lexsort((sender, -cells, segment))
     segment, sender = segment[order], sender[order]
     rank = np.arange(segment.size) - np.searchsorted(segment, segment)
@@ -622,14 +620,23 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
         _add_sharp(picture, level, core, window, lobe)
         release(picture.channels)
         release(level)
-    for core, window in _components(_wide_cores(picture, level, on_coat)):
+    # wide cores: the mirrored sun is as bright as a white surface (line, column)
+    distinguishable = np.append(_distinguishable(picture), False)
+    is_wide = np.zeros(level.shape, bool)
+    for lines, block in line_blocks(level):
+        bright = distinguishable[picture.body(lines)] & on_coat[lines] & np.isfinite(block)
+        bright &= block > LOBES.min_wide_glint * picture.light.direct.mean()
+        glint = _mirrored_sun(picture, bright, (lines, slice(0, level.shape[1])))
+        is_wide[lines] = glint >= LOBES.min_wide_glint
+        release(picture.channels)
+    for core, window in _components(is_wide):
         _add_wide(picture, level, core, window, lobe)
         release(picture.channels)
         release(level)
     layer = np.where(lobe, np.uint8(IN_LOBE), np.uint8(0))
     for spot, window in spots:
-        rim = _distance(spot) < 1.5
-        rim &= ~spot & ~picture.saturated[window] & (picture.body(window) >= 0)
+        beside = ~spot & ~picture.saturated[window] & (picture.body(window) >= 0)
+        rim = beside & (_distance(spot) < 1.5)
         if (rim.any() and lobe[window][rim].mean() > LOBES.min_rim) or lobe[window][spot].any():
             layer[window][spot] = SATURATED_IN_LOBE
     return layer
@@ -691,8 +698,11 @@ def _sharp_cores(level: Floats, on_coat: Bools) -> Bools:
         [level[np.clip(y + dy, 0, lines - 1), np.clip(x + dx, 0, columns - 1)] for dy, dx in _RING], axis=0
     )
     median = 0.5 * (ring[len(_RING) // 2 - 1] + ring[len(_RING) // 2])
-    fits = (level[y, x] > LOBES.min_contrast * median) & (ring[_THIRD_DARKEST] > LOBES.min_evenness * median)
-    fits &= level[y, x] - median > LOBES.min_excess
+    fits = (
+        (level[y, x] > LOBES.min_contrast * median)
+        & (ring[_THIRD_DARKEST] > LOBES.min_evenness * median)
+        & (level[y, x] - median > LOBES.min_excess)
+    )
     is_sharp[:] = False
     is_sharp[y[fits], x[fits]] = True
     return is_sharp
@@ -792,19 +802,6 @@ def _mirrored_sun(picture: Picture, mask: Bools, window: tuple[slice, slice]) ->
     return glint
 
 
-def _wide_cores(picture: Picture, level: Floats, on_coat: Bools) -> Bools:
-    # Pixels where the mirrored sun is as bright as a white surface (line, column)
-    distinguishable = np.append(_distinguishable(picture), False)
-    is_wide = np.zeros(level.shape, bool)
-    for lines, block in line_blocks(level):
-        bright = distinguishable[picture.body(lines)] & on_coat[lines] & np.isfinite(block)
-        bright &= block > LOBES.min_wide_glint * picture.light.direct.mean()
-        glint = _mirrored_sun(picture, bright, (lines, slice(0, level.shape[1])))
-        is_wide[lines] = glint >= LOBES.min_wide_glint
-        release(picture.channels)
-    return is_wide
-
-
 def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools) -> None:
     # Set the pixels of `lobe` around a wide core: connected pixels with mirrored sun
     half_width = _half_width(core)
@@ -817,11 +814,10 @@ def _add_wide(picture: Picture, level: Floats, core: Bools, window: tuple[slice,
     larger = padded(window, int(np.ceil(reach)))
     core = _in_larger_window(core, window, larger, level[larger].shape)
     body = picture.body(larger)
-    near = np.append(_distinguishable(picture), False)[body] & np.isfinite(level[larger])
-    near &= _distance(core) <= reach
+    is_coat = np.append(_distinguishable(picture), False)[body]
+    near = is_coat & np.isfinite(level[larger]) & (_distance(core) <= reach)
     glint = _mirrored_sun(picture, near, larger) * picture.light.direct.mean()
     paint = np.append(np.nan_to_num(picture.reference).mean(axis=1), 0.0)[body]
     halo = near & (glint > np.maximum(LOBES.min_wide_share * paint, LOBES.floor))
     pieces, _ = label(halo | core, np.ones((3, 3)))
-    numbers = np.unique(pieces[core])
-    lobe[larger] |= np.isin(pieces, numbers[numbers > 0])
+    lobe[larger] |= np.isin(pieces, pieces[core])
