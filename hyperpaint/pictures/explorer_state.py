@@ -250,7 +250,7 @@ class Explored:
                 f"{region.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
                 code="region-empty",
             )
-        quantiles = summarise(values[is_used], "median").quantiles
+        quantiles = summarise(values[is_used], "median")["reflectance_quantiles"]
         quantiles[:, ~good_bands(self.line)] = np.nan
         subsampling = f" (every {step}. line)" if step > 1 else ""
         text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: {_flag_text(flag_texts)}"

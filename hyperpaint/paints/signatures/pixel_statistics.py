@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import dask
@@ -33,20 +32,13 @@ MAX_ITERATIONS = 100
 CONVERGED_CHANGE = 1e-7
 
 
-@dataclass(frozen=True)
-class BandSummary:
-    """Centre and spread of every band."""
+def summarise(values: Array, centre: str) -> dict[str, Floats]:
+    """Return centre and spread of pixels, band by band, by the names of their variables in a library.
 
-    centre: Floats  #: (band,), float64: Centre of the values; NaN without values.
-    sd: Floats  #: (band,), float64: Their standard deviation; NaN with less than two values.
-    quantiles: Floats  #: (quantile, band), float64: Their quantiles at `QUANTILES`.
-
-
-def summarise(values: Array, centre: str) -> BandSummary:
-    """Return centre and spread of pixels, band by band.
-
-    Takes ``values`` (pixel, band): reflectance, a value that is not finite is missing in that band only;
-    ``centre``: one of `CENTRES`.
+    ``reflectance`` (band,), their centre, NaN without values; ``reflectance_sd`` (band,), their standard
+    deviation, NaN with less than two values; ``reflectance_quantiles`` (quantile, band), their quantiles at
+    `QUANTILES`; float64. Takes ``values`` (pixel, band): reflectance, a value that is not finite is missing
+    in that band only; ``centre``: one of `CENTRES`.
 
     Notes
     -----
@@ -71,7 +63,7 @@ def summarise(values: Array, centre: str) -> BandSummary:
             spreads[band] = ordered.std(ddof=1)
     if centre == "geometric_median":
         centres = geometric_median(values)
-    return BandSummary(centres, spreads, quantiles)
+    return {"reflectance": centres, "reflectance_sd": spreads, "reflectance_quantiles": quantiles}
 
 
 def _median(ordered: Floats) -> float:
