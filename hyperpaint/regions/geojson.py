@@ -124,8 +124,8 @@ class Region:
     def __repr__(self) -> str:
         line = f" on {self.flightline}" if self.flightline else ""
         holes = f", {len(self.holes)} holes" if self.holes else ""
-        texts = (f"{key}={str(value)[:40]!r}" for key, value in list(self.properties.items())[:4])
-        properties = "".join(f", {text}" for text in texts)
+        items = list(self.properties.items())[:4]
+        properties = "".join(f", {key}={str(value)[:40]!r}" for key, value in items)
         (left, low), (right, high) = self.polygon.min(axis=0), self.polygon.max(axis=0)
         box = f"x {left:.10g} to {right:.10g}, y {low:.10g} to {high:.10g}"
         return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{properties}>"
@@ -442,8 +442,8 @@ def write_regions(
     document = regions_from(regions).__geo_interface__
     features = document.pop("features")
     head = [f"{_json(key)}: {_json(value)}," for key, value in document.items()]
-    lines = ",\n".join(_json(feature) for feature in features)
-    content = "\n".join(["{", *head, '"features": [', *([lines] if lines else []), "]", "}", ""]).encode()
+    lines = [",\n".join(map(_json, features))] if features else []
+    content = "\n".join(["{", *head, '"features": [', *lines, "]", "}", ""]).encode()
     is_same = is_plain_file(file) and file.stat().st_size == len(content) and file.read_bytes() == content
     publish_file(file, content, overwrite=overwrite or is_same)
     return file
@@ -579,8 +579,8 @@ def _region(feature: Any) -> Region:
 
 
 def _rings(geometry: Any, name: Any) -> list[Any]:
-    geometry_type = geometry.get("type") if isinstance(geometry, Mapping) else None
-    rings = geometry.get("coordinates") if isinstance(geometry, Mapping) else None
+    members = geometry if isinstance(geometry, Mapping) else {}
+    geometry_type, rings = members.get("type"), members.get("coordinates")
     subject = f"region {str(name)[:80]!r} has a geometry of type {str(geometry_type)[:40]!r}"
     # many programs write a single polygon as a MultiPolygon
     if geometry_type == "MultiPolygon" and isinstance(rings, list | tuple):
@@ -635,21 +635,21 @@ def features_of(path: Path, max_features: int) -> dict[str, Any]:
             raise FormatError(
                 f"{path}: not a {path.suffix[1:]} file", mend="check what the file is", code="file-kind-wrong"
             )
-    installed = [name for name in ("pyogrio", "fiona") if importlib.util.find_spec(name)]
-    if not installed:
+    readers = {"pyogrio": _by_pyogrio, "fiona": _by_fiona}
+    library = next((name for name in readers if importlib.util.find_spec(name)), None)
+    if library is None:
         raise MissingExtraError(
             f"{path.suffix} files need pyogrio or fiona",
             mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
             code="dependency-missing",
         )
-    reader = _by_pyogrio if installed[0] == "pyogrio" else _by_fiona
     try:
-        crs, features = reader(path, max_features)
+        crs, features = readers[library](path, max_features)
     except (FormatError, MissingExtraError):
         raise
     except Exception as error:  # every driver of both libraries has its own errors
         raise FormatError(
-            f"{path}: {installed[0]} cannot read it: {error!s:.200}", code="file-unreadable"
+            f"{path}: {library} cannot read it: {error!s:.200}", code="file-unreadable"
         ) from error
     if not crs:
         raise FormatError(

@@ -26,8 +26,8 @@ def lean_of(height: np.ndarray | None, prior: float = 1.1) -> tuple[float, float
     window = np.s_[6:35, 7:44]
     inside = np.ones((29, 37), bool)
     model = None if height is None else (height, SPACING)
-    lean = measured_lean(model, window, inside, (14.0, 18.0), prior, NORTH)
-    return lean.sd, float(lean.shift[0]), lean.angle
+    sd, shift, angle = measured_lean(model, window, inside, (14.0, 18.0), prior, NORTH)
+    return sd, float(shift[0]), angle
 
 
 @pytest.mark.parametrize("lean", [-2.0, 0.0, 1.5])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 from typing import NamedTuple
 
@@ -101,17 +101,15 @@ def footprints_of(
                 matches[key] = _matched_colour(colour, picture, window, wide_brightness)
             paint, ground, dark, brightness = matches[key]
             seed = np.zeros(paint.shape, bool)
-            y, x = np.array(origin) - low
-            seed[y : y + inside.shape[0], x : x + inside.shape[1]] = inside
+            seed[window_of((origin[0] - low[0], origin[1] - low[1]), inside)] = inside
             area = _car_area(seed, paint | seed, ground, dark if over_windows else None, cut_bridges)
             if area is None:
                 break
             # whether the car reaches the first line and column of the window, and the last ones
             sides = np.array([[area[0].any(), area[:, 0].any()], [area[-1].any(), area[:, -1].any()]])
             if not (sides & ~np.array([low == 0, high == shape])).any():
-                window_origin = (int(low[0]), int(low[1]))
-                cut = bool(sides.any())
-                yield Footprint(window_origin, paint | seed, area, brightness, *_rectangle(area), cut)
+                place = (int(low[0]), int(low[1])), paint | seed, area, brightness
+                yield Footprint(*place, *_rectangle(area), bool(sides.any()))
                 break
             pad = int(FOOTPRINTS.growth * pad) + 8
 
@@ -127,11 +125,11 @@ def _matched_colour(
     paint_cosine = brightness * colour_length / length
     is_dark = float(colour.mean()) < SURFACES.dark
     low, high = (FOOTPRINTS.dark_brightness if is_dark else FOOTPRINTS.brightness)[wide_brightness]
-    paint = (paint_cosine > FOOTPRINTS.min_cosine) & (brightness > low) & (brightness < high)
     # pixels as bright as the ground are paint only if their spectrum is closer to the paint's
     ground_cosine = (spectra @ picture.ground) / (length * ground_length)
     is_ground_bright = np.abs(np.log(length / ground_length)) < FOOTPRINTS.max_ground_log_ratio
-    paint &= (paint_cosine > ground_cosine) | ~is_ground_bright
+    is_closer = (paint_cosine > ground_cosine) | ~is_ground_bright
+    paint = (paint_cosine > FOOTPRINTS.min_cosine) & (brightness > low) & (brightness < high) & is_closer
     ground = ~paint & is_ground_bright & (ground_cosine > FOOTPRINTS.min_cosine)
     return paint, ground, ~paint & (length < low * colour_length), brightness
 
@@ -142,8 +140,7 @@ def _car_area(
     # Area of the car around a seed: the hull of thick connected parts with the colour of its paint.
     # Bay lines and mirrors are thin. Parts with ground between them and the seed are not added. With `dark`,
     # parts with only dark pixels between them are connected.
-    square = np.ones((3, 3), bool)
-    gap = FOOTPRINTS.max_gap_px
+    square, gap = np.ones((3, 3), bool), FOOTPRINTS.max_gap_px
     closed = binary_closing(np.pad(paint, gap), square, iterations=gap)[gap:-gap, gap:-gap]
     if cut_bridges:
         closed = binary_opening(closed, square, iterations=FOOTPRINTS.bridge_px) | seed
@@ -230,8 +227,7 @@ def _rectangle(mask: Bools) -> tuple[Floats, Floats, float, float]:
     asides = np.stack([np.cos(turn), -np.sin(turn)], axis=1)
     u, v = points @ axes.T, points @ asides.T
     lengths, widths = np.ptp(u, axis=0) + 1.0, np.ptp(v, axis=0) + 1.0
-    box_areas = lengths * widths
-    best = int(np.flatnonzero(box_areas <= box_areas.min() + _ROUNDING)[0])
+    best = int(np.argmax(lengths * widths <= (lengths * widths).min() + _ROUNDING))
     along, aside = axes[best], asides[best]
     centre = 0.5 * (
         (u[:, best].min() + u[:, best].max()) * along + (v[:, best].min() + v[:, best].max()) * aside
@@ -297,12 +293,12 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * paint_level), paint_level)
     glass = np.asarray(~car.paint & car.area & (level < limit))
     roof = _roof_along(car, glass, level)
-    if isinstance(roof, NoRoof) and car.cut:
-        # the longer side of a car cut off by the picture's edge may be its width
-        turned = car._replace(axis=_aside(car), length=car.width, width=car.length)
-        turned_roof = _roof_along(turned, glass, level)
-        return roof if isinstance(turned_roof, NoRoof) else turned_roof
-    return roof
+    if isinstance(roof, Roof) or not car.cut:
+        return roof
+    # the longer side of a car cut off by the picture's edge may be its width
+    turned = car._replace(axis=_aside(car), length=car.width, width=car.length)
+    turned_roof = _roof_along(turned, glass, level)
+    return roof if isinstance(turned_roof, NoRoof) else turned_roof
 
 
 def _aside(car: Footprint) -> Floats:
@@ -594,11 +590,11 @@ def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level) -
     measures = verdict.measures
     if not measures.pixels:
         return
-    zenith = 45.0 if picture.zenith is None else picture.zenith
-    direct = picture.direct_share
+    zenith, direct = 45.0 if picture.zenith is None else picture.zenith, picture.direct_share
     slope = direct * change_with_lean(zenith)
     # the signature excludes the mirrored sky, too
-    mirrored = picture.mirrored_sky
+    model = picture.model
+    mirrored = FOOTPRINTS.mirrored * float((model.diffuse_fraction * model.zenith_radiance).mean())
     brightness = max(float(measures.spectrum.mean()) - mirrored, 1e-3)
     # haze makes a sky brighter than a clear one, and uneven, mostly around the sun; an overcast sky is even
     haze = (1.0 - direct) / float(diffuse_fraction(picture.model.channel_wavelength, zenith).mean()) - 1.0
@@ -622,11 +618,11 @@ def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level) -
         text += (
             f"; its brightness changes by {np.radians(level.lean_change):.0%} a degree of lean, like flakes"
         )
-    if not verdict.level_sd <= allowed:
+    if verdict.level_sd <= allowed:
+        verdict.reasons.append(text)
+    else:
         advice = "fly under a higher sun, or draw a region on a level part"
         verdict.objections.append(f"{text}: at most {allowed:.1%} is allowed; {advice}")
-    else:
-        verdict.reasons.append(text)
 
 
 def _judge_pixels(verdict: Verdict, limits: Limits) -> None:
@@ -634,13 +630,13 @@ def _judge_pixels(verdict: Verdict, limits: Limits) -> None:
     measures = verdict.measures
     lost = ", ".join(f"{share:.0%} {reason}" for reason, share in measures.lost.items() if share >= 0.01)
     excluded = f" (excluded: {lost})" if lost else ""
-    if measures.pixels < limits.min_pixels:
+    if measures.pixels < limits["min_pixels"]:
         verdict.objections.append(
-            f"{measures.pixels} usable pixels, expected at least {limits.min_pixels}{excluded}"
+            f"{measures.pixels} usable pixels, expected at least {limits['min_pixels']}{excluded}"
         )
         return
     verdict.reasons.append(f"{measures.pixels} pixels{excluded}")
-    if measures.angle > limits.angle:
+    if measures.angle > limits["angle"]:
         verdict.objections.append(f"not homogeneous: spectra differ by {measures.angle:.1f} degrees")
     verdict.reasons.append(
         f"homogeneous to {measures.angle:.1f} degrees, brightness to {measures.spread:.1%}; "
@@ -694,19 +690,17 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
         samples = map_coordinates(footprint.brightness, positions, order=1, mode="nearest")
         edges.append(sign * _edge(aside, np.nanmedian(samples, axis=0), half_width))
     shift = 0.5 * (edges[0] + edges[1])
-    has_edges = bool(abs(shift) < LEVELS.max_shift * half_width)
-    if has_edges:
-        half_width = 0.5 * (edges[1] - edges[0])
-    line, column = _to_picture(roof.centre, roof.axis, np.zeros(()), np.array(shift if has_edges else 0.0))
     # standard deviation of a uniform distribution over the possible range
     along_sd, across_sd = (limit / float(np.sqrt(3.0)) for limit in (roof.unsure, roof.unsure_across))
-    if has_edges:
-        across_sd = LEVELS.edged_sd_px
-    elif np.isfinite(shift):  # the edges contradict the windows
-        across_sd = max(across_sd, abs(shift))
-    across_sd = max(across_sd, LEVELS.edged_sd_px)
-    half_length = 0.5 * float(np.ptp(along))
-    return Place(float(line), float(column), along_sd, across_sd, half_width, max(half_length, 1.0))
+    if abs(shift) < LEVELS.max_shift * half_width:
+        half_width, across_sd = 0.5 * (edges[1] - edges[0]), LEVELS.edged_sd_px
+    else:
+        # edges that are not visible, or that contradict the windows
+        across_sd = max(across_sd, LEVELS.edged_sd_px, abs(shift) if np.isfinite(shift) else 0.0)
+        shift = 0.0
+    line, column = _to_picture(roof.centre, roof.axis, np.zeros(()), np.array(shift))
+    half_length = max(0.5 * float(np.ptp(along)), 1.0)
+    return Place(float(line), float(column), along_sd, across_sd, half_width, half_length)
 
 
 def _to_car(centre: tuple[float, float], axis: Floats, y: Array, x: Array) -> tuple[Floats, Floats]:
@@ -805,9 +799,9 @@ def difference_of(piece: Piece, picture: Picture, relative: Floats) -> tuple[flo
     if chosen.sum() < FINISHES.min_px:
         return None
     sky = FOOTPRINTS.mirrored * diffuse * picture.model.zenith_radiance
-    body = picture.channels[piece.window][chosen].astype(np.float64) - sky
-    low, high = np.quantile(relative[chosen], [0.25, 0.75])
-    difference = body[relative[chosen] >= high].mean(axis=0) - body[relative[chosen] <= low].mean(axis=0)
+    body, relative = picture.channels[piece.window][chosen].astype(np.float64) - sky, relative[chosen]
+    low, high = np.quantile(relative, [0.25, 0.75])
+    difference = body[relative >= high].mean(axis=0) - body[relative <= low].mean(axis=0)
     spectrum, direct = body.mean(axis=0), 1.0 - diffuse
     coloured, flat = np.linalg.lstsq(np.stack([spectrum * direct, direct], axis=1), difference, rcond=None)[0]
     coloured_mean, flat_mean = float(coloured * (spectrum * direct).mean()), float(flat * direct.mean())
@@ -819,32 +813,32 @@ def judge_finish(
     verdict: Verdict, picture: Picture, level: Level, difference: tuple[float, float] | None
 ) -> None:
     """Add the finish of a roof and its evidence to the verdict; without evidence it stays unknown."""
-    spectrum = verdict.measures.spectrum
+    spectrum, zenith = verdict.measures.spectrum, picture.zenith
     if (
         not verdict.measures.pixels
-        or picture.zenith is None
+        or zenith is None
         or picture.direct_share < FINISHES.min_direct
-        or picture.zenith > FINISHES.max_zenith_deg
+        or zenith > FINISHES.max_zenith_deg
         or float(spectrum.mean()) < FINISHES.min_level
     ):
         return
-    solid = picture.direct_share * change_with_lean(picture.zenith)
+    solid = picture.direct_share * change_with_lean(zenith)
     across, along = level.across_change, level.along_change
     low, high = FINISHES.solid_zenith_deg
     changes = f"its light changes by {np.radians(level.lean_change):.1%} a degree of lean"
     if across > FINISHES.metallic_across * solid + FINISHES.offset or (
-        picture.zenith >= high and along > FINISHES.metallic_along * solid + FINISHES.offset
+        zenith >= high and along > FINISHES.metallic_along * solid + FINISHES.offset
     ):
         verdict.finish = "metallic"
         verdict.reasons.append(f"metallic: {changes}, that of solid paint by {np.radians(solid):.1%}")
-    elif low <= picture.zenith <= high and level.lean_change < FINISHES.max_solid_change:
+    elif low <= zenith <= high and level.lean_change < FINISHES.max_solid_change:
         verdict.finish = "solid"
         verdict.reasons.append(f"solid: {changes}; flakes so near the sun's mirror image change more")
     elif difference is not None and spectrum.std() > FINISHES.min_colour * spectrum.mean():
         # coloured paint: by the difference of its bright and its dark part
         share, contrast = difference
         is_solid = (
-            picture.zenith <= FINISHES.max_coloured_zenith_deg
+            zenith <= FINISHES.max_coloured_zenith_deg
             and across < FINISHES.max_coloured[0] * solid
             and along < FINISHES.max_coloured[1] * solid
             and abs(share) < FINISHES.max_flat_share
@@ -885,20 +879,16 @@ class Car(NamedTuple):
     @property
     def rank(self) -> tuple[int, int]:
         """Certainty of the roof, `_CERTAIN` at most, and the size."""
-        if self.footprint is None:
-            return 0, 0
-        if isinstance(self.roof, NoRoof):
-            return 1 + int(self.roof.is_car), self.size
+        if self.footprint is None or isinstance(self.roof, NoRoof):
+            return int(self.footprint is not None) + int(self.is_car), self.size
         if not self.footprint.is_one_car:
             return 3, self.size
         return _CERTAIN - int(not (self.roof.complete or self.roof.sided)), self.size
 
     def unless_larger(self, max_size: float) -> Car:
         """Return the car, without a roof where it has more pixels than cars have."""
-        if self.size <= max_size:
-            return self
         reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
-        return self._replace(roof=NoRoof(reason, False))
+        return self if self.size <= max_size else self._replace(roof=NoRoof(reason, False))
 
 
 def find_cars(pieces: Iterable[Piece], picture: Picture) -> list[Car]:
@@ -1030,41 +1020,43 @@ def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Verdict]:
 
 def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limits) -> Verdict | None:
     # Verdict on a roof; None where all its pixels are near edges
-    piece = _piece_of(footprint, roof, picture.model, limits.erode)
+    piece = _piece_of(footprint, roof, picture.model, limits["erode"])
     if piece is None:
         return None
     y, x = piece.origin[0] - footprint.origin[0], piece.origin[1] - footprint.origin[1]
-    lines, columns = piece.inside.shape
-    brightness = footprint.brightness[y : y + lines, x : x + columns]
-    lit = piece.inside & (picture.layers["blocked_direct"][piece.window] < limits.shadow)
+    brightness = footprint.brightness[window_of((y, x), piece.inside)]
+    lit = piece.inside & (picture.layers["blocked_direct"][piece.window] < limits["shadow"])
     # where it is level, by its edges, and by the height model
     place = level_place(footprint, roof)
     centre = (place.line - y, place.column - x)
     prior = lean_to_sun(roof.axis, picture.shadow_side)
-    lean = measured_lean(picture.heights, piece.window, piece.inside, centre, prior, picture.shadow_side)
-    centre = (centre[0] + lean.shift[0], centre[1] + lean.shift[1])
-    text = f"by the height model it leans by {lean.angle:+.1f} degrees towards the sun"
-    reasons = [roof.reason, *([text] if np.isfinite(lean.angle) else [])]
+    rake, shift, angle = measured_lean(
+        picture.heights, piece.window, piece.inside, centre, prior, picture.shadow_side
+    )
+    place = place._replace(line=centre[0] + shift[0], column=centre[1] + shift[1])
+    text = f"by the height model it leans by {angle:+.1f} degrees towards the sun"
+    reasons = [roof.reason, *([text] if np.isfinite(angle) else [])]
     level, objection = None, f"{text}, and has no level position; draw a region on a level part"
-    is_off = not (-1.0 <= centre[0] <= lines and -1.0 <= centre[1] <= columns)
-    if not (np.isfinite(lean.angle) and is_off):
-        level = level_light(brightness, lit, place._replace(line=centre[0], column=centre[1]), roof.axis)
+    lines, columns = piece.inside.shape
+    is_inside = -1.0 <= place.line <= lines and -1.0 <= place.column <= columns
+    if is_inside or not np.isfinite(angle):
+        level = level_light(brightness, lit, place, roof.axis)
         objection = "too few lit pixels near the level position of the roof for its brightness"
     if level is None:
         return Verdict(piece, measured(piece, picture, limits), "roof", 0.0, reasons, [objection])
     # pixels near the level brightness; a wider range where these are too few
     relative = brightness / level.brightness
     for factor in CARS.wider:
-        roof_limits = replace(limits, glint=np.inf, adjacency=np.inf, brightness=factor * limits.brightness)
-        measures = measured(piece, picture, roof_limits, relative)
-        if measures.pixels >= limits.min_pixels:
+        widened = {"glint": np.inf, "adjacency": np.inf, "brightness": factor * limits["brightness"]}
+        measures = measured(piece, picture, {**limits, **widened}, relative)
+        if measures.pixels >= limits["min_pixels"]:
             break
     # mean difference of the usable pixels from the level position
     offset = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     level = level._replace(sd=float(np.hypot(level.sd, offset)))
     verdict = Verdict(piece, measures, "roof", reasons=reasons)
     _judge_pixels(verdict, limits)
-    judge_level(verdict, picture, lean.sd, level)
+    judge_level(verdict, picture, rake, level)
     judge_finish(verdict, picture, level, difference_of(piece, picture, relative))
     if verdict.finish == "metallic":
         verdict.kind = "metallic"
@@ -1083,10 +1075,8 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
         )
     if paint_level >= SURFACES.dark:
         return
-    other_paint = footprint.paint & footprint.area & ~roof.inside
-    ratio = np.nan
-    if other_paint.any():
-        ratio = float(np.nanmedian(level[roof.inside]) / np.nanmedian(level[other_paint]))
+    other_paint = level[footprint.paint & footprint.area & ~roof.inside]
+    ratio = np.nanmedian(level[roof.inside]) / np.nanmedian(other_paint) if other_paint.size else np.nan
     if not ((roof.complete or roof.sided) and JUDGING.dark_roof[0] < ratio < JUDGING.dark_roof[1]):
         verdict.objections.append(
             "a dark roof needs the same paint beyond both its windows, or a bonnet before its windscreen and "
@@ -1094,7 +1084,7 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
         )
 
 
-def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
+def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: float) -> Piece | None:
     # Pixels of a roof away from other colours.
     # Pixels brighter than the car's other paint count as paint: they lie in the lobe of flakes, or in glint.
     paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
@@ -1103,9 +1093,8 @@ def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -
     if not lines.size:
         return None
     origin = (int(lines[0]) + footprint.origin[0], int(columns[0]) + footprint.origin[1])
-    mask = inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1]
-    piece = Piece(0, origin, mask)
-    segment = model.segment[piece.window][mask]
+    piece = Piece(0, origin, inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1])
+    segment = model.segment[piece.window][piece.inside]
     body = model.body[segment[segment >= 0]]
     return piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
 
