@@ -179,13 +179,12 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     """
     interface = Interface(k1, k2)
     problems = Problems("the light mirrored by the coat is unknown", SchemaError)
-    declared = None
     try:
-        declared = mirror_reflection(library)
+        default = 0.0 if mirror_reflection(library) == EXCLUDED else k1
     except SchemaError as error:
+        default = k1
         problems.add_error(str(library.attrs.get("title", "the library")), error)
-    if mirrored is None:
-        mirrored = 0.0 if declared == EXCLUDED else k1
+    mirrored = default if mirrored is None else mirrored
     values = np.asarray(mirrored, np.float64)
     if values.shape not in ((), (library.sizes[BAND],)):
         problems.add(
@@ -280,7 +279,12 @@ def synthetic_library(
                         "Paints it was made from, as JSON",
                         [_json(list(shares)) for shares in parents],
                     ),
-                    ("weights", "Shares of the parents, as JSON", [_shares(shares) for shares in parents]),
+                    # twelve digits, so that the last bits of a division do not show
+                    (
+                        "weights",
+                        "Shares of the parents, as JSON",
+                        [_json([float(f"{part:.12g}") for part in shares.values()]) for shares in parents],
+                    ),
                     ("method", "How it was made", [method] * len(names)),
                 )
             },
@@ -312,11 +316,6 @@ def _spread_of_paint(members: Array) -> tuple[Array, Array]:
 
 def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
-
-
-def _shares(parents: Mapping[str, float]) -> str:
-    # twelve digits, so that the last bits of a division do not show
-    return _json([float(f"{share:.12g}") for share in parents.values()])
 
 
 Form = Literal["members", "paints"]
@@ -470,8 +469,7 @@ def draw_variants(
     share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
     variants = share * (1.0 + lower_margin + upper_margin) - lower_margin
     # near its ends a logit has longer tails than the measured values: limit the range of every band
-    centre, blur = inside.mean(axis=0), bandwidth * inside.std(axis=0)
-    scale = np.sqrt(size / (size - 1.0))
+    centre, blur, scale = inside.mean(axis=0), bandwidth * inside.std(axis=0), np.sqrt(size / (size - 1.0))
     low = centre + scale * (inside.min(axis=0) - centre) - blur
     high = centre + scale * (inside.max(axis=0) - centre) + blur
     return np.asarray(np.clip(np.clip(variants, low, high), 0.0, 1.0))
@@ -479,9 +477,8 @@ def draw_variants(
 
 def _complete_members(spectra: Floats) -> tuple[Bools, Floats]:
     # Bands in which most members have a value (band,), and the members with values in all these bands
-    is_finite = np.isfinite(spectra)
-    is_finite = is_finite[is_finite.any(axis=1)]
     spectra = spectra[np.isfinite(spectra).any(axis=1)]
+    is_finite = np.isfinite(spectra)
     bands = is_finite.mean(axis=0) > 0.5 if len(is_finite) else np.zeros(spectra.shape[1], np.bool_)
     return bands, spectra[is_finite[:, bands].all(axis=1)][:, bands]
 
@@ -491,10 +488,9 @@ def _variant_library(library: xr.Dataset, variants: Floats32, form: str, seed: i
     count = variants.shape[1]
     parent_rows = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
     parents = [str(library[SIGNATURE].values[row]) for row in parent_rows]
-    if form == "members":
-        names = [f"{name} (synthetic)" for name in parents]
-        values = {"reflectance": variants.mean(axis=1, dtype=np.float64), "member_reflectance": variants}
-    else:
+    names = [f"{name} (synthetic)" for name in parents]
+    values = {"reflectance": variants.mean(axis=1, dtype=np.float64), MEMBERS: variants}
+    if form == "paints":
         names = [f"{name} (synthetic {row % count + 1})" for row, name in enumerate(parents)]
         values = {"reflectance": variants.reshape(-1, variants.shape[2])}
     if SPECULAR in library.variables:
@@ -696,18 +692,12 @@ def shade_paints(
         )
     _require(library)
     names = [str(name) for name in library[SIGNATURE].values]
-    coating = coating_of(library, k1, k2, mirrored)
-    values = _spectra(library, None)
-    count = len(names)
+    coating, count = coating_of(library, k1, k2, mirrored), len(names)
     spectra: dict[str, Floats] = {}
-    for name, array in values.items():
-        if name == SPECULAR:
-            spectra[name] = np.repeat(array, factors.size, axis=0)
-            continue
+    for name, array in _spectra(library, None).items():
+        repeated = np.repeat(array if name == SPECULAR else coating.ratio(array, names), factors.size, axis=0)
         scale = np.tile(factors, count).reshape(-1, *[1] * (array.ndim - 1))
-        spectra[name] = coating.reflectance(
-            np.repeat(coating.ratio(array, names), factors.size, axis=0) * scale
-        )
+        spectra[name] = repeated if name == SPECULAR else coating.reflectance(repeated * scale)
     shades = [f"{name} x {depth:g}" for name in names for depth in factors.tolist()]
     parents = [{name: 1.0} for name in names for _ in factors]
     shaded = synthetic_library(
@@ -751,11 +741,10 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
 
 def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
     # Spectra without the members that all paints lack
-    if MEMBERS not in values:
-        return values
-    count = int(np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1).max(initial=0))
+    members = values.get(MEMBERS, np.empty((0, 0, 0)))
+    count = int(np.isfinite(members).any(axis=2).sum(axis=1).max(initial=0))
     result = {name: array for name, array in values.items() if name != MEMBERS}
-    return {**result, MEMBERS: values[MEMBERS][:, :count]} if count else result
+    return {**result, MEMBERS: members[:, :count]} if count else result
 
 
 def _checked(
