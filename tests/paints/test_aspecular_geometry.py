@@ -1,7 +1,5 @@
 """Aspecular angles, and what changes from the dark to the bright end of a panel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st

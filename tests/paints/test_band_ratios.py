@@ -1,7 +1,5 @@
 """Covariance of the bands of signatures against how signatures of simulated collects scatter."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Signatures of the body under a clear coat: what is put into a line by plain arithmetic comes back."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

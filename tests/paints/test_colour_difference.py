@@ -1,7 +1,5 @@
 """CIE Lab and CIEDE2000 against published values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Paints looked for in an image: scores against plain numpy and SPy, rates, refusals, the same bits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import dask
@@ -326,8 +324,7 @@ def test_refusals(paints: xr.Dataset, red: xr.Dataset) -> None:
 
 
 def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
-    line = make_line(red)
-    found = line.paint.detect(red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3)
+    found = make_line(red).paint.detect(red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3)
     outlines = {"car": (8, 10), "road": (22, 40)}
     regions = Regions(
         tuple(

@@ -1,7 +1,5 @@
 """Regions drawn on a map: signatures of the map, of the stored map, and of the line that it was made from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -216,8 +214,7 @@ def test_the_accessor_and_the_picture_of_a_map(flown: Flown, line: xr.Dataset, g
 
 def with_poses(flown: Flown, line: xr.Dataset) -> xr.Dataset:
     # Return the line without places: positions, attitude, look angles, and what the signs mean
-    pyproj = pytest.importorskip("pyproj")
-    back = pyproj.Transformer.from_crs(MAP, "EPSG:4979", always_xy=True)
+    back = pytest.importorskip("pyproj").Transformer.from_crs(MAP, "EPSG:4979", always_xy=True)
     longitude, latitude = back.transform(*flown.position[:, :2].T)
     roll, pitch, heading = flown.attitude.T
     poses = {"latitude": latitude, "longitude": longitude, "altitude": flown.position[:, 2] + 152.4}
@@ -251,8 +248,7 @@ def test_a_line_with_poses_is_located_for_regions_of_a_map(flown: Flown, line: x
 
 def test_degrees_without_a_crs_are_not_guessed_but_said(flown: Flown, line: xr.Dataset) -> None:
     # GeoJSON as RFC 7946 has it, which names no reference system
-    pyproj = pytest.importorskip("pyproj")
-    turned = pyproj.Transformer.from_crs(MAP, "OGC:CRS84", always_xy=True)
+    turned = pytest.importorskip("pyproj").Transformer.from_crs(MAP, "OGC:CRS84", always_xy=True)
     features = [
         Region(one.name, np.stack(turned.transform(*one.polygon.T), axis=-1)).feature()
         for one in drawn(flown)

@@ -1,7 +1,5 @@
 """Paints by name, colour and spectral angle."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import dask.array

@@ -1,7 +1,5 @@
 """What goes into a signature: flags, smoothing, corrections, several lines; and the library it makes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

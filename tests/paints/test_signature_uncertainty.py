@@ -1,7 +1,5 @@
 """Paint signatures against the truth, and how sure they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

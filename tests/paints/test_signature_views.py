@@ -1,7 +1,5 @@
 """From where a signature is seen: against cameras turned by rotation matrices, and against traced rays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +29,7 @@ def with_camera(line: xr.Dataset, *, turned: float = 8.0, heading: float = 100.0
         "heading": heading + turned * rng.standard_normal(lines),
     }
     line = line.assign_coords({k: ("along_track", v, {"units": "degree"}) for k, v in angles.items()})
-    look = np.linspace(-12.0, 20.0, columns)
-    return line.assign(look_angle=("cross_track", look, {"units": "degree"}))
+    return line.assign(look_angle=("cross_track", np.linspace(-12.0, 20.0, columns), {"units": "degree"}))
 
 
 def to_camera(line: xr.Dataset, along: np.ndarray, across: np.ndarray) -> np.ndarray:
@@ -72,8 +69,7 @@ def test_a_level_camera_heading_north() -> None:
 def test_what_is_right_below_is_seen_from_above() -> None:
     line = with_camera(made(), turned=0.0)
     line["look_angle"] = ("cross_track", np.linspace(-15.0, 15.0, 16), {"units": "degree"})
-    whole = Region("whole", [(0, 0), (15, 0), (15, 39), (0, 39)])
-    library = extract_signatures(line, whole, exclude=0)
+    library = extract_signatures(line, Region("whole", [(0, 0), (15, 0), (15, 39), (0, 39)]), exclude=0)
     assert float(library.view_zenith[0]) < 0.5
 
 
@@ -143,8 +139,7 @@ def test_look_angles_come_with_the_calibration(tmp_path: Path) -> None:
     collect = hp.simulate_collect(
         tmp_path / "raw", lines=32, bands=12, columns=16, scene="plan", truth=False, cubes=1
     )
-    store = hp.process(collect, tmp_path / "lot.zarr")
-    line = hp.open_store(store, "flightlines/raw_0")
+    line = hp.open_store(hp.process(collect, tmp_path / "lot.zarr"), "flightlines/raw_0")
     assert line.look_angle.dtype == VARIABLES["look_angle"].dtype
     # 7.4 um at 12 mm
     np.testing.assert_allclose(np.tan(np.radians(line.look_angle)), (np.arange(16) - 7.5) * 7.4e-6 / 12e-3)

@@ -1,7 +1,5 @@
 """Paint signatures against plain numpy, and whatever the chunks."""
 
-from __future__ import annotations
-
 import tracemalloc
 from typing import Any
 

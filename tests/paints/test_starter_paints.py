@@ -1,7 +1,5 @@
 """The starter library: what it promises, and that other programs get it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -100,8 +98,7 @@ def test_dirsig_takes_it_without_counting_the_coat_twice(tmp_path: Path) -> None
     file = tmp_path / "dirsig" / made.emissivity_file.values[2]
     back = open_emissivity(file)
     assert back.member_reflectance.shape == (1, 3, 272)
-    opened = hp.open_library(file)
-    xr.testing.assert_identical(opened, back)
+    xr.testing.assert_identical(hp.open_library(file), back)
 
 
 @pytest.mark.parametrize("suffix", ["zarr", "sli", "csv"])

@@ -1,7 +1,5 @@
 """The finish of a roof from how its light changes: panels of solid paint and of flakes in closed form."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

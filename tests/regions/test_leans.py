@@ -1,7 +1,5 @@
 """Leans of roofs from height models."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

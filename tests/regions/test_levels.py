@@ -1,7 +1,5 @@
 """Levels of crowned roofs against roofs whose shape and paint are known in closed form."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -148,8 +146,7 @@ def roofed(middle: float, half: float, slope: float) -> tuple[Footprint, Roof]:
         60.0,
         False,
     )
-    roof = Roof(inside, (int(middle) + 1.0, 45.0), AXIS, 1.5, 1.7, "", 1.0, True, True, 0.0)
-    return footprint, roof
+    return footprint, Roof(inside, (int(middle) + 1.0, 45.0), AXIS, 1.5, 1.7, "", 1.0, True, True, 0.0)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.03, -0.06])

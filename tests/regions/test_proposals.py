@@ -1,7 +1,5 @@
 """Regions proposed by rule, on cars drawn by hand."""
 
-from __future__ import annotations
-
 import json
 import logging
 from dataclasses import replace
@@ -235,8 +233,7 @@ def test_lobes_of_flakes__are_known_where_they_are_level() -> None:
     # Expected: of brightness that changes by 70 % along a roof a band across its middle, whose level is less
     # sure than 3 %
     line = parked(gain=0.02)
-    beside = {"sun_azimuth": 180.0, "heading": 0.0}
-    (region,) = found = propose(line, **beside)
+    (region,) = found = propose(line, sun_azimuth=180.0, heading=0.0)
     assert region.properties["level_uncertainty"] > 0.03
     along, across = pixels_of(found, line)[0]
     assert abs(float(np.mean(across)) - (30 + 55)) < 1.5

@@ -1,7 +1,5 @@
 """Files of regions, whoever wrote them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Regions: which pixels lie in them, exactly."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Corrections that are offered, against light computed by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

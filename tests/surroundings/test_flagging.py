@@ -1,7 +1,5 @@
 """Lines that nobody has flagged are flagged before signatures and reports; others keep their flags."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -247,8 +245,7 @@ def test_the_origin_of_flags_outlives_reflectance(tmp_path: Path) -> None:
     collect = hp.simulate_collect(
         tmp_path / "raw", lines=32, bands=24, columns=16, scene="plan", truth=False, cubes=1
     )
-    store = hp.process(collect, tmp_path / "lot.zarr")
-    line = hp.open_store(store, "flightlines/raw_0")
+    line = hp.open_store(hp.process(collect, tmp_path / "lot.zarr"), "flightlines/raw_0")
     flagged = line.paint.reflectance().paint.flag().compute()
     hp.to_store(flagged, tmp_path / "flagged.zarr", "flightlines/raw_0")
     again = hp.open_store(tmp_path / "flagged.zarr", "flightlines/raw_0").paint.reflectance()

@@ -1,7 +1,5 @@
 """Flags on scenes built from geometry, never from the division that flags make."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -73,8 +71,7 @@ def test_the_image_of_the_sun_in_a_bonnet(body: Any, zenith: float) -> None:
 
 @pytest.mark.parametrize("plane", [0.1, 0.25])
 def test_a_red_wall_reddens_a_grey_plane(plane: float) -> None:
-    grey = np.full(NM.size, plane)
-    cube, added, masks = wall_beside_plane(NM, grey, RED, height=0.7, pixel=0.05)
+    cube, added, masks = wall_beside_plane(NM, np.full(NM.size, plane), RED, height=0.7, pixel=0.05)
     line = hp.surroundings.flag(as_line(cube, NM, snr=100.0, seed=102), sun_zenith=35.0).compute()
     near = masks["plane"].values & ~has(line, Quality.MIXED_EDGE) & (added > 0.015) & (added < 0.025)
     assert near.sum() > 100

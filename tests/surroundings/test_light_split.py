@@ -1,7 +1,5 @@
 """Where the diffuse fraction of a line is from, and what sky that is."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

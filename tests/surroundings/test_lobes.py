@@ -1,7 +1,5 @@
 """Mirror images of the sun as spots: told from flakes' broad lobe, from stains of light and from edges."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The attribute that says whether reflectance holds what a clear coat mirrors, from pixel to simulator."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Cast shadows among segments: told from dark glass and black paint by what lies around them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.optimize
@@ -52,8 +50,7 @@ def matched(
 
 @pytest.mark.parametrize("parts", [2, 3])
 def test_the_amounts_are_those_of_non_negative_least_squares(parts: int) -> None:
-    rng = np.random.default_rng(3)
-    body, sender, seen = rng.uniform(0.02, 0.6, (3, 40, 24))
+    body, sender, seen = np.random.default_rng(3).uniform(0.02, 0.6, (3, 40, 24))
     amount, misfit = solve(seen, body, sender if parts == 3 else None, LIGHT)
     for row in range(40):
         sigma = 0.05 * seen[row] + 0.0005
@@ -188,8 +185,7 @@ def test_the_side_of_a_bright_thing_without_sun_is_in_shadow(
     number = np.zeros((60, 60), int)
     number[20:30, 20:40] = 2
     number[30:36, 20:40] = 1  # away from the sun, between roof and ground
-    side = white * (direct * LIGHT.direct + sky * LIGHT.diffuse)
-    light_of_side = np.stack([ASPHALT, side, white])
+    light_of_side = np.stack([ASPHALT, (white * (direct * LIGHT.direct + sky * LIGHT.diffuse)), white])
     numbers = number.astype(np.int32)
     size = np.bincount(number.ravel()).astype(np.int64)
     matches, ground = match_shade(numbers, light_of_side, size, touching(numbers, 3), LIGHT, AWAY)

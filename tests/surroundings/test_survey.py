@@ -1,7 +1,5 @@
 """What a survey finds, and that it is the same whatever the chunks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +78,7 @@ def test_the_same_bits_for_any_chunks(shadow_line: xr.Dataset, model: SceneModel
 def test_a_model_can_be_stored(model: SceneModel, tmp_path: Any, shadow_line: xr.Dataset) -> None:
     hp.to_store(model.to_dataset(), tmp_path / "model.zarr", group="scene")
     stored = xr.open_zarr(tmp_path / "model.zarr", group="scene")
-    again = SceneModel.from_dataset(stored)
-    np.testing.assert_array_equal(again.reference, model.reference)
+    np.testing.assert_array_equal(SceneModel.from_dataset(stored).reference, model.reference)
     flagged = [hp.surroundings.flag(shadow_line, one).quality.values for one in (model, stored)]
     np.testing.assert_array_equal(*flagged)
 

@@ -1,7 +1,5 @@
 """The thick layer, its interface, and what they are worth against another way to the same numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st

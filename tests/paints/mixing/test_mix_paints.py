@@ -1,7 +1,5 @@
 """Mixtures and shades against numbers worked out by hand."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

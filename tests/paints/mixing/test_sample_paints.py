@@ -1,7 +1,5 @@
 """Variants keep what their population is: mean, covariance, tails, bounds."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,7 @@ def population(count: int = 60, seed: int = 3) -> np.ndarray:
     # Return pixels of a red paint: brightness, hue and noise vary, and a third is in half shade
     rng = np.random.default_rng(seed)
     nm = np.linspace(400.0, 1000.0, 40)
-    edge = 605.0 + 3.0 * rng.standard_normal((count, 1))
-    spectra = 0.03 + 0.5 / (1.0 + np.exp(-(nm - edge) / 8.0))
+    spectra = 0.03 + 0.5 / (1.0 + np.exp(-(nm - (605.0 + 3.0 * rng.standard_normal((count, 1)))) / 8.0))
     spectra *= np.where(np.arange(count) % 3 == 0, 0.5, 1.0)[:, None] * np.exp(
         0.05 * rng.standard_normal((count, 1))
     )
