@@ -410,13 +410,12 @@ def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> 
             columns.append(strength_of(members, nm[bands], diffuse, min(sun, 89.0), removed))
     names = ("coat_strength", "coat_strength_u", "coat_strength_reason")
     variables: dict[str, Any] = {
-        name: (SIGNATURE, np.array(column, object if name.endswith("reason") else np.float64))
-        for name, column in zip(names, zip(*columns, strict=True), strict=True)
+        name: (SIGNATURE, np.array(column, dtype), LIBRARY_VARIABLES[name].attrs)
+        for name, column, dtype in zip(
+            names, zip(*columns, strict=True), (np.float64, np.float64, object), strict=True
+        )
     }
-    result = library.assign(variables).set_coords("coat_strength_reason")
-    for name in names:
-        result[name].attrs = LIBRARY_VARIABLES[name].attrs
-    return result
+    return library.assign(variables).set_coords("coat_strength_reason")
 
 
 #: Flags of pixels whose reflectance differs from that of the surface.
@@ -1001,7 +1000,6 @@ def paint_library(
         "fwhm": first_source.fwhm,
         "good": np.all([source.good for source in sources.values()], axis=0),
     }
-    library = xr.Dataset()
     components = {}
     for k, name in enumerate(UNCERTAINTIES):
         texts = [draft.errors.components[k] for draft in drafts if draft.errors is not None]
@@ -1009,23 +1007,24 @@ def paint_library(
             source.components.get(name, NONE_KNOWN) for source in sources.values() if source.errors is None
         ]
         components[name] = {"components": _joined(texts)}
+    flags: dict[str, Any] = {"quality": quality_attrs(), "sky_state": sky_state_attrs()}
+    variables = {}
     for name, row in LIBRARY_VARIABLES.items():
-        if name not in values:  # variables of corrections are added later
-            continue
-        flags = {"quality": quality_attrs, "sky_state": sky_state_attrs}.get(name, dict)()
-        attrs = {**flags, **row.attrs, **components.get(name, {})}
-        # objects are texts of any length
-        array = np.array(values[name], object if row.dtype == "str" else row.dtype)
-        library[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
-    library = library.assign(error_variables([draft.errors for draft in drafts]))
+        if name in values:  # variables of corrections are added later
+            # objects are texts of any length
+            array = np.array(values[name], object if row.dtype == "str" else row.dtype)
+            attrs = {**flags.get(name, {}), **row.attrs, **components.get(name, {})}
+            variables[name] = (row.dims, array, attrs)
+    library = xr.Dataset(variables | error_variables([draft.errors for draft in drafts]))
     library = library.set_coords(
         [name for name, row in LIBRARY_VARIABLES.items() if row.coordinate and name in library]
     )
-    properties = {
-        name: ("signature", column, {"long_name": f"Property {name} of the regions"})
-        for name, column in _properties(regions).items()
-    }
-    library = library.assign_coords(properties)
+    library = library.assign_coords(
+        {
+            name: (SIGNATURE, column, {"long_name": f"Property {name} of the regions"})
+            for name, column in _properties(regions).items()
+        }
+    )
     # attributes of corrections prevent a second correction
     corrections = dict.fromkeys(name for source in sources.values() for name in source.corrections)
     library["reflectance"].attrs |= {
