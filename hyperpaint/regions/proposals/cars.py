@@ -625,8 +625,8 @@ def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level) -
         verdict.objections.append(f"{text}: at most {allowed:.1%} is allowed; {advice}")
 
 
-def _judge_pixels(verdict: Verdict, limits: Limits) -> None:
-    # Add the measures and the score to a verdict; object to too few pixels, and to mixed colours
+def judge_pixels(verdict: Verdict, limits: Limits) -> None:
+    """Add the measures and the score to a verdict; object to too few pixels, and to mixed colours."""
     measures = verdict.measures
     lost = ", ".join(f"{share:.0%} {reason}" for reason, share in measures.lost.items() if share >= 0.01)
     excluded = f" (excluded: {lost})" if lost else ""
@@ -1055,7 +1055,7 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
     offset = float(relative[measures.usable].mean()) - 1.0 if measures.pixels else 0.0
     level = level._replace(sd=float(np.hypot(level.sd, offset)))
     verdict = Verdict(piece, measures, "roof", reasons=reasons)
-    _judge_pixels(verdict, limits)
+    judge_pixels(verdict, limits)
     judge_level(verdict, picture, rake, level)
     judge_finish(verdict, picture, level, difference_of(piece, picture, relative))
     if verdict.finish == "metallic":
@@ -1111,7 +1111,7 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ver
             "region by hand"
         )
     verdict.reasons.append("part of a car with windows across it and along it")
-    _judge_pixels(verdict, limits)
+    judge_pixels(verdict, limits)
     assumed = Level(along_change=JUDGING.unseen_change * picture.direct_share, is_measured=False)
     judge_level(verdict, picture, JUDGING.panel_deg, assumed)
     if measures.pixels:
