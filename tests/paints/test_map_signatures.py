@@ -66,6 +66,19 @@ def test_a_located_line_gives_the_pixels_that_lie_in_the_outline(flown: Flown, l
     library = extract(line, regions)
     for number, region in enumerate(regions):
         assert used(library, number) == inside(region, flown)
+    library = extract(hp.geometry.orthorectify(line, grid="north"), regions)
+    large, small = (used(library, number) for number in range(2))
+    # nearest cells leave pixels out, and show few from beyond the edge
+    assert len(large & inside(regions[0], flown)) >= 0.99 * len(large)
+    assert len(small & inside(regions[1], flown)) >= 0.98 * len(small)
+    assert 0.6 * len(inside(regions[0], flown)) < len(large)
+    whole = extract(hp.geometry.orthorectify(line, grid="north").compute(), regions)
+    for tile in (17, 64):
+        made = hp.geometry.orthorectify(line, grid="north", tile=tile)
+        assert extract(made, regions).drop_attrs().identical(whole.drop_attrs())
+    made = hp.geometry.orthorectify(line, grid="north")
+    mask = region_mask(drawn(flown), made)
+    assert made["quality"].where(mask == 1).dims == ("y", "x")
 
 
 @pytest.mark.parametrize(
@@ -104,16 +117,6 @@ def test_a_map_gives_the_pixels_of_the_line(
     assert away.max() < 20e6
     # the middle of the map is the middle of the flight, near noon
     assert library["sun_zenith"].values == pytest.approx([14.2, 14.2], abs=0.05)
-
-
-def test_cells_of_the_spacing_show_pixels_of_the_outline_once(flown: Flown, line: xr.Dataset) -> None:
-    regions = drawn(flown)
-    library = extract(hp.geometry.orthorectify(line, grid="north"), regions)
-    large, small = (used(library, number) for number in range(2))
-    # nearest cells leave pixels out, and show few from beyond the edge
-    assert len(large & inside(regions[0], flown)) >= 0.99 * len(large)
-    assert len(small & inside(regions[1], flown)) >= 0.98 * len(small)
-    assert 0.6 * len(inside(regions[0], flown)) < len(large)
 
 
 def test_outlines_of_the_sensor_are_those_of_the_pixels_that_a_map_shows(line: xr.Dataset) -> None:
@@ -159,20 +162,6 @@ def test_cells_of_a_geotiff(flown: Flown, line: xr.Dataset, tmp_path: Path) -> N
     assert extract(opened, region)["n"].item() == pixels(region[0], made, coordinates="map", crs=MAP)[0].size
     with pytest.raises(SchemaError, match="corner-outside-crs"):
         extract(opened, Regions(region.regions, "map", "EPSG:4326"))
-
-
-def test_a_mask_of_a_map_lies_on_the_map(flown: Flown, line: xr.Dataset) -> None:
-    made = hp.geometry.orthorectify(line, grid="north")
-    mask = region_mask(drawn(flown), made)
-    assert made["quality"].where(mask == 1).dims == ("y", "x")
-
-
-def test_tiles_and_chunks_change_nothing(flown: Flown, line: xr.Dataset) -> None:
-    regions = drawn(flown)
-    whole = extract(hp.geometry.orthorectify(line, grid="north").compute(), regions)
-    for tile in (17, 64):
-        made = hp.geometry.orthorectify(line, grid="north", tile=tile)
-        assert extract(made, regions).drop_attrs().identical(whole.drop_attrs())
 
 
 def test_only_the_tiles_of_the_regions_are_read(flown: Flown, line: xr.Dataset) -> None:

@@ -74,9 +74,6 @@ def test_members_are_pixels_of_the_region() -> None:
     assert (few.member_along_track[n:] == -1).all()
     assert (few.member_along_track[:n] >= 0).all()
     assert extract_signatures(line, TWO, members=0).sizes["member"] == 0
-
-
-def test_the_choice_of_members_is_of_the_pixels_alone() -> None:
     along, across = np.divmod(np.arange(5000), 50)
     first = set(chosen_members(along, across, 100, seed=0).tolist())
     assert first != set(chosen_members(along, across, 100, seed=1).tolist())
@@ -168,17 +165,6 @@ def test_the_same_bits_on_a_cluster_of_two_processes() -> None:
     assert told[-1][0] == told[-1][1]
 
 
-def test_the_order_of_regions_changes_nothing() -> None:
-    line = made()
-    forward = extract_signatures(line, TWO)
-    backward = extract_signatures(line, Regions(TWO.regions[::-1]))
-    for name in (*SPECTRA, "n_eff"):
-        both = [library[name].sel(signature="roof", drop=True) for library in (forward, backward)]
-        size = min(int(library.n.sel(signature="roof")) for library in (forward, backward))
-        both = [array.isel(member=slice(size), missing_dims="ignore") for array in both]
-        np.testing.assert_array_equal(*both)
-
-
 @pytest.mark.parametrize("size", [3_000, 12_000])
 @pytest.mark.slow
 def test_regions_read_some_bands_at_a_time(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,3 +229,11 @@ def test_only_the_lines_of_a_region_are_read() -> None:
     found = extract_signatures(lazy, region)
     assert seen == {2, 3}
     assert_same_bits(found, extract_signatures(line, region))
+    line = made()
+    forward = extract_signatures(line, TWO)
+    backward = extract_signatures(line, Regions(TWO.regions[::-1]))
+    for name in (*SPECTRA, "n_eff"):
+        both = [library[name].sel(signature="roof", drop=True) for library in (forward, backward)]
+        size = min(int(library.n.sel(signature="roof")) for library in (forward, backward))
+        both = [array.isel(member=slice(size), missing_dims="ignore") for array in both]
+        np.testing.assert_array_equal(*both)

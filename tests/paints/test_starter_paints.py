@@ -21,7 +21,7 @@ def paints() -> xr.Dataset:
     return hp.paints.starter_library()
 
 
-def test_its_form(paints: xr.Dataset) -> None:
+def test_its_form_names_and_swatches(paints: xr.Dataset) -> None:
     assert dict(paints.member_reflectance.sizes) == {"signature": 40, "member": 24, "band": 272}
     assert (paints.wavelength.values[[0, -1]] == [400.0, 1000.0]).all()
     for name in ("reflectance", "member_reflectance", "specular_reflectance", "reflectance_sd"):
@@ -29,15 +29,13 @@ def test_its_form(paints: xr.Dataset) -> None:
         assert ((paints[name] >= 0.0) & (paints[name] <= 1.0)).all(), name
     assert paints.reflectance.attrs["mirror_reflection"] == "excluded"
     assert (paints.reflectance + paints.specular_reflectance <= 1.0).all()
-
-
-def test_everything_is_named_synthetic(paints: xr.Dataset) -> None:
     names = paints["signature"].values.tolist()
     assert len(set(names)) == 40
     assert all(name.startswith("Synthetic ") and name.isascii() for name in names)
     assert set(paints.provenance.values) == {"synthetic"}
     assert [json.loads(text)[0] for text in paints.parents.values[:14]] == list(FOURTEEN)
     assert "none of them measured" in paints.attrs["title"]
+    assert paints.srgb.values.tolist() == [srgb_hex(colour) for colour in paint_colours(paints)]
 
 
 def test_paints_are_those_of_the_simulator(paints: xr.Dataset) -> None:
@@ -71,10 +69,6 @@ def test_members_surround_their_paint(paints: xr.Dataset) -> None:
     relative = (many.reflectance_sd / many.reflectance).mean("band")
     assert ((relative > 0.015) & (relative < 0.12)).all()
     assert "member_reflectance" not in hp.paints.starter_library(members=0)
-
-
-def test_swatches_are_the_colours_of_the_bodies(paints: xr.Dataset) -> None:
-    assert paints.srgb.values.tolist() == [srgb_hex(colour) for colour in paint_colours(paints)]
 
 
 @pytest.mark.parametrize(

@@ -99,8 +99,7 @@ def test_level__scales_with_brightness() -> None:
     # Expected: three times as bright is three times the level; sd and change with lean stay
     seen = crowned(Sun(50.0, 20.0), 0.4)
     one, other = level_of(seen), level_of(3.0 * seen)
-    assert other.brightness == pytest.approx(3.0 * one.brightness)
-    assert other[1:] == pytest.approx(one[1:])
+    assert (other.brightness, other[1:]) == (pytest.approx(3.0 * one.brightness), pytest.approx(one[1:]))
 
 
 def test_level__of_the_mirror_image_is_the_same() -> None:

@@ -218,8 +218,7 @@ def test_the_report_shows_what_is_found(lot: Path, tmp_path: Path, surveys: list
     assert "were detected for this page" in page
     assert ">glint<" in page
     assert "Mirror image of the sun" in page  # the layer
-    assert len(surveys) == 1
-    assert told == sorted(told)
+    assert (len(surveys), told) == (1, sorted(told))
     assert len(told) > 2  # of the survey, too
     assert {path: path.read_bytes() for path in lot.rglob("*") if path.is_file()} == before
     plain = run("report", lot, "--out", tmp_path / "b.html", "--no-flags")
