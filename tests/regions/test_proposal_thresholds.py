@@ -14,6 +14,7 @@ from hyperpaint.regions.proposals.cars import (
     Car,
     Footprint,
     Level,
+    NoRoof,
     Place,
     Roof,
     Verdict,
@@ -180,6 +181,28 @@ def car_of(paint: float, roof: float, windows: float, complete: bool = True) -> 
 
 
 @pytest.mark.parametrize(
+    ("ratio", "zenith", "is_refused"),
+    [
+        (1.13, 20.0, False),  # by 0.15 at most
+        (1.17, 20.0, True),
+        (1.28, 60.0, False),  # or by a lean of 10 degrees under a lower sun
+        (1.33, 60.0, True),
+    ],
+)
+def test_parts__are_as_bright_as_other_paint(ratio: float, zenith: float, is_refused: bool) -> None:
+    number = np.ones((40, 100), np.int32)
+    number[:, 80:] = 2
+    picture = picture_of(0.3 * np.ones(24), ratio * 0.3 * np.ones(24), number=number, zenith=zenith)
+    every = np.ones(number.shape, bool)
+    paint = Footprint(
+        (0, 0), number == 1, every, every * 1.0, AXIS, np.array([19.5, 49.5]), 100.0, 40.0, False
+    )
+    part = Piece(2, (5, 84), np.ones((30, 12), bool))
+    (verdict,) = judge_car(Car([part], paint, NoRoof("", True)), picture, LIMITS)
+    assert ("times as bright" in " ".join(verdict.objections)) == is_refused
+
+
+@pytest.mark.parametrize(
     ("paint", "roof", "windows", "complete", "words"),
     [
         (0.3, 0.3, 0.22, True, ""),  # windows are darker than paint by a quarter of it
@@ -274,7 +297,7 @@ def test_footprints__join_parts(parts: list[tuple[int, int, int]], joining: int,
 
 @pytest.mark.parametrize(("on_paint", "cars"), [(22, 1), (11, 2)])
 def test_cars__have_the_pieces_on_their_paint(on_paint: int, cars: int) -> None:
-    # Expected: a piece of which half lies on the paint of a car belongs to it, a quarter of 40 columns does not
+    # Expected: a piece of which half lies on the paint of a car belongs to it, a quarter does not
     number = np.zeros((80, 180), np.int32)
     number[20:60, 20:120] = 1
     number[22:42, 120:160] = 3
