@@ -52,20 +52,14 @@ def test_noise__is_stated() -> None:
     assert np.mean(found) == pytest.approx(1.0, abs=0.1)
 
 
-def test_bare_ground__says_nothing_of_a_roof() -> None:
+def test_bare_ground_and_flat_roofs_have_no_lean() -> None:
     # Rationale: most height models show the ground without cars. Expected: as if there were none.
     bare = np.add.outer(0.02 * np.arange(40.0), np.zeros(50))
     assert lean_of(bare)[:2] == lean_of(None)[:2] == (1.1, 0.0)
-
-
-def test_roof_that_does_not_bend_down__is_level_nowhere() -> None:
     y = (np.arange(40) - 20) * SPACING
     height = np.full(SHAPE, 1.5) + 0.05 * y[:, None]
     height[:4] = height[-4:] = 0.0
     assert not np.isfinite(lean_of(height)[1])
-
-
-def test_height_model__is_what_locate_adds() -> None:
     # Expected: the spacing of pixels from their places; None of a line without places
     y, x = np.indices((5, 6)).astype(np.float64)
     dims = ("along_track", "cross_track")

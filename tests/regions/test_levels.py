@@ -95,16 +95,12 @@ def test_glint__is_left_out() -> None:
     assert level_of(with_glint).brightness == pytest.approx(level_of(seen).brightness, rel=0.005)
 
 
-def test_level__scales_with_brightness() -> None:
+def test_level__scales_with_brightness_and_is_that_of_the_mirror_image() -> None:
     # Expected: three times as bright is three times the level; sd and change with lean stay
     seen = crowned(Sun(50.0, 20.0), 0.4)
     one, other = level_of(seen), level_of(3.0 * seen)
     assert (other.brightness, other[1:]) == (pytest.approx(3.0 * one.brightness), pytest.approx(one[1:]))
-
-
-def test_level__of_the_mirror_image_is_the_same() -> None:
     # Expected: a picture flown the other way gives the same level, sd and change with lean
-    seen = crowned(Sun(50.0, 20.0), 0.4)
     mirrored = PLACE._replace(column=seen.shape[1] - 1.0 - PLACE.column)
     assert tuple(level_of(seen[:, ::-1], mirrored)) == pytest.approx(tuple(level_of(seen)))
 

@@ -143,7 +143,7 @@ def test_the_same_flags_for_any_chunks(line: xr.Dataset, lines: int) -> None:
         np.testing.assert_array_equal(first[name].values, other[name].values)
 
 
-def test_bits_that_were_set_stay(line: xr.Dataset) -> None:
+def test_bits_that_were_set_stay_and_missing_pixels_have_none(line: xr.Dataset) -> None:
     before = xr.DataArray(np.full((160, 96), 10, np.uint16), dims=("along_track", "cross_track"))
     for given in (before, before.chunk(along_track=40)):
         flagged = hp.surroundings.flag(line.assign(quality=given), sun_zenith=30.0)
@@ -151,31 +151,24 @@ def test_bits_that_were_set_stay(line: xr.Dataset) -> None:
         assert has(flagged.compute(), Quality.GLINT).any()
         smooth = hp.radiometry.smooth(flagged, "box", 5)
         np.testing.assert_array_equal(smooth.quality.values, flagged.quality.values)
-
-
-def test_thresholds_are_the_users(line: xr.Dataset) -> None:
-    model = hp.surroundings.survey(line, sun_zenith=30.0)
-    found = [
-        has(hp.surroundings.flag(line, model, glint=limit).compute(), Quality.GLINT).sum()
-        for limit in (0.04, 1.0, 99.0)
-    ]
-    assert found[0] > found[1] > found[2] == 0
-
-
-def test_a_model_of_another_line_is_refused(line: xr.Dataset) -> None:
-    model = hp.surroundings.survey(line, sun_zenith=30.0)
-    with pytest.raises(SchemaError, match=r"(?s)160, 96.*bands-diff"):
-        hp.surroundings.flag(line.isel(along_track=slice(10), band=slice(20)), model)
-    with pytest.raises(SchemaError, match="option-conflict"):
-        hp.surroundings.flag(line, model, reach=5)
-    with pytest.raises(SchemaError, match=r"(?s)glint=-1.*shadow=nan"):
-        hp.surroundings.flag(line, model, glint=-1, shadow=float("nan"))
-
-
-def test_missing_pixels_have_no_flags(line: xr.Dataset) -> None:
     seen = line.reflectance.where(line.reflectance.cross_track != 40).astype(np.float32)
     flagged = hp.surroundings.flag(
         line.assign(reflectance=seen.assign_attrs(units="1")), sun_zenith=30.0
     ).compute()
     assert not flagged.quality.values[:, 40].any()
     assert np.isnan(flagged.glint_fraction.values[:, 40]).all()
+
+
+def test_thresholds_are_the_users_and_models_of_the_line(line: xr.Dataset) -> None:
+    model = hp.surroundings.survey(line, sun_zenith=30.0)
+    found = [
+        has(hp.surroundings.flag(line, model, glint=limit).compute(), Quality.GLINT).sum()
+        for limit in (0.04, 1.0, 99.0)
+    ]
+    assert found[0] > found[1] > found[2] == 0
+    with pytest.raises(SchemaError, match=r"(?s)160, 96.*bands-diff"):
+        hp.surroundings.flag(line.isel(along_track=slice(10), band=slice(20)), model)
+    with pytest.raises(SchemaError, match="option-conflict"):
+        hp.surroundings.flag(line, model, reach=5)
+    with pytest.raises(SchemaError, match=r"(?s)glint=-1.*shadow=nan"):
+        hp.surroundings.flag(line, model, glint=-1, shadow=float("nan"))
