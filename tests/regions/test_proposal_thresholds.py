@@ -295,6 +295,27 @@ def test_footprints__join_parts(parts: list[tuple[int, int, int]], joining: int,
     assert footprint.area.any(axis=0).sum() == length
 
 
+@pytest.mark.parametrize(
+    ("scale", "rule", "factors"),
+    [
+        (1.0, 0, {0.38: 20, 0.42: 40, 1.65: 40, 1.75: 20}),  # parts that lean, of solid paint
+        (1.0, 4, {0.19: 20, 0.21: 40, 3.9: 40, 4.1: 20}),  # of paint with flakes
+        (0.1, 0, {0.68: 20, 0.72: 40, 1.65: 40, 1.75: 20}),  # of dark paint: windows reflect half as much
+        (0.1, 4, {0.68: 20, 0.72: 40, 2.9: 40, 3.1: 20}),
+    ],
+)
+def test_footprints__have_parts_of_other_brightness(
+    scale: float, rule: int, factors: dict[float, int]
+) -> None:
+    number = np.zeros((60, 120), np.int32)
+    number[18:42, 30:50], number[18:42, 50:70] = 1, 2
+    for factor, length in factors.items():
+        picture = picture_of(scale * RED, scale * factor * RED, number=number)
+        seed = np.ones((24, 20), bool)
+        (footprint,) = footprints_of(seed, (18, 30), scale * RED, picture, JOININGS[rule : rule + 1])
+        assert footprint.area.any(axis=0).sum() == length, factor
+
+
 @pytest.mark.parametrize(("on_paint", "cars"), [(22, 1), (11, 2)])
 def test_cars__have_the_pieces_on_their_paint(on_paint: int, cars: int) -> None:
     # Expected: a piece of which half lies on the paint of a car belongs to it, a quarter does not
