@@ -181,25 +181,31 @@ def car_of(paint: float, roof: float, windows: float, complete: bool = True) -> 
 
 
 @pytest.mark.parametrize(
-    ("ratio", "zenith", "is_refused"),
+    ("level", "ratio", "zenith", "words"),
     [
-        (1.13, 20.0, False),  # by 0.15 at most
-        (1.17, 20.0, True),
-        (1.28, 60.0, False),  # or by a lean of 10 degrees under a lower sun
-        (1.33, 60.0, True),
+        (0.3, 1.13, 20.0, ""),  # by 0.15 at most
+        (0.3, 1.17, 20.0, "times as bright"),
+        (0.3, 1.28, 60.0, ""),  # or by a lean of 10 degrees under a lower sun
+        (0.3, 1.33, 60.0, "times as bright"),
+        (0.14, 1.0, 20.0, "colour of the ground"),  # which is at most 1.5 times as bright
+        (0.16, 1.0, 20.0, ""),
     ],
 )
-def test_parts__are_as_bright_as_other_paint(ratio: float, zenith: float, is_refused: bool) -> None:
+def test_parts__are_as_bright_as_other_paint(level: float, ratio: float, zenith: float, words: str) -> None:
     number = np.ones((40, 100), np.int32)
     number[:, 80:] = 2
-    picture = picture_of(0.3 * np.ones(24), ratio * 0.3 * np.ones(24), number=number, zenith=zenith)
+    picture = picture_of(level * np.ones(24), ratio * level * np.ones(24), number=number, zenith=zenith)
     every = np.ones(number.shape, bool)
     paint = Footprint(
         (0, 0), number == 1, every, every * 1.0, AXIS, np.array([19.5, 49.5]), 100.0, 40.0, False
     )
     part = Piece(2, (5, 84), np.ones((30, 12), bool))
     (verdict,) = judge_car(Car([part], paint, NoRoof("", True)), picture, LIMITS)
-    assert ("times as bright" in " ".join(verdict.objections)) == is_refused
+    told = [text for text in verdict.objections if "bright" in text]
+    assert bool(told) == bool(words)
+    assert words in " ".join(told)
+    # its lean is unknown by 7 degrees; its brightness changes by 3 over a radian of lean, like flakes
+    assert (verdict.lean, verdict.level_sd) == (7.0, pytest.approx(3.0 * np.radians(7.0), rel=2e-3))
 
 
 @pytest.mark.parametrize(
