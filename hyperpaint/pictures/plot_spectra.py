@@ -28,7 +28,7 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import ciede2000, lab_of, paint_colours, srgb
 from hyperpaint.paints.signatures import extract_signatures
-from hyperpaint.paints.signatures.pixel_gathering import gather
+from hyperpaint.paints.signatures.pixel_statistics import gather
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 from .figures import axes_or_new, ink_of, label_for, legend_below, new_figure, save_figure

@@ -1,7 +1,5 @@
 """Regions proposed by rule, on cars whose light is traced."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
