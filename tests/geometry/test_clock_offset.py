@@ -113,6 +113,15 @@ def test_an_offset_of_the_irradiance_record_is_a_finding(offset: float, names: l
         assert float(finding.likely.removesuffix(" s")) == pytest.approx(offset, abs=0.5)
 
 
+@pytest.mark.parametrize("moved", [np.timedelta64(-41 * 365, "D"), np.timedelta64("NaT")])
+def test_a_line_without_a_time_near_the_record_gives_no_finding(moved: np.timedelta64) -> None:
+    line, record = lit(1.6, 0.5, 1)
+    line = line.assign_coords(time=line.time + moved)
+    with pytest.raises(TimeError, match="record-elsewhere"):
+        estimate_clock_offset(line, irradiance=record)
+    assert navigation_findings({"raw_0": xr.merge([line, record])}) == []
+
+
 def test_flat_light_is_refused() -> None:
     with pytest.raises(TimeError, match="light-constant"):
         estimate_clock_offset(lit(0.0, 0.0, 0)[0], irradiance=lit(0.0, 0.0, 0)[1])
