@@ -302,7 +302,7 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
         if saturated_elements.any():
             text = f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames"
-            warnings.warn(PaintWarning(text, code="elements-saturated"), stacklevel=3)
+            warnings.warn(PaintWarning(text, code="elements-saturated"), stacklevel=4)
             signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
 

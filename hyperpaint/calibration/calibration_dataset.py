@@ -489,7 +489,7 @@ class Result:
         if self.lab.absolute:
             self._check_plausible(gain)
         for text, code in self._warnings():
-            warnings.warn(PaintWarning(text, code=code), stacklevel=3)
+            warnings.warn(PaintWarning(text, code=code), stacklevel=4)
         # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
         gain[:, self.is_unlit] = np.nan
@@ -585,7 +585,7 @@ class Result:
                 f"{measured.effect:.1%}",
                 code="response-shape-misfit",
             ),
-            stacklevel=4,
+            stacklevel=5,
         )
         return None
 

@@ -631,7 +631,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
                 f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
                 "give saturation_count"
             )
-            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=3)
+            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=4)
     return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
 
 

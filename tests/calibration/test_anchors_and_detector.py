@@ -100,10 +100,11 @@ def test_an_anchor_extrapolates_nothing_and_drops_what_is_saturated(sweep: xr.Da
     assert not part.good.values[beyond.values].any()
     frames = frames_of(sweep, 0.05)
     frames["counts"][40, 3] = 1e5
-    with pytest.warns(PaintWarning, match=r"1 elements.*elements-saturated"):
+    with pytest.warns(PaintWarning, match=r"1 elements.*elements-saturated") as caught:
         made = anchor_to_radiance(
             made, frames.assign(saturation_count=4095.0), spectrum([0.05, 0.05], [300.0, 1200.0])
         )
+    assert caught[0].filename == __file__
     assert np.isnan(made.radiance_gain.values[40, 3])
     expect_refusals(
         (

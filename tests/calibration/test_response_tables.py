@@ -108,9 +108,10 @@ def test_a_lopsided_slit_becomes_a_table_that_is_used(lopsided: np.ndarray) -> N
 
 
 def test_a_model_that_is_asked_for_warns_of_what_it_costs(lopsided: np.ndarray) -> None:
-    with pytest.warns(PaintWarning, match=r"'gaussian'.*response-shape-misfit"):
+    with pytest.warns(PaintWarning, match=r"'gaussian'.*response-shape-misfit") as caught:
         calibration = hp.calibrate(sweep_of(lopsided), srf_shape="gaussian")
     assert calibration.srf_shape == "gaussian"
+    assert caught[0].filename == __file__
     stated = calibration.attrs["srf_model_effect"]
     assert 0.5 < stated / error_in_flight(lopsided, calibration) < 2.0
 

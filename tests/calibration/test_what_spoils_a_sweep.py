@@ -50,8 +50,9 @@ def spread_of_z(made: xr.Dataset, sweep: xr.Dataset) -> float:
 def test_a_dark_that_is_off_moves_no_gain_and_is_told(drift: float) -> None:
     sweep = sweep_of(**CLEAN)
     off = with_values(sweep, "dark_counts", sweep.dark_counts.values + drift)
-    with pytest.warns(PaintWarning, match="dark-offset"):
+    with pytest.warns(PaintWarning, match="dark-offset") as caught:
         made = hp.calibrate(off)
+    assert caught[0].filename == __file__
     assert np.nanmax(np.abs(error_of(made, sweep))) < 1e-3
     assert made.dark_offset_count == pytest.approx(-drift, abs=0.05)
     # a count in every band outside of the line, over the line's area
@@ -125,8 +126,9 @@ def test_elements_that_differ_are_uncertain_by_as_much(nonuniformity: float) -> 
 @pytest.mark.parametrize("nonuniformity", [0.0, 0.01])
 def test_noise_that_nobody_tells_is_found(nonuniformity: float) -> None:
     sweep = sweep_of(columns=20, nonuniformity=nonuniformity)
-    with pytest.warns(PaintWarning, match="noise-missing"):
+    with pytest.warns(PaintWarning, match="noise-missing") as caught:
         made = hp.calibrate(sweep.drop_vars("counts_variance"))
+    assert caught[0].filename == __file__
     assert 0.75 < spread_of_z(made, sweep) < 1.25
     assert "electrons_per_count" not in made
     assert made.electrons_per_count_source == "none"
@@ -186,8 +188,9 @@ def test_columns_without_light() -> None:
 
 def test_clipped_lines_without_a_saturation_count() -> None:
     sweep = sweep_of(beam_power_w=6e-6)
-    with pytest.warns(PaintWarning, match=r"4095.*saturation-missing"):
+    with pytest.warns(PaintWarning, match=r"4095.*saturation-missing") as caught:
         hp.calibrate(sweep.drop_vars("saturation_count"))
+    assert caught[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         hp.calibrate(sweep_of().drop_vars("saturation_count"))

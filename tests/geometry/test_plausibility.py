@@ -30,8 +30,9 @@ def test_height_swath_and_aspect_by_hand() -> None:
 
 
 def test_a_ground_above_the_sea_is_noticed() -> None:
-    with pytest.warns(PaintWarning, match=r"2 m above.*swath-implausible"):
+    with pytest.warns(PaintWarning, match=r"2 m above.*swath-implausible") as caught:
         mapped(98.0)
+    assert caught[0].filename == __file__
 
 
 def test_swath_and_pixels_of_a_whole_camera_are_judged() -> None:

@@ -450,7 +450,7 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
         name = line.attrs.get("name", "this line")
         warnings.warn(
             PaintWarning(f"{name}: {'; '.join(texts)}; check ground and camera", code="swath-implausible"),
-            stacklevel=3,
+            stacklevel=4,
         )
     return attrs
 
