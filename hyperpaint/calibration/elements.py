@@ -342,9 +342,7 @@ def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> F
     """Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit"."""
     if shape == "gaussian":
         return np.asarray(fwhm**2 / (8.0 * np.log(2.0)))
-    if shape == "triangle":
-        return np.asarray(fwhm**2 / 6.0)
-    return np.asarray((fwhm**2 + np.square(spacing)) / 12.0)
+    return np.asarray(fwhm**2 / 6.0 if shape == "triangle" else (fwhm**2 + np.square(spacing)) / 12.0)
 
 
 def second_order_factor(
