@@ -1,7 +1,5 @@
 """The record alone against the sun's lines."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Responses that no line model is; sweep and flight are plain sums over a fine grid."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -30,8 +28,7 @@ def slit(offset: np.ndarray, tail: float = 0.0) -> np.ndarray:
 
 def camera(tail: float) -> np.ndarray:
     # Return the responses of all elements (band, column, grid)
-    centres = BANDS[:, None] + SHIFT
-    return slit(GRID - centres[..., None], tail) * np.exp(-(((GRID - 650.0) / 260.0) ** 2))
+    return slit(GRID - (BANDS[:, None] + SHIFT)[..., None], tail) * np.exp(-(((GRID - 650.0) / 260.0) ** 2))
 
 
 def sweep_of(elements: np.ndarray, light_nm: float = 2.0) -> xr.Dataset:

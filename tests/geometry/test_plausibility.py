@@ -1,7 +1,5 @@
 """What a map says of height, swath and pixels, and when it warns."""
 
-from __future__ import annotations
-
 import pytest
 import xarray as xr
 from support.geocentric_rays import flown
