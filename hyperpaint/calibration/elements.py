@@ -342,9 +342,7 @@ def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> F
     """Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit"."""
     if shape == "gaussian":
         return np.asarray(fwhm**2 / (8.0 * np.log(2.0)))
-    if shape == "triangle":
-        return np.asarray(fwhm**2 / 6.0)
-    return np.asarray((fwhm**2 + np.square(spacing)) / 12.0)
+    return np.asarray(fwhm**2 / 6.0 if shape == "triangle" else (fwhm**2 + np.square(spacing)) / 12.0)
 
 
 def second_order_factor(
@@ -631,7 +629,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
                 f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
                 "give saturation_count"
             )
-            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=3)
+            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=4)
     return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
 
 
