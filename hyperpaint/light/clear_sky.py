@@ -75,7 +75,8 @@ def ozone_mass(sun_zenith: float) -> float:
     6.19
     """
     height = OZONE_HEIGHT_KM / EARTH_RADIUS_KM
-    return float((1.0 + height) / np.sqrt(np.cos(np.radians(sun_zenith)) ** 2 + 2.0 * height))
+    cosine = np.cos(np.radians(sun_zenith))
+    return float((1.0 + height) / np.sqrt(cosine**2 + 2.0 * height))
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,8 @@ def interface_reflectance(angle: npt.ArrayLike, index: float = COAT_INDEX) -> Fl
     >>> print(interface_reflectance([0.0, 60.0, 75.0]).round(3))
     [0.04  0.089 0.253]
     """
-    return _reflectance(np.maximum(np.cos(np.radians(np.asarray(angle, np.float64))), 0.0), index)
+    cosine = np.cos(np.radians(np.asarray(angle, np.float64)))
+    return _reflectance(np.maximum(cosine, 0.0), index)
 
 
 def _reflectance(cosine: Floats, index: float) -> Floats:
@@ -54,7 +55,8 @@ def _mean_reflectances(sun_zenith: float, index: float) -> tuple[Floats, float]:
     from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)
     parts = [relative_radiance(shape, sky.cosine, from_sun) for shape in function_shapes(sun_zenith)]
     clear = [float(reflected.sum()), *(float((reflected * part).sum()) for part in parts)]
-    return np.array(clear), float((reflected * ((1.0 + 2.0 * sky.cosine) * 3.0 / 7.0)).sum())
+    overcast = (1.0 + 2.0 * sky.cosine) * 3.0 / 7.0
+    return np.array(clear), float((reflected * overcast).sum())
 
 
 def sky_reflectance(

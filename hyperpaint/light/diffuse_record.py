@@ -1,14 +1,14 @@
 """Diffuse fraction and state of the sky, from a record of irradiance alone.
 
-A record is compared with clear and cloudy skies that are possible at its place and time: by level,
-colour, and changes over a minute. Called by `process`, which stores the split with each flight line, and for
-flight lines that have a record only.
+A record is compared with clear and cloudy skies that are possible at its place and time (`sky_states`): by
+level, colour, and changes over a minute. Called by `process`, which stores the split with each flight line,
+and for flight lines that have a record only.
 """
 
 from __future__ import annotations
 
 import functools
-from types import SimpleNamespace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,8 +94,8 @@ def diffuse_from_record(
     Notes
     -----
     Bayes' rule over some 4600 skies drawn from a prior: air from SPECTRL2 with varied aerosol, ozone, ground
-    and pressure, and clouds over it. A spectrum alone cannot distinguish a thin neutral cloud from a dirty
-    receiver.
+    and pressure, and clouds over it, see `hyperpaint.light.sky_states`. A spectrum alone cannot distinguish a
+    thin neutral cloud from a dirty receiver.
 
     Examples
     --------
@@ -197,7 +197,7 @@ def _split(
     sun_zenith: float | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     # Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
-    # `place`: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
+    # `receiver`: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
     # `sun_zenith` replaces the zenith angle from clock and place [degree].
     latitude, longitude, level_u, pressure = place
     spectra = np.asarray(spectra, np.float64)
@@ -324,53 +324,78 @@ def _at_lines(
 KINDS = ("air", "thin", "broken", "overcast")
 
 
-#: Prior of skies and receivers, before a spectrum is compared.
-RULES = SimpleNamespace(
-    # Centres of the compared intervals [nm]: between the bands of oxygen and water.
-    window_nm=(
+@dataclass(frozen=True)
+class SkyRules:
+    """Prior of skies and receivers, before a spectrum is compared.
+
+    Attributes
+    ----------
+    window_nm
+        Centres of the compared intervals [nm]: between the bands of oxygen and water.
+    half_width_nm
+        Half width of the intervals [nm]: wide enough that solar lines look alike to all spectrometers.
+    shape_u
+        Relative standard uncertainty of a single interval [1]: noise, sunlight, the model's bands.
+    colour_u, colour_nm
+        Relative standard uncertainty of slow changes over the spectrum [1], and their length [nm]: lamp,
+        receiver, and the residual of SPECTRL2 against other models (tests: 2 to 3 %).
+    wide_u, wide_prior
+        Relative standard uncertainty of the level of a badly calibrated receiver [1], and the probability of
+        one. An uncalibrated light sensor is wrong by a quarter (MicaSense's, according to their tutorial).
+    aerosol, aerosol_spread
+        Median of the optical depth at 500 nm, and spread of its logarithm (AERONET, continental sites).
+    hazy_aerosol
+        Optical depth from which clear air is called hazy [1].
+    priors
+        Probabilities of `KINDS`.
+    calm, restless
+        Relative standard deviation of the level over `window_s` below which, and above which, each of
+        `KINDS` is unlikely [1]: cirrus drifts by a per cent in a minute, broken cloud hides and reveals the
+        sun.
+    calm_spread, restless_spread
+        Spread of the logarithm of that deviation beyond ``calm`` and ``restless``.
+    window_s
+        Half width of the interval over which the level varies [s]: clouds pass in seconds to a minute.
+    wrong_clock
+        Probability that clock or place are wrong, so that the sun stands elsewhere [1].
+    other_sun_deg
+        Minimum difference of that sun's zenith angle [degree]: smaller ones can hardly be distinguished.
+    misfit
+        Chi-square per interval of the best draw beyond which no sky explains a spectrum.
+    decided
+        Probability that a state needs to be named [1].
+    floor, model
+        Standard uncertainty of a diffuse fraction that no record removes: alone, and times f (1 - f) [1].
+    """
+
+    window_nm: tuple[float, ...] = (
         415.0, 445.0, 475.0, 500.0, 525.0, 550.0, 575.0, 615.0, 640.0, 670.0, 708.0, 748.0, 778.0, 865.0,
         882.0, 1005.0,
-    ),
-    # Half width of the intervals [nm]: wide enough that solar lines look alike to all spectrometers.
-    half_width_nm=8.0,
-    # Relative standard uncertainty of a single interval [1]: noise, sunlight, the model's bands.
-    shape_u=0.015,
-    # Relative standard uncertainty of slow changes over the spectrum [1], and their length [nm]: lamp,
-    # receiver, and the residual of SPECTRL2 against other models (tests: 2 to 3 %).
-    colour_u=0.03,
-    colour_nm=200.0,
-    # Relative standard uncertainty of the level of a badly calibrated receiver [1], and the probability of
-    # one. An uncalibrated light sensor is wrong by a quarter (MicaSense's, according to their tutorial).
-    wide_u=0.2,
-    wide_prior=0.08,
-    # Median of the optical depth at 500 nm, and spread of its logarithm (AERONET, continental sites).
-    aerosol=0.12,
-    aerosol_spread=0.9,
-    # Optical depth from which clear air is called hazy [1].
-    hazy_aerosol=0.25,
-    # Probabilities of `KINDS`.
-    priors=(0.43, 0.12, 0.20, 0.25),
-    # Relative standard deviation of the level over `window_s` below which, and above which, each of `KINDS`
-    # is unlikely [1]: cirrus drifts by a per cent in a minute, broken cloud hides and reveals the sun.
-    calm=(0.0, 0.004, 0.06, 0.0),
-    restless=(0.01, 0.03, np.inf, 0.05),
-    # Spread of the logarithm of that deviation beyond `calm` and `restless`.
-    calm_spread=(1.0, 0.8, 0.5, 1.0),
-    restless_spread=0.5,
-    # Half width of the interval over which the level varies [s]: clouds pass in seconds to a minute.
-    window_s=90.0,
-    # Probability that clock or place are wrong, so that the sun stands elsewhere [1].
-    wrong_clock=0.02,
-    # Minimum difference of that sun's zenith angle [degree]: smaller ones can hardly be distinguished.
-    other_sun_deg=7.0,
-    # Chi-square per interval of the best draw beyond which no sky explains a spectrum.
-    misfit=4.0,
-    # Probability that a state needs to be named [1].
-    decided=0.5,
-    # Standard uncertainty of a diffuse fraction that no record removes: alone, and times f (1 - f) [1].
-    floor=0.008,
-    model=0.10,
-)  # fmt: skip
+    )  # fmt: skip
+    half_width_nm: float = 8.0
+    shape_u: float = 0.015
+    colour_u: float = 0.03
+    colour_nm: float = 200.0
+    wide_u: float = 0.2
+    wide_prior: float = 0.08
+    aerosol: float = 0.12
+    aerosol_spread: float = 0.9
+    hazy_aerosol: float = 0.25
+    priors: tuple[float, ...] = (0.43, 0.12, 0.20, 0.25)
+    calm: tuple[float, ...] = (0.0, 0.004, 0.06, 0.0)
+    restless: tuple[float, ...] = (0.01, 0.03, np.inf, 0.05)
+    calm_spread: tuple[float, ...] = (1.0, 0.8, 0.5, 1.0)
+    restless_spread: float = 0.5
+    window_s: float = 90.0
+    wrong_clock: float = 0.02
+    other_sun_deg: float = 7.0
+    misfit: float = 4.0
+    decided: float = 0.5
+    floor: float = 0.008
+    model: float = 0.10
+
+
+RULES = SkyRules()
 
 #: Number of drawn states of the air; clouds are drawn over each.
 _N_AIR_STATES = 512
@@ -617,7 +642,7 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     -----
     Misfits of the logarithm are Gaussian, with the covariance of a level common to all wavelengths, of slow
     colour and of single intervals; the uncertainty of the level is `Evidence.level_u` or, with a small prior,
-    `RULES.wide_u`. The evidence of a kind of sky is averaged over `RULES.window_s` and weighted by how
+    `SkyRules.wide_u`. The evidence of a kind of sky is averaged over `SkyRules.window_s` and weighted by how
     much the level varies in it. Where even the best draw does not fit, all misfits are divided until it does,
     which gives a wide posterior. A spectrum that clear air under another sun explains better contradicts the
     clock.
@@ -633,7 +658,8 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     # thin cloud, and a level far from its calibration, count as contradictory
     air, thin, broken, overcast = share[:, 0].T
     hazy = air * turbid[:, 0, 0]
-    probability = np.stack([air - hazy, hazy, broken, overcast, share[:, 1].sum(axis=1) + thin], axis=1)
+    contradictory = share[:, 1].sum(axis=1) + thin
+    probability = np.stack([air - hazy, hazy, broken, overcast, contradictory], axis=1)
     fraction, square, clear = (
         (share[..., None] * part).sum(axis=(1, 2)) for part in (means, mean_squares, means_without_cloud)
     )

@@ -180,7 +180,8 @@ def effective_number(plane: Floats) -> float:
     size, axes = [2 * length for length in plane.shape], range(plane.ndim)
 
     def correlate(values: Floats) -> Floats:
-        return np.asarray(np.fft.irfftn(np.abs(np.fft.rfftn(values, size, axes)) ** 2, size, axes))
+        power = np.abs(np.fft.rfftn(values, size, axes)) ** 2
+        return np.asarray(np.fft.irfftn(power, size, axes))
 
     # number and product of pairs by their distance in rings
     pairs, products = np.rint(correlate(is_valid.astype(np.float64))), correlate(departure)
@@ -198,7 +199,8 @@ def effective_number(plane: Floats) -> float:
     is_correlated = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
     is_correlated[0] = True
     reach = int(np.argmin(is_correlated)) if not is_correlated.all() else is_correlated.size
-    return float(np.clip(n / (1.0 + float((correlation[1:reach] * count[1:reach]).sum()) / n), 1.0, n))
+    excess = float((correlation[1:reach] * count[1:reach]).sum()) / n
+    return float(np.clip(n / (1.0 + excess), 1.0, n))
 
 
 # --- propagate the errors of a line to the mean over a region, and their correlation between ---------------

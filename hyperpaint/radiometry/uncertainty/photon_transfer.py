@@ -373,7 +373,8 @@ def _labelled(
     order = np.argsort(a / b, kind="stable")
     bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))
     signal, variance = (np.array([(values[i] / b[i]).mean() for i in bins]) for values in (a, v))
-    misfit = float(np.max(np.abs(variance / np.maximum(slope * signal + height, 1e-9) - 1.0)))
+    expected = np.maximum(slope * signal + height, 1e-9)
+    misfit = float(np.max(np.abs(variance / expected - 1.0)))
     misfit_sd = np.sqrt(4.0 / (float(points.freedom.mean()) * is_used.sum() / variance.size))
     if misfit > MAX_MISFIT + 4.0 * misfit_sd:
         text = (
