@@ -156,6 +156,21 @@ def diffuse_from_record(
     return split.assign({name: labelled(split[name]) for name in SPLIT})
 
 
+def split_of_arrays(
+    spectra: Array, stamps: Array, channels: Array, place: tuple[float, float], wavelength: Floats
+) -> tuple[Floats, Array]:
+    """Return diffuse fraction (sample, band) and number of the sky state (sample,) of a record as arrays.
+
+    ``spectra`` (sample, channel) [W m-2 nm-1], ``channels`` and ``wavelength`` [nm]; see
+    `diffuse_from_record`.
+    """
+    axis = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
+    axes = {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: axis}
+    record = schema.label(xr.DataArray(spectra, axes, tuple(axes)), "irradiance")
+    split = diffuse_from_record(record.to_dataset(), *place, wavelength=wavelength)
+    return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
+
+
 def labelled(array: xr.DataArray) -> xr.DataArray:
     """Return a variable of `SPLIT` with its attributes of the table."""
     return schema.label(array, str(array.name), **sky_state_attrs() if array.name == "sky_state" else {})

@@ -40,11 +40,10 @@ from hyperpaint.base.schema import (
     CROSS_TRACK,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
-    VARIABLES,
     Quality,
 )
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record
+from hyperpaint.light.diffuse_record import SKY_STATES, split_of_arrays
 from hyperpaint.light.illumination import (
     MAX_SUN_ZENITH_DEG,
     Smile,
@@ -177,24 +176,13 @@ def _split(
         state = np.asarray(light.get("sky_state", SKY_STATES.index("overcast"))).ravel()
         state = state[rows] if state.size == len(fraction) else np.broadcast_to(state[:1], rows.shape)
         return np.broadcast_to(fraction, (len(fraction), wavelength.size))[rows], state
-    channels = xr.Variable(
-        IRRADIANCE_WAVELENGTH, light["irradiance_wavelength"], VARIABLES[IRRADIANCE_WAVELENGTH].attrs
-    )
-    record = xr.DataArray(
-        np.asarray(light["irradiance"]),
-        {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: channels},
-        (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH),
-        attrs=VARIABLES["irradiance"].attrs,
-    )
+    # rounded to a kilometre, so that a crop of the line gets the same sky
+    place = round(position[0], 2), round(position[1], 2)
+    spectra, channels = np.asarray(light["irradiance"]), light["irradiance_wavelength"]
     try:
-        # rounded to a kilometre, so that a crop of the line gets the same sky
-        rounded_position = tuple(round(degrees, 2) for degrees in position)
-        split = diffuse_from_record(
-            record.to_dataset(name="irradiance"), *rounded_position, wavelength=wavelength
-        )
+        return split_of_arrays(spectra, stamps, channels, place, wavelength)
     except SchemaError:  # a record without channels in the compared intervals
         return None, np.zeros(stamps.size, np.int8)
-    return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
 
 
 NOISE_MARGIN_SD = 5.0

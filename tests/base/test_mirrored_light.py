@@ -1,7 +1,5 @@
 """Whether reflectance holds mirrored light, told alike to all who ask."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """A line at the size of a screen: means of blocks against plain loops, stored and computed."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any
