@@ -8,8 +8,6 @@ A first process does it without a limit. A second one imports everything, limits
 chunk. Takes 11 GB of disk for the whole of it, under TMPDIR. Exits with 1 where anything differs.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import importlib
@@ -84,15 +82,9 @@ def digests(store: Path) -> dict[str, str]:
 
 
 def process(collect: Path, out: Path, room: int | None = None) -> dict[str, float]:
-    """Process a collect in a new process; return its peaks [MiB] and time [s].
-
-    Parameters
-    ----------
-    collect, out
-        As for `hyperpaint.process`.
-    room
-        Address space above the imports [byte]; None for no limit.
-    """
+    # Process a collect in a new process; return its peaks [MiB] and time [s]
+    # collect, out: As for `hyperpaint.process`
+    # room: Address space above the imports [byte]; None for no limit
     command = [sys.executable, __file__, "--child", str(collect), str(out), str(room or 0)]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT)
     return dict(json.loads(done.stdout.splitlines()[-1]))

@@ -17,8 +17,6 @@ A share's 95 % interval is Student's over scenes, whose pixels are alike. "backg
 paint, "all" those of no paint looked for.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

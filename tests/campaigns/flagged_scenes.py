@@ -17,8 +17,6 @@ what is flagged as mixed itself. Clean paint is coloured, lit, and gets less tha
 of other things. A mixed pixel is filled to less than 95 % by one thing, or touches such a pixel.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -92,17 +90,10 @@ def true_layers(line: Any, sky: Any) -> dict[str, Any]:
 
 
 def count(bits: Any, true: dict[str, Any], surface: Any) -> Counts:
-    """Return what is found and true by flag, pixels and surface, of one scene.
-
-    Parameters
-    ----------
-    bits : (along_track, cross_track)
-        ``quality`` as flagged.
-    true
-        From `true_layers`.
-    surface : (along_track, cross_track)
-        From `surfaces_of`.
-    """
+    # Return what is found and true by flag, pixels and surface, of one scene
+    # bits : (along_track, cross_track): ``quality`` as flagged
+    # true: From `true_layers`
+    # surface : (along_track, cross_track): From `surfaces_of`
     import hyperpaint as hp
 
     flagged = {name: (bits & int(hp.Quality[name])) > 0 for name in ("GLINT", "SHADOW", "ADJACENCY")}

@@ -11,8 +11,6 @@ in the code; once mended it belongs into ``regressions/<parser>/``, under a name
 `test_corpus.py` reads both. Needs the extra ``fuzz``. Exits with 1 where an input was wrong.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import hashlib
@@ -59,7 +57,7 @@ class Target:
         return f"{self.parser}:{self.seed}"
 
     @classmethod
-    def of(cls, name: str) -> Target:
+    def of(cls, name: str) -> "Target":
         parser, _, seed = name.rpartition(":")
         return cls(parser, int(seed))
 

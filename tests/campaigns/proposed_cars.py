@@ -12,8 +12,6 @@ max(0.03, 6 %) as it is. The rules know nothing of the scene but the sun's place
 below 200.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

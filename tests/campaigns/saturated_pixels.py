@@ -16,8 +16,6 @@ and full = 4095:
 * bright: the same as clipped for counts without noise, which no flag can know.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The fault campaigns at small counts; and that each of them can fail."""
 
-from __future__ import annotations
-
 import pickle
 import random
 import re

@@ -9,8 +9,6 @@ Twenty faults at three strengths; right ones of 23 kinds by turns, and whatever 
 setting thresholds. A wrong one counts as named where a finding or an error holds the name of its fault.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

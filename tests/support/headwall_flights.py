@@ -1,7 +1,5 @@
 """A flight in the files of a Headwall camera, written here by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ ELEMENT = ("band", "cross_track")
 def write_cube(
     folder: Path, name: str, counts: np.ndarray[Any, Any], comments: str = "", **keys: str
 ) -> Path:
-    """Write a bil cube as Headwall does: the wavelengths led by commas, the comments last."""
+    # Write a bil cube as Headwall does: the wavelengths led by commas, the comments last
     folder.mkdir(exist_ok=True)
     codes = {"uint8": 1, "int16": 2, "float32": 4, "uint16": 12}
     counts.tofile(folder / name)

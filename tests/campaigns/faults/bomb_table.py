@@ -5,8 +5,6 @@ Bombs in stores change a small store, which a calibration, a record of irradianc
 chunks that unpack to far more than their array declares are not among them: only zarr reads chunks.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import json
@@ -23,8 +21,6 @@ import numpy as np
 
 from hyperpaint.io.store.stage import _MARK_TEXT
 
-__all__ = ["BOMBS", "STORE_DOORS", "Bomb", "whole_store"]
-
 MEGA = 10**6
 #: Every door that takes a store.
 STORE_DOORS = "open-store verify info calibration irradiance library"
@@ -35,23 +31,14 @@ FOLDER = None
 
 
 class Bomb(NamedTuple):
-    """A row of the table.
-
-    Attributes
-    ----------
-    doors
-        That it is put through, separated by blanks.
-    path
-        What a door is given, in a folder of its own.
-    files
-        By place: a text, bytes or function of the place, all of a file; a dict, entries of a JSON document
-        that change; a path that is linked to; ``PIPE``, ``FOLDER``; a number, the bytes of a sparse file.
-    store
-        The store that the files change: of Zarr format 3 or 2, or of `hyperpaint.to_store`.
-    then
-        What is done to the path at last; returns what the door is given.
-    """
-
+    # A row of the table
+    # doors: That it is put through, separated by blanks
+    # path: What a door is given, in a folder of its own
+    # files: By place: a text, bytes or function of the place, all of a file; a dict, entries of a JSON
+    # document that change; a path that is linked to; ``PIPE``, ``FOLDER``; a number, the bytes of a sparse
+    # file
+    # store: The store that the files change: of Zarr format 3 or 2, or of `hyperpaint.to_store`
+    # then: What is done to the path at last; returns what the door is given
     doors: str
     path: str
     files: Mapping[str, Any]

@@ -7,8 +7,6 @@ gone. What a disk itself loses after it has confirmed it cannot be shown so. All
 Elsewhere only sources are tried, and the campaign says so by failing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os
@@ -32,11 +30,6 @@ from hyperpaint.io.store import is_complete, open_store
 from .children import DONE, REFUSED, end_of, start
 from .interruptions import GROUP, _slab as slab_of, chunks_of, scene_line
 from .outcome import Outcome, each, numbers_of
-
-__all__ = [
-    "FOLDERS", "SOURCES", "can_cut", "can_mount", "cuts", "disks", "looks_finished", "processed", "run_cut",
-    "run_folder", "run_full", "run_source", "undisturbed",
-]  # fmt: skip
 
 LEVELS, CUTS = 30, 60
 OTHER = "flightlines/raw_1"

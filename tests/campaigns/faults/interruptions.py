@@ -9,8 +9,6 @@ home of the product holds the older version, the newer, or what nobody takes for
 it, to the bytes of an undisturbed one. The old and the new version differ in every file.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import functools
@@ -36,19 +34,6 @@ from hyperpaint.io.store import is_complete, open_store
 
 from .children import CONTEXT, DONE, ENDED_AT_A_CALL, REFUSED, SIGNALS, Fault, end_of, start
 from .outcome import SCRATCH, Outcome, each, numbers_of
-
-__all__ = [
-    "WORKS",
-    "Work",
-    "Writer",
-    "calls",
-    "digest_of",
-    "kills",
-    "races",
-    "run_call",
-    "run_kills",
-    "run_race",
-]
 
 GROUP = "flightlines/raw_0"
 RACES = 50
@@ -233,28 +218,16 @@ def files(places: tuple[str, ...], home: Path) -> str:
 
 @dataclass(frozen=True)
 class Work:
-    """A product, and how often its writer is disturbed.
-
-    Attributes
-    ----------
-    write
-        Writes a version: takes the folder of the inputs, the version and the home of the product.
-    content
-        Returns what a home holds: a checksum of the product, empty where there is none.
-    inputs
-        Writes the inputs of both versions into a folder.
-    replacing
-        The home holds the older version already.
-    absent
-        A kill may leave no product that is whole; else the older one stays until the newer is in its place.
-    kills, in_a_row
-        At random instants; each run of a row goes on where the last was ended.
-    calls
-        Kills before a call that changes files: how many; None before every one.
-    codes
-        What happens at such a call: None, a kill; or the errno with which it fails.
-    """
-
+    # A product, and how often its writer is disturbed
+    # write: Writes a version: takes the folder of the inputs, the version and the home of the product
+    # content: Returns what a home holds: a checksum of the product, empty where there is none
+    # inputs: Writes the inputs of both versions into a folder
+    # replacing: The home holds the older version already
+    # absent: A kill may leave no product that is whole; else the older one stays until the newer is in its
+    # place
+    # kills, in_a_row: At random instants; each run of a row goes on where the last was ended
+    # calls: Kills before a call that changes files: how many; None before every one
+    # codes: What happens at such a call: None, a kill; or the errno with which it fails
     write: Callable[[Path, str, Path], object]
     content: Callable[[Path], str]
     inputs: Callable[[Path], None] = lambda _: None

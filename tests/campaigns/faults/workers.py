@@ -1,7 +1,5 @@
 """Workers of a cluster that are killed amid a run: the store is right, or an error names the block."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import logging
@@ -23,8 +21,6 @@ from hyperpaint.simulation import simulate_collect, simulate_line
 
 from .interruptions import GROUP, chunks_of
 from .outcome import Outcome, each, numbers_of
-
-__all__ = ["RUNS", "Cluster", "Task", "campaign", "kills_in", "processing", "run_kills", "storing"]
 
 RUNS = 30
 _LINES, _DELAY = 768, 0.12
@@ -48,7 +44,7 @@ def kills_in(number: int) -> int:
 
 class Cluster(contextlib.ExitStack):
     # Two workers, each with a nanny that starts it again; a context manager
-    def __enter__(self) -> Cluster:
+    def __enter__(self) -> "Cluster":
         import dask
         from distributed import Client, LocalCluster
         from distributed.utils import get_mp_context

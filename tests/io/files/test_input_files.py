@@ -1,7 +1,5 @@
 """Names that no door may open: each is refused in words, at once."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,7 +1,5 @@
 """Files and folders appear whole or not at all, and nothing of others is replaced."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

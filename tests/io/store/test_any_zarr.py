@@ -1,7 +1,5 @@
 """Any Zarr that xarray opens is a store, calibration, sweep, record, library and set of references."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 from collections.abc import Callable

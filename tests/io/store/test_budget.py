@@ -1,7 +1,5 @@
 """Memory and disk are known before a run, and a run that would not fit is refused."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import importlib

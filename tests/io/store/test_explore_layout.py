@@ -1,7 +1,5 @@
 """Cubes cut into groups of bands: the same values for every reader, verified, resumed and planned for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """An existing engine for shared object stores, tried for real: the README's section on icechunk holds."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

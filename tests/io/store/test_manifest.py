@@ -1,7 +1,5 @@
 """The manifest: what a store is to hold is what it holds, or the difference is named."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Killed writers, damaged stores, two writers: nothing half-written or damaged is taken for whole."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

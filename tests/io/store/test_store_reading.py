@@ -1,7 +1,5 @@
 """What readers get of a store: what was written, an error, or what `verify` alone can tell."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

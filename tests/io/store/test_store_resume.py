@@ -1,7 +1,5 @@
 """Runs cut short are taken up: nothing finished is made again, nothing damaged is believed."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """Disks that are full or vanish, and power cuts: told before or told cleanly, and nothing looks finished."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A run's groups get their places beside one another: in order, and none is left behind."""
 
-from __future__ import annotations
-
 import errno
 import os
 import threading

@@ -1,7 +1,5 @@
 """Staging: what changes places, what a killed writer left, and what somebody else put there."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Maps are computed stage by stage: every task once, and what is shared is held no longer than needed."""
 
-from __future__ import annotations
-
 import dask
 import dask.array as da
 import numpy as np

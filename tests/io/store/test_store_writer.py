@@ -1,7 +1,5 @@
 """`to_store`: what goes in comes out, and nothing else in the store changes."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
