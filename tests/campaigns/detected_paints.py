@@ -82,8 +82,7 @@ def look(seed: int, cache: Path, *, ground: bool = False) -> list[dict[str, Any]
     wavelength = line["wavelength"].values
     others = library_of(fleet(range(OTHERS), wavelength), wavelength)
     _, _, flagged = verdicts.looked_at(line)
-    clear = (flagged["quality"].values & int(EXCLUDED)) == 0
-    shown = np.where(clear, line["paint_id"].values, -2)
+    shown = np.where((flagged["quality"].values & int(EXCLUDED)) == 0, line["paint_id"].values, -2)
     here = [number for number in cars if (shown == number).sum() > 150]
     background = line["paint_id"] == -1 if ground else None
     rows = []
@@ -109,8 +108,7 @@ def shares(found: Any, shown: Any, numbers: list[int]) -> dict[str, float]:
     # Return shares above the threshold of the best paint, and detected, by what pixels show
     best, detected = found["best_paint"].values, found["detected"].values
     above = found["detection_score"].values >= found["score_threshold"].values[best] - 1e-7
-    target = np.isin(shown, numbers)
-    other = (shown > -2) & ~target
+    other = (shown > -2) & ~np.isin(shown, numbers)
     groups = {"all": other, "background": other & (shown == -1), "unknown": other & (shown >= 0)}
     values = {}
     for name, where in groups.items():

@@ -159,8 +159,7 @@ def look(seed: int, flakes: bool, samples: int) -> Counts:
     clean, sky = render(seed, flakes, samples, surroundings_of(seed))
     line = seen_with_noise(clean, seed).chunk(along_track=64)
     light = {"diffuse": "model", "sun_zenith": sky.sun_zenith, "sun_azimuth": sky.sun_azimuth}
-    flagged = hp.surroundings.flag(line, **light, heading=0.0)
-    bits = flagged["quality"].values
+    bits = hp.surroundings.flag(line, **light, heading=0.0)["quality"].values
     counts = count(bits, true_layers(clean, sky), surfaces_of(clean))
     told = f"{seed:>4} {sky.sun_zenith:>4.0f}/{sky.sun_azimuth:>4.0f} {'+'.join(surroundings_of(seed)):<12}"
     for name in ("glint", "shadow"):

@@ -280,8 +280,7 @@ def judge(target: Target, bench: Bench, *, kept: bool) -> None:
     _quiet()
     parser = parsers.PARSERS[target.parser]
     with tempfile.TemporaryDirectory() as own:
-        placed = parsers.placed(parser, bench.seeds, Path(own))
-        path, _ = placed[target.seed]
+        path, _ = parsers.placed(parser, bench.seeds, Path(own))[target.seed]
         for data in sorted(bench.wrong.iterdir()):
             path.write_bytes(data.read_bytes())
             wrong = parsers.complaint(parser, path)

@@ -40,8 +40,7 @@ def fit_saddles(picture: Floats, expected: Floats, directions: Floats, reach: fl
     start = np.rint(expected).astype(np.int64)
     half = int(np.ceil(reach * np.abs(directions).sum(axis=0).max()))
     offset = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2, indexing="xy"), axis=-1).reshape(-1, 2)
-    inside = (np.abs(offset @ directions.T) <= reach).all(axis=1)
-    offset = offset[inside]
+    offset = offset[(np.abs(offset @ directions.T) <= reach).all(axis=1)]
     at = start[:, None] + offset
     within = ((at >= 0) & (at < np.array(picture.shape[::-1]))).all(axis=(1, 2))
     at = np.where(within[:, None, None], at, 0)
@@ -49,8 +48,7 @@ def fit_saddles(picture: Floats, expected: Floats, directions: Floats, reach: fl
     fitted = within & np.isfinite(seen).all(axis=1)
     place, misfit = np.full(expected.shape, np.nan), np.full(len(expected), np.nan)
     if fitted.any():
-        uv = offset @ directions.T
-        middle, misfit[fitted] = _fit(seen[fitted], uv)
+        middle, misfit[fitted] = _fit(seen[fitted], offset @ directions.T)
         place[fitted] = start[fitted] + middle @ np.linalg.inv(directions).T
     return Fit(place, misfit)
 
@@ -96,8 +94,7 @@ def misplacement(
     # square: Side of its squares [m]
     # Returns: To the right and down [pixel], of those corners around which the map is whole
     east0, east_x, east_y, north0, north_x, north_y = transform
-    steps = np.array([[east_x, east_y], [north_x, north_y]])
-    to_cells = np.linalg.inv(steps)
+    to_cells = np.linalg.inv(np.array([[east_x, east_y], [north_x, north_y]]))
     expected = np.stack([east - east0, north - north0], axis=-1) @ to_cells.T - 0.5
     angle = np.radians(turn)
     axes = np.array([[np.sin(angle), np.cos(angle)], [np.cos(angle), -np.sin(angle)]]) @ to_cells.T

@@ -99,8 +99,7 @@ def box_shadow(nm: Float, ground: Float, box: Float, *, zenith: float = 40.0) ->
     inside = (y > last) & ~on_box
     hidden[inside] = _rectangle_view_factor(y[inside] - last, x[inside] - middle, height, (right - left) / 2)
     light = (1.0 - blocked)[..., None] * (1.0 - diffuse) + (1.0 - hidden)[..., None] * diffuse
-    cube = np.where(on_box[..., None], box, ground * light)
-    return cube, np.where(on_box, 0.0, blocked), ~on_box
+    return np.where(on_box[..., None], box, ground * light), np.where(on_box, 0.0, blocked), ~on_box
 
 
 def bonnet(nm: Float, body: Float, *, zenith: float = 30.0, alpha: float = 0.05) -> tuple[Float, Float]:
@@ -112,15 +111,13 @@ def bonnet(nm: Float, body: Float, *, zenith: float = 30.0, alpha: float = 0.05)
     diffuse = diffuse_fraction(nm, zenith)
     sun = np.radians(zenith)
     lean = np.radians(np.linspace(-20.0, 20.0, lines))
-    half = np.abs(lean - sun / 2.0)
-    cosine = np.cos(half)
+    cosine = np.cos(np.abs(lean - sun / 2.0))
     spread = alpha**2 / (np.pi * (cosine**2 * (alpha**2 - 1.0) + 1.0) ** 2)
     out = np.cos(lean)
     fresnel = 0.04
     mirror = np.pi * fresnel * spread / (4.0 * np.maximum(out, 0.1)) / np.cos(sun)
     direct = np.clip(np.cos(lean - sun), 0.0, None) / np.cos(sun)
-    sky = (1.0 + np.cos(lean)) / 2.0
-    light = direct[:, None] * (1.0 - diffuse) + sky[:, None] * diffuse
+    light = direct[:, None] * (1.0 - diffuse) + ((1.0 + np.cos(lean)) / 2.0)[:, None] * diffuse
     upwards, azimuth = np.cos(2.0 * lean), np.where(lean > 0.0, 0.0, np.pi)
     from_sun = scattering_cosine(upwards, azimuth, zenith)
     shares = clear_sky_shares(nm, zenith)

@@ -67,8 +67,7 @@ def make_calibration(**changes: Any) -> xr.Dataset:
 
 
 def make_irradiance(start_s: float = -100.0, stop_s: float = 100.0, every_s: float = 2.0) -> xr.Dataset:
-    seconds = np.arange(start_s, stop_s, every_s)
-    times = T0 + (seconds * 1e9).astype("timedelta64[ns]")
+    times = T0 + (np.arange(start_s, stop_s, every_s) * 1e9).astype("timedelta64[ns]")
     wavelength = np.arange(400.0, 801.0, 100.0)
     values = np.ones((times.size, wavelength.size), np.float32)
     return xr.Dataset(

@@ -188,8 +188,7 @@ def uncalled() -> Names:
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
                 # entry points, lazy names, names of methods looked up by text; not __all__
                 uses[node.value] += 1
-        exported = _exported(tree)
-        uses.subtract(exported)
+        uses.subtract(_exported(tree))
         for owner in ast.walk(tree):
             for node in getattr(owner, "body", ()) if isinstance(owner, ast.Module | ast.ClassDef) else ():
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):

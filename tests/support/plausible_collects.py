@@ -193,8 +193,7 @@ def over_range(folder: Path, strength: int) -> None:
 
 def dark_zeros(folder: Path, strength: int) -> None:
     def zeros(counts: Array) -> Array:
-        part = (..., (..., slice(None, None, 2)), (slice(None, None, 2),))[strength]
-        counts[part] = 0
+        counts[(..., (..., slice(None, None, 2)), (slice(None, None, 2),))[strength]] = 0
         return counts
 
     _change(folder / "dark/raw_0", zeros)
@@ -388,8 +387,7 @@ def navigation_nan(folder: Path, strength: int) -> None:
 
 def flagged(folder: Path, strength: int) -> None:
     def clipped(counts: Array) -> Array:
-        bright = counts.shape[2] * (30, 50, 90)[strength] // 100
-        counts[:, :, :bright] = 4095
+        counts[:, :, : (counts.shape[2] * (30, 50, 90)[strength] // 100)] = 4095
         return counts
 
     _change(_cube(folder), clipped)

@@ -381,8 +381,7 @@ def run_kills(number: int, folder: Path, writer: Writer, outcome: Outcome) -> No
         fault = f"{writer.name}, kill {kill} ({which.name})"
         if status not in (-which, 128 + which, DONE):
             outcome.wrong.append(f"{fault}: exits with {status}: {text:.300}")
-        last = kill == number + writer.work.in_a_row - 1
-        writer.judge(fault, home, outcome, again=last)
+        writer.judge(fault, home, outcome, again=kill == number + writer.work.in_a_row - 1)
 
 
 def run_call(number: int, folder: Path, writer: Writer, code: int | None, outcome: Outcome) -> None:

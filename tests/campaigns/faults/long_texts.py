@@ -37,8 +37,7 @@ def text_of(piece: str, seed: bytes, size: int) -> bytes:
     # Return a text of ``size`` bytes: of one piece, or a whole file whose last lines come again
     if piece != "beginning":
         return (PIECES[piece] * (size // len(PIECES[piece]) + 1))[:size]
-    lines = seed.splitlines(keepends=True)[-2:]
-    last = b"".join(lines)
+    last = b"".join(seed.splitlines(keepends=True)[-2:])
     return (seed + last * (max(size - len(seed), 0) // max(len(last), 1)))[:size]
 
 

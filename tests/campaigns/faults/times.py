@@ -233,8 +233,7 @@ def _process(folder: Path) -> tuple[Any, list[str]]:
     # Return the line with its reflectance, in memory, and the warnings on the way
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
-        tree = hp.open_collect(folder / "collect.toml")
-        line = tree["flightlines/raw_0"].to_dataset()
+        line = hp.open_collect(folder / "collect.toml")["flightlines/raw_0"].to_dataset()
         made = line.paint.reflectance()[["reflectance", "quality", "frame"]].compute()
     return made, [str(warning.message) for warning in heard]
 

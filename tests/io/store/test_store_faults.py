@@ -97,8 +97,7 @@ def chunks_built(path: Path) -> int:
     [(3, True), (12, False), (20, True)],
 )
 @pytest.mark.slow
-def test_killed_writer(chunks_before_kill: int, replacing: bool, tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_killed_writer(chunks_before_kill: int, replacing: bool, path: Path, tmp_path: Path) -> None:
     if replacing:
         to_store(slow_line("old").isel(along_track=slice(70)), path, GROUP)
     writer = start_writer(path)
@@ -245,8 +244,7 @@ def test_later_format_is_refused(store: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.slow
-def test_second_writer_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_second_writer_is_refused(path: Path) -> None:
     writer = start_writer(path)
     wait_for(lambda: chunks_built(path) > 1)
     with pytest.raises(StoreError, match="store-locked"):
