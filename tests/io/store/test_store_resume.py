@@ -240,21 +240,18 @@ def _flip(chunk: Path) -> None:
     chunk.write_bytes(raw)
 
 
-def _truncate(chunk: Path) -> None:
-    chunk.write_bytes(chunk.read_bytes()[:50])
-
-
-def _empty(chunk: Path) -> None:
-    chunk.write_bytes(b"")
-
-
-def _delete(chunk: Path) -> None:
-    chunk.unlink()
-
-
-@pytest.mark.parametrize("damage", [_flip, _truncate, _empty, _delete])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        _flip,
+        lambda chunk: chunk.write_bytes(chunk.read_bytes()[:50]),
+        lambda chunk: chunk.write_bytes(b""),
+        Path.unlink,
+    ],
+    ids=["flipped", "truncated", "empty", "deleted"],
+)
 def test_damaged_leftovers_are_made_again(
-    damage: Callable[[Path], None], path: Path, whole: dict[str, Any]
+    damage: Callable[[Path], object], path: Path, whole: dict[str, Any]
 ) -> None:
     left = cut_short(path)
     chosen = [number for number in range(BLOCKS) if number not in left][2]
