@@ -22,6 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+import hyperpaint as hp
+
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `hyperpaint` may not be importable yet
     sys.path.insert(0, str(ROOT))
@@ -48,8 +50,6 @@ def write_collect(folder: Path, cube_bytes: int, *, bands: int = 272, columns: i
     # Write a collect with one cube of at least so many bytes; return its ``collect.toml``
     # Only a block of lines is simulated in full width. The cube repeats it, each time shifted, beside the
     # times, positions and sky of a simulated flight of the whole length.
-    import hyperpaint as hp
-
     lines = -(-cube_bytes // (bands * columns * 2))
     flight = hp.simulate_collect(
         folder / "long", scene="plan", lines=lines, bands=4, columns=4, seed=3, truth=False
@@ -93,7 +93,6 @@ def process(collect: Path, out: Path, room: int | None = None) -> dict[str, floa
 def _child(collect: str, out: str, room: str) -> None:
     for module in IMPORTS:
         importlib.import_module(module)
-    import hyperpaint as hp
 
     before = _status()
     if int(room):

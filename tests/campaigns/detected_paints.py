@@ -26,6 +26,8 @@ from typing import Any
 
 import numpy as np
 
+from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
+
 ROOT = Path(__file__).resolve().parents[2]
 for folder in (ROOT, ROOT / "tests"):  # run as a script: `benchmarks` is then not importable yet
     if str(folder) not in sys.path:
@@ -51,15 +53,12 @@ def library_of(bodies: dict[str, Any], wavelength: Any) -> Any:
 
 def fleet(numbers: range, wavelength: Any) -> dict[str, Any]:
     # Return bodies of paints of the fleet, by name
-    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-
     return {f"fleet-{number}": spectrum_of(f"fleet-{number}")(wavelength) for number in numbers}
 
 
 def scene_of(seed: int, cache: Path) -> tuple[Any, dict[int, tuple[str, Any]]]:
     # Return a line, and names and bodies of the paints of its cars by their numbers in it
     from benchmarks.fleet_scenes import foreign_cars, rendered_cars
-    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
     if seed in SEEDS["foreign"]:
         line = foreign_cars.line_of(seed, "clear", cache)

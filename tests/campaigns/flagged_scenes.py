@@ -25,6 +25,8 @@ from typing import Any
 
 import numpy as np
 
+import hyperpaint as hp
+
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
@@ -94,8 +96,6 @@ def count(bits: Any, true: dict[str, Any], surface: Any) -> Counts:
     # bits : (along_track, cross_track): ``quality`` as flagged
     # true: From `true_layers`
     # surface : (along_track, cross_track): From `surfaces_of`
-    import hyperpaint as hp
-
     flagged = {name: (bits & int(hp.Quality[name])) > 0 for name in ("GLINT", "SHADOW", "ADJACENCY")}
     mixed = (bits & int(hp.Quality.MIXED_EDGE)) > 0
     everywhere = np.ones(bits.shape, bool)
@@ -153,7 +153,6 @@ def rows_of(counts: Counts) -> list[str]:
 
 def look(seed: int, flakes: bool, samples: int) -> Counts:
     # Render, survey and flag a scene, print a row, and return what was counted
-    import hyperpaint as hp
     from campaigns.proposed_cars import render, seen_with_noise
 
     clean, sky = render(seed, flakes, samples, surroundings_of(seed))

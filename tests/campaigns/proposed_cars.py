@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+import hyperpaint as hp
+
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
@@ -35,7 +37,6 @@ def render(
     seed: int, flakes: bool, samples: int, neighbours: tuple[str, ...] = ("walls", "trees")
 ) -> tuple[Any, Any]:
     # Return a flight line without noise, its truth beside it, and the atmosphere
-    import hyperpaint as hp
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
@@ -60,8 +61,6 @@ def render(
 
 def seen_with_noise(line: Any, seed: int) -> Any:
     # Return a render as it is seen: reflectance from noisy radiance
-    import hyperpaint as hp
-
     radiance = line["radiance"]
     noise = 1.0 + np.random.default_rng([seed, 7]).normal(size=radiance.shape) / SNR
     noisy = radiance.copy(data=(radiance.values * noise).astype(np.float32))
@@ -84,7 +83,6 @@ def tilt_of(line: Any, along: Any, across: Any) -> float:
 
 def look(seed: int, flakes: bool, samples: int) -> tuple[int, int, int, int]:
     # Print a scene's table; return whole cars, of them right and wrong, and wrong regions elsewhere
-    import hyperpaint as hp
     from hyperpaint.regions import pixels_of
     from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 

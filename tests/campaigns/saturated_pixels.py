@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 
+import hyperpaint as hp
+
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
@@ -34,7 +36,6 @@ EXPOSURES = (0.003, 0.006, 0.012)
 
 def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 24) -> tuple[Any, Any, Any]:
     # Return radiance of glossy and metallic cars in the sun, the flight, and the light
-    import hyperpaint as hp
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
@@ -51,7 +52,6 @@ def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 
 
 def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) -> tuple[Any, dict[str, Any]]:
     # Return the flight line of a 12-bit camera, and what is true of its pixels
-    import hyperpaint as hp
     from hyperpaint.simulation.camera import Camera
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.settings import SimulationSettings
@@ -80,8 +80,6 @@ def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) 
 
 def found_in(line: Any) -> Any:
     # Return which pixels the chain flags as saturated (along_track, cross_track)
-    import hyperpaint as hp
-
     return (hp.radiance(line)["quality"].values & int(hp.Quality.SATURATED)) > 0
 
 

@@ -25,7 +25,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
-from hyperpaint.io.store import is_complete, open_store
+from hyperpaint.io.store import chunks, is_complete, open_store
 
 from .children import DONE, REFUSED, end_of, start
 from .interruptions import GROUP, _slab as slab_of, chunks_of, scene_line
@@ -130,8 +130,6 @@ def store(path: Path, log: Path, at: int = -1, share: float = 1.0, total: int = 
 
 def process_slowly(collect: Path, out: Path, delay: float = 0.0) -> None:
     # Process a collect, slowly enough for something to happen meanwhile
-    from hyperpaint.io.store import chunks
-
     plain = chunks.write_chunk
 
     def slow(folder: Path, *rest: Any) -> None:

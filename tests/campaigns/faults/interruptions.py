@@ -30,7 +30,7 @@ from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
-from hyperpaint.io.store import is_complete, open_store
+from hyperpaint.io.store import is_complete, open_store, stage
 
 from .children import CONTEXT, DONE, ENDED_AT_A_CALL, REFUSED, SIGNALS, Fault, end_of, start
 from .outcome import SCRATCH, Outcome, each, numbers_of
@@ -85,8 +85,6 @@ def _group(
     slabs: int, delay: float, group: str | None, exchanging: bool, _: Path, version: str, home: Path
 ) -> None:
     # Store a scene; without ``exchanging`` the system cannot let two folders change places at once
-    from hyperpaint.io.store import stage
-
     if not exchanging:
         stage.exchange = lambda *_: False  # type: ignore[assignment]
     line = scene_line(1 + VERSIONS.index(version), slabs, delay)

@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import dask
+
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store import is_complete, list_groups
@@ -45,7 +47,6 @@ def kills_in(number: int) -> int:
 class Cluster(contextlib.ExitStack):
     # Two workers, each with a nanny that starts it again; a context manager
     def __enter__(self) -> "Cluster":
-        import dask
         from distributed import Client, LocalCluster
         from distributed.utils import get_mp_context
 
@@ -76,8 +77,6 @@ class Cluster(contextlib.ExitStack):
 class Task:
     # What is written, what an undisturbed run writes, and how long that takes on the cluster
     def __init__(self, write: Callable[[Path], Any], folder: Path, seconds: float | None = None) -> None:
-        import dask
-
         self.write, place = write, folder / f"whole-{id(self)}.zarr"
         with dask.config.set(scheduler="threads"):
             write(place)

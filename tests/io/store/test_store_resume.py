@@ -20,7 +20,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.store import open_store, to_store, verify
+from hyperpaint.io.store import chunks, open_store, to_store, verify
 from hyperpaint.io.store.location import MANIFEST_NODE
 
 CUBE = ("along_track", "band", "cross_track")
@@ -363,7 +363,6 @@ except hp.errors.StoreError:
 @pytest.mark.slow
 def test_process_is_resumed_by_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import hyperpaint as hp
-    from hyperpaint.io.store import chunks
 
     collect, path = tmp_path / "raw/collect.toml", tmp_path / "lot.zarr"
     hp.simulate_collect(collect.parent, scene="plan", lines=320, bands=20, columns=12, cubes=1, seed=3)

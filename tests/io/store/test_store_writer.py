@@ -17,7 +17,7 @@ import zarr
 from support.codecs import plain_zarr
 
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
+from hyperpaint.io.store import is_complete, list_groups, open_store, open_unverified, to_store, verify
 from hyperpaint.io.store.groups import reads_from
 
 CUBE = ("along_track", "band", "cross_track")
@@ -201,8 +201,6 @@ def test_source_token_names_the_content(path: Path) -> None:
 @pytest.mark.parametrize("url", ["memory://{}.zarr", "{}/source.zarr"])
 @pytest.mark.parametrize("guarded", [True, False])
 def test_a_source_that_was_rewritten_is_other_content(url: str, guarded: bool, tmp_path: Path) -> None:
-    from hyperpaint.io.store import open_unverified
-
     url = url.format(tmp_path if url.startswith("{") else os.urandom(4).hex())
 
     def rewrite(seed: int) -> None:
