@@ -91,7 +91,7 @@ def _group(
     hp.to_store(line, home / "lot.zarr", group, overwrite=True)
 
 
-def _collects(lines: int, folder: Path) -> None:
+def collects(lines: int, folder: Path) -> None:
     newer = tiny_collect(folder / "raw", lines)
     newer.with_name("newer.toml").write_text(newer.read_text())
     newer.with_name("older.toml").write_text(newer.read_text().replace('"uW cm-2', '"W m-2'))
@@ -157,11 +157,6 @@ def chunks_of(path: Path) -> dict[str, bytes]:
     return {str(file.relative_to(path)): file.read_bytes() for file in files}
 
 
-def digest_of(path: Path) -> str:
-    # Return a checksum of all chunks below a folder
-    return hashlib.sha256(repr(chunks_of(path)).encode()).hexdigest()
-
-
 def stored(group: str | None, home: Path) -> str:
     # Return a checksum of the chunks of a store, empty where no reader takes it for whole
     # ``group`` is the one that was written, "" the root, None all of a tree
@@ -180,7 +175,7 @@ def stored(group: str | None, home: Path) -> str:
         return f"open_store: {opened}, is_complete: {not opened}"
     if opened and (wrong := [text for text in problems if not text.startswith(UNLISTED)]):
         return f"it is opened, but verify says {wrong[0]}"
-    return digest_of(path) if opened or not problems else ""
+    return hashlib.sha256(repr(chunks_of(path)).encode()).hexdigest() if opened or not problems else ""
 
 
 def files(places: tuple[str, ...], home: Path) -> str:
@@ -271,15 +266,15 @@ WORKS: Mapping[str, Work] = {
     "root replaced": Work(_of(_group, *_QUICK, None, True), _of(stored, ""), calls=None),
     "by two renames": Work(_of(_group, *_QUICK, GROUP, False), _IN_GROUP, absent=True, calls=None),
     "run of 40 lines": Work(
-        _of(_process, False), _WHOLE, _of(_collects, 40), replacing=False, absent=True, kills=250, in_a_row=5
+        _of(_process, False), _WHOLE, _of(collects, 40), replacing=False, absent=True, kills=250, in_a_row=5
     ),
     "run of 40 lines replaced": Work(
-        _of(_process, True), _WHOLE, _of(_collects, 40), absent=True, kills=250, in_a_row=5
+        _of(_process, True), _WHOLE, _of(collects, 40), absent=True, kills=250, in_a_row=5
     ),
     "run of 2 lines": Work(
-        _of(_process, False), _WHOLE, _of(_collects, 2), replacing=False, absent=True, **_BOTH
+        _of(_process, False), _WHOLE, _of(collects, 2), replacing=False, absent=True, **_BOTH
     ),
-    "run of 2 lines replaced": Work(_of(_process, True), _WHOLE, _of(_collects, 2), absent=True, **_BOTH),
+    "run of 2 lines replaced": Work(_of(_process, True), _WHOLE, _of(collects, 2), absent=True, **_BOTH),
     **{
         name: Work(
             _of(_command, words), _of(files, places), _lots, absent=len(places) > 1, kills=10, calls=10
