@@ -146,6 +146,8 @@ QUICK = (
     ("index_of_a_gigabyte", "irradiance"),
     ("shard_of_huge_inner_chunks", "open-store"),
     ("a_gigabyte_without_chunks", "calibration"),
+    ("texts_of_a_gigabyte", "library"),
+    ("text_of_four_billion_items", "calibration"),
     ("zip_with_metadata_of_100_mb", "open-store"),
     ("manifest_of_10_to_12_chunks", "open-store"),
     ("groups_600_deep", "verify"),

@@ -347,8 +347,8 @@ ARRAYS: dict[str, dict[str, Any]] = {
     "index_of_a_terabyte:irradiance_wavelength": {"shape": [2**37], "chunk_grid": grid(2**37)},
     "index_of_a_gigabyte:irradiance_wavelength": {"shape": [2**27], "chunk_grid": grid(2**20)},
     "times_of_a_gigabyte:irradiance_time": {"shape": [2**27], "chunk_grid": grid(2**20)},
-    "texts_of_a_gigabyte:paint": {"shape": [2**27], "chunk_grid": grid(2**20)},
-    "texts_in_a_chunk_of_10_to_9:paint": {"shape": [10**9], "chunk_grid": grid(10**9)},
+    "texts_of_a_gigabyte:signature": {"shape": [2**27], "chunk_grid": grid(2**20)},
+    "texts_in_a_chunk_of_10_to_9:signature": {"shape": [10**9], "chunk_grid": grid(10**9)},
 }
 #: The same of a ``.zarray``.
 ARRAYS_2: dict[str, dict[str, Any]] = {
@@ -495,8 +495,8 @@ STORES: dict[str, tuple[str, dict[str, Any], dict[str, Any], Callable[[Path], Pa
     "text_of_four_billion_items": (
         "calibration",
         {
-            "paint/zarr.json": {"codecs": [{"name": "vlen-utf8"}]},
-            "paint/c/0": (2**32 - 1).to_bytes(4, "little"),
+            "signature/zarr.json": {"codecs": [{"name": "vlen-utf8"}]},
+            "signature/c/0": (2**32 - 1).to_bytes(4, "little"),
         },
         {},
         None,
