@@ -5,8 +5,6 @@ prints the relative standard deviation of a pixel, mean over four bands: median 
 and over those that see one thing alone.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperpaint.simulation import relight, trace

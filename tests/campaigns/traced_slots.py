@@ -3,8 +3,6 @@
 ``python tests/campaigns/traced_slots.py``
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperpaint.simulation import relight, trace

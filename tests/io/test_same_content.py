@@ -1,7 +1,5 @@
 """The same content in another spelling, encoding or unit: the same values or a refusal, never others."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """Refusals of the package, matched by their code and by the words that the test is about."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +15,7 @@ F = TypeVar("F", bound=BaseException)
 
 @contextmanager
 def refusal(kind: type[E], code: str, *told: str) -> Iterator[pytest.ExceptionInfo[E]]:
-    """Expect an error of one code whose message has these words, such as keys and numbers, in this order."""
+    # Expect an error of one code whose message has these words, such as keys and numbers, in this order
     with pytest.raises(kind) as caught:
         yield caught
     error = caught.value
@@ -27,7 +25,7 @@ def refusal(kind: type[E], code: str, *told: str) -> Iterator[pytest.ExceptionIn
 
 
 def expect_refusals(*rows: tuple[Any, ...]) -> None:
-    """Expect the error of every row: class, code, words of its message, and the call that raises it."""
+    # Expect the error of every row: class, code, words of its message, and the call that raises it
     for kind, code, *told, call in rows:
         with refusal(kind, code, *told):
             call()
