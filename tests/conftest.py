@@ -29,7 +29,7 @@ SKIPPED_RECORD = "hyperpaint/skipped"  # in pytest's cache: tests that the runs 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--skipped", action="store_true",
-        help="run the tests that earlier runs skipped, which more packages may allow; without such runs, all tests",
+        help="run the tests that earlier runs skipped, for want of packages; without such runs, all",
     )  # fmt: skip
 
 

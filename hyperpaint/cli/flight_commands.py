@@ -12,7 +12,7 @@ import click
 
 import hyperpaint as hp
 import hyperpaint.workflows as workflows
-from hyperpaint.io.maps.map_metadata import RASTER_FORMATS
+from hyperpaint.io.maps.map_grids import RASTER_FORMATS
 from hyperpaint.io.store.raw_references import outside, virtual_groups
 
 from .options import (

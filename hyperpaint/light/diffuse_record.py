@@ -94,7 +94,7 @@ def diffuse_from_record(
     Notes
     -----
     Bayes' rule over some 4600 skies drawn from a prior: air from SPECTRL2 with varied aerosol, ozone, ground
-    and pressure, and clouds over it, see `hyperpaint.light.sky_states`. A spectrum alone cannot distinguish a
+    and pressure, and clouds over it, see `sky_states`. A spectrum alone cannot distinguish a
     thin neutral cloud from a dirty receiver.
 
     Examples

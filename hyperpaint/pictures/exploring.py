@@ -243,7 +243,7 @@ class Explored:
                     f"{place.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
                     code="region-empty",
                 )
-            quantiles = summarise(values[is_used], "median").quantiles
+            quantiles = summarise(values[is_used], "median")["reflectance_quantiles"]
             quantiles[:, ~good_bands(self.line)] = np.nan
             subsampling = f" (every {step}. line)" if step > 1 else ""
             text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: "

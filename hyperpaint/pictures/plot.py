@@ -33,8 +33,7 @@ from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
 from hyperpaint.paints.signatures import EXCLUDED
-from hyperpaint.paints.signatures.pixel_gathering import gather
-from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
+from hyperpaint.paints.signatures.pixel_statistics import QUANTILES, gather
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.regions import Region, pixels_of, regions_from
 

@@ -8,11 +8,8 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.io.dirsig.dirsig_writing import PaintCurves
-from hyperpaint.paints.mixing.kubelka_munk import coating_of
-from hyperpaint.validation.validating import signatures_from
-from hyperpaint.io.dirsig.paint_curves import coat_of
 from hyperpaint.paints.mixing.synthetic_paints import coating_of
-from hyperpaint.validation.dataset_spectra import signatures_from
+from hyperpaint.validation.validating import signatures_from
 
 CASES = [
     ({}, False, None),

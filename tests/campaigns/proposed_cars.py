@@ -39,7 +39,6 @@ def render(
     # Return a flight line without noise, its truth beside it, and the atmosphere
     import hyperpaint as hp
     from hyperpaint.simulation.camera import BandSet
-    from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom

@@ -54,8 +54,6 @@ def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) 
     # Return the flight line of a 12-bit camera, and what is true of its pixels
     import hyperpaint as hp
     from hyperpaint.simulation.camera import BandSet, Camera
-    from hyperpaint.simulation.camera import Camera
-    from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.settings import SimulationSettings
     from hyperpaint.workflows.rendering import counts_of
 

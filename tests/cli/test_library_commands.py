@@ -18,7 +18,7 @@ from support.refusals import expect_words
 import hyperpaint as hp
 from hyperpaint.io.dirsig import open_emissivity, read_materials
 from hyperpaint.io.library import open_library
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS
 
 
 def run(*arguments: object, status: int = 0) -> str:

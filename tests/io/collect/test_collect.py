@@ -15,8 +15,7 @@ from support.refusals import refusal
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
 from hyperpaint.io.collect.collect_toml import open_collect, read_collect
-from hyperpaint.io.envi.envi_cubes import EnviArray
-from hyperpaint.io.envi.envi_header import parse_header
+from hyperpaint.io.envi.envi_cubes import EnviArray, parse_header
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.spectrometers.asd import open_asd
 from hyperpaint.io.spectrometers.irradiance import open_irradiance

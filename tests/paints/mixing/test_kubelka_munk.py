@@ -6,13 +6,11 @@ from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.paints.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 from hyperpaint.paints.mixing.synthetic_paints import (
     Interface,
     absorption_to_scattering,
     thick_layer_reflectance,
 )
-from hyperpaint.simulation.paint_spectra import Paint
 from hyperpaint.simulation.rendering.materials import fresnel_reflectance, internal_reflectance
 from hyperpaint.simulation.rendering.scene_spectra import Paint
 
