@@ -1,7 +1,7 @@
 """Diffuse fraction and state of the sky, from a record of irradiance alone.
 
-A record is compared with clear and cloudy skies that are possible at its place and time (`sky_states`): by
-level, colour, and changes over a minute. Called by `process`, which stores the split with each flight line,
+A record is compared with clear and cloudy skies that are possible at its place and time: by level,
+colour, and changes over a minute. Called by `process`, which stores the split with each flight line,
 and for flight lines that have a record only.
 """
 
@@ -94,7 +94,7 @@ def diffuse_from_record(
     Notes
     -----
     Bayes' rule over some 4600 skies drawn from a prior: air from SPECTRL2 with varied aerosol, ozone, ground
-    and pressure, and clouds over it, see `sky_states`. A spectrum alone cannot distinguish a
+    and pressure, and clouds over it. A spectrum alone cannot distinguish a
     thin neutral cloud from a dirty receiver.
 
     Examples
