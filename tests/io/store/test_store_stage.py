@@ -238,6 +238,7 @@ def test_what_is_no_lock_is_refused(make: Callable[[Path], object], code: str, l
         *(record(pid) for pid in (2**64, -1, True, "x", None, 2**31 - 1)),  # of a dead process
         record(os.getpid(), start=1),  # another process had the number of this one, which started later
     ],
+    ids=range(10),  # the record of this process is another in each worker
 )
 def test_locks_of_nobody_are_taken_over(content: str, lock: Path) -> None:
     lock.write_bytes(content.encode("latin-1"))
