@@ -23,7 +23,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, 
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 
-from .detection_rules import BODIES, DARK_COATS, DIFFUSE, GLINT, SHADOWS, SURVEY, VEGETATION
+from .detection_rules import BODIES, DARK_COATS, GLINT, SHADOWS, SURVEY, VEGETATION
 from .light_split import LightSplit, shadow_side_of, split_of
 from .model import CELL, LIT, SHADED, SceneModel, nearest_at
 from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
@@ -1061,10 +1061,10 @@ def fraction_in_shadow(
     unknown sky that objects hide, and the unknown light that they send. Takes ``samples``: flat indices of
     pixels of every segment. Raises `SchemaError`: no cast shadow is large enough.
     """
-    shaded = np.flatnonzero((matches.state == SHADED) & (size >= DIFFUSE.min_shadow_px))
+    shaded = np.flatnonzero((matches.state == SHADED) & (size >= SHADOWS.min_shadow_px))
     if not shaded.size:
         raise SchemaError(
-            f"diffuse='shadow': no cast shadow of at least {DIFFUSE.min_shadow_px} pixels on ground that is "
+            f"diffuse='shadow': no cast shadow of at least {SHADOWS.min_shadow_px} pixels on ground that is "
             "also seen in full sun",
             mend="pass diffuse='model', or a measured spectrum",
             code="shadow-missing",
@@ -1076,7 +1076,7 @@ def fraction_in_shadow(
     values = gather(flat, indices).astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
-    low, high = np.quantile(blue, DIFFUSE.open_sky_quantiles)
+    low, high = np.quantile(blue, SHADOWS.open_sky_quantiles)
     under_open_sky = values[(blue >= low) & (blue <= high)]
     return np.asarray(np.clip(under_open_sky.mean(axis=0) / spectrum[largest], 0.0, 1.0))
 
