@@ -45,6 +45,8 @@ into the back hemisphere, and the reflectance ``r`` of the surroundings. Over a 
 without absorption, J is the radiance of the sky, and a path changes nothing.
 """
 
+from __future__ import annotations
+
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass

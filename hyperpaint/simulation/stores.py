@@ -1,5 +1,7 @@
 """Calibration, truth and sweeps of the simulator as labelled arrays and Zarr stores."""
 
+from __future__ import annotations
+
 import json
 import shutil
 import warnings

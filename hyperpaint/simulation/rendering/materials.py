@@ -14,6 +14,8 @@ mirror reflection is ``R = pi f_d`` in the geometry of the instrument, so that `
 ``R``; the albedo of the base is ``b = q / (1 + q Fi)`` with ``q = R n^2 / (To Ti)``.
 """
 
+from __future__ import annotations
+
 import functools
 import warnings
 from dataclasses import MISSING, dataclass, replace

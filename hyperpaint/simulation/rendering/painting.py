@@ -7,6 +7,8 @@ mean spectra. Members are ranked by brightness, and a smooth random field over t
 that all members are equally likely and neighbours are similar (`Octaves`).
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

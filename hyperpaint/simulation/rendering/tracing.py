@@ -4,6 +4,8 @@ Tracing needs no spectra; `relighting` applies them. The random numbers of a pix
 its position in the flight line, so that results have the same bits for all blocks, threads and machines.
 """
 
+from __future__ import annotations
+
 import pickle
 from collections.abc import Sequence
 from typing import Any, NamedTuple
