@@ -19,7 +19,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import ALIGNMENTS, Alignment
-from hyperpaint.base.errors import PaintError, PaintWarning
+from hyperpaint.base.errors import PaintError, PaintWarning, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.clear_sky import sunlight_table
@@ -605,8 +605,7 @@ def align(
     is_significant = comparison.is_significant(rules)
     if comparison.at_limit:
         text = f"camera and irradiance record differ by more than can be corrected ({_sentence(comparison)})"
-        warning = PaintWarning(f"{text}; check wavelengths and widths of both", code="alignment-at-limit")
-        warnings.warn(warning, stacklevel=2)
+        warn_user(f"{text}; check wavelengths and widths of both", "alignment-at-limit")
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
         # the camera's wavelengths move only where its share is significant
@@ -622,7 +621,7 @@ def align(
             "hp.alignment.align(line) in Python, --alignment auto on the command line, "
             '[alignment] apply = "auto" in collect.toml'
         )
-        warnings.warn(PaintWarning(f"{text}; {mend}", code="alignment-differs"), stacklevel=2)
+        warn_user(f"{text}; {mend}", "alignment-differs")
         return restated(line, text, numbers=numbers, state="not applied")
     text = f"camera and irradiance record agree: {_sentence(comparison)}"
     return restated(line, text, numbers=numbers, state="not significant")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.base.units import convert, same_dimension, takes_quantities
@@ -302,7 +301,7 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
         if saturated_elements.any():
             text = f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames"
-            warnings.warn(PaintWarning(text, code="elements-saturated"), stacklevel=4)
+            warn_user(text, "elements-saturated")
             signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
 

@@ -12,7 +12,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U, QUANTISATION_VARIANCE_COUNT2
-from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import SchemaError, warn_user
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, VARIABLES, dtype_of, label, require
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.kernels.line_fits import profiles
@@ -489,7 +489,7 @@ class Result:
         if self.lab.absolute:
             self._check_plausible(gain)
         for text, code in self._warnings():
-            warnings.warn(PaintWarning(text, code=code), stacklevel=4)
+            warn_user(text, code)
         # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
         gain[:, self.is_unlit] = np.nan
@@ -599,14 +599,11 @@ class Result:
             widened = [np.interp(offset, measured.offset * w, measured.response, 0.0, 0.0) for w in self.fwhm]
             return offset, np.stack(widened)
         reason = "srf_shape= is given" if measured.is_resolved else "the monochromator's line is too wide"
-        warnings.warn(
-            PaintWarning(
-                f"the measured response is {measured.misfit:.1%} off the model {self.shape!r}, and is not "
-                f"tabulated, since {reason}: reflectance beside sharp solar lines may be wrong by "
-                f"{measured.effect:.1%}",
-                code="response-shape-misfit",
-            ),
-            stacklevel=5,
+        warn_user(
+            f"the measured response is {measured.misfit:.1%} off the model {self.shape!r}, and is not "
+            f"tabulated, since {reason}: reflectance beside sharp solar lines may be wrong by "
+            f"{measured.effect:.1%}",
+            "response-shape-misfit",
         )
         return None
 

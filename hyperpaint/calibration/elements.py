@@ -6,7 +6,6 @@ map gives the centre and the neighbours give the width; only the height is fitte
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.errors import warn_user
 from hyperpaint.base.schema import STEP
 from hyperpaint.kernels.arguments import LineSamples
 from hyperpaint.kernels.line_fits import AREA, CENTRE, WIDTH, profiles
@@ -629,7 +628,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
                 f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
                 "give saturation_count"
             )
-            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=4)
+            warn_user(text, "saturation-missing")
     return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
 
 

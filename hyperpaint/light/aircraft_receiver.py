@@ -7,7 +7,6 @@ fraction is derived a second time from the corrected record.
 
 from __future__ import annotations
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.schema import IRRADIANCE_TIME
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -202,23 +201,15 @@ def level_irradiance(
             code="attitude-missing",
         )
     if not usable.all():
-        warnings.warn(
-            PaintWarning(
-                f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become "
-                "NaN",
-                code="attitude-missing",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN",
+            "attitude-missing",
         )
     is_low = sensor.zenith > MAX_ZENITH_DEG
     if is_low[usable].any():
-        warnings.warn(
-            PaintWarning(
-                "the light sensor's attitude is not corrected with the sun beyond "
-                f"{MAX_ZENITH_DEG:g} degrees",
-                code="sun-low",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"the light sensor's attitude is not corrected with the sun beyond {MAX_ZENITH_DEG:g} degrees",
+            "sun-low",
         )
     spectra = np.where(usable[:, None], record.values.astype(np.float64), np.nan)
     factor = np.ones(spectra.shape)
@@ -272,12 +263,9 @@ def _factor(
             by_lean[inside] += linear + quadratic * sensor.lean[inside][:, None]
         factor = sensor.factor(diffuse, by_lean)
     if (state == _CONTRADICTORY).mean() > 0.5:
-        warnings.warn(
-            PaintWarning(
-                "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
-                code="sky-unknown",
-            ),
-            stacklevel=3,
+        warn_user(
+            "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
+            "sky-unknown",
         )
     return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
 

@@ -6,7 +6,6 @@ Reflectance and a paint library come in, detections go out. For pictures, the ac
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -21,7 +20,7 @@ from scipy.linalg import solve_triangular
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import (
@@ -281,15 +280,12 @@ def make_detector(
         values[batch] = scores(spectra, project, method)
     explained = 1.0 - float(is_background.sum() / max(1, is_background.size))
     if explained > DETECTION.explained_ratio * rate:
-        warnings.warn(
-            PaintWarning(
-                f"{100.0 * explained:.2g} % of the pixels resemble the paints and were excluded from the "
-                f"background: false_alarm_rate={rate:g} holds for the other pixels only; if some "
-                "of these pixels show other objects, pass background= (--background) with similar pixels "
-                "that show no paint of the library",
-                code="background-resembles-paints",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"{100.0 * explained:.2g} % of the pixels resemble the paints and were excluded from the "
+            f"background: false_alarm_rate={rate:g} holds for the other pixels only; if some "
+            "of these pixels show other objects, pass background= (--background) with similar pixels "
+            "that show no paint of the library",
+            "background-resembles-paints",
         )
     values = values[is_background]
     threshold = _score_thresholds(values, rate)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, PANEL, VARIABLES, label, require
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -131,7 +130,7 @@ def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] 
         return None
     if other_light:
         warning = "the scale by panels belongs to the line's own irradiance and is left out; pass panel="
-        warnings.warn(PaintWarning(warning, code="panel-scale-foreign"), stacklevel=2)
+        warn_user(warning, "panel-scale-foreign")
         return None
     arrays = require(dataset, list(_SCALE), "the scale by panels")
     return {name.removeprefix("panel_"): slabs.small(array) for name, array in arrays.items()}

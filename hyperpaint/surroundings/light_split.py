@@ -6,7 +6,6 @@ corrections and signatures use it.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import PaintWarning, SchemaError, needs_extra
+from hyperpaint.base.errors import SchemaError, needs_extra, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
@@ -208,7 +207,7 @@ def split_of(
         )
     zenith = sun_zenith_of(line, sun_zenith)
     if diffuse is None:
-        warnings.warn(PaintWarning(CLEAR_SKY_ASSUMED, code="clear-sky-assumed"), stacklevel=3)
+        warn_user(CLEAR_SKY_ASSUMED, "clear-sky-assumed")
     fraction = xr.DataArray(diffuse_from_clear_sky(diffuse or "model", wavelength, zenith), dims=BAND)
     source = f"{diffuse or 'model'}, sun zenith {zenith:.4g} degree"
     u = MODEL_U * fraction * (1.0 - fraction)
@@ -226,9 +225,7 @@ def has_split(line: xr.Dataset) -> bool:
 def warn_of_contradiction(states: Any, zenith: float) -> None:
     """Warn where most of the lines' states, numbers in `SKY_STATES`, are "contradictory"."""
     if np.mean(np.asarray(states) == CONTRADICTORY) > 0.5:
-        warnings.warn(
-            PaintWarning(CONTRADICTION.format(zenith=zenith), code="sky-contradictory"), stacklevel=3
-        )
+        warn_user(CONTRADICTION.format(zenith=zenith), "sky-contradictory")
 
 
 def _line_split(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:

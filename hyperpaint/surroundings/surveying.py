@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -16,7 +15,7 @@ from scipy.ndimage import binary_dilation, find_objects, label
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented
 from hyperpaint.base.progress_reports import as_progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality
@@ -135,13 +134,10 @@ def match_shade(
     observed_side, coherence = _side_of_shadows(mixtures, sides, scene) or (None, 0.0)
     agree = side is None or observed_side is None or observed_side @ side >= SHADOWS.min_agreement
     if not agree and coherence >= SHADOWS.min_coherence:
-        warnings.warn(
-            PaintWarning(
-                "shadows fall to another side than sun and heading of the line predict; the observed side "
-                "is used. Check the heading, its convention and the clock",
-                code="shadow-side-contradictory",
-            ),
-            stacklevel=2,
+        warn_user(
+            "shadows fall to another side than sun and heading of the line predict; the observed side "
+            "is used. Check the heading, its convention and the clock",
+            "shadow-side-contradictory",
         )
         side = observed_side
     side = observed_side if side is None else side

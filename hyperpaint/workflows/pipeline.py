@@ -13,7 +13,6 @@ import itertools
 import json
 import os
 import shlex
-import warnings
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -29,10 +28,10 @@ from hyperpaint.base.constants import ALIGNMENTS, DEFAULT_CODEC, KEPT_BITS, NUME
 from hyperpaint.base.errors import (
     CollectError,
     PaintError,
-    PaintWarning,
     Problems,
     SchemaError,
     StoreError,
+    warn_user,
 )
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares
@@ -145,7 +144,7 @@ def refuse_findings(
             elif finding.kind.refused:
                 refused.append(finding.problem(acceptable=True))
             else:
-                warnings.warn(PaintWarning(str(finding), code=finding.kind.name), stacklevel=3)
+                warn_user(str(finding), finding.kind.name)
     if refused:
         raise CollectError(
             f"{opened.settings.path} is implausible, and is not processed",
@@ -184,7 +183,7 @@ def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
         if flags := [f"{100 * n:.0f} % {flag.lower()}" for flag, n in shares.items() if n > MANY_FLAGGED]:
             message = f"{name}: many pixels are flagged: {', '.join(flags)}"
             mend = "check these flags before using values"
-            warnings.warn(PaintWarning(f"{message}; {mend}", code="pixels-flagged"), stacklevel=3)
+            warn_user(f"{message}; {mend}", "pixels-flagged")
 
 
 # --- where it is computed ---

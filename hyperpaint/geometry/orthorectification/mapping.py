@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -13,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -442,10 +441,7 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
         )
     if texts:
         name = line.attrs.get("name", "this line")
-        warnings.warn(
-            PaintWarning(f"{name}: {'; '.join(texts)}; check ground and camera", code="swath-implausible"),
-            stacklevel=4,
-        )
+        warn_user(f"{name}: {'; '.join(texts)}; check ground and camera", "swath-implausible")
     return attrs
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,11 +19,11 @@ from hyperpaint.base.errors import (
     Findings,
     FormatError,
     PaintError,
-    PaintWarning,
     Problem,
     Problems,
     TimeError,
     Unavailable,
+    warn_user,
 )
 from hyperpaint.base.facts import Fact, Facts, by_key, facts_of, is_number
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, with_numbers
@@ -726,7 +725,7 @@ def _joined_lines(
             for joined in joined_lines:
                 if joined.interruption:
                     message = f"{joined.members[0]} is a separate flight line: {joined.interruption}"
-                    warnings.warn(PaintWarning(message, code="recording-interrupted"), stacklevel=4)
+                    warn_user(message, "recording-interrupted")
                 joined_name = line_id if line_id and len(joined_lines) == 1 else joined.members[0]
                 yield joined_name, replace(joined, line=joined.line.assign_attrs(name=joined_name))
 

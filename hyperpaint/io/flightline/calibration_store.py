@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import (
@@ -235,13 +234,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     problems.raise_if_any()
     if shape is None:
         shape = "gaussian"
-        warnings.warn(
-            PaintWarning(
-                f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed",
-                code="srf-shape-missing",
-            ),
-            stacklevel=2,
-        )
+        warn_user(f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed", "srf-shape-missing")
     # further variables of the elements are kept
     for key, array in dataset.data_vars.items():
         in_table = str(key) in VARIABLES

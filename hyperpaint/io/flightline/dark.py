@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
-from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.errors import FormatError, PaintError, SchemaError, TimeError, warn_user
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -181,10 +180,7 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
             try:
                 stamps = line_times(path, lines, dark_timing).time
             except PaintError as error:
-                warnings.warn(
-                    PaintWarning(f"dark {path.name}: time unknown; {error}", code="dark-time-unknown"),
-                    stacklevel=2,
-                )
+                warn_user(f"dark {path.name}: time unknown; {error}", "dark-time-unknown")
     stamps = stamps[~np.isnat(stamps)]
     if stamps.size:
         first, last = stamps[[0, -1]].astype(np.int64).tolist()

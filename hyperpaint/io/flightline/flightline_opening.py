@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -14,7 +13,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import Findings, FormatError, PaintWarning, Problem, SchemaError, Unavailable
+from hyperpaint.base.errors import (
+    Findings,
+    FormatError,
+    Problem,
+    SchemaError,
+    Unavailable,
+    warn_user,
+)
 from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_calibration_names, with_numbers
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARIABLES
@@ -501,12 +507,7 @@ def _coordinates(
             message = (
                 f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart"
             )
-            warnings.warn(
-                PaintWarning(
-                    f"{message}; the wavelengths of the calibration are used", code="wavelength-conflict"
-                ),
-                stacklevel=4,
-            )
+            warn_user(f"{message}; the wavelengths of the calibration are used", "wavelength-conflict")
     line_values = {"time": times.time, "frame": times.frame, **times.pose}
     coords |= {
         name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in line_values.items()

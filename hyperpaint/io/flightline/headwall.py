@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,12 +20,12 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.errors import (
     FormatError,
-    PaintWarning,
     Problem,
     Problems,
     SchemaError,
     TimeError,
     UnitsError,
+    warn_user,
 )
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
 from hyperpaint.base.units import conversion_factor
@@ -160,15 +159,12 @@ def find_exposure(
     if argument is not None:
         if any(not np.allclose(argument, value, rtol=1e-6, atol=0) for value in stated.values()):
             message = f"exposure_time {argument.flat[0] * 1e3:g} ms is used; {stated_text}"
-            warnings.warn(PaintWarning(f"{name}: {message}", code="exposure-conflict"), stacklevel=4)
+            warn_user(f"{name}: {message}", "exposure-conflict")
         return argument, "given"
     if stated:
         source, value = next(iter(stated.items()))
         if len(set(stated.values())) > 1:
-            warnings.warn(
-                PaintWarning(f"{name}: {stated_text}; the first is used", code="exposure-conflict"),
-                stacklevel=4,
-            )
+            warn_user(f"{name}: {stated_text}; the first is used", "exposure-conflict")
         return np.array(value), source
     # with an unreadable header, the exposure is not a problem of its own
     if required and opened.sizes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
-from hyperpaint.base.errors import PaintWarning, Problems, TimeError
+from hyperpaint.base.errors import Problems, TimeError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.io.navigation.clocks import NS_PER_S, Clock, ClockCorrection, midnight_of
 from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_time, read_imu_gps
@@ -164,7 +163,7 @@ def line_times(
         missing = np.flatnonzero(outside)
         count = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
         text = f"{cube.name}: {count} lie outside {clock.source} and have no time and position"
-        warnings.warn(PaintWarning(text, code="time-uncovered"), stacklevel=2)
+        warn_user(text, "time-uncovered")
     # from the stamped instant of the exposure to its middle
     to_middle = np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp]
     time = time + np.round(to_middle * NS_PER_S).astype("timedelta64[ns]")
@@ -245,7 +244,7 @@ def _check_rate(
 ) -> None:
     # Warn where stated period, exposure and stamps contradict one another
     def warn(text: str, code: str) -> None:
-        warnings.warn(PaintWarning(f"{cube.name}: {text}", code=code), stacklevel=4)
+        warn_user(f"{cube.name}: {text}", code)
 
     if index.fitted:
         warn(f"{index.name} has whole seconds: line times are from a straight line fit", "time-rounded")

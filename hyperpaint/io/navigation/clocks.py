@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import PaintWarning, TimeError
+from hyperpaint.base.errors import TimeError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.io.files.text_tables import name_rows
 from hyperpaint.io.flightline.headwall import check_increasing
@@ -71,15 +70,10 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
             code="time-before-gps",
         )
     if np.any(gps > np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)):
-        warnings.warn(
-            PaintWarning(
-                (
-                    f"the table of leap seconds ends on {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for "
-                    "later times; check this value, and pass gps_leap_seconds"
-                ),
-                code="leap-seconds-expired",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"the table of leap seconds ends on {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for "
+            "later times; check this value, and pass gps_leap_seconds",
+            "leap-seconds-expired",
         )
     utc: NDArray[np.int64] = gps - offsets[number] * NS_PER_S
     return utc

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import reduce
@@ -36,12 +35,12 @@ from numpy.typing import NDArray
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import (
     FormatError,
-    PaintWarning,
     Problem,
     Problems,
     SchemaError,
     TimeError,
     UnitsError,
+    warn_user,
 )
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import open_input
@@ -689,7 +688,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
         raise FormatError(f"{path}: {wrong_checksums}", mend="copy it again", code="checksum-wrong")
     if damaged:
         message = f"{path.name}: {wrong_checksums}, and are ignored"
-        warnings.warn(PaintWarning(message, code="checksum-wrong"), stacklevel=3)
+        warn_user(message, "checksum-wrong")
     log.problems.raise_if_any()
     if not log.rows:
         raise FormatError(
@@ -714,7 +713,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     refuse_backwards(path.name, stamp, row="position")
     if all(np.isnan(values[name]).all() for name in ANGLES):
         text = f"{path.name} contains no roll, pitch or heading (PASHR, HDT or THS)"
-        warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=3)
+        warn_user(text, "attitude-missing")
     return PoseRecord(
         path.name,
         "NMEA 0183",

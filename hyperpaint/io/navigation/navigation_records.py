@@ -8,7 +8,6 @@ files of Headwall, ``imu_gps.txt`` is read by its header names (three generation
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
+from hyperpaint.base.errors import FormatError, Problems, TimeError, warn_user
 from hyperpaint.io.files.reading import number
 from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
 from hyperpaint.io.flightline.headwall import FrameIndex, check_increasing, time_of_day
@@ -252,7 +251,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     record = Navigation(table.name, table.rows, stamps, utc=None, values=values)
     if is_unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
-        warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
+        warn_user(message, "attitude-missing")
     if utc is None:
         return record
     # the date of an unaligned row must agree with the aligned rows

@@ -19,7 +19,6 @@ import math
 import os
 import re
 import struct
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,7 +30,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, PaintWarning, Problem, SchemaError, TimeError
+from hyperpaint.base.errors import FormatError, Problem, SchemaError, TimeError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import head_of, read_limited
 from hyperpaint.base.schema import VARIABLES, label
@@ -713,7 +712,7 @@ def read_spectra(
             f"text exports do not state their quantity; {target_quantity} is a guess from the range of the "
             f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}"
         )
-        warnings.warn(PaintWarning(text, code="quantity-assumed"), stacklevel=2)
+        warn_user(text, "quantity-assumed")
     if absolute and target_quantity != "reflectance":
         raise SchemaError(
             f"absolute=True with quantity {target_quantity!r}",
@@ -762,7 +761,7 @@ def read_spectra(
     ]
     if names_with_dark and target_quantity != "counts":
         text = f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}"
-        warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=2)
+        warn_user(text, "dark-not-subtracted")
     return mask_undefined(spectra, target_quantity), target_quantity
 
 
@@ -885,7 +884,7 @@ def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]
         text = (
             f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
         )
-        warnings.warn(PaintWarning(text, code="samples-undefined"), stacklevel=2)
+        warn_user(text, "samples-undefined")
     return masked
 
 
@@ -907,7 +906,7 @@ def utc_offsets(
         check_utc_offset(utc_offset_h)
         if set(sources_by_offset) - {utc_offset_h}:
             text = f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}"
-            warnings.warn(PaintWarning(text, code="utc-offset-conflict"), stacklevel=2)
+            warn_user(text, "utc-offset-conflict")
         return [utc_offset_h] * len(spectra)
     if one_clock and len(sources_by_offset) > 1:
         raise TimeError(
@@ -1027,7 +1026,7 @@ def open_asd(
     has_zone = np.array([utc_offset_h is not None or s.utc_offset_h is not None for s in spectra])
     if unknown := [spectra[i] for i in np.flatnonzero(has_stamp & ~has_zone)]:
         text = f"local times are NaT, since {_missing_zone_text(unknown)}"
-        warnings.warn(PaintWarning(text, code="zone-missing"), stacklevel=2)
+        warn_user(text, "zone-missing")
     dated = [spectra[i] for i in np.flatnonzero(has_stamp & has_zone)]
     offsets = np.rint(np.array(utc_offsets(dated, utc_offset_h)) * 3600e9).astype("timedelta64[ns]")
     times = np.full(len(spectra), np.datetime64("NaT", "ns"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import math
 import os
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,12 +26,12 @@ from hyperpaint.base.constants import (
 from hyperpaint.base.errors import (
     FormatError,
     IncompleteStoreError,
-    PaintWarning,
     Problem,
     Problems,
     SchemaError,
     TimeError,
     UnitsError,
+    warn_user,
 )
 from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.input_files import input_path
@@ -258,7 +257,7 @@ def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
         text = (
             f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out"
         )
-        warnings.warn(PaintWarning(text, code="samples-flagged"), stacklevel=2)
+        warn_user(text, "samples-flagged")
     data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
     series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
     series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})
@@ -782,7 +781,7 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     median = f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1"
     if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and slip:
         text = f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon"
-        warnings.warn(PaintWarning(text, code="irradiance-dim"), stacklevel=4)
+        warn_user(text, "irradiance-dim")
     if brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN:
         direction = (
             f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -15,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, TimeError
+from hyperpaint.base.errors import FormatError, Problem, Problems, TimeError, warn_user
 from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import decoded_text, is_pattern, matching_files, unique_names
 
@@ -216,4 +215,4 @@ def listed(names: Sequence[str], max_names: int = 20) -> str:
 def warn_of(problem: str, names: Sequence[str], code: str) -> None:
     # Warn of a problem of the named files, if there are any.
     if names:
-        warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)
+        warn_user(f"{problem}. Files: {listed(names)}", code)

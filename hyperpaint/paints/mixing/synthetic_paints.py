@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import warnings
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -31,7 +30,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, QUANTILE, SIGNATURE
@@ -158,7 +157,7 @@ class Coating:
                 f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
                 f"replaced by the nearest possible values, of R_inf = {MIN_LAYER_REFLECTANCE:g} and 1"
             )
-            warnings.warn(PaintWarning(msg, code="reflectance-outside-model"), stacklevel=4)
+            warn_user(msg, "reflectance-outside-model")
         layer = np.where(low, MIN_LAYER_REFLECTANCE, np.minimum(layer, 1.0))
         return absorption_to_scattering(np.where(np.isfinite(values), layer, np.nan))
 
@@ -432,7 +431,7 @@ def sample_paints(
             f"{excluded} members lack bands and were excluded; {outside} values are outside 0 to 1 by more "
             f"than {_MIN_MARGIN:g}, the range of variants"
         )
-        warnings.warn(PaintWarning(msg, code="members-left-out"), stacklevel=2)
+        warn_user(msg, "members-left-out")
     return _variant_library(library, variants, form, seed)
 
 
@@ -607,7 +606,7 @@ def mix_paints(
             if outside:
                 finite_count = int(np.isfinite(array).sum())
                 msg = f"{outside} of {finite_count} reflectances clipped to 0 to 1; check the scale"
-                warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
+                warn_user(msg, "reflectance-clipped")
         mix = {name: np.clip(array, 0.0, 1.0) for name, array in areas.items()}
     else:
         coating = coating_of(library, k1, k2, mirrored)
@@ -630,7 +629,7 @@ def mix_paints(
                 "paints have no partner and were excluded; draw the same number of members of each parent "
                 "with sample_paints first"
             )
-            warnings.warn(PaintWarning(msg, code="members-unpaired"), stacklevel=2)
+            warn_user(msg, "members-unpaired")
     values = _trimmed(specular | mix)
     return synthetic_library(library, list(shares), values, list(shares.values()), method, **settings)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import json
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,11 +22,11 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import (
     FormatError,
-    PaintWarning,
     Problems,
     SchemaError,
     UnitsError,
     needs_extra,
+    warn_user,
 )
 from hyperpaint.base.facts import check_values, one_of
 from hyperpaint.base.input_files import read_limited
@@ -414,13 +413,10 @@ class Atmosphere:
                 fitted = {key: fit["share"].sel(function=key).values for key in _SHARES}
                 if (max_residual := float(fit["misfit"].max())) > _MAX_RESIDUAL:
                     source = sky_table.attrs.get("source", "the table")
-                    warnings.warn(
-                        PaintWarning(
-                            f"clear-sky functions fit the radiance of {source} with a residual of "
-                            f"{max_residual:.0%}",
-                            code="sky-fit-poor",
-                        ),
-                        stacklevel=2,
+                    warn_user(
+                        f"clear-sky functions fit the radiance of {source} with a residual of "
+                        f"{max_residual:.0%}",
+                        "sky-fit-poor",
                     )
         else:
             curves = read_table(table)
@@ -570,13 +566,10 @@ def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
     irradiance = values[first] + weight * (values[last] - values[first])
     # set small negative noise to 0; larger negative values are kept and refused later
     if -_NOISE * irradiance.max() <= irradiance.min() < 0.0:
-        warnings.warn(
-            PaintWarning(
-                f"{int((irradiance < 0.0).sum())} of {irradiance.size} irradiances below zero, down to "
-                f"{irradiance.min():.3g}, were set to 0",
-                code="irradiance-negative",
-            ),
-            stacklevel=3,
+        warn_user(
+            f"{int((irradiance < 0.0).sum())} of {irradiance.size} irradiances below zero, down to "
+            f"{irradiance.min():.3g}, were set to 0",
+            "irradiance-negative",
         )
         irradiance = np.maximum(irradiance, 0.0)
     return grid, irradiance

@@ -17,7 +17,6 @@ mirror reflection is ``R = pi f_d`` in the geometry of the instrument, so that `
 from __future__ import annotations
 
 import functools
-import warnings
 from dataclasses import MISSING, dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -25,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import check_fields, declared, documented, fact, one_of
 
 Geometry = Literal["0/0", "0/45", "d/0"]
@@ -332,14 +331,11 @@ def measured_factor(
     factor = measured * ((1.0 - returned) / double_transmittance)
     is_impossible = (factor < 0.0) | (factor > 1.0 + 1e-12)
     if is_impossible.any():
-        warnings.warn(
-            PaintWarning(
-                f"{int(is_impossible.sum())} of {factor.size} reflectances, from {measured.min():.4g} "
-                f"to {measured.max():.4g}, were clipped to the possible range, "
-                f"0 to {double_transmittance / (1.0 - returned):.4g}",
-                code="reflectance-clipped",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"{int(is_impossible.sum())} of {factor.size} reflectances, from {measured.min():.4g} "
+            f"to {measured.max():.4g}, were clipped to the possible range, "
+            f"0 to {double_transmittance / (1.0 - returned):.4g}",
+            "reflectance-clipped",
         )
     return np.clip(factor, 0.0, 1.0)
 

@@ -9,7 +9,6 @@ that all members are equally likely and neighbours are similar (`Octaves`).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
-from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintError, Problems, SchemaError, warn_user
 from hyperpaint.base.mirrored_light import INCLUDED, mirror_reflection
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, MEMBER, SIGNATURE
@@ -214,7 +213,7 @@ class SpectrumReader:
             ),
         ):
             if names:
-                warnings.warn(PaintWarning(found.format(some_names(names)), code=code), stacklevel=4)
+                warn_user(found.format(some_names(names)), code)
 
     def _cropped(self, table: Table, name: str) -> Table | None:
         # usable part of a table in the range of the bands, since gaps elsewhere do not matter

@@ -6,7 +6,6 @@ a mesh of them.
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.arrays import Floats, Ints
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import one_of
 
 from .materials import Material
@@ -428,12 +427,9 @@ def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
     if not with_area.all():
         dropped = int((~with_area).sum())
-        warnings.warn(
-            PaintWarning(
-                f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
-                code="triangle-without-area",
-            ),
-            stacklevel=4,
+        warn_user(
+            f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
+            "triangle-without-area",
         )
 
 
