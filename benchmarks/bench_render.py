@@ -42,8 +42,7 @@ def prepared(samples):
 @functools.cache
 def lighting(smile=0.0):
     """Return what the tasks of a relighting share, for 272 bands."""
-    from hyperpaint.simulation.camera import smile as shifts
-    from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet
+    from hyperpaint.simulation.camera import BandResponses, BandSet, smile as shifts
     from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
     from hyperpaint.simulation.rendering.painting import factor_spectra
     from hyperpaint.simulation.rendering.relighting import make_lighting

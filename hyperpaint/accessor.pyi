@@ -23,12 +23,12 @@ from hyperpaint.geometry.georeference.poses import Interpolation
 from hyperpaint.io.store import StoreReport
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.paints.signatures.line_sources import Smoothing
-from hyperpaint.pictures.explorer import Explorer
+from hyperpaint.pictures.exploring import Explorer
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.radiometry.pixel_reading import Place
 from hyperpaint.regions.proposals.proposing import Proposals
+from hyperpaint.simulation.atmosphere import BrokenClouds
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.sky_models import BrokenClouds
 from hyperpaint.surroundings.model import SceneModel
 
 METHODS: dict[str, str]
@@ -333,7 +333,7 @@ class PaintAccessor:
         population: bool = True,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Return the radiance of a traced scene under an atmosphere, as a camera's bands see it."""
+        """Return the radiance of a traced scene under an atmosphere in the bands of a camera."""
 
 class PaintArrayAccessor:
     """Methods on one cube; each returns something new."""

@@ -34,8 +34,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    skipped = set(config.cache.get(SKIPPED_RECORD, [])) if config.option.skipped else None
-    if skipped:
+    if skipped := config.option.skipped and set(config.cache.get(SKIPPED_RECORD, [])):
         chosen = [item for item in items if {item.nodeid, item.nodeid.split("::")[0]} & skipped]
         config.hook.pytest_deselected(items=[item for item in items if item not in set(chosen)])
         items[:] = chosen
@@ -101,8 +100,8 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     required = os.environ.get("HYPERPAINT_REQUIRE_REAL_DATA") and not session.config.option.collectonly
     if hasattr(session.config, "workerinput"):  # one of several processes: the one that starts them counts
         return
-    earlier = set(session.config.cache.get(SKIPPED_RECORD, []))
-    skipped = earlier - _SKIPPED.keys() | {test for test, was_skipped in _SKIPPED.items() if was_skipped}
-    session.config.cache.set(SKIPPED_RECORD, sorted(skipped))
+    if cache := getattr(session.config, "cache", None):  # pytest -p no:cacheprovider has none
+        earlier = set(cache.get(SKIPPED_RECORD, [])) - _SKIPPED.keys()
+        cache.set(SKIPPED_RECORD, sorted(earlier | {test for test, skipped in _SKIPPED.items() if skipped}))
     if required and session.exitstatus == 0 and (_REAL["skipped"] or not _REAL["ran"]):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -12,7 +12,7 @@ from benchmarks import fleet
 from benchmarks.fleet_scenes import foreign_cars, rendered_cars
 from benchmarks.fleet_scenes.verdicts import Truth, Verdict, compared
 from hyperpaint.regions import Region
-from hyperpaint.simulation.rendering.appearance import reflectance_factor
+from hyperpaint.simulation.rendering.materials import reflectance_factor
 from hyperpaint.simulation.rendering.scene_spectra import fleet_paint, paint_spec, spectrum_of
 
 RED = np.linspace(0.05, 0.5, 12)

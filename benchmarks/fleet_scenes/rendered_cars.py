@@ -69,11 +69,11 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
 
 def _rendered(seed: int) -> dict[str, Any]:
     import hyperpaint as hp
-    from hyperpaint.simulation.rendering.camera_bands import BandSet
+    from hyperpaint.simulation.atmosphere import BrokenClouds
+    from hyperpaint.simulation.camera import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
-    from hyperpaint.simulation.rendering.sky_models import BrokenClouds
 
     light = conditions_of(seed)
     lines, columns = round(LENGTH_M / light.gsd), round(SWATH_M / light.gsd)
@@ -138,15 +138,16 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     ``dust`` (along_track, cross_track) is the row of ``dust_ratio`` (row, band): what a pixel's paint is to
     the mean of its car's. ``true_direct``, ``true_shares`` (band): of the light at the middle of the scene.
     """
-    from hyperpaint.simulation.rendering.painting import factor_spectra, populations_of, rows_of_pixels
+    from hyperpaint.simulation.rendering.painting import factor_spectra, populations_of
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
+    from hyperpaint.simulation.transport.mixing import member_rows
 
     record, settings = SceneRecord.from_attrs(traced.attrs)
     painted = factor_spectra(record, bands, None, None)
     populations = populations_of(record, painted, bands)
     planes = ("along_track", "cross_track")
     east, north, up = (lit[name].values for name in ("east", "north", "up"))
-    rows = rows_of_pixels(
+    rows = member_rows(
         lit["material"].values, lit["instance"].values, east, north, up,
         grain=populations.grain, seed=settings.seed,
     )  # fmt: skip
@@ -243,7 +244,7 @@ def factors(
     """Return reflectance factors (direction, band) without the mirror image in the coat.
 
     Takes zenith and azimuth of the light (direction,), and of the view [degree]; what
-    `simulation.rendering.appearance.reflectance_factor` returns, for many directions.
+    `simulation.rendering.materials.reflectance_factor` returns, for many directions.
     """
     from hyperpaint.simulation.rendering.materials import measured_factor
     from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part

@@ -19,14 +19,21 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import ALIGNMENTS, Alignment
-from hyperpaint.base.errors import PaintError, PaintWarning
+from hyperpaint.base.errors import PaintError, PaintWarning, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.clear_sky import sunlight_table
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM, noise_of_record
 
 from .application import restated, without_products
-from .lamp import Declared, channels_near, responses_table, shares_of_samples, variance_of_responses
+from .lamp import (
+    Declared,
+    channels_near,
+    responses_table,
+    shares_of_samples,
+    smooth_basis,
+    variance_of_responses,
+)
 from .oxygen import mean_over_lines, radiance_of_bands
 
 
@@ -332,17 +339,14 @@ def _window_fit(
     by_channel = np.zeros((light.size, is_covered.sum()))
     light_nearby, sd = np.nan_to_num(light[nearby_channels]), np.nan_to_num(noise[nearby_channels])
     by_channel[nearby_channels] = (weights[is_covered] * sd / (weights[is_covered] @ light_nearby)[:, None]).T
-    scale = np.ptp(wavelength) / 2.0
-    position = (wavelength - wavelength.min()) / scale - 1.0
-    basis, upper = np.linalg.qr(np.polynomial.legendre.legvander(position, rules.degree))
-    powers = [np.polynomial.Legendre.basis(power).deriv()(position) for power in range(rules.degree + 1)]
+    basis, slopes = smooth_basis(wavelength, np.ones((wavelength.size, 1), bool), rules.degree)
     return _WindowFit(
         wavelength=wavelength,
         log=np.log(np.where(valid, spectrum, 1.0)[is_covered]),
         shift=declared_shift[is_covered],
         valid=valid,
-        basis=basis,
-        slopes=np.stack(powers, axis=-1) / scale @ np.linalg.inv(upper),
+        basis=basis[0],
+        slopes=slopes[0],
         variance=variance_of_responses(bands)[is_covered],
         nodes=nodes,
         widths=widths,
@@ -595,19 +599,18 @@ def align(
         "departure": comparison.departure,
         "residual": comparison.residual,
         "residual_declared": comparison.residual_declared,
-        **shares._asdict(),
+        **shares,
     }
     numbers = {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
     is_significant = comparison.is_significant(rules)
     if comparison.at_limit:
         text = f"camera and irradiance record differ by more than can be corrected ({_sentence(comparison)})"
-        warning = PaintWarning(f"{text}; check wavelengths and widths of both", code="alignment-at-limit")
-        warnings.warn(warning, stacklevel=2)
+        warn_user(f"{text}; check wavelengths and widths of both", "alignment-at-limit")
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
         # the camera's wavelengths move only where its share is significant
-        is_camera_significant = abs(shares.camera_shift) > rules.camera_significance * shares.camera_shift_u
-        camera = float(f"{shares.camera_shift:.3f}") if is_camera_significant else 0.0
+        share, share_u = shares["camera_shift"], shares["camera_shift_u"]
+        camera = float(f"{share:.3f}") if abs(share) > rules.camera_significance * share_u else 0.0
         camera_text = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
         text = f"irradiance record corrected in flight{camera_text}: {_sentence(comparison)}"
         return restated(_corrected(line, comparison, camera), text, numbers=numbers, state="applied")
@@ -618,7 +621,7 @@ def align(
             "hp.alignment.align(line) in Python, --alignment auto on the command line, "
             '[alignment] apply = "auto" in collect.toml'
         )
-        warnings.warn(PaintWarning(f"{text}; {mend}", code="alignment-differs"), stacklevel=2)
+        warn_user(f"{text}; {mend}", "alignment-differs")
         return restated(line, text, numbers=numbers, state="not applied")
     text = f"camera and irradiance record agree: {_sentence(comparison)}"
     return restated(line, text, numbers=numbers, state="not significant")
@@ -723,31 +726,17 @@ class RecordAgainstSun(NamedTuple):
     width_u: float
 
 
-class Instruments(NamedTuple):
-    """Shares of record and camera in their difference, each with its standard uncertainty.
-
-    Shifts: true minus declared wavelength [nm]; ``record_fwhm`` [nm]; ``camera_width``: over the declared one
-    [1].
-    """
-
-    record_shift: float
-    record_shift_u: float
-    camera_shift: float
-    camera_shift_u: float
-    record_fwhm: float
-    record_fwhm_u: float
-    camera_width: float
-    camera_width_u: float
-
-
 def divided(
     shift: tuple[float, float],
     width: tuple[float, float],
     sun: RecordAgainstSun | None,
     declared_fwhm: tuple[float, float],
     rules: SunLineRules = SUN_LINES,
-) -> Instruments:
-    """Return the shares of both instruments in their difference.
+) -> dict[str, float]:
+    """Return the shares of both instruments in their difference, each with its standard uncertainty (``_u``).
+
+    ``record_shift`` and ``camera_shift``: true minus declared wavelength [nm]; ``record_fwhm`` [nm];
+    ``camera_width``: over the declared one [1].
 
     ``shift``: camera minus record [nm] and its uncertainty; ``width``: width of the record over the declared
     one, if the camera is as declared, and its uncertainty; ``declared_fwhm``: of record and camera [nm].
@@ -773,16 +762,16 @@ def divided(
     (record_square, camera_square), (v_record, v_camera) = _least_squares(squares)
     record_fwhm = np.sqrt(max(record_square, 0.01))
     camera_fwhm = np.sqrt(max(camera**2 + camera_square, 0.01))
-    return Instruments(
-        record_shift,
-        u_record,
-        camera_shift,
-        u_camera,
-        float(record_fwhm),
-        float(v_record / (2.0 * record_fwhm)),
-        float(camera_fwhm / camera),
-        float(v_camera / (2.0 * camera_fwhm * camera)),
-    )
+    return {
+        "record_shift": record_shift,
+        "record_shift_u": u_record,
+        "camera_shift": camera_shift,
+        "camera_shift_u": u_camera,
+        "record_fwhm": float(record_fwhm),
+        "record_fwhm_u": float(v_record / (2.0 * record_fwhm)),
+        "camera_width": float(camera_fwhm / camera),
+        "camera_width_u": float(v_camera / (2.0 * camera_fwhm * camera)),
+    }
 
 
 def _least_squares(rows: list[tuple[float, float, float, float]]) -> tuple[list[float], list[float]]:

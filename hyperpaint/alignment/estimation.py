@@ -23,7 +23,7 @@ from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
 
-from .lamp import FACTORS, Declared, IrradianceTable, mean_light, table_of_bands
+from .lamp import FACTORS, Declared, IrradianceTable, mean_light, smooth_basis, table_of_bands
 from .oxygen import mean_over_lines, radiance_of_bands
 
 # -- Shift and width of every column by least squares in windows of the spectrum, and their mean.
@@ -127,17 +127,8 @@ def fit_columns(
     has_bands = used.sum(axis=0) >= fewest_bands(degree)
     freedom = used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
     used = used & has_bands
-    # polynomials, orthonormal over the used bands of each column
-    scale = np.ptp(table.wavelength) / 2.0
-    position = (table.wavelength - table.wavelength.min()) / scale - 1.0
-    powers = np.polynomial.legendre.legvander(position, degree)
-    polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
-    derivatives = np.stack([polynomial.deriv()(position) for polynomial in polynomials], axis=-1)
-    basis, upper = np.linalg.qr(used.T[:, :, None] * powers)
-    upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
     log = np.where(used, np.log(np.where(used, radiance, 1.0)), 0.0)
-    slopes = derivatives / scale @ np.linalg.inv(upper)
-    ratio = _Ratio(table, log, shift[inside], used, basis, slopes)
+    ratio = _Ratio(table, log, shift[inside], used, *smooth_basis(table.wavelength, used, degree))
     best, factor, tilt, last_step = _search(ratio, max_shift)
     at_limit = (np.abs(best) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
     at_limit |= (np.abs(last_step) > 1e-3).any(axis=1)
@@ -158,8 +149,7 @@ def fit_columns(
         has_structure = determinant > 0.0
         shift_u = np.where(has_structure, np.sqrt(variance * by_factor / determinant), np.inf)
         factor_u = np.where(has_structure, np.sqrt(variance * by_shift / determinant), np.inf)
-        correlation = np.where(has_structure, -mixed / np.sqrt(by_shift * by_factor), 0.0)
-        common = correlation * shift_u * factor_u
+        common = np.where(has_structure, -mixed / np.sqrt(by_shift * by_factor), 0.0) * shift_u * factor_u
     covariance = np.moveaxis(np.array([[shift_u**2, common], [common, factor_u**2]]), -1, 0)
     flag = np.where(has_bands & np.isfinite(best), 0, FLAGS["no_data"])
     flag |= np.where(at_limit & has_bands, FLAGS["at_limit"], 0)
@@ -457,7 +447,16 @@ def align_to_irradiance(
     True
     """
     dataset = schema.rename_to_roles(line)
-    _check_options(degree, group, max_shift, max_uncertainty)
+    problems = Problems("the line cannot be aligned", SchemaError)
+    for is_valid, found, expected in (
+        (0 <= degree <= 12, f"degree={degree}", "0 to 12"),
+        (group >= 1, f"group={group}", "1 or more columns"),
+        (0.0 < max_shift <= 10.0, f"max_shift={max_shift:g}", "above 0, at most 10 nm"),
+        (max_uncertainty > 0.0, f"max_uncertainty={max_uncertainty:g}", "above 0 nm"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
+    problems.raise_if_any()
     declared = Declared.by(dataset)
     windows = default_windows(declared, degree) if window is None else checked_windows(window)
     inside_windows = bands_of(windows, declared, degree)
@@ -489,19 +488,6 @@ def align_to_irradiance(
         lines=len(level),
         srf_shape=declared.imager.shape,
     )
-
-
-def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: float) -> None:
-    problems = Problems("the line cannot be aligned", SchemaError)
-    for is_valid, found, expected in (
-        (0 <= degree <= 12, f"degree={degree}", "0 to 12"),
-        (group >= 1, f"group={group}", "1 or more columns"),
-        (0.0 < max_shift <= 10.0, f"max_shift={max_shift:g}", "above 0, at most 10 nm"),
-        (max_uncertainty > 0.0, f"max_uncertainty={max_uncertainty:g}", "above 0 nm"),
-    ):
-        if not is_valid:
-            problems.add(found, expected=expected, code="value-out-of-range")
-    problems.raise_if_any()
 
 
 def _grouped(

@@ -308,6 +308,20 @@ def _widened(imager: Responses, factor: float) -> Responses:
     return replace(imager, fwhm=imager.fwhm * factor)
 
 
+def smooth_basis(wavelength: Floats, used: Bools, degree: int) -> tuple[Floats, Floats]:
+    """Return polynomials (column, band, power), orthonormal over the used bands, and derivatives [nm-1].
+
+    ``wavelength`` (band,) [nm]; ``used`` (band, column).
+    """
+    scale = np.ptp(wavelength) / 2.0
+    position = (wavelength - wavelength.min()) / scale - 1.0
+    polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
+    derivatives = np.stack([polynomial.deriv()(position) for polynomial in polynomials], axis=-1)
+    basis, upper = np.linalg.qr(used.T[:, :, None] * np.polynomial.legendre.legvander(position, degree))
+    upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
+    return basis, derivatives / scale @ np.linalg.inv(upper)
+
+
 def variance_of_responses(bands: Responses) -> Floats:
     """Return the variance of every band's line shape [nm2]."""
     if bands.shape == "slit":

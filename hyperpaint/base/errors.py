@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -316,6 +318,14 @@ class PaintWarning(UserWarning):
     def __init__(self, found: str, *, code: str = "") -> None:
         self.code = code
         super().__init__(f"{found} [{code}]" if code else found)
+
+
+def warn_user(found: str, code: str) -> None:
+    """Warn of a condition, at the line of the first caller outside of this package."""
+    package, frame, level = __name__.partition(".")[0], inspect.currentframe(), 1
+    while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == package:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(PaintWarning(found, code=code), stacklevel=level)
 
 
 class Problems:

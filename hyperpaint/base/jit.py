@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import warnings
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar, cast
 
@@ -19,7 +18,7 @@ from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import rtsys
 
-from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.errors import warn_user
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -87,13 +86,10 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
             entry_point = super().compile(sig)
             if not _Kernel._warned:
                 _Kernel._warned = True
-                warnings.warn(
-                    PaintWarning(
-                        f"the cache of compiled kernels cannot be used ({error}): every process compiles "
-                        "them again; set NUMBA_CACHE_DIR to a writable folder with free space",
-                        code="kernel-cache-unwritable",
-                    ),
-                    stacklevel=2,
+                warn_user(
+                    f"the cache of compiled kernels cannot be used ({error}): every process compiles "
+                    "them again; set NUMBA_CACHE_DIR to a writable folder with free space",
+                    "kernel-cache-unwritable",
                 )
             return entry_point
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
@@ -11,7 +10,7 @@ import xarray as xr
 
 from hyperpaint.base.errors import SchemaError
 
-from .errors import PaintWarning
+from .errors import warn_user
 
 #: Dimension of a paint library: `paint` until 0.2, a name that the accessor shadows. A property of regions
 #: called `signature` becomes `paint`, which is then free.
@@ -60,13 +59,10 @@ def with_new_names(library: _Labelled) -> _Labelled:
 
 
 def warn_of_old_names(source: str) -> None:
-    warnings.warn(
-        PaintWarning(
-            f"{source} has the dimension {_OLD_DIM!r} of hyperpaint 0.2 and before, which is now "
-            f"{_NEW_DIM!r}; write the library again to store the new name",
-            code="dim-renamed",
-        ),
-        stacklevel=3,
+    warn_user(
+        f"{source} has the dimension {_OLD_DIM!r} of hyperpaint 0.2 and before, which is now "
+        f"{_NEW_DIM!r}; write the library again to store the new name",
+        "dim-renamed",
     )
 
 

@@ -7,7 +7,6 @@ attributes, since xarray carries stale ones through arithmetic.
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import replace
 from enum import IntFlag
@@ -17,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from .arrays import Floats
-from .errors import PaintWarning, Problem, SchemaError
+from .errors import Problem, SchemaError, warn_user
 from .units import convert, plain, same_dimension
 from .variables import (
     ALONG_TRACK,
@@ -309,13 +308,10 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
             dropped.append(name)  # it describes the whole line, not this selection
     if "quality" in dataset.variables and _is_averaged(dataset):
         dropped.append("quality")
-        warnings.warn(
-            PaintWarning(
-                "flags of 'quality' are means over pixels, and are left out; choose pixels by their flags "
-                "before averaging",
-                code="flags-averaged",
-            ),
-            stacklevel=3,
+        warn_user(
+            "flags of 'quality' are means over pixels, and are left out; choose pixels by their flags "
+            "before averaging",
+            "flags-averaged",
         )
     dataset = dataset.drop_vars(dropped) if dropped else dataset
     return with_integer_dtypes(dataset.assign(changed) if changed else dataset)
@@ -435,13 +431,10 @@ def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
     missing_names = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
     if missing_names:
         smile = " (smile is not corrected)" if "wavelength_shift" in missing_names else ""
-        warnings.warn(
-            PaintWarning(
-                f"{purpose} is computed without {', '.join(map(repr, missing_names))}, which the calibration "
-                f"of this line has; keep them beside 'radiance_gain'{smile}",
-                code="calibration-incomplete",
-            ),
-            stacklevel=4,
+        warn_user(
+            f"{purpose} is computed without {', '.join(map(repr, missing_names))}, which the calibration "
+            f"of this line has; keep them beside 'radiance_gain'{smile}",
+            "calibration-incomplete",
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.base.units import convert, same_dimension, takes_quantities
@@ -302,7 +301,7 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
         if saturated_elements.any():
             text = f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames"
-            warnings.warn(PaintWarning(text, code="elements-saturated"), stacklevel=3)
+            warn_user(text, "elements-saturated")
             signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
 
@@ -344,14 +343,11 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
         tables["slope"] = log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
     responses = Responses(wavelength, fwhm, str(calibration.attrs.get("srf_shape", "gaussian")), **tables)
-    shifts = np.zeros((1, 1))
-    if "wavelength_shift" in calibration.variables:
-        shifts = np.atleast_2d(calibration["wavelength_shift"].to_numpy())
+    shifts = np.atleast_2d(calibration.get("wavelength_shift", xr.DataArray(0.0)).to_numpy())
     low, high = float(shifts.min()), float(shifts.max())
     nodes = np.linspace(low, high, max(int(np.ceil((high - low) / NODE_SPACING_NM)) + 1, 1))
     bands = responses.wavelength.size
-    columns = calibration.sizes.get(CROSS_TRACK, shifts.shape[1])
-    means = np.empty((bands, columns))
+    means = np.empty((bands, calibration.sizes.get(CROSS_TRACK, shifts.shape[1])))
     for band in range(bands):
         at_nodes = [_mean_over_response(responses.shifted(float(node)), band, grid, values) for node in nodes]
         means[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)

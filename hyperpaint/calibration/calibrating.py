@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -12,7 +11,7 @@ import xarray as xr
 from numpy.polynomial import chebyshev
 
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import label
 from hyperpaint.base.units import takes_quantities
@@ -179,7 +178,7 @@ def calibrate(
         )
     if dark:
         text = f"no lamp line above the noise at {listed(dark, 'nm')}: left out"
-        warnings.warn(PaintWarning(text, code="steps-dark"), stacklevel=2)
+        warn_user(text, "steps-dark")
     first_lines, fits = fit_steps(lab, sweep_data, GAUSSIAN, tick)
     _check_trusted(sweep_data, first_lines, fits)
     rough_map = _map(first_lines, lab, lab.wavelength, smile_degree)
@@ -215,7 +214,7 @@ def calibrate(
                 "neither counts_variance nor electrons_per_count is given: noise is estimated from residuals "
                 "of the fits, and uncertainties of single elements are rough"
             )
-            warnings.warn(PaintWarning(text, code="noise-missing"), stacklevel=2)
+            warn_user(text, "noise-missing")
         noise = replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
         sweep_data = replace(sweep_data, noise=noise)
         lamp_lines, _ = fit_steps(lab, sweep_data, SHAPES[shape], lambda: None, (rough_map, fits))
@@ -226,7 +225,7 @@ def calibrate(
     ]
     if saturated_steps:
         text = f"saturated lamp lines are left out: {listed(saturated_steps)}"
-        warnings.warn(PaintWarning(text, code="steps-saturated"), stacklevel=2)
+        warn_user(text, "steps-saturated")
     # wavelength map, widths of bands, and lamp lines cut off at the edges of the array
     slope, slope_shift = _slope_and_shift(lamp_lines, lab, sweep_data.noise, rough_map, shape)
     light_wavelength = lab.wavelength + slope_shift
@@ -240,7 +239,7 @@ def calibrate(
                 f"flux per step is assumed equal in all lit columns, but {problem}: the beam's profile "
                 "enters the response; give flux or capture_fraction per step and column, or a flat_field"
             )
-            warnings.warn(PaintWarning(text, code="flux-profile-missing"), stacklevel=2)
+            warn_user(text, "flux-profile-missing")
     fwhm = band_widths(lab, lamp_lines, wavelength_map, is_placed)
     _refuse_undersampled(lab, wavelength_map, fwhm)
     camera_width = at_steps(lab, wavelength_map, fwhm)

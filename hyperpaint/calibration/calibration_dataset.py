@@ -12,7 +12,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U, QUANTISATION_VARIANCE_COUNT2
-from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import SchemaError, warn_user
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, VARIABLES, dtype_of, label, require
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.kernels.line_fits import profiles
@@ -489,20 +489,41 @@ class Result:
         if self.lab.absolute:
             self._check_plausible(gain)
         for text, code in self._warnings():
-            warnings.warn(PaintWarning(text, code=code), stacklevel=3)
+            warn_user(text, code)
         # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
         gain[:, self.is_unlit] = np.nan
         responsivity = 1.0 / (gain * self.lab.etendue * self.spacing)
         gain[self.bad] = np.nan
         is_good = np.isfinite(gain[:, np.isfinite(gain).any(axis=0)]).mean(axis=1) > 0.5
+        # centre and width of the beam, and the second order, of every step
+        lamp_lines, steps = self.lamp_lines, self.lab.shape[0]
+        beam = np.full((steps, 2), np.nan)
+        for step, window in enumerate(self.sweep_data.windows):
+            if window is not None:
+                beam[step] = fit_beam(window.beam)
+        is_placed_step, second = self.is_placed.any(axis=1), np.full(steps, np.nan)
+        second[is_placed_step] = self.off_lines.second_order
         values: dict[str, Any] = {
             "radiance_gain": gain,
             "responsivity": responsivity,
             "wavelength_u": np.hypot(self.wavelength_map.residual, self.dial_u),
             **self._uncertainties(gain, is_good),
             **self._dark(),
-            **self._line_variables(),
+            "line_band": lamp_lines.centre,
+            "line_centre": self.line_wavelength,
+            "line_fwhm": lamp_lines.width * self.line_spacing,
+            "line_own_fwhm": lamp_lines.camera_width * self.line_spacing,
+            "line_amplitude": lamp_lines.amplitude,
+            "line_area": lamp_lines.area,
+            "line_covariance": lamp_lines.covariance,
+            "line_trusted": self.used,
+            "beam_centre": beam[:, 0],
+            "beam_fwhm": beam[:, 1],
+            "out_of_band": np.where(is_placed_step, self.sweep_data.rows.sum(axis=1), np.nan),
+            "second_order": second,
+            "stray_light": self.off_lines.stray_light,
+            "stray_light_u": self.off_lines.relative,
         }
         if flat is not None:
             values["flat_field"] = flat
@@ -578,14 +599,11 @@ class Result:
             widened = [np.interp(offset, measured.offset * w, measured.response, 0.0, 0.0) for w in self.fwhm]
             return offset, np.stack(widened)
         reason = "srf_shape= is given" if measured.is_resolved else "the monochromator's line is too wide"
-        warnings.warn(
-            PaintWarning(
-                f"the measured response is {measured.misfit:.1%} off the model {self.shape!r}, and is not "
-                f"tabulated, since {reason}: reflectance beside sharp solar lines may be wrong by "
-                f"{measured.effect:.1%}",
-                code="response-shape-misfit",
-            ),
-            stacklevel=4,
+        warn_user(
+            f"the measured response is {measured.misfit:.1%} off the model {self.shape!r}, and is not "
+            f"tabulated, since {reason}: reflectance beside sharp solar lines may be wrong by "
+            f"{measured.effect:.1%}",
+            "response-shape-misfit",
         )
         return None
 
@@ -627,31 +645,6 @@ class Result:
                 read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
         known = {"electrons_per_count": electrons, "read_noise": read_noise}
         return variables | {name: value for name, value in known.items() if value is not None}
-
-    def _line_variables(self) -> dict[str, Any]:
-        lamp_lines, steps = self.lamp_lines, self.lab.shape[0]
-        beam = np.full((steps, 2), np.nan)
-        for step, window in enumerate(self.sweep_data.windows):
-            if window is not None:
-                beam[step] = fit_beam(window.beam)
-        is_placed_step, second = self.is_placed.any(axis=1), np.full(steps, np.nan)
-        second[is_placed_step] = self.off_lines.second_order
-        return {
-            "line_band": lamp_lines.centre,
-            "line_centre": self.line_wavelength,
-            "line_fwhm": lamp_lines.width * self.line_spacing,
-            "line_own_fwhm": lamp_lines.camera_width * self.line_spacing,
-            "line_amplitude": lamp_lines.amplitude,
-            "line_area": lamp_lines.area,
-            "line_covariance": lamp_lines.covariance,
-            "line_trusted": self.used,
-            "beam_centre": beam[:, 0],
-            "beam_fwhm": beam[:, 1],
-            "out_of_band": np.where(is_placed_step, self.sweep_data.rows.sum(axis=1), np.nan),
-            "second_order": second,
-            "stray_light": self.off_lines.stray_light,
-            "stray_light_u": self.off_lines.relative,
-        }
 
     def _check_plausible(self, gain: Floats) -> None:
         counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)

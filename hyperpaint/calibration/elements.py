@@ -6,7 +6,6 @@ map gives the centre and the neighbours give the width; only the height is fitte
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.errors import warn_user
 from hyperpaint.base.schema import STEP
 from hyperpaint.kernels.arguments import LineSamples
 from hyperpaint.kernels.line_fits import AREA, CENTRE, WIDTH, profiles
@@ -342,9 +341,7 @@ def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> F
     """Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit"."""
     if shape == "gaussian":
         return np.asarray(fwhm**2 / (8.0 * np.log(2.0)))
-    if shape == "triangle":
-        return np.asarray(fwhm**2 / 6.0)
-    return np.asarray((fwhm**2 + np.square(spacing)) / 12.0)
+    return np.asarray(fwhm**2 / 6.0 if shape == "triangle" else (fwhm**2 + np.square(spacing)) / 12.0)
 
 
 def second_order_factor(
@@ -631,7 +628,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
                 f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
                 "give saturation_count"
             )
-            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=3)
+            warn_user(text, "saturation-missing")
     return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import textwrap
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import click
 
 import hyperpaint as hp
 import hyperpaint.workflows as workflows
+from hyperpaint.io.maps.map_grids import RASTER_FORMATS
 from hyperpaint.io.store.raw_references import outside, virtual_groups
 
 from .options import (
@@ -29,6 +31,7 @@ from .options import (
     progress_bar,
     refuse_in_store,
     say_outcome,
+    say_picture,
     settable,
     takes,
     without_none,
@@ -67,25 +70,22 @@ def demo(ctx: click.Context, /, folder: Path, **shape: Any) -> None:
     folder. Prints recovered and true reflectance of every material and, for a rendered scene, the signature
     of every paint. Exit status 1 outside tolerance.
     """
-    import time
-
     start = time.perf_counter()
     with progress_bar("simulating") as simulated:
         comparison = workflows.demonstration.run_demonstration(
             folder, **shape, progress=is_watched(), simulated=simulated, say=click.echo
         )
-    click.echo(f"\n{time.perf_counter() - start:.0f} s in all. Now try:")
-    click.echo(f"  hyperpaint info {folder / 'collect.toml'}")
-    click.echo(f"  hyperpaint verify {folder / workflows.demonstration.STORE}")
-    if (folder / workflows.demonstration.PICTURE).is_file():
-        click.echo(f"  and look at {folder / workflows.demonstration.PICTURE}; or in Python:")
-    else:
-        click.echo("  or in Python:")
-    click.echo("    import xarray as xr, hyperpaint as hp")
-    store = folder / workflows.demonstration.STORE
-    click.echo(f'    line = xr.open_zarr("{store}", group="flightlines/raw_0").paint.reflectance()')
-    click.echo(f'    paints = line.paint.signatures(hp.read_regions("{folder / "regions.geojson"}"))')
-    click.echo("    print(paints.reflectance.isel(signature=0).to_series())")
+    store, picture = (folder / getattr(workflows.demonstration, name) for name in ("STORE", "PICTURE"))
+    look = f"and look at {picture}; " if picture.is_file() else ""
+    click.echo(f"""
+{time.perf_counter() - start:.0f} s in all. Now try:
+  hyperpaint info {folder / "collect.toml"}
+  hyperpaint verify {store}
+  {look}or in Python:
+    import xarray as xr, hyperpaint as hp
+    line = xr.open_zarr("{store}", group="flightlines/raw_0").paint.reflectance()
+    paints = line.paint.signatures(hp.read_regions("{folder / "regions.geojson"}"))
+    print(paints.reflectance.isel(signature=0).to_series())""")
     if not comparison.ok:
         ctx.exit(FAILED_CHECK)
 
@@ -117,9 +117,8 @@ def init(folder: Path, out: Path | None, overwrite: bool, **folders: Path | None
     """
     files = workflows.field_folder.find_field_files(folder, **folders)
     path = workflows.field_folder.write_collect_toml(files, out, overwrite=overwrite)
-    cubes = len(files.cubes)
     click.echo(
-        f"{path}: {cubes} cube{'' if cubes == 1 else 's'}, {len(files.darks)} dark, "
+        f"{path}: {len(files.cubes)} cube{'' if len(files.cubes) == 1 else 's'}, {len(files.darks)} dark, "
         f"{len(files.irradiance)} folder of irradiance, {len(files.references)} of references"
     )
     for note in files.notes:
@@ -177,8 +176,7 @@ def run(ctx: click.Context, /, collect: Path, **options: Any) -> None:
         )
     for error in day.errors:
         click.echo(f"error: {error.text(on_command_line=True)}", err=True)
-    report = day.out / "report.html"
-    if report.exists():
+    if (report := day.out / "report.html").exists():
         click.echo(f"look at {report}")
     if day.errors:
         ctx.exit(WRONG_INPUT)
@@ -191,9 +189,9 @@ def _list_kinds(ctx: click.Context, _parameter: click.Parameter, is_set: bool) -
 
     if is_set and not ctx.resilient_parsing:
         for kind in KINDS.values():
-            click.echo(f"{kind.name}  ({'refused' if kind.refused else 'warned of'})")
-            for text in (kind.meaning, kind.mend):
-                click.echo(textwrap.fill(text, 100, initial_indent="    ", subsequent_indent="    "))
+            texts = (textwrap.indent(textwrap.fill(text, 96), "    ") for text in (kind.meaning, kind.mend))
+            name = f"{kind.name}  ({'refused' if kind.refused else 'warned of'})"
+            click.echo("\n".join([name, *texts]))
         ctx.exit()
 
 
@@ -217,8 +215,9 @@ def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
     """Check whether the inputs of a collect are plausible, in seconds.
 
     Prints every finding: its name, the observed value, the expected value, and the remedy. process and run
-    check the same first: they stop at findings that make results wrong, and warn of others; --accept FINDING
-    accepts a finding. Exit status 1 if there are findings.
+    check the same first, except conventions and clocks of the navigation: they stop at findings that make
+    results wrong, and warn of others; --accept FINDING accepts a finding. Exit status 1 if there are
+    findings.
     """
     findings = workflows.pipeline.check_collect(collect)
     for finding in findings:
@@ -260,16 +259,9 @@ def process(collect: Path, out: Path | None, **options: Any) -> None:
     Everything is checked before anything is written. Run again, the command resumes an interrupted run and
     leaves a complete store unchanged.
     """
+    out = out or workflows.field_day.store_of(collect)
     limit = program_option("memory_limit")
-    say_outcome(
-        workflows.pipeline.run(
-            collect,
-            out or workflows.field_day.store_of(collect),
-            memory_limit=limit,
-            progress=is_watched(),
-            **options,
-        )
-    )
+    say_outcome(workflows.pipeline.run(collect, out, memory_limit=limit, progress=is_watched(), **options))
 
 
 @command(
@@ -383,16 +375,13 @@ def calibrate(
         )
     good_nm = calibration.wavelength[calibration.good]
     click.echo(
-        f"{out}: {int(calibration.good.sum())} of {calibration.sizes['band']} bands have a gain", nl=False
-    )
-    click.echo(f", {float(good_nm.min()):.1f} to {float(good_nm.max()):.1f} nm")
-    click.echo(
+        f"{out}: {good_nm.size} of {calibration.sizes['band']} bands have a gain, "
+        f"{float(good_nm.min()):.1f} to {float(good_nm.max()):.1f} nm\n"
         f"line shape {calibration.srf_shape}, FWHM {float(calibration.fwhm.median()):.2f} nm, "
         f"smile {float(calibration.wavelength_shift.max() - calibration.wavelength_shift.min()):.2f} nm, "
         f"wavelengths to {float(calibration.wavelength_u):.2g} nm"
     )
-    if picture is not None:
-        click.echo(f"look at it in {picture}")
+    say_picture(picture)
 
 
 @command(
@@ -443,16 +432,23 @@ def make_map(
     map_options = {name: options.pop(name) for name in ("stac", "geozarr", "overwrite")}
     if map_options["geozarr"] and out.suffix.lower() != ".zarr":
         raise click.UsageError(f"--geozarr needs an --out that ends in .zarr, not {out} [option-conflict]")
-    if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
-        raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
-    refuse_in_store(store, out)
+    _check_map(store, out)
     arguments = {**settings, **without_none(options)}
     with progress_bar("locating") as progress:
         orthomap = workflows.maps.map_of_store(store, line, progress=progress, **arguments)
     notes = workflows.maps.write_map(orthomap, out, progress=is_watched(), **map_options)
-    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
-    facts = [f"{rows} x {cols} cells of {orthomap.attrs['gsd']:.4g} m", describe_swath(orthomap.attrs), notes]
+    facts = [_cells(orthomap), describe_swath(orthomap.attrs), notes]
     click.echo(f"{out}: {', '.join(fact for fact in facts if fact)}")
+
+
+def _check_map(store: Path, out: Path, *companions: Path | None) -> None:
+    if out.suffix.lower() not in (*RASTER_FORMATS, ".zarr"):
+        raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
+    refuse_in_store(store, out, *companions)
+
+
+def _cells(orthomap: Any) -> str:
+    return f"{orthomap.sizes['y']} x {orthomap.sizes['x']} cells of {orthomap.attrs['gsd']:.4g} m"
 
 
 @command(
@@ -501,9 +497,7 @@ def make_mosaic(
 ) -> None:
     """Combine flight lines of a store on one map with north up; a cell shows a pixel of a single line."""
     out = out or beside(store, "mosaic.tif")
-    if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
-        raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
-    refuse_in_store(store, out, seams)
+    _check_map(store, out, seams)
     for path in (out, seams):
         if path is not None and path.exists() and not overwrite:
             raise click.UsageError(f"{path} exists; choose another path, or --overwrite [output-exists]")
@@ -512,9 +506,7 @@ def make_mosaic(
             store, lines, progress=progress, **settings, **without_none(options)
         )
     workflows.maps.write_map(mosaic, out, seams=seams, overwrite=overwrite, progress=is_watched())
-    rows, cols = mosaic.sizes["y"], mosaic.sizes["x"]
-    names = ", ".join(mosaic.attrs["flightlines"])
-    click.echo(f"{out}: {rows} x {cols} cells of {mosaic.attrs['gsd']:.4g} m, of the lines {names}")
+    click.echo(f"{out}: {_cells(mosaic)}, of the lines {', '.join(mosaic.attrs['flightlines'])}")
 
 
 @command(
@@ -539,10 +531,10 @@ def verify(ctx: click.Context, /, store: Path, inputs: bool, collect: Path | Non
     """
     report = hp.verify(store)
     click.echo(str(report))
-    has_faults = not report.ok
+    is_whole = report.ok
     if inputs or collect is not None:
         compared = workflows.pipeline.compare_inputs(store, collect)
         click.echo(str(compared))
-        has_faults |= bool(compared.problems)
-    if has_faults:
+        is_whole &= not compared.problems
+    if not is_whole:
         ctx.exit(FAILED_CHECK)

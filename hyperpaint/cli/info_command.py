@@ -25,7 +25,7 @@ from hyperpaint.io.store.raw_references import (
     virtual_groups,
 )
 from hyperpaint.io.store.reader import is_zarr, place_of
-from hyperpaint.regions.vector_files import VECTOR_FILES
+from hyperpaint.regions.geojson import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,
     counted,
@@ -93,8 +93,7 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
 
 def _envi(path: Path) -> Facts:
 
-    from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
-    from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
+    from hyperpaint.io.envi.envi_cubes import MAX_LIBRARY_HEADER_BYTES, find_pair, open_envi, read_header
     from hyperpaint.io.flightline.headwall import exposure_seconds
     from hyperpaint.io.navigation.navigation_formats import is_eph_att
 
@@ -109,12 +108,14 @@ def _envi(path: Path) -> Facts:
     dataset = open_envi(path)
     name, cube = next(iter(dataset.data_vars.items()))
     form = f"{header.interleave}, {header.dtype.newbyteorder('=')}, {size_of(data.stat().st_size)}"
-    yield "is", f"ENVI cube, {form}"
-    yield str(name), form_of(cube)
-    yield from facts_of_bands(dataset)
     exposure = exposure_seconds(header.comments, header_path.name)
-    yield "exposure", "" if exposure is None else f"{exposure * 1e3:g} ms (header comments)"
-    yield "notes", "\n".join(header.notes)
+    yield from (
+        ("is", f"ENVI cube, {form}"),
+        (str(name), form_of(cube)),
+        *facts_of_bands(dataset),
+        ("exposure", "" if exposure is None else f"{exposure * 1e3:g} ms (header comments)"),
+        ("notes", "\n".join(header.notes)),
+    )
 
 
 def _geotiff(path: Path) -> Facts:
@@ -122,34 +123,35 @@ def _geotiff(path: Path) -> Facts:
     from hyperpaint.io.maps.geotiff import read_geotiff_header
 
     header = read_geotiff_header(path)
-    yield "is", f"GeoTIFF, {size_of(path.stat().st_size)}"
-    rows, cols = header.shape
-    yield "map", f"{rows} x {cols} cells, {counted(header.bands, 'band')}, {header.dtype}"
-    if header.grid is not None:
-        yield from facts_of_grid(header.grid, header.shape)
-    else:
-        yield "crs", "unknown, as is its location"
+    (rows, cols), unlocated = header.shape, [("crs", "unknown, as is its location")]
     nm = [band.removesuffix(" nm") for band in header.descriptions if band.endswith(" nm")]
-    yield "wavelength", range_of([float(text) for text in nm], "nm") if len(nm) == header.bands else ""
-    yield (
-        "bands",
-        "" if len(nm) == header.bands else _first_names([text for text in header.descriptions if text]),
+    has_wavelengths = len(nm) == header.bands
+    yield from (
+        ("is", f"GeoTIFF, {size_of(path.stat().st_size)}"),
+        ("map", f"{rows} x {cols} cells, {counted(header.bands, 'band')}, {header.dtype}"),
+        *(unlocated if header.grid is None else facts_of_grid(header.grid, header.shape)),
+        ("wavelength", range_of([float(text) for text in nm], "nm") if has_wavelengths else ""),
+        ("bands", "" if has_wavelengths else _first_names([text for text in header.descriptions if text])),
+        ("overviews", ", ".join(f"1:{factor}" for factor in header.overviews) or "none"),
     )
-    yield "overviews", ", ".join(f"1:{factor}" for factor in header.overviews) or "none"
 
 
 def _regions(path: Path) -> Facts:
 
     regions = hp.read_regions(path)
-    yield "is", f"{counted(len(regions), 'region')} in coordinates of the {regions.coordinates}"
-    yield "names", _first_names(regions.names)
-    yield "crs", "" if regions.coordinates == "sensor" else regions.crs or "not said"
-    yield "flight lines", ", ".join(regions.flightlines)
+    bounds = ""
     if len(regions):
         corners = np.concatenate([region.polygon for region in regions])
         (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
-        yield "bounds", f"x {x0:.10g} to {x1:.10g}, y {y0:.10g} to {y1:.10g}"
-    yield "also says", ", ".join(dict.fromkeys(name for region in regions for name in region.properties))
+        bounds = f"x {x0:.10g} to {x1:.10g}, y {y0:.10g} to {y1:.10g}"
+    yield from (
+        ("is", f"{counted(len(regions), 'region')} in coordinates of the {regions.coordinates}"),
+        ("names", _first_names(regions.names)),
+        ("crs", "" if regions.coordinates == "sensor" else regions.crs or "not said"),
+        ("flight lines", ", ".join(regions.flightlines)),
+        ("bounds", bounds),
+        ("also says", ", ".join(dict.fromkeys(name for region in regions for name in region.properties))),
+    )
 
 
 def _asd(path: Path) -> Facts:
@@ -157,19 +159,21 @@ def _asd(path: Path) -> Facts:
     from hyperpaint.io.spectrometers.asd import read_asd
 
     file = read_asd(path)
-    yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
     panel = "" if file.reference is None else ", white reference"
-    yield "holds", f"{file.data_type} (stored as raw counts){panel}"
-    yield "wavelength", range_of(file.wavelength, "nm")
     zone = "zone unknown" if file.utc_offset_h is None else f"UTC{file.utc_offset_h:+g} h"
-    yield "saved", f"{file.local_time} by the logging PC ({zone})"
-    yield "exposure", f"{file.integration_ms:g} ms, {file.sample_averages} averaged"
     optic = "cosine receptor" if file.fore_optic >= 180 else f"{file.fore_optic} degree"
-    yield "fore optic", "none" if file.fore_optic == 0 else optic
     blocks = (f"{kind} ({block.name})" for kind, block in file.calibrations.items())
-    yield "calibration", ", ".join(blocks) or "none"
-    yield "position", "" if file.gps is None else f"{file.gps.latitude:.6f}, {file.gps.longitude:.6f}"
-    yield "saturated", ", ".join(sorted(file.saturated))
+    yield from (
+        ("is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"),
+        ("holds", f"{file.data_type} (stored as raw counts){panel}"),
+        ("wavelength", range_of(file.wavelength, "nm")),
+        ("saved", f"{file.local_time} by the logging PC ({zone})"),
+        ("exposure", f"{file.integration_ms:g} ms, {file.sample_averages} averaged"),
+        ("fore optic", "none" if file.fore_optic == 0 else optic),
+        ("calibration", ", ".join(blocks) or "none"),
+        ("position", "" if file.gps is None else f"{file.gps.latitude:.6f}, {file.gps.longitude:.6f}"),
+        ("saturated", ", ".join(sorted(file.saturated))),
+    )
 
 
 def _svc(path: Path) -> Facts:
@@ -177,22 +181,23 @@ def _svc(path: Path) -> Facts:
     from hyperpaint.io.spectrometers.svc import error_bits, overlap_of, pair, position_of, read_svc
 
     file = read_svc(path)
-    overlap = overlap_of(file.header)
-    yield "is", f"SVC spectrum, {file.header.get('instrument', 'instrument unknown')}"
+    overlap, position = overlap_of(file.header), position_of(file.header, 1)
     reference = "white reference and target" if file.has_reference else "target without white reference"
-    yield "holds", f"{reference}, in {' and '.join(dict.fromkeys(file.units))}"
-    yield "wavelength", f"{range_of(file.wavelength, 'nm')}, {counted(len(file.wavelength), 'channel')}"
-    yield "overlap", overlap.text
     factors = file.header.get("factors", "").partition("[")[0].strip()
-    yield "matching", f"{overlap.matching or 'unknown'} (factors {factors or 'unknown'})"
-    yield "saved", f"{pair(file.header, 'time')[1]} by the local clock, as written"
     clock = pair(file.header, "gpstime")[1]
-    yield "GPS time", f"{clock} UTC" if clock else ""
-    position = position_of(file.header, 1)
-    if position is None or not np.isnan(position[0]):
-        yield "position", "cannot be read" if position is None else "{:.6f}, {:.6f}".format(*position)
-    yield "errors", "reference {}, target {} (bits of the instrument)".format(*error_bits(file.header))
-    yield "comment", file.header.get("comm", "")
+    place = "cannot be read" if position is None else "{:.6f}, {:.6f}".format(*position)
+    yield from (
+        ("is", f"{file.dialect.instrument} spectrum, {file.header.get('instrument', 'instrument unknown')}"),
+        ("holds", f"{reference}, in {' and '.join(dict.fromkeys(file.units))}"),
+        ("wavelength", f"{range_of(file.wavelength, 'nm')}, {counted(len(file.wavelength), 'channel')}"),
+        ("overlap", overlap.text),
+        ("matching", f"{overlap.matching or 'unknown'} (factors {factors or 'unknown'})"),
+        ("saved", f"{pair(file.header, 'time')[1]} by the local clock, as written"),
+        ("GPS time", f"{clock} UTC" if clock else ""),
+        ("position", place if position is None or not np.isnan(position[0]) else ""),
+        ("errors", "reference {}, target {} (bits of the instrument)".format(*error_bits(file.header))),
+        ("comment", file.header.get("comm", "")),
+    )
 
 
 def _asd_text(path: Path) -> Facts:
@@ -200,13 +205,15 @@ def _asd_text(path: Path) -> Facts:
     from hyperpaint.io.spectrometers.asd import read_asd_text
 
     text = read_asd_text(path)
-    yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
-    likely = text.likely_quantity
-    yield "holds", f"{likely} (a guess from the plot range)" if likely else "unknown units"
-    yield "wavelength", range_of(text.wavelength, "nm")
     local_time, integration_ms = (text.preamble.get(key) for key in ("local_time", "integration_ms"))
-    yield "saved", "" if local_time is None else f"{local_time} by the logging PC (zone unknown)"
-    yield "exposure", "" if integration_ms is None else f"{integration_ms:g} ms"
+    likely = text.likely_quantity
+    yield from (
+        ("is", f"text export of {text.instrument} spectra: {len(text.spectra)} spectra"),
+        ("holds", f"{likely} (a guess from the plot range)" if likely else "unknown units"),
+        ("wavelength", range_of(text.wavelength, "nm")),
+        ("saved", "" if local_time is None else f"{local_time} by the logging PC (zone unknown)"),
+        ("exposure", "" if integration_ms is None else f"{integration_ms:g} ms"),
+    )
 
 
 def _irradiance_csv(path: Path) -> Facts:
@@ -215,8 +222,10 @@ def _irradiance_csv(path: Path) -> Facts:
 
     series: Any = read_irradiance_csv(path)
     shape = np.shape(series.values)
-    yield "is", f"csv series of irradiance: {shape[0]} samples x {shape[-1]} wavelengths"
-    yield "wavelength", range_of(series.wavelength, "nm")
+    yield from (
+        ("is", f"csv series of irradiance: {shape[0]} samples x {shape[-1]} wavelengths"),
+        ("wavelength", range_of(series.wavelength, "nm")),
+    )
 
 
 def _spectra_if_any(path: Path) -> Facts:
@@ -235,13 +244,16 @@ def _library(path: Path) -> Facts:
 
     library = hp.open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
-    yield "is", f"{form}: {counted(library.sizes['signature'], 'spectrum').replace('spectrums', 'spectra')}"
-    yield "paints", _first_names(library["signature"].values.tolist())
-    yield from ((str(name), form_of(array)) for name, array in library.data_vars.items())
-    yield from facts_of_bands(library)
     about = (str(name) for name, array in library.coords.items() if array.dims == ("signature",))
-    yield "also says", ", ".join(name for name in about if name != "signature")
-    yield "notes", str(library.attrs.get("notes", "")).replace("; ", "\n")
+    spectra = counted(library.sizes["signature"], "spectrum").replace("spectrums", "spectra")
+    yield from (
+        ("is", f"{form}: {spectra}"),
+        ("paints", _first_names(library["signature"].values.tolist())),
+        *((str(name), form_of(array)) for name, array in library.data_vars.items()),
+        *facts_of_bands(library),
+        ("also says", ", ".join(name for name in about if name != "signature")),
+        ("notes", str(library.attrs.get("notes", "")).replace("; ", "\n")),
+    )
 
 
 def _first_names(names: Sequence[object]) -> str:
@@ -254,8 +266,8 @@ def _materials(path: Path) -> Facts:
     from hyperpaint.io.dirsig import read_materials
 
     materials = read_materials(path)
-    yield "is", f"DIRSIG material list: {counted(len(materials), 'material')}"
-    yield "materials", _first_names([f"{material.id} ({material.name})" for material in materials])
+    names = _first_names([f"{material.id} ({material.name})" for material in materials])
+    yield from (("is", f"DIRSIG material list: {counted(len(materials), 'material')}"), ("materials", names))
 
 
 def _frame_index(path: Path) -> Facts:
@@ -264,8 +276,8 @@ def _frame_index(path: Path) -> Facts:
 
     frames = read_frame_index(path).frame
     missing = int(frames[-1] - frames[0] + 1 - frames.size)
-    yield "is", "Headwall frame index"
-    yield "frames", f"{frames.size}, number {frames[0]} to {frames[-1]}, {missing} missing"
+    numbers = f"{frames.size}, number {frames[0]} to {frames[-1]}, {missing} missing"
+    yield from (("is", "Headwall frame index"), ("frames", numbers))
 
 
 def _navigation(path: Path) -> Facts:
@@ -273,11 +285,12 @@ def _navigation(path: Path) -> Facts:
     from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     record = read_imu_gps(path)
-    yield "is", f"navigation record: {record.rows.size} rows"
-    if record.utc is not None:
-        yield "times", times_of(record.utc.astype("datetime64[ns]"))
-    for name in ("latitude", "longitude", "altitude"):
-        yield name, range_of(record.values[name], "m" if name == "altitude" else "degree", digits=6)
+    units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
+    yield from (
+        ("is", f"navigation record: {record.rows.size} rows"),
+        ("times", "" if record.utc is None else times_of(record.utc.astype("datetime64[ns]"))),
+        *((name, range_of(record.values[name], unit, digits=6)) for name, unit in units.items()),
+    )
 
 
 def _is_pose_table(path: Path) -> bool:
@@ -303,25 +316,30 @@ def _poses(path: Path) -> Facts:
     # NMEA sentences without a date get the first day of the epoch
     record = read_record(path, kind, midnight=0)
     convention = record.convention
-    yield "is", f"navigation record ({record.format}): {counted(record.stamp.size, 'row')}"
     if record.counts_from == "week":
         week = "a GPS week: pass week= or date=" if record.week is None else f"GPS week {record.week}"
-        yield "times", f"{range_of(record.stamp / 1e9, 's')} of {week}"
+        times = f"{range_of(record.stamp / 1e9, 's')} of {week}"
     else:
         clock = " (clock of GPS)" if record.time_scale == "gps" else ""
         if kind == "nmea" and record.stamp[0] < _DAY_NS:
             clock = " (of an unknown day: pass date=)"
-        yield "times", times_of(record.stamp.astype("datetime64[ns]")) + clock
-    for name, values in record.values.items():
-        units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
-        yield name, range_of(values, units.get(name, convention.angle_unit), digits=6)
-    signs = (
+        times = times_of(record.stamp.astype("datetime64[ns]")) + clock
+    units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
+    meaning = (
         f"roll + {convention.roll_positive}, pitch + {convention.pitch_positive}, "
-        f"heading {convention.heading_positive}"
+        f"heading {convention.heading_positive} from {convention.heading_reference} north, "
+        f"height above the {convention.height_reference}"
     )
-    references = f"{convention.heading_reference} north, height above the {convention.height_reference}"
-    yield "means", f"{signs} from {references}".replace("_", " ")
-    yield "assumed", ", ".join(record.assumed)
+    yield from (
+        ("is", f"navigation record ({record.format}): {counted(record.stamp.size, 'row')}"),
+        ("times", times),
+        *(
+            (name, range_of(values, units.get(name, convention.angle_unit), digits=6))
+            for name, values in record.values.items()
+        ),
+        ("means", meaning.replace("_", " ")),
+        ("assumed", ", ".join(record.assumed)),
+    )
 
 
 def _settings(path: Path) -> Facts:
@@ -330,8 +348,8 @@ def _settings(path: Path) -> Facts:
 
     pairs = read_settings(path)
     exposure = exposure_seconds(pairs, path.name)
-    yield "is", f"Headwall settings: {len(pairs)} entries"
-    yield "exposure", "" if exposure is None else f"{exposure * 1e3:g} ms"
+    exposure_text = "" if exposure is None else f"{exposure * 1e3:g} ms"
+    yield from (("is", f"Headwall settings: {len(pairs)} entries"), ("exposure", exposure_text))
 
 
 # --- collects and stores -----------------------------------------------------------------------------------
@@ -346,18 +364,17 @@ def _collect(path: Path) -> Facts:
     # without dask, because nothing is computed
     tree = hp.open_collect(path, need_irradiance=has_irradiance, chunks=None)
     lines_text = counted(len(collect.flightlines), "flight line")
+    lines = {str(entry.name): tree[f"flightlines/{entry.name}"].to_dataset() for entry in collect.flightlines}
+    total = sum(line["counts" if "counts" in line else "radiance"].nbytes for line in lines.values())
     yield "is", f"collect {collect.name!r}, {lines_text}; every file opens"
-    total = 0
-    for entry in collect.flightlines:
-        line = tree[f"flightlines/{entry.name}"].to_dataset()
-        total += line["counts" if "counts" in line else "radiance"].nbytes
-        yield str(entry.name), _facts_text(facts_of_line(line))
+    yield from ((name, _facts_text(facts_of_line(line))) for name, line in lines.items())
     if has_irradiance:
         yield "irradiance", _facts_text(facts_of_irradiance(tree["irradiance"].to_dataset()))
     for reference in collect.references:
         yield "references", f"{reference.instrument}: {counted(len(reference.files), 'file')}"
-    product = "reflectance" if has_irradiance else "radiance only, because there is no irradiance"
-    options = "" if has_irradiance else " --to radiance"
+    product, options = "reflectance", ""
+    if not has_irradiance:
+        product, options = "radiance only, because there is no irradiance", " --to radiance"
     products = f"{lines_text} ({size_of(total)} of cubes), quality and {product}"
     yield "process", f"would store {products}:\nhyperpaint process {path} --out STORE.zarr{options}"
 
@@ -383,14 +400,12 @@ def _store(path: Path) -> Facts:
 
     groups, (location, _) = list_groups(path), place_of(path)
     if groups == [""]:
-        yield "is", "one group of Zarr arrays"
-        yield from _group(path, "")
+        yield from (("is", "one group of Zarr arrays"), *_group(path, ""))
         return
     yield "is", f"Zarr store, {counted(len(groups), 'group')} with arrays"
     if location is not None:
         state = store_state(location, groups)
-        yield "NOT WHOLE", "\n".join(state.problems)
-        yield "note", "\n".join(state.notes)
+        yield from (("NOT WHOLE", "\n".join(state.problems)), ("note", "\n".join(state.notes)))
     yield from ((f"/{name}", _facts_text(_group(path, name))) for name in groups)
 
 
@@ -430,31 +445,35 @@ def _facts_text(facts: Facts) -> str:
 
 def facts_of_field_folder(field: FieldFolder) -> Facts:
     """Yield the facts about the folder of a field day."""
+
+    def relative(path: Path | None) -> str:
+        is_inside = path is not None and path.is_relative_to(field.folder)
+        return "" if path is None else str(path.relative_to(field.folder) if is_inside else path)
+
     yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
     for cube in field.cubes:
-        companions = {"frame index": cube.frame_index, "navigation": cube.navigation}
-        texts = [name if path else f"no {name}" for name, path in companions.items()]
-        exposure = "exposure" if cube.has_exposure else "no exposure"
-        yield _relative_to(field.folder, cube.header), ", ".join([*texts, exposure])
-    yield "dark", ", ".join(_relative_to(field.folder, dark) for dark in field.darks) or "none"
-    for name, path in (("calibration", field.calibration), ("lab sweep", field.sweep)):
-        yield name, "" if path is None else _relative_to(field.folder, path)
-    yield "irradiance", ", ".join(_relative_to(field.folder, path) for path, _ in field.irradiance) or "none"
-    yield (
-        "references",
-        ", ".join(
-            f"{instrument} in {_relative_to(field.folder, path)}" for instrument, path, _ in field.references
+        parts = {
+            "frame index": cube.frame_index,
+            "navigation": cube.navigation,
+            "exposure": cube.has_exposure,
+        }
+        yield relative(cube.header), ", ".join(name if part else f"no {name}" for name, part in parts.items())
+    has_toml = (field.folder / "collect.toml").exists()
+    references = (f"{instrument} in {relative(path)}" for instrument, path, _ in field.references)
+    yield from (
+        ("dark", ", ".join(map(relative, field.darks)) or "none"),
+        ("calibration", relative(field.calibration)),
+        ("lab sweep", relative(field.sweep)),
+        ("irradiance", ", ".join(relative(path) for path, _ in field.irradiance) or "none"),
+        ("references", ", ".join(references)),
+        ("not used", "\n".join(field.notes)),
+        (
+            "process",
+            f"hyperpaint run {field.folder}"
+            if has_toml
+            else f"hyperpaint init {field.folder} writes its collect.toml",
         ),
     )
-    yield "not used", "\n".join(field.notes)
-    if (field.folder / "collect.toml").exists():
-        yield "process", f"hyperpaint run {field.folder}"
-    else:
-        yield "process", f"hyperpaint init {field.folder} writes its collect.toml"
-
-
-def _relative_to(folder: Path, path: Path) -> str:
-    return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
 
 
 def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
@@ -481,19 +500,21 @@ _BY_SUFFIX = {
     ".toml": _collect,
     ".zip": _store,
     ".hdr": _envi,
-    ".sig": _svc,
     **dict.fromkeys((".tif", ".tiff"), _geotiff),
     **dict.fromkeys((".geojson", *VECTOR_FILES), _regions),
 }
 #: Readers of files of field spectrometers by the kind of their content.
-_BY_CONTENT = {"binary": _asd, "text": _asd_text, "csv": _irradiance_csv}
+_BY_CONTENT = {"binary": _asd, "text": _asd_text, "scans": _svc, "csv": _irradiance_csv}
 
 
 def _file(path: Path) -> Facts:
     from hyperpaint.io.spectrometers.asd import sniff
+    from hyperpaint.io.spectrometers.svc import is_named_as_scans
 
     name, suffix = path.name.lower(), path.suffix.lower()
-    reader = _BY_SUFFIX.get(suffix) or (_poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path)))
+    reader = _svc if is_named_as_scans(path) else _BY_SUFFIX.get(suffix)
+    if reader is None:
+        reader = _poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path))
     if reader is None:
         headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
         rules = (

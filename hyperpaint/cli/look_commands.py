@@ -14,15 +14,16 @@ import hyperpaint.workflows as workflows
 from .options import (
     EXISTING,
     EXISTING_FILE,
-    FAILED_CHECK,
     FILE,
     FOLDER,
     PLACE,
     beside,
     command,
+    end_with_problems,
     is_watched,
     progress_bar,
     say_outcome,
+    say_picture,
     settable,
     takes,
     without_none,
@@ -163,7 +164,7 @@ def render(scene: Path, out: Path | None, picture: Path | None, **options: Any) 
     say_outcome(outcome)
     if picture is not None:
         workflows.rendering.draw_renders(out, (*outcome.written, *outcome.unchanged), picture)
-        click.echo(f"look at it in {picture}")
+    say_picture(picture)
 
 
 @command(
@@ -254,20 +255,13 @@ def make_report(
         page = hp.report.write_report(
             store, out, flightlines=flightlines or None, progress=progress, **options
         )
-    click.echo(
-        f"{page.path}: {_listed(page.flightlines, page.maps)}, {page.path.stat().st_size / 1e6:.1f} MB"
-    )
-    for problem in page.problems:
-        click.echo(f"cannot be read: {problem}", err=True)
-    if page.problems:
-        ctx.exit(FAILED_CHECK)
-
-
-def _listed(groups: tuple[str, ...], maps: tuple[str, ...]) -> str:
-    names = ", ".join(group.rpartition("/")[2] for group in groups)
-    lines = f"{len(groups)} flight line{'' if len(groups) == 1 else 's'}" + (f" ({names})" if names else "")
-    maps_text = f"map {', '.join(maps)}" if maps else ""
-    return ", ".join(text for text in (lines if groups or not maps else "", maps_text) if text)
+    names = ", ".join(group.rpartition("/")[2] for group in page.flightlines)
+    count = len(page.flightlines)
+    lines = f"{count} flight line{'' if count == 1 else 's'}" + (f" ({names})" if names else "")
+    maps = f"map {', '.join(page.maps)}" if page.maps else ""
+    texts = (lines if count or not maps else "", maps, f"{page.path.stat().st_size / 1e6:.1f} MB")
+    click.echo(f"{page.path}: {', '.join(filter(None, texts))}")
+    end_with_problems(ctx, page.problems, "cannot be read")
 
 
 @command(
@@ -299,9 +293,6 @@ def site(ctx: click.Context, /, store: Path, out: Path, flightlines: tuple[str, 
     page = hp.report.write_site(store, out, flightlines=flightlines or None, progress=is_watched(), **options)
     names = ", ".join(group.rpartition("/")[2] for group in (*page.flightlines, *page.maps)) or "paints"
     size = sum(file.stat().st_size for file in page.path.rglob("*") if file.is_file())
-    click.echo(f"{page.path}: {names}, {size / 1e6:.1f} MB")
-    click.echo(f"look at it: python -m http.server --directory {page.path} 8000, then http://localhost:8000")
-    for problem in page.problems:
-        click.echo(f"cannot be shown: {problem}", err=True)
-    if page.problems:
-        ctx.exit(FAILED_CHECK)
+    look = f"look at it: python -m http.server --directory {page.path} 8000, then http://localhost:8000"
+    click.echo(f"{page.path}: {names}, {size / 1e6:.1f} MB\n{look}")
+    end_with_problems(ctx, page.problems, "cannot be shown")

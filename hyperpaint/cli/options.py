@@ -14,7 +14,7 @@ import difflib
 import functools
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -75,7 +75,14 @@ def parameters_of(qualified_name: str) -> dict[str, Parameter]:
     """Return the parameters of a function or dataclass, such as ``"workflows.pipeline:process"``."""
     module, _, name = qualified_name.partition(":")
     node: Any = next(node for node in _module_tree(module).body if getattr(node, "name", None) == name)
-    described = _described_parameters(ast.get_docstring(node) or "")
+    # entries of the numpydoc section: names, and the indented text below them
+    section = re.search(
+        r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-{3}|\Z)",
+        ast.get_docstring(node) or "",
+        re.M | re.S,
+    )
+    entries = re.findall(r"^(\S[^\n]*)\n((?:[ ]+[^\n]*\n?|\n)+)", section[1] if section else "", re.M)
+    described = {name: _help(text) for names, text in entries for name in re.split(r",\s*", names)}
     shared = _shared_descriptions(node)
     parameters: dict[str, Parameter] = {}
     if isinstance(node, ast.ClassDef):
@@ -175,17 +182,6 @@ def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
         if alias is not None:
             return _kind(alias, module)
     return {}
-
-
-def _described_parameters(docstring: str) -> dict[str, str]:
-    section = re.search(
-        r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-{3}|\Z)", docstring, re.M | re.S
-    )
-    texts: dict[str, str] = {}
-    entries = re.findall(r"^(\S[^\n]*)\n((?:[ ]+[^\n]*\n?|\n)+)", section[1] if section else "", re.M)
-    for names, text in entries:
-        texts |= dict.fromkeys(re.split(r",\s*", names), _help(text))
-    return texts
 
 
 def _help(text: str) -> str:
@@ -426,6 +422,20 @@ def refuse_in_store(store: Path, *products: Path | None) -> None:
 def without_none(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that are not None; the function has defaults for other options."""
     return {name: value for name, value in options.items() if value is not None}
+
+
+def say_picture(picture: Path | None, what: str = "it") -> None:
+    """Print where a picture was drawn, if one was."""
+    if picture is not None:
+        click.echo(f"look at {what} in {picture}")
+
+
+def end_with_problems(ctx: click.Context, problems: Iterable[str], text: str) -> None:
+    """Print problems of a check on stderr, each after ``text``; if there are any, exit with status 1."""
+    lines = [f"{text}: {problem}" for problem in problems]
+    if lines:
+        click.echo("\n".join(lines), err=True)
+        ctx.exit(FAILED_CHECK)
 
 
 def say_outcome(outcome: Outcome) -> None:

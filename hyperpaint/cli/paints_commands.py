@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
@@ -24,16 +25,15 @@ from .options import (
     PLACE,
     beside,
     command,
+    end_with_problems,
     is_watched,
     progress_bar,
     refuse_in_store,
+    say_picture,
     settable,
     takes,
     without_none,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @command(
@@ -143,8 +143,8 @@ def make_signatures(
         )
     for text in library.attrs.get("left_out", ()):
         click.echo(f"left out {text}", err=True)
-    click.echo(f"{out}: {library.sizes['signature']} paints, {library.sizes['band']} bands")
-    click.echo(workflows.library_files.table_of(library))
+    table = workflows.library_files.table_of(library)
+    click.echo(f"{out}: {library.sizes['signature']} paints, {library.sizes['band']} bands\n{table}")
 
 
 _PART_PATTERN = re.compile(
@@ -271,9 +271,8 @@ def validate(
         click.echo(f"all digits are in {out}")
     if picture is not None:
         hp.pictures.validation_figure(validation, picture)
-        click.echo(f"look at it in {picture}")
-    for problem in validation.problems:
-        click.echo(f"not passed: {problem}", err=True)
+    say_picture(picture)
+    end_with_problems(ctx, validation.problems, "not passed")
     if not validation.passed:
         ctx.exit(FAILED_CHECK)
 
@@ -347,20 +346,19 @@ def detect_paints(
     others, regions, line = (options.pop(name) for name in ("others", "regions", "line"))
     out = out or beside(store, "detections.zarr")
     refuse_in_store(store, out)
-    exclude = EXCLUDED
-    for flag_to_keep in flags_named(options.pop("keep")):
-        exclude &= ~flag_to_keep
+    exclude = functools.reduce(lambda flags, kept: flags & ~kept, flags_named(options.pop("keep")), EXCLUDED)
     searched = hp.reflectance(workflows.maps.line_of_store(store, line))
     if options.pop("flags"):
         searched = hp.surroundings.flag(searched)
+    is_background = None
+    if background is not None:
+        is_background = hp.regions.region_mask(_regions_of_line(background, searched), searched) >= 0
     detections = hp.paints.detect(
         searched,
         hp.open_library(library),
         exclude=exclude,
         others=None if others is None else hp.open_library(others),
-        background=None
-        if background is None
-        else hp.regions.region_mask(_regions_of_line(background, searched), searched) >= 0,
+        background=is_background,
         **options,
     )
     hp.to_store(detections, out, overwrite=overwrite, progress=is_watched())
@@ -398,13 +396,13 @@ def _detection_table(detections: xr.Dataset) -> str:
             strict=True,
         )
     ]
-    checked, checked_u = detections["checked_rate"].item(), detections["checked_rate_u"].item()
-    rate = (
-        f"above thresholds from other parts of the line: {checked:.2g} +- {checked_u:.1g} of the background"
+    names = ("checked_rate", "checked_rate_u", "explained_share")
+    checked, checked_u, share = (detections[name].item() for name in names)
+    rows_below = (
+        f"above thresholds from other parts of the line: {checked:.2g} +- {checked_u:.1g} of the background",
+        f"excluded from the background, because a paint explains them: {share:.2g} of the pixels",
     )
-    share = detections["explained_share"].item()
-    explained = f"excluded from the background, because a paint explains them: {share:.2g} of the pixels"
-    return "\n".join([*(f"  {row}" for row in aligned(rows, names=4)), f"  {rate}", f"  {explained}"])
+    return "\n".join(f"  {row}" for row in (*aligned(rows, names=4), *rows_below))
 
 
 _LISTED_PROPERTIES = ("finish", "colour", "srgb", "make", "model", "year")
@@ -487,52 +485,22 @@ def list_paints(
     LIBRARY is a Zarr store of signatures, or any file of spectra that hyperpaint reads; by default the
     starter library. A paint must meet all conditions.
     """
+    from hyperpaint.validation.validation_result import aligned
+
     if options["maximum_angle"] is not None and like is None:
         raise click.UsageError("--maximum-angle needs --like [argument-missing]")
     if options["maximum_colour_difference"] is not None and options["colour"] is None:
         raise click.UsageError("--maximum-difference needs --colour [argument-missing]")
-    paints = _open_paints(library, members)
+    if library is not None and members is not None:
+        raise click.UsageError("--members is only for the starter library; leave it out [option-conflict]")
+    variants = without_none({"members": members})
+    paints = hp.paints.starter_library(**variants) if library is None else hp.open_library(library)
     matches = hp.paints.search_library(paints, like=_spectrum(like, paints), **options)
     count = matches.sizes["signature"]
     click.echo(f"{count} of {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
     if not count:
         click.echo("no paint meets all conditions")
         return
-    click.echo(_paint_table(matches))
-    if out is not None:
-        with progress_bar("writing") as progress:
-            path = hp.write_library(matches, out, overwrite=overwrite, progress=progress)
-        click.echo(f"saved in {path}")
-    if picture is not None:
-        hp.pictures.library_overview(matches, picture)
-        click.echo(f"look at them in {picture}")
-
-
-def _open_paints(library: Path | None, members: int | None) -> xr.Dataset:
-    if library is None:
-        return hp.paints.starter_library() if members is None else hp.paints.starter_library(members=members)
-    if members is not None:
-        raise click.UsageError("--members is only for the starter library; leave it out [option-conflict]")
-
-    return hp.open_library(library)
-
-
-def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
-    # the name of a paint of the library, or an opened file
-    if like is None or like in [str(name) for name in paints["signature"].values]:
-        return like
-    path = Path(like)
-    if not path.exists():
-        raise click.UsageError(f"--like {like!r} is neither a paint nor a file [paint-unknown]")
-    if path.suffix.lower() == ".sig":
-        return hp.open_svc(path)
-
-    return hp.open_asd(path) if path.is_file() and sniff(path) == "binary" else hp.open_library(path)
-
-
-def _paint_table(matches: xr.Dataset) -> str:
-    from hyperpaint.validation.validation_result import aligned
-
     columns = [[str(name) for name in matches["signature"].values]]
     properties = [
         name
@@ -544,7 +512,26 @@ def _paint_table(matches: xr.Dataset) -> str:
         columns.append([f"colour difference {value:.1f}" for value in matches["colour_difference"].values])
     if "spectral_angle" in matches.coords:
         columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
-    return "\n".join(f"  {row}" for row in aligned(list(zip(*columns, strict=True)), names=len(columns)))
+    click.echo("\n".join(f"  {row}" for row in aligned(list(zip(*columns, strict=True)), names=len(columns))))
+    if out is not None:
+        with progress_bar("writing") as progress:
+            path = hp.write_library(matches, out, overwrite=overwrite, progress=progress)
+        click.echo(f"saved in {path}")
+    if picture is not None:
+        hp.pictures.library_overview(matches, picture)
+    say_picture(picture, "them")
+
+
+def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
+    # the name of a paint of the library, or an opened file
+    if like is None or like in [str(name) for name in paints["signature"].values]:
+        return like
+    path = Path(like)
+    if not path.exists():
+        raise click.UsageError(f"--like {like!r} is neither a paint nor a file [paint-unknown]")
+    if path.suffix.lower() == ".sig":
+        return hp.open_svc(path)
+    return hp.open_asd(path) if path.is_file() and sniff(path) == "binary" else hp.open_library(path)
 
 
 @command(
@@ -684,12 +671,11 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
                 progress=progress,
                 **options_set,
             )
-            populations = int((scene["curves"] > 1).sum())
             click.echo(
-                f"{out}: {scene.sizes['signature']} materials, {populations} of them populations, "
-                f"{scene.attrs['faces']} triangles, {scene.attrs['features']}"
+                f"{out}: {scene.sizes['signature']} materials, {int((scene['curves'] > 1).sum())} of them "
+                f"populations, {scene.attrs['faces']} triangles, {scene.attrs['features']}\n"
+                f"how to run it, and what was checked: {out / 'README.txt'}"
             )
-            click.echo(f"how to run it, and what was checked: {out / 'README.txt'}")
             return
         if form == "dirsig":
             if options_set.pop("coat_brdf", False):
@@ -707,14 +693,12 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
                 f"{out}: {materials.sizes['signature']} paints, {int(materials['curves'].sum())} curves"
             )
             if filled_samples := int(materials["interpolated"].sum()):
-                complete_count = int(materials["complete"].sum())
                 click.echo(
-                    f"{complete_count} curves are complete; {filled_samples} samples in gaps of others "
-                    f"interpolated"
+                    f"{int(materials['complete'].sum())} curves are complete; {filled_samples} samples in "
+                    "gaps of others interpolated"
                 )
-            attrs = materials.attrs
-            click.echo(f"mirrored light {attrs['mirror_reflection']}, {attrs['mirror_reflection_source']}")
-            click.echo(f"how to add them: {out / 'README.txt'}")
+            mirrored = "mirrored light {mirror_reflection}, {mirror_reflection_source}"
+            click.echo(f"{mirrored.format(**materials.attrs)}\nhow to add them: {out / 'README.txt'}")
             return
         path = hp.write_library(
             paints, out, format=form, curves=curves, overwrite=overwrite, progress=progress

@@ -116,8 +116,7 @@ class BoresightSolution:
 
     def value(self, name: str) -> float:
         """Return one parameter: roll, pitch, heading [degree], height [m] or clock [s]."""
-        values = (*self.boresight, self.height_offset_m, self.clock_offset_s)
-        return values[PARAMETERS.index(name)]
+        return (*self.boresight, self.height_offset_m, self.clock_offset_s)[PARAMETERS.index(name)]
 
     def table(self) -> str:
         """Return the solution as text."""

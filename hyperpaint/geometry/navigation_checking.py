@@ -29,7 +29,7 @@ from hyperpaint.base.constants import (
     WGS84_ECCENTRICITY_SQUARED,
     WGS84_SEMI_MAJOR_AXIS_M,
 )
-from hyperpaint.base.errors import SchemaError, TimeError, UnitsError
+from hyperpaint.base.errors import MissingExtraError, SchemaError, TimeError, UnitsError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -333,14 +333,16 @@ def navigation_findings(lines: Mapping[str, xr.Dataset]) -> list[tuple[str, Find
     line, zero = lines[name], (0.0, 0.0, 0.0)
     selected = _middle_lines(line)
     findings: list[tuple[str, Finding]] = []
-    with contextlib.suppress(SchemaError, TimeError, UnitsError):
+    # pyproj is needed for headings from north of a map
+    impossible = SchemaError, TimeError, UnitsError, MissingExtraError
+    with contextlib.suppress(*impossible):
         setting = _setting(
             line, None, convention=None, camera=None, ground=line.attrs.get("ground", np.nan), image=None,
             boresight=line.attrs.get("boresight", zero), lever_arm=line.attrs.get("lever_arm", zero),
             lines=selected, crs=None,
         )  # fmt: skip
         findings += [(name, finding) for finding in _findings(setting) if finding.verdict == "wrong"]
-    with contextlib.suppress(SchemaError, TimeError, UnitsError):
+    with contextlib.suppress(*impossible):
         offset = estimate_clock_offset(line, irradiance=line, lines=selected)
         if abs(offset.offset_s) > max(RULES.clock_sd * offset.uncertainty_s, RULES.max_light_lag_s):
             likely = f"{offset.offset_s:+.2f} s"
@@ -1357,6 +1359,8 @@ def _light_offset(
     _refuse_first((samples.size < 4, f"the record has {samples.size} spectra", "record-too-short"))
     # the times of lines in order, and the log change of the light from each line to the next
     is_valid = np.isfinite(seconds) & (np.abs(seconds) < 1e9)
+    elsewhere = "the irradiance record does not cover the line, whatever the offset; look at dates and zones"
+    _refuse_first((is_valid.sum() < 2, elsewhere, "record-elsewhere"))
     order = np.flatnonzero(is_valid)[np.argsort(seconds[is_valid], kind="stable")]
     seconds, values = seconds[order], _picture(part, part_image)[order].astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -1378,7 +1382,6 @@ def _light_offset(
         if edges[0] >= stamps[0] and edges[-1] <= stamps[-1]:
             expected[k] = np.diff(np.interp(edges, stamps, level))
     covered = np.asarray(np.isfinite(expected).all(axis=1))
-    elsewhere = "the irradiance record does not cover the line, whatever the offset; look at dates and zones"
     _refuse_first((not covered.any(), elsewhere, "record-elsewhere"))
     swing = float(np.ptp(np.cumsum(expected[covered], axis=1), axis=1).max())
     least = RULES.min_light_change

@@ -26,7 +26,7 @@ _IRRADIANCE, _RADIANCE = "W m-2 nm-1", "W m-2 sr-1 nm-1"
 
 
 def sky_lines(path: str | Path) -> list[str]:
-    """Return the lines of a text file, at most `MAX_SKY_BYTES`; raises `FormatError`."""
+    # Return the lines of a text file, at most `MAX_SKY_BYTES`; raises `FormatError`.
     content = read_limited_text(Path(path), MAX_SKY_BYTES, "the output of a model of the atmosphere")
     return content.decode("utf-8", "replace").splitlines()
 
@@ -554,5 +554,4 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
         table.append([micron, *(values or ())])
     micrometres, direct, diffuse, environment = np.array(table, np.float64).reshape(-1, 4).T
     per_nm = 1e-3
-    direct_normal = per_nm * direct / cosine
-    return sky_dataset("6S", 1000.0 * micrometres, direct_normal, per_nm * (diffuse + environment))
+    return sky_dataset("6S", 1000.0 * micrometres, per_nm * direct / cosine, per_nm * (diffuse + environment))

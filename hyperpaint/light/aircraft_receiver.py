@@ -7,8 +7,7 @@ fraction is derived a second time from the corrected record.
 
 from __future__ import annotations
 
-import warnings
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -17,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.schema import IRRADIANCE_TIME
 from hyperpaint.base.units import convert, takes_quantities
 
-from .diffuse_record import SKY_STATES, diffuse_from_record
+from .diffuse_record import SKY_STATES, split_of_arrays
 from .sky_functions import sunward_gain
 from .sun import diffuse_fraction, solar_position
 from .synchrony import channels_of, check_irradiance_times
@@ -202,23 +201,15 @@ def level_irradiance(
             code="attitude-missing",
         )
     if not usable.all():
-        warnings.warn(
-            PaintWarning(
-                f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become "
-                "NaN",
-                code="attitude-missing",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN",
+            "attitude-missing",
         )
     is_low = sensor.zenith > MAX_ZENITH_DEG
     if is_low[usable].any():
-        warnings.warn(
-            PaintWarning(
-                "the light sensor's attitude is not corrected with the sun beyond "
-                f"{MAX_ZENITH_DEG:g} degrees",
-                code="sun-low",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"the light sensor's attitude is not corrected with the sun beyond {MAX_ZENITH_DEG:g} degrees",
+            "sun-low",
         )
     spectra = np.where(usable[:, None], record.values.astype(np.float64), np.nan)
     factor = np.ones(spectra.shape)
@@ -272,12 +263,9 @@ def _factor(
             by_lean[inside] += linear + quadratic * sensor.lean[inside][:, None]
         factor = sensor.factor(diffuse, by_lean)
     if (state == _CONTRADICTORY).mean() > 0.5:
-        warnings.warn(
-            PaintWarning(
-                "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
-                code="sky-unknown",
-            ),
-            stacklevel=3,
+        warn_user(
+            "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
+            "sky-unknown",
         )
     return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
 
@@ -318,16 +306,8 @@ def _split(
     spectra: Floats, stamps: Array, channels: Floats, place: tuple[float, float]
 ) -> tuple[Floats, Array]:
     # Return the diffuse fraction (sample, channel) and the number of the sky state (sample,).
-    wavelength = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
-    record = xr.DataArray(
-        spectra,
-        {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: wavelength},
-        (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH),
-    )
-    dataset = schema.label(record, "irradiance").to_dataset()
-    split = diffuse_from_record(dataset, *place, wavelength=_NODES_NM)
-    rows = split["diffuse_fraction"].values.astype(np.float64)
-    return np.stack([np.interp(channels, _NODES_NM, row) for row in rows]), split["sky_state"].values
+    rows, state = split_of_arrays(spectra, stamps, channels, place, _NODES_NM)
+    return np.stack([np.interp(channels, _NODES_NM, row) for row in rows]), state
 
 
 def _sensor(
@@ -351,7 +331,21 @@ def _sensor(
         )
     if not 0.0 <= ground <= 1.0:
         problems.add(f"ground_reflectance={ground!r}", expected="0 to 1", code="value-out-of-range")
-    response = _response(cosine_response, problems)
+    # incidence [degree] and response relative to the cosine law [1]
+    response = np.array([0.0, 90.0]), np.ones(2)
+    if cosine_response is not None and "incidence" not in getattr(cosine_response, "coords", ()):
+        problems.add("cosine_response has no coordinate 'incidence' [degree]", code="coordinate-missing")
+    elif cosine_response is not None:
+        incidence, values = response = (
+            np.asarray(cosine_response["incidence"].values, np.float64),
+            np.asarray(cosine_response.values, np.float64),
+        )
+        if values.ndim != 1 or (np.diff(incidence) <= 0).any() or not ((values > 0.0) & (values < 2.0)).all():
+            problems.add(
+                "cosine_response is out of range, or its incidences do not increase",
+                expected="0 to 2, relative to the cosine law",
+                code="cosine-response-invalid",
+            )
     problems.raise_if_any()
     # angles in the canonical convention
     convention = Convention.from_attrs(attitude.attrs) or Convention()
@@ -387,22 +381,3 @@ def _sensor(
     latitude, longitude = (round(float(p[is_located].mean()), 2) if is_located.any() else 0.0 for p in places)
     zenith, azimuth = solar_position(stamps, latitude, longitude)
     return _Sensor(normal, zenith, azimuth, (latitude, longitude), response, ground)
-
-
-def _response(cosine_response: Any, problems: Problems) -> tuple[Floats, Floats]:
-    # Incidence [degree] and response relative to the cosine law [1]
-    if cosine_response is None:
-        return np.array([0.0, 90.0]), np.ones(2)
-    if not hasattr(cosine_response, "coords") or "incidence" not in cosine_response.coords:
-        problems.add("cosine_response has no coordinate 'incidence' [degree]", code="coordinate-missing")
-        return np.array([0.0, 90.0]), np.ones(2)
-    incidence, values = (
-        np.asarray(array.values, np.float64) for array in (cosine_response["incidence"], cosine_response)
-    )
-    if values.ndim != 1 or (np.diff(incidence) <= 0).any() or not ((values > 0.0) & (values < 2.0)).all():
-        problems.add(
-            "cosine_response is out of range, or its incidences do not increase",
-            expected="0 to 2, relative to the cosine law",
-            code="cosine-response-invalid",
-        )
-    return incidence, values

@@ -1,7 +1,7 @@
 """Diffuse fraction and state of the sky, from a record of irradiance alone.
 
-A record is compared with clear and cloudy skies that are possible at its place and time (`sky_states`): by
-level, colour, and changes over a minute. Called by `process`, which stores the split with each flight line,
+A record is compared with clear and cloudy skies that are possible at its place and time: by level,
+colour, and changes over a minute. Called by `process`, which stores the split with each flight line,
 and for flight lines that have a record only.
 """
 
@@ -94,7 +94,7 @@ def diffuse_from_record(
     Notes
     -----
     Bayes' rule over some 4600 skies drawn from a prior: air from SPECTRL2 with varied aerosol, ozone, ground
-    and pressure, and clouds over it, see `hyperpaint.light.sky_states`. A spectrum alone cannot distinguish a
+    and pressure, and clouds over it. A spectrum alone cannot distinguish a
     thin neutral cloud from a dirty receiver.
 
     Examples
@@ -154,6 +154,21 @@ def diffuse_from_record(
         },
     )
     return split.assign({name: labelled(split[name]) for name in SPLIT})
+
+
+def split_of_arrays(
+    spectra: Array, stamps: Array, channels: Array, place: tuple[float, float], wavelength: Floats
+) -> tuple[Floats, Array]:
+    """Return diffuse fraction (sample, band) and number of the sky state (sample,) of a record as arrays.
+
+    ``spectra`` (sample, channel) [W m-2 nm-1], ``channels`` and ``wavelength`` [nm]; see
+    `diffuse_from_record`.
+    """
+    axis = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
+    axes = {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: axis}
+    record = schema.label(xr.DataArray(spectra, axes, tuple(axes)), "irradiance")
+    split = diffuse_from_record(record.to_dataset(), *place, wavelength=wavelength)
+    return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
 
 
 def labelled(array: xr.DataArray) -> xr.DataArray:

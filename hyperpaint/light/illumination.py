@@ -17,7 +17,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -341,26 +341,20 @@ def _warn_of_bands(matching: Matching, channels: Floats, imager: Mapping[str, An
     wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
     sharp = np.flatnonzero(np.nanmax(np.nan_to_num(matching.noise_gain), axis=0) > MAX_NOISE_GAIN)
     if sharp.size:
-        warnings.warn(
-            PaintWarning(
-                f"{sharp.size} bands are sharper than the irradiance spectrometer resolves (noise gain "
-                f"above {MAX_NOISE_GAIN:g}, first at {wavelength[sharp[0]]:.1f} nm); their reflectance keeps "
-                "structure that is narrower than its width",
-                code="bands-too-sharp",
-            ),
-            stacklevel=3,
+        warn_user(
+            f"{sharp.size} bands are sharper than the irradiance spectrometer resolves (noise gain "
+            f"above {MAX_NOISE_GAIN:g}, first at {wavelength[sharp[0]]:.1f} nm); their reflectance keeps "
+            "structure that is narrower than its width",
+            "bands-too-sharp",
         )
     # all weights of a band outside the record are NaN
     outside = np.flatnonzero(np.isnan(matching.weights[..., 0]).any(axis=0))
     if outside.size:
-        warnings.warn(
-            PaintWarning(
-                f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} "
-                f"nm) lie outside the irradiance record ({channels.min():g} to {channels.max():g} nm) and "
-                "become NaN",
-                code="bands-outside-irradiance",
-            ),
-            stacklevel=3,
+        warn_user(
+            f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} "
+            f"nm) lie outside the irradiance record ({channels.min():g} to {channels.max():g} nm) and "
+            "become NaN",
+            "bands-outside-irradiance",
         )
 
 

@@ -10,7 +10,7 @@ zenith angle, the angle :math:`\Theta` from the sun, :math:`u = \ln(\mu + 0.05)`
 
 Coefficients and shares are fits to a plane-parallel Monte Carlo of molecules and aerosol (Henyey-Greenstein,
 asymmetry 0.65, exponent 1.14, single-scattering albedo 0.94) over ground of 0.15, at ten suns, four aerosols
-and six wavelengths (``tests/campaigns/sky_table.py``); linear between them, constant beyond. No clouds, no
+and six wavelengths (``tests/campaigns/sky_table.py``); linear between them, constant beyond. No clouds.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ Reflectance and a paint library come in, detections go out. For pictures, the ac
 
 from __future__ import annotations
 
-import warnings
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import (
@@ -71,13 +71,11 @@ def projection(
     mean, covariance : (band,), (band, band)
         Statistics of the background; None for the spectral angle, which does not use them.
     """
-    bands = paints.shape[1]
-    offset = np.zeros(bands) if mean is None else mean
+    offset = np.zeros(paints.shape[1]) if mean is None else mean
     # with covariance = L L', z = L^-1 (x - mean) has unit covariance
-    whitening = np.eye(bands)
+    matrix = whitening = np.eye(paints.shape[1])
     if covariance is not None:
-        whitening = solve_triangular(np.linalg.cholesky(covariance), whitening, lower=True).T
-    matrix = whitening
+        matrix = whitening = solve_triangular(np.linalg.cholesky(covariance), whitening, lower=True).T
     if sky is not None:
         direction = sky @ whitening
         direction /= np.linalg.norm(direction)
@@ -112,8 +110,7 @@ def distances(spectra: Floats, paints: Floats, sky: Floats | None) -> tuple[Arra
     if sky is not None:
         # products of the components orthogonal to the sky
         unit = sky / np.linalg.norm(sky)
-        paint_sky = paints @ unit
-        spectrum_sky = spectra @ unit
+        paint_sky, spectrum_sky = paints @ unit, spectra @ unit
         product = product - np.outer(spectrum_sky, paint_sky)
         square, paint_square = square - spectrum_sky**2, paint_square - paint_sky**2
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -190,15 +187,10 @@ def block_background(cube: Array, mask: Bools, bands: Ints, number: int, size: i
 
 def joined_backgrounds(backgrounds: Sequence[Background]) -> Background:
     """Return the background of several groups of blocks, summed in their order."""
-    first = backgrounds[0]
-    pixels, total, products = 0, np.zeros_like(first.total), np.zeros_like(first.products)
-    for background in backgrounds:
-        pixels += background.pixels
-        total += background.total
-        products += background.products
-    samples = zip(*(background[3:] for background in backgrounds), strict=True)
-    sample, block = (np.concatenate(arrays) for arrays in samples)
-    return Background(pixels, total, products, sample, block)
+    pixels, total, products, *samples = zip(*backgrounds, strict=True)
+    # sums from 0.0 on, in order: the same bits in any grouping of blocks
+    sums = (functools.reduce(np.add, arrays, np.zeros_like(arrays[0])) for arrays in (total, products))
+    return Background(sum(pixels), *sums, *(np.concatenate(arrays) for arrays in samples))
 
 
 class Detector(NamedTuple):
@@ -219,8 +211,7 @@ class Detector(NamedTuple):
 
 def _is_near(distance: Array, level: Array, limit: Floats) -> Bools:
     # Whether each paint explains spectra (spectrum, signature)
-    in_range = (level >= DETECTION.min_level) & (level <= DETECTION.max_level)
-    return np.asarray((distance <= limit) & in_range)
+    return np.asarray((distance <= limit) & ((level >= DETECTION.min_level) & (level <= DETECTION.max_level)))
 
 
 def make_detector(
@@ -275,12 +266,11 @@ def make_detector(
         ) from error
     other_distances = distances(other_paints, paints, sky)
     limit = _distance_limits(other_distances, unknown_rate)
+    exclusion_limit = np.full(len(paints), -1.0)
     if has_targets and unknown_rate < 1.0:
         # pixels that a paint explains may show this paint: exclude them from the background
         exclusion_rate = min(DETECTION.target_rate_ratio * unknown_rate, 0.5)
         exclusion_limit = _distance_limits(other_distances, exclusion_rate)
-    else:
-        exclusion_limit = np.full(len(paints), -1.0)
     sample = background.sample
     is_background, values = np.ones(len(sample), bool), np.empty((len(sample), len(paints)))
     for start in range(0, len(values), PIXELS_AT_ONCE):
@@ -290,15 +280,12 @@ def make_detector(
         values[batch] = scores(spectra, project, method)
     explained = 1.0 - float(is_background.sum() / max(1, is_background.size))
     if explained > DETECTION.explained_ratio * rate:
-        warnings.warn(
-            PaintWarning(
-                f"{100.0 * explained:.2g} % of the pixels resemble the paints and were excluded from the "
-                f"background: false_alarm_rate={rate:g} holds for the other pixels only; if some "
-                "of these pixels show other objects, pass background= (--background) with similar pixels "
-                "that show no paint of the library",
-                code="background-resembles-paints",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"{100.0 * explained:.2g} % of the pixels resemble the paints and were excluded from the "
+            f"background: false_alarm_rate={rate:g} holds for the other pixels only; if some "
+            "of these pixels show other objects, pass background= (--background) with similar pixels "
+            "that show no paint of the library",
+            "background-resembles-paints",
         )
     values = values[is_background]
     threshold = _score_thresholds(values, rate)
@@ -324,10 +311,8 @@ def _joint_rank(ranks: Ints, allowed: float) -> int:
     # minP), so that the rate holds for all paints together.
     best = np.sort(ranks.min(axis=1))
     count = int(np.floor(allowed + 1e-9))
-    if count >= best.size:
-        return int(best[-1])
     # all rows with the rank at the limit are excluded
-    return int(best[count]) - 1
+    return int(best[-1]) if count >= best.size else int(best[count]) - 1
 
 
 def _ranks(values: Floats) -> Ints:
@@ -340,18 +325,17 @@ def _ranks(values: Floats) -> Ints:
 
 def _score_thresholds(values: Floats, rate: float) -> Floats:
     # Score thresholds (signature,) such that a share `rate` of the background exceeds that of any paint
-    allowed = rate * (len(values) + 1)
-    if allowed < max(DETECTION.min_alarms, values.shape[1] + 1):
-        min_pixels = int(np.ceil(max(DETECTION.min_alarms, values.shape[1] + 1) / rate))
+    allowed, min_alarms = rate * (len(values) + 1), max(DETECTION.min_alarms, values.shape[1] + 1)
+    if allowed < min_alarms:
         raise SchemaError(
             f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} background pixels",
-            expected=f"at least {min_pixels} pixels",
+            expected=f"at least {int(np.ceil(min_alarms / rate))} pixels",
             mend="pass a higher rate, search a longer line or search for fewer paints",
             option="give a higher --false-alarm-rate",
             code="false-alarm-rate-too-low",
         )
-    rank = _joint_rank(_ranks(-values), allowed)
-    return np.asarray(-np.sort(-values, axis=0)[max(rank, 1) - 1])
+    rank = max(_joint_rank(_ranks(-values), allowed), 1)
+    return np.asarray(-np.sort(-values, axis=0)[rank - 1])
 
 
 def _distance_limits(other_distances: tuple[Array, Array], rate: float) -> Floats:
@@ -371,11 +355,8 @@ def _distance_limits(other_distances: tuple[Array, Array], rate: float) -> Float
     limit = np.zeros(distance.shape[1])
     if separable.any():
         ranks = _ranks(distance[:, separable])
-        rank = _joint_rank(ranks, allowed)
-        nearest = int((ranks.min(axis=1) == 1).sum())
-        limit[separable] = (
-            ordered[rank - 1, separable] if rank else ordered[0, separable] * (allowed / nearest)
-        )
+        rank, nearest = _joint_rank(ranks, allowed), int((ranks.min(axis=1) == 1).sum())
+        limit[separable] = ordered[max(rank, 1) - 1, separable] * (1.0 if rank else allowed / nearest)
     return limit
 
 
@@ -663,20 +644,16 @@ def _lazy_detector(
 ) -> Any:
     # Delayed detector: sums over blocks in their order, then thresholds
     blocks, masks = cube.to_delayed().ravel(), is_background.to_delayed().ravel()
-    pixels = max(1, cube.shape[0] * cube.shape[2])
-    share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * pixels))
+    share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * max(1, cube.shape[0] * cube.shape[2])))
     size = int(np.ceil(share * CHUNK_LINES * cube.shape[2]))
-    background = dask.delayed(block_background, pure=True)
+    background, join = (dask.delayed(task, pure=True) for task in (block_background, joined_backgrounds))
     backgrounds = [
         background(*block_and_mask, bands, number, size)
         for number, block_and_mask in enumerate(zip(blocks, masks, strict=True))
     ]
-    join = dask.delayed(joined_backgrounds, pure=True)
     while len(backgrounds) > 1:
-        backgrounds = [
-            join(backgrounds[start : start + BACKGROUNDS_PER_TASK])
-            for start in range(0, len(backgrounds), BACKGROUNDS_PER_TASK)
-        ]
+        starts = range(0, len(backgrounds), BACKGROUNDS_PER_TASK)
+        backgrounds = [join(backgrounds[start : start + BACKGROUNDS_PER_TASK]) for start in starts]
     if isinstance(sky, str) and sky == "auto":
         small = [name for name in line.variables if not {ALONG_TRACK, CROSS_TRACK} <= set(line[name].dims)]
         sky = dask.delayed(_mirrored_sky)(line[small], bands)
@@ -702,15 +679,13 @@ def _after(predecessor: Any, array: Any) -> Any:
     """
     graph = convert_legacy_graph(dict(array.dask))
     keys = {key: ("again-" + key[0], *key[1:]) if isinstance(key, tuple) else f"again-{key}" for key in graph}
-    copy = {}
+    copy, first = {}, TaskRef(predecessor.key)
     for key, task in graph.items():
         new_key = keys[key]
         if isinstance(task, DataNode):
-            copy[new_key] = Task(new_key, _value_after, TaskRef(predecessor.key), task.value)
+            copy[new_key] = Task(new_key, _value_after, first, task.value)
         elif isinstance(task, Task) and not task.dependencies:
-            copy[new_key] = Task(
-                new_key, _call_after, TaskRef(predecessor.key), task.func, *task.args, **task.kwargs
-            )
+            copy[new_key] = Task(new_key, _call_after, first, task.func, *task.args, **task.kwargs)
         else:
             copy[new_key] = task.substitute(keys, key=new_key)
     name = f"again-{array.name}"

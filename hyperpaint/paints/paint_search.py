@@ -110,8 +110,8 @@ def search_library(
     if name is not None and not name.strip():
         problems.add("name= is empty", expected="part of a name", code="empty-input")
     problems.raise_if_any()
-    names = [SIGNATURE, "reflectance", "wavelength"]
-    variables = schema.require(library, names, "a search", LIBRARY_VARIABLES)
+    required = [SIGNATURE, "reflectance", "wavelength"]
+    variables = schema.require(library, required, "a search", LIBRARY_VARIABLES)
     is_match = np.ones(library.sizes[SIGNATURE], np.bool_)
     if name is not None:
         is_match &= [_matches_name(str(paint_name), name) for paint_name in variables[SIGNATURE].values]
@@ -148,12 +148,11 @@ def _matches_name(name: str, query: str) -> bool:
 def _spellings(text: str) -> tuple[str, str]:
     # Text in lower case without accents: umlauts as one letter ("grun"), and transcribed ("gruen")
     folded = unicodedata.normalize("NFC", text).casefold()
-    return _without_accents(folded), _without_accents(folded.translate(_UMLAUTS))
-
-
-def _without_accents(text: str) -> str:
-    decomposed = unicodedata.normalize("NFKD", text)
-    return "".join(sign for sign in decomposed if not unicodedata.combining(sign))
+    plain, transcribed = (
+        "".join(sign for sign in unicodedata.normalize("NFKD", form) if not unicodedata.combining(sign))
+        for form in (folded, folded.translate(_UMLAUTS))
+    )
+    return plain, transcribed
 
 
 # --- colours -----------------------------------------------------------------------------------------------
@@ -254,6 +253,7 @@ def interpolated(nm: Floats, wavelength: Floats, values: Floats) -> Floats:
     # detectors differ in their steps: a gap is wide compared with the smaller of the two adjacent steps
     median_step = np.median(np.diff(wavelength[np.isfinite(wavelength)]))
     steps = np.diff(samples)
+    # steps before the first and after the last sample are infinite
     padded = np.pad(steps, 1, constant_values=np.inf)
     adjacent = np.minimum(padded[:-2], padded[2:])
     adjacent = np.maximum(np.where(np.isfinite(adjacent), adjacent, 0.0), median_step)

@@ -23,8 +23,14 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import takes_quantities
 
 from .colours import paint_colours, srgb_hex
-from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
-from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
+from .mixing.synthetic_paints import (
+    SPECULAR,
+    Interface,
+    absorption_to_scattering,
+    synthetic_library,
+    text_column,
+    thick_layer_reflectance,
+)
 
 #: First and last wavelength [nm], and number of bands of a pushbroom camera for the visible and near
 #: infrared.
@@ -113,12 +119,8 @@ def starter_library(
         SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
     }
     if members:
-        values["member_reflectance"] = np.stack(
-            [
-                _variants(spec, nm, members, np.random.default_rng([seed, number]))
-                for number, spec in enumerate(specs)
-            ]
-        )
+        variants = [_variants(spec, nm, members, [seed, number]) for number, spec in enumerate(specs)]
+        values["member_reflectance"] = np.stack(variants)
     bands = xr.Dataset(
         {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
         {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},
@@ -129,15 +131,14 @@ def starter_library(
     paints = synthetic_library(bands, names, values, parents, "Kubelka-Munk from parametric K/S", seed=seed)
     paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
     swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
-    columns = {
-        "finish": ("Finish", [spec["finish"] for spec in specs]),
-        "colour": ("Colour in words", [spec["colour"] for spec in specs]),
-        "srgb": ("sRGB of the body in daylight", swatches),
-        "family": ("Family of pigments", [spec["family"] for spec in specs]),
-    }
     texts = {
-        name: (SIGNATURE, text_column(column), {"long_name": meaning})
-        for name, (meaning, column) in columns.items()
+        name: (SIGNATURE, text_column(swatches if name == "srgb" else [spec[name] for spec in specs]), attrs)
+        for name, attrs in (
+            ("finish", {"long_name": "Finish"}),
+            ("colour", {"long_name": "Colour in words"}),
+            ("srgb", {"long_name": "sRGB of the body in daylight"}),
+            ("family", {"long_name": "Family of pigments"}),
+        )
     }
     roughness = np.array([spec["roughness"] for spec in specs])
     attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
@@ -146,8 +147,9 @@ def starter_library(
 
 @functools.cache
 def _specs() -> list[dict[str, Any]]:
-    text = resources.files(__package__).joinpath("starter_paints.json").read_text(encoding="utf-8")
-    specs: list[dict[str, Any]] = json.loads(text)
+    specs: list[dict[str, Any]] = json.loads(
+        resources.files(__package__).joinpath("starter_paints.json").read_text(encoding="utf-8")
+    )
     return specs
 
 
@@ -182,14 +184,14 @@ def _specular(spec: dict[str, Any], nm: Floats) -> Floats:
     return np.asarray(_MIRROR + (1.0 - _MIRROR) ** 2 * spec["flakes"] * np.clip(metal, 0.0, 1.0))
 
 
-def _variants(spec: dict[str, Any], nm: Floats, count: int, rng: np.random.Generator) -> Floats32:
+def _variants(spec: dict[str, Any], nm: Floats, count: int, seed: list[int]) -> Floats32:
     # Variants of a paint (member, band) with other pigment, wavelengths and light
-    interface = Interface()
-    pigments = np.exp(_PIGMENT_SD * rng.standard_normal(count))
-    shifts = _WAVELENGTH_SD_NM * rng.standard_normal(count)
-    lights = np.exp(_LIGHT_SD * rng.standard_normal(count))
+    interface, draws = Interface(), np.random.default_rng(seed).standard_normal((3, count))
+    pigments, shifts, lights = np.exp(_PIGMENT_SD * draws[0]), draws[1], np.exp(_LIGHT_SD * draws[2])
     variants = np.empty((count, nm.size), np.float32)
-    for row, pigment, shift, light in zip(variants, pigments, shifts, lights, strict=True):
+    for row, pigment, shift, light in zip(
+        variants, pigments, _WAVELENGTH_SD_NM * shifts, lights, strict=True
+    ):
         layer = np.clip(interface.layer(_reflectance(spec, nm - shift)), 1e-4, 1.0)
         varied_layer = thick_layer_reflectance(pigment * absorption_to_scattering(layer))
         row[:] = np.clip(light * interface.outside(varied_layer) * (1.0 - spec["flakes"]), 0.0, 1.0)

@@ -1,17 +1,13 @@
 from .exploring import explore as explore
 from .plot import (
+    adjacency_figure as adjacency_figure,
+    flag_overlay as flag_overlay,
     quicklook as quicklook,
     rgb as rgb,
-)
-from .plot_calibration import calibration_report as calibration_report
-from .plot_chain import (
     straightening as straightening,
     triptych as triptych,
 )
-from .plot_flags import (
-    adjacency_figure as adjacency_figure,
-    flag_overlay as flag_overlay,
-)
+from .plot_calibration import calibration_report as calibration_report
 from .plot_paints import (
     chips_and_renders as chips_and_renders,
     detection_curve as detection_curve,

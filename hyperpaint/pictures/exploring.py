@@ -1,30 +1,1188 @@
-"""Exploring a flight line in a notebook, or a store in a browser (extra ``interactive``)."""
+"""Exploring a flight line in a notebook, or a store in a browser (extra ``interactive``).
+
+`Explored` is the state, without widgets: pictures, spectra, flags, regions and similar paints; `Explorer` is
+the widget.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import hashlib
 import html
 import os
 import secrets
 import signal
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from types import SimpleNamespace
+from typing import Any, Literal, NamedTuple, TypeVar
 from urllib.parse import quote
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import StoreError, needs_extra
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.errors import PaintError, SchemaError, StoreError, needs_extra
 from hyperpaint.base.facts import documented
+from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.base.old_names import renamed
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, rename_to_roles
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.paints.colours import encode_srgb, srgb_weights
+from hyperpaint.paints.paint_search import search_library
+from hyperpaint.paints.signatures.extraction import EXCLUDED
+from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
 from hyperpaint.paints.starter_paints import starter_library
+from hyperpaint.radiometry.coarse_lines import coarse
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.pixel_reading import pixels
+from hyperpaint.radiometry.spectral_axis import at, bands_at
+from hyperpaint.radiometry.uncertainty.averages import mean_uncertainty
+from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES
+from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
+from hyperpaint.regions.pixels_in_regions import contains, renumbered
 
-from .explorer import FULL_WIDTH, INK, Explorer
-from .explorer_state import Explored
+from .figures import map_dims, orientation_of
+from .plot import STRETCH, flag_label, linear_srgb, percent, reduced_lines, stored_picture, visible_bands
+from .plot_spectra import good_bands
+
+# Recipe of a picture: empty for true colour, else the wavelengths of one or three bands [nm]
+TRUE_COLOUR: tuple[float, ...] = ()
+INFRARED = (860.0, 650.0, 550.0)
+
+DETAIL_LINES = 1536  # maximum number of lines that a picture reads completely; more are subsampled
+_SPARSE_LINES = 48  # number of lines of a subsampled picture
+SPARSE_STEP = 64  # step [lines] from which `pixels` reads single chunks
+_VISIBLE_BANDS = 24  # bands read for a detailed true-colour picture: colour matching functions are smooth
+MAX_REGION_PIXELS = 20_000  # maximum number of pixels for a region's spectrum; larger regions are subsampled
+_MAX_UNCERTAINTY_PIXELS = 4096  # maximum size of a region whose uncertainty is computed on a click
+_FLAG_OPACITY = 170  # of 255
+
+
+T = TypeVar("T")
+Place = tuple[int, int] | Region  # position of a pixel along and across the track, or a region
+Lines = tuple[int, int, int]  # first, end and step, as of a slice
+
+
+class Picture(NamedTuple):
+    # Picture of lines ``first`` to ``last - 1``, flown to the right
+    rgba: npt.NDArray[np.uint32]  #: (column, line)
+    first: int
+    last: int
+    text: str  #: Subsampling of the picture; empty if every line is shown
+
+
+class Spectrum(NamedTuple):
+    """Reflectance of a pixel, or the median over the pixels of a region."""
+
+    wavelength: Floats  #: (band,) [nm]: for a pixel the wavelengths of its column
+    reflectance: Array  #: (band,) [1]: NaN in bad bands
+    spread: Floats | None  #: (2, band): 5 and 95 % of a region's pixels
+    text: str  #: Place or number of pixels, and their flags
+
+
+class NearPaint(NamedTuple):
+    # A paint of the library that is similar to a spectrum
+    name: str
+    angle: float  #: Spectral angle [degree]
+    factor: float  #: Scales the paint to the brightness of the spectrum
+    wavelength: Floats
+    reflectance: Floats  #: Multiplied by the factor
+
+
+class Explored:
+    # An opened flight line and the regions drawn on it, in positions on the picture.
+    # Takes the arguments of `hyperpaint.pictures.explore`. ``drawn`` holds the regions of this line in
+    # positions on the picture; ``others`` the regions of other flight lines, which are saved with them.
+    def __init__(
+        self,
+        line: xr.Dataset,
+        regions: Any = None,
+        *,
+        library: xr.Dataset | None = None,
+        flightline: str = "",
+        exclude: Quality | int | None = None,
+    ) -> None:
+        # positions on the picture count from 0; regions of the user have the line and column numbers of the
+        # line
+        self._numbered = rename_to_roles(line)
+        if map_dims(self._numbered):
+            raise SchemaError(
+                "this is a map", expected="a flight line", mend="explore the flight line", code="line-is-map"
+            )
+        if not {"counts", "radiance", "reflectance"} & set(self._numbered.variables):
+            schema.require(self._numbered, ["reflectance"], "an explorer")
+        self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
+        self.shape = self.line.sizes[ALONG_TRACK], self.line.sizes[CROSS_TRACK]
+        self.orientation = orientation_of(self._numbered)
+        variable = schema.require(self.line, ["wavelength"], "an explorer")["wavelength"]
+        self.wavelength = np.asarray(variable.values, np.float64)
+        self.library = library
+        self.flightline = flightline
+        self._excluded = int(EXCLUDED if exclude is None else exclude)
+        # checksums of region files, taken before the regions are read: changes by other programs are kept
+        self._digests: dict[str, str] = {}
+        if isinstance(regions, str | os.PathLike) and is_plain_file(regions):
+            with contextlib.suppress(OSError):  # reading the regions reports an unreadable file
+                self._digests[os.path.realpath(regions)] = _digest(Path(regions))
+        line_regions, self.others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
+        self.drawn = renumbered(line_regions, self._numbered, back=True)
+        self._saved_digest = self._all_regions.digest
+        self._linear = functools.lru_cache(6)(self._read_linear)
+        self._spectra: dict[Any, Spectrum] = {}
+        self._uncertainties: dict[Any, tuple[Floats, str]] = {}
+
+    @property
+    def regions(self) -> Regions:
+        """Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels."""
+        return renumbered(self.drawn, self._numbered)
+
+    @property
+    def _all_regions(self) -> Regions:
+        return Regions((*self.regions, *self.others)) if self.others else self.regions
+
+    @property
+    def is_saved(self) -> bool:
+        # Whether the regions are unchanged since they were read or last saved
+        return self._all_regions.digest == self._saved_digest
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the regions of this and of other lines as GeoJSON; see `hyperpaint.write_regions`."""
+        file = write_regions(self._all_regions, path, overwrite=overwrite)
+        self._digests[os.path.realpath(file)] = _digest(file)
+        self._saved_digest = self._all_regions.digest
+        return file
+
+    def save_again(self, path: Path) -> Path:
+        # Save to a new file, or replace a file; `StoreError` if another program has changed it
+        is_old = is_plain_file(path)
+        digest = self._digests.get(os.path.realpath(path))
+        if is_old and digest != _digest(path):
+            raise StoreError(
+                f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
+                "so regions are not saved to it",
+                mend="move it away or choose another file, and save again",
+                option="move it away and save again, or begin anew with --regions and another file",
+                code="file-changed",
+            )
+        return self.save(path, overwrite=is_old)
+
+    # --- regions -------------------------------------------------------------------------------------------
+
+    def add(self, along: Sequence[float], across: Sequence[float]) -> str | None:
+        # Add a region with these corners; return its name, or None if the corners enclose no area
+        corners = corners_at(along, across, self.shape)
+        if corners is None:
+            return None
+        number = 1
+        while (name := f"region {number}") in self._all_regions.names:
+            number += 1
+        self.drawn = Regions((*self.drawn, Region(name, corners, flightline=self.flightline)))
+        return name
+
+    def move(self, name: str, along: Sequence[float], across: Sequence[float]) -> bool:
+        # Move the corners of a region; return False if the new corners enclose no area
+        corners = corners_at(along, across, self.shape)
+        if corners is not None:
+            self._replace(name, polygon=corners)
+        return corners is not None
+
+    def rename(self, name: str, new: str) -> str | None:
+        # Rename a region; return the problem if that fails, else None
+        regions = self.drawn
+        try:
+            self._replace(name, name=new.strip())
+            _ = self._all_regions  # raises if a region of another line has this name
+        except PaintError as error:
+            self.drawn = regions
+            return str(error)
+        return None
+
+    def drop(self, name: str) -> None:
+        # Remove a region
+        self.drawn = Regions(tuple(region for region in self.drawn if region.name != name))
+
+    def _replace(self, old_name: str, **changes: Any) -> None:
+        self.drawn = Regions(
+            tuple(replace(region, **changes) if region.name == old_name else region for region in self.drawn)
+        )
+
+    # --- spectra -------------------------------------------------------------------------------------------
+
+    def spectrum_of(self, place: Place) -> Spectrum | str:
+        # Return the spectrum of a pixel or the median spectrum of a region, or a message with the problem.
+        # The spectrum of a pixel equals ``line.paint.pixels(along, across)`` bit for bit. Flagged pixels of a
+        # region are excluded as in signatures.
+        return _cached(self._spectra, self._spectrum, place)
+
+    def uncertainty_of(self, place: Place) -> tuple[Floats, str] | str:
+        # Return the standard uncertainty of a pixel or of a region's mean (band,) [1], and a text with its
+        # median over the bands and missing parts; or a message with the problem.
+        return _cached(self._uncertainties, self._uncertainty, place)
+
+    def _spectrum(self, place: Place) -> Spectrum:
+        if isinstance(place, Region):
+            along, across, step = self._region_pixels(place)
+            lines = slice(int(along.min()), int(along.max()) + 1, step)
+            window = pixels(self.line, lines, slice(int(across.min()), int(across.max()) + 1))
+            indices = (along - lines.start) // step, across - int(across.min())
+            values = window["reflectance"].transpose(ALONG_TRACK, CROSS_TRACK, BAND).values[indices]
+            flags = (
+                window["quality"].values[indices] if "quality" in window else np.zeros(along.size, np.uint16)
+            )
+            is_used = (flags & excluded_of(place, self._excluded)) == 0
+            shares = schema.flag_shares(flags)
+            flag_texts = [f"{flag_label(flag)} {percent(share)}" for flag, share in shares.items()]
+            if not is_used.any():
+                raise SchemaError(
+                    f"{place.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
+                    code="region-empty",
+                )
+            quantiles = summarise(values[is_used], "median")["reflectance_quantiles"]
+            quantiles[:, ~good_bands(self.line)] = np.nan
+            subsampling = f" (every {step}. line)" if step > 1 else ""
+            text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: "
+            text += _flag_text(flag_texts)
+            return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
+        row, column = place
+        pixel = pixels(self.line, row, column)
+        shift = pixel["wavelength_shift"].values if "wavelength_shift" in pixel.coords else 0.0
+        values = np.where(good_bands(self.line), pixel["reflectance"].values, np.float32(np.nan))
+        rows, columns = (schema.numbers_of(self._numbered, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
+        text = f"line {rows[row]:g}, column {columns[column]:g}"
+        if "quality" in pixel:
+            text += f": {_flag_text(schema.flag_names(int(pixel['quality'])))}"
+        return Spectrum(self.wavelength + shift, values, None, text)
+
+    def _region_pixels(self, region: Region) -> tuple[Array, Array, int]:
+        # pixels along and across the track, in every ``step``-th line of a large region
+        along, across = pixels_of(Regions((Region(region.name, region.polygon),)), self.line)[0]
+        if not along.size:
+            raise SchemaError(
+                f"{region.name} contains no pixel centre", mend="draw it larger", code="region-empty"
+            )
+        step = -(-along.size // MAX_REGION_PIXELS)
+        is_read = (along - along.min()) % step == 0
+        return along[is_read], across[is_read], step
+
+    def _uncertainty(self, place: Place) -> tuple[Floats, str]:
+        if isinstance(place, Region):
+            along, across, step = self._region_pixels(place)
+        else:
+            along, across, step = *np.array(place).reshape(2, 1), 1
+        if along.size > _MAX_UNCERTAINTY_PIXELS or step > 1:
+            raise SchemaError(
+                f"{along.size} pixels",
+                expected=f"at most {_MAX_UNCERTAINTY_PIXELS}",
+                mend="see line.paint.signatures",
+                code="region-too-large",
+            )
+        lines, columns = (slice(int(place.min()), int(place.max()) + 1) for place in (along, across))
+        window = reflectance(self.line.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}), uncertainty=True)
+        # computed together, because separate computations would read the same counts again
+        names = {"reflectance", *UNCERTAINTIES, "quality"} & set(window.data_vars)
+        window = window.assign(dict(window[list(names)].compute().data_vars))
+        in_region = np.zeros((window.sizes[ALONG_TRACK], window.sizes[CROSS_TRACK]), bool)
+        in_region[along - lines.start, across - columns.start] = True
+        if isinstance(place, Region) and "quality" in window.variables:
+            in_region &= (window["quality"].values & excluded_of(place, self._excluded)) == 0
+        is_used = window["reflectance"].isel({BAND: 0}, drop=True).copy(data=in_region)
+        mean = mean_uncertainty(window.assign(reflectance=window["reflectance"].where(is_used)))
+        random, systematic = (mean[name].values for name in ("u_random", "u_systematic"))
+        has_systematic = bool(np.isfinite(systematic).any())
+        # without systematic errors, the random errors are shown
+        u = np.hypot(random, np.nan_to_num(systematic)) if has_systematic else random
+        subject = "a pixel" if along.size == 1 else "the mean"
+        text = f"± {np.nanmedian(u):.1g} [1], k = 1, of {subject} in the median band"
+        return u, text + ("" if has_systematic else "; systematic errors are unknown")
+
+    # --- paints --------------------------------------------------------------------------------------------
+
+    def near_paints(self, spectrum: Spectrum, count: int = 5) -> list[NearPaint]:
+        # Return the paints at the smallest spectral angles; none with fewer than five good bands
+        wavelength = (BAND, spectrum.wavelength, {"units": "nm"})
+        target = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": wavelength})
+        try:
+            matches = None if self.library is None else search_library(self.library, like=target, limit=count)
+        except PaintError:
+            matches = None
+        if matches is None:
+            return []
+        # resample the spectrum to the bands of the library
+        library_nm = np.asarray(matches["wavelength"].values, np.float64)
+        order = np.argsort(spectrum.wavelength, kind="stable")
+        nm, values = (np.asarray(values, np.float64)[order] for values in spectrum[:2])
+        is_finite = np.isfinite(nm) & np.isfinite(values)
+        resampled = np.interp(library_nm, nm[is_finite], values[is_finite], left=np.nan, right=np.nan)
+        near_paints = []
+        for number, angle in enumerate(matches["spectral_angle"].values.tolist()):
+            paint = matches["reflectance"].values[number].astype(np.float64)
+            is_common = np.isfinite(resampled) & np.isfinite(paint)
+            power = max(paint[is_common] @ paint[is_common], np.finfo(float).tiny)
+            factor = float((resampled[is_common] @ paint[is_common]) / power)
+            name = str(matches[schema.SIGNATURE].values[number])
+            if np.isfinite(angle):
+                near_paints.append(
+                    NearPaint(name, float(np.degrees(angle)), factor, library_nm, factor * paint)
+                )
+        return near_paints
+
+    # --- pictures ------------------------------------------------------------------------------------------
+
+    def picture(
+        self,
+        recipe: tuple[float, ...] = TRUE_COLOUR,
+        stretch: tuple[float, float] = STRETCH,
+        window: tuple[int, int] | None = None,
+    ) -> Picture:
+        # Return a picture of some lines, by default of all.
+        # Up to 1536 lines are read completely. Of more lines, the picture is the stored overview (true
+        # colour), else the stored means of blocks of pixels, else a subsample of lines. Black and white are
+        # percentiles (``stretch``) of brightness over the complete flight line; pixels without a value are
+        # transparent.
+        first, last = self._window(window)
+        is_sparse = last - first > DETAIL_LINES
+        if is_sparse and recipe == TRUE_COLOUR and stretch == STRETCH:
+            overview = stored_picture(self.line, None)
+            if overview is not None:
+                line_step = -(-self.shape[0] // overview.sizes[ALONG_TRACK])
+                rows = slice(first // line_step, -(-last // line_step))
+                colours = np.asarray(overview.isel({ALONG_TRACK: rows}).values)
+                edges = rows.start * line_step, min(rows.stop * line_step, self.shape[0])
+                return Picture(_rgba(colours), *edges, f"overview, every {line_step}. line")
+        if is_sparse and self._means is not None:
+            side = int(self._means["reflectance"].attrs["block_side"])
+            rows = slice(first // side, -(-last // side))
+            linear = np.repeat(self._linear(None, recipe)[rows], side, axis=1)[:, : self.shape[1]]
+            first, step, text = rows.start * side, side, f"means of {side} x {side} pixels"
+        else:
+            step = self._line_step(last - first)
+            linear = self._linear((first, last, step), recipe)
+            text = f"every {step}. line; zoom in for all" if is_sparse else ""
+        black, white = self._levels(recipe, stretch)
+        colours = encode_srgb(((linear - black) / np.maximum(white - black, 1e-6)).clip(0.0, 1.0))
+        last = first + step * len(linear)
+        return Picture(_rgba(colours, np.asarray(np.isfinite(linear).all(axis=-1))), first, last, text)
+
+    def _window(self, window: tuple[int, int] | None) -> tuple[int, int]:
+        first, last = (0, self.shape[0]) if window is None else window
+        first = min(max(0, first), self.shape[0] - 1)
+        return first, max(first + 1, min(last, self.shape[0]))
+
+    @staticmethod
+    def _line_step(lines: int) -> int:
+        return max(SPARSE_STEP, -(-lines // _SPARSE_LINES)) if lines > DETAIL_LINES else 1
+
+    @functools.cached_property
+    def _means(self) -> xr.Dataset | None:
+        # stored means of blocks of pixels; None if the store has no such means
+        if "coarse_reflectance" not in self.line.variables:
+            return None
+        means = coarse(self.line)
+        return means if means["reflectance"].attrs["level"] == "stored" else None
+
+    def _read_linear(self, lines: Lines | None, recipe: tuple[float, ...]) -> Array:
+        # linear sRGB (line, column, 3) of some lines, or with ``lines`` None of the stored means
+        if recipe != TRUE_COLOUR:
+            values = self._bands(lines, recipe)
+            return np.broadcast_to(values, (*values.shape[:2], 3))
+        visible = visible_bands(self.wavelength)
+        nm = np.sort(self.wavelength[visible[:: max(1, visible.size // _VISIBLE_BANDS)]])
+        values = self._bands(lines, nm).swapaxes(1, 2)
+        linear = linear_srgb(values, weights=srgb_weights(nm, None))
+        linear[np.isnan(values).all(axis=1)] = np.nan
+        return linear
+
+    def _bands(self, lines: Lines | None, wavelength: Any) -> Array:
+        # reflectance (line, column, band) of some lines, or with ``lines`` None of the stored means
+        nm = list(wavelength)
+        if lines is None and self._means is not None:
+            values = at(self._means, nm)["reflectance"]
+        else:
+            values = pixels(self.line, slice(*(lines or (None,))), wavelength=nm)["reflectance"]
+        return np.asarray(values.transpose(ALONG_TRACK, CROSS_TRACK, BAND).values)
+
+    def _levels(self, recipe: tuple[float, ...], stretch: tuple[float, float]) -> tuple[Array, Array]:
+        # levels shown black and white, by colour, from lines spread over the flight line
+        step = self._line_step(self.shape[0])
+        lines = (0, self.shape[0], step) if step == 1 or self._means is None else None
+        linear = self._linear(lines, recipe).reshape(-1, 3)
+        linear = linear[np.isfinite(linear).all(axis=1)]
+        if recipe == TRUE_COLOUR:
+            linear = np.repeat(linear.mean(axis=1, keepdims=True), 3, axis=1)
+        levels = np.percentile(linear if linear.size else np.zeros((1, 3)), stretch, axis=0)
+        return levels[0].astype(np.float32), levels[1].astype(np.float32)
+
+    def has_bands(self, recipe: tuple[float, ...]) -> bool:
+        # Return whether the line has the bands of a recipe
+        try:
+            bands_at(self.line, list(recipe))
+            return recipe != TRUE_COLOUR or bool(visible_bands(self.wavelength).size)
+        except SchemaError:
+            return False
+
+    # --- flags ---------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _quality(self) -> Array | None:
+        quality = self.line.get("quality")
+        return None if quality is None else np.asarray(quality.transpose(ALONG_TRACK, CROSS_TRACK).values)
+
+    @functools.cached_property
+    def flag_shares(self) -> dict[Quality, float]:
+        # Share of all pixels with each flag that occurs; empty without flags
+        return {} if self._quality is None else schema.flag_shares(self._quality)
+
+    def flag_picture(self, flags: Iterable[Quality], window: tuple[int, int] | None = None) -> Picture:
+        # Return the flags of some lines in their colours, transparent elsewhere, the rarest on top
+        first, last = self._window(window)
+        step = -(-(last - first) // DETAIL_LINES)
+        last = min(first + step * -(-(last - first) // step), self.shape[0])
+        rows = -(-(last - first) // step)
+        colours = np.zeros((self.shape[1], rows, 4), np.uint8)
+        if self._quality is not None:
+            bits = reduced_lines(self._quality[first:last], step, np.bitwise_or)
+            for flag in sorted(flags, key=lambda flag: -self.flag_shares.get(flag, 0.0)):
+                colour = (*bytes.fromhex(flag.colour[1:]), _FLAG_OPACITY)
+                colours[(bits.T & int(flag)) != 0] = colour
+        return Picture(colours.view(np.uint32)[..., 0], first, first + rows * step, "")
+
+
+def _cached(results: dict[Any, T], compute: Callable[[Place], T], place: Place) -> T | str:
+    key = place.polygon.tobytes() if isinstance(place, Region) else place
+    if key not in results:
+        try:
+            results[key] = compute(place)
+        except PaintError as error:
+            return str(error)
+    return results[key]
+
+
+def _flag_text(names: Sequence[str]) -> str:
+    return ", ".join(names).replace("_", " ") or "no flag"
+
+
+def _rgba(picture: Array, is_opaque: Array | None = None) -> npt.NDArray[np.uint32]:
+    # pixels as bokeh draws them: columns of the flight line are rows, lines run to the right
+    colours = np.full((*picture.shape[:2], 4), 255, np.uint8)
+    colours[..., :3] = (np.nan_to_num(picture).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    if is_opaque is not None:
+        colours[..., 3] = np.where(is_opaque, 255, 0)
+    return np.ascontiguousarray(colours.swapaxes(0, 1)).view(np.uint32)[..., 0]
+
+
+# --- regions drawn on a flight line ------------------------------------------------------------------------
+
+
+def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
+    """Return clicked places as corners of a polygon: pixel centres inside the line, without repeated corners.
+
+    ``along`` and ``across`` are the clicked positions, ``shape`` is lines and columns. Returns (vertex, 2),
+    x (cross_track) and y (along_track); None if the corners enclose no area.
+
+    Examples
+    --------
+    >>> corners_at([1.2, 8.9, 5.0, 5.0], [-0.4, 0.4, 7.7, 7.8], (100, 50)).tolist()
+    [[0.0, 1.0], [0.0, 9.0], [8.0, 5.0]]
+    """
+    corners = np.column_stack([np.asarray(across, np.float64), np.asarray(along, np.float64)])
+    if not len(corners) or not np.isfinite(corners).all():
+        return None
+    corners = np.clip(np.floor(corners + 0.5), 0, [shape[1] - 1, shape[0] - 1])
+    # a double click adds its corner twice
+    corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
+    if len(corners) < 3:
+        return None
+    x, y = corners.T
+    return corners if x @ np.roll(y, -1) != y @ np.roll(x, -1) else None
+
+
+def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ...]]:
+    """Return the regions of one flight line, and the regions of other lines.
+
+    An empty ``flightline`` takes all regions as its own. Raises `SchemaError` for regions in map coordinates
+    or with holes.
+
+    Examples
+    --------
+    >>> corners = [(0, 0), (4, 0), (4, 3)]
+    >>> given = [Region("a", corners), Region("b", corners, flightline="raw_1")]
+    >>> outlines, others = regions_on(given, "raw_0")
+    >>> outlines.names, [region.name for region in others]
+    (('a',), ['b'])
+    """
+    outlines = Regions(()) if regions is None else regions_from(regions)
+    if outlines.coordinates != "sensor":
+        raise SchemaError(
+            "the regions passed to the explorer are in map coordinates",
+            expected="coordinates of the sensor (column and line)",
+            code="region-coordinates",
+        )
+    lines = {"", flightline.replace(" ", "_")}
+    others = [
+        region for region in outlines if flightline and region.flightline.replace(" ", "_") not in lines
+    ]
+    if others:
+        names = {region.name for region in others}
+        outlines = Regions(tuple(region for region in outlines if region.name not in names))
+    if holed := [region.name for region in outlines if region.holes]:
+        raise SchemaError(
+            f"regions with holes cannot be drawn: {', '.join(holed)}",
+            mend="leave them out",
+            code="region-holes",
+        )
+    return outlines, tuple(others)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+# --- figures of the explorer in bokeh, with their data sources ---------------------------------------------
+
+
+# colours of the regions, in turn
+COLOURS = ("#e6550d", "#1f9ed1", "#31a354", "#c51b8a", "#a6761d", "#6a51a3", "#d7b600", "#17becf")
+INK = {"light": "#1a1a1a", "dark": "#f2f2f2"}  # text colour of each theme
+NEAR_COLOUR = "#8c8c8c"
+DASHES = ("dashed", "dotted", "dotdash", "dashdot", "solid")
+PICTURE_HEIGHT, NAVIGATOR_HEIGHT, SPECTRA_HEIGHT = 380, 60, 330
+
+# reports the lines in view 120 ms after the last change
+_WATCH = """
+const timers = (window.hyperpaint_timers = window.hyperpaint_timers || {});
+clearTimeout(timers[plot.id]);
+timers[plot.id] = setTimeout(() => {
+  view.data = {along: [plot.x_range.start, plot.x_range.end], size: [plot.inner_width, plot.inner_height]};
+}, 120);
+"""
+
+
+_IMAGE, _PLACES = ("image", "x", "y", "dw", "dh"), ("along", "across")
+#: Data sources of the figures, with their columns.
+_SOURCES = {
+    # pictures of the complete line, of the lines in view, and of their flags
+    **dict.fromkeys(("base", "detail", "flags"), _IMAGE),
+    # regions, the polygon in progress, handles of the selected region, and the last click
+    "outlines": (*_PLACES, "name", "colour", "width"),
+    **dict.fromkeys(("draft", "corners", "spot"), _PLACES),
+    "view": ("along", "size"),  # first and last line in view, and the size of the figure [pixel]
+    "curves": ("nm", "reflectance", "name", "colour", "width", "dash"),
+    # spread over the pixels of regions, and uncertainty of a curve
+    **dict.fromkeys(("spreads", "uncertainty"), ("nm", "reflectance", "colour")),
+}
+
+
+def band_around(wavelength: Array, lower: Array, upper: Array) -> dict[str, Array]:
+    # Return the outline of the area between two curves, over wavelengths where both are finite
+    is_finite = np.isfinite(lower) & np.isfinite(upper)
+    nm = wavelength[is_finite]
+    outline = np.concatenate([lower[is_finite], upper[is_finite][::-1]])
+    return {"nm": np.concatenate([nm, nm[::-1]]), "reflectance": outline}
+
+
+# --- the widget, made with panel and bokeh (extra ``interactive``) ------------------------------------------
+
+
+_MODES = {"Spectrum": "spectrum", "Draw": "draw", "Edit": "edit", "Move": "move"}
+_HELP = {
+    "spectrum": "Click for the spectrum of a pixel, drag for the median of a box; the wheel zooms",
+    "draw": "Click the corners of a region, double-click the last one",
+    "edit": "Click a region to select it, drag its corners",
+    "move": "Drag to move the picture; the wheel or two fingers zoom",
+}
+_RECIPES = {"true colour": TRUE_COLOUR, "colour infrared": INFRARED}
+_ONE_BAND = "one band"
+_UNIT_SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
+FULL_WIDTH = {"sizing_mode": "stretch_width"}
+
+
+class Explorer:
+    """A widget that shows a flight line; see `explore`.
+
+    ``view`` is the panel layout, which ``panel serve`` can show. With ``save_to`` regions are saved only to
+    this file.
+    """
+
+    def __init__(self, state: Explored, *, theme: str = "light", save_to: Path | None = None) -> None:
+        import panel
+        from bokeh.models import ColumnDataSource
+
+        panel.extension()  # loads scripts into a notebook
+        self._state, self._theme, self._save_to = state, theme, save_to
+        self._is_updating = False
+        self._window: tuple[int, int] | None = None
+        self._sources = {
+            name: ColumnDataSource({column: [] for column in columns}) for name, columns in _SOURCES.items()
+        }
+        # the last clicked pixel or box, or the name of the selected region; at first the central column
+        lines, columns = state.shape
+        self._selected: Place | str | None = (min(lines, columns) // 2, columns // 2)
+        self._make_picture()
+        self._make_spectra()
+        self._make_widgets()
+        self._connect()
+        self._update_pictures()
+        self._select(state.drawn.names[-1] if len(state.drawn) else None)
+
+    @property
+    def regions(self) -> Regions:
+        """Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels."""
+        return self._state.regions
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the regions as GeoJSON; see `hyperpaint.write_regions`."""
+        return self._state.save(path, overwrite=overwrite)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
+        return self.view._repr_mimebundle_(include, exclude)
+
+    # --- figures ------------------------------------------------------------------------------------------
+
+    def _make_picture(self) -> None:
+        # the picture of the line, flown to the right, and a small picture of the complete line below
+        from bokeh.models import BoxSelectTool, CustomJS, PanTool, PointDrawTool, Range1d, RangeTool
+        from bokeh.plotting import figure
+
+        sources, (lines, columns) = self._sources, self._state.shape
+        # the flight is to the right, so that columns on its right side are below
+        edges = (-0.5, columns - 0.5)[:: 1 if self._state.orientation.is_mirrored else -1]
+        self._plot = plot = figure(
+            name="picture",
+            height=PICTURE_HEIGHT,
+            tools="wheel_zoom,reset",
+            active_scroll="wheel_zoom",
+            x_axis_label="line, flown to the right",
+            y_axis_label="column",
+            x_range=Range1d(-0.5, min(lines, 2 * columns) - 0.5),
+            y_range=Range1d(*edges),
+            **FULL_WIDTH,
+        )
+        for name in ("base", "detail", "flags"):
+            plot.image_rgba(*_IMAGE, source=sources[name], level="image")
+        plot.patches(
+            *_PLACES,
+            source=sources["outlines"],
+            fill_color="colour",
+            line_color="colour",
+            fill_alpha=0.2,
+            line_width="width",
+        )
+        for colour, width in (("black", 4), ("white", 2)):
+            for name in ("draft", "spot"):
+                plot.line(*_PLACES, source=sources[name], line_color=colour, line_width=width)
+        style = {"fill_color": "white", "line_color": "black"}
+        plot.scatter(*_PLACES, source=sources["draft"], size=7, **style)
+        handles = plot.scatter(*_PLACES, source=sources["corners"], size=10, **style)
+        # effects of dragging on the picture: select, edit or move
+        pan = PanTool(visible=False)
+        self._tools = {
+            "spectrum": BoxSelectTool(renderers=[], visible=False),
+            "draw": pan,
+            "edit": PointDrawTool(renderers=[handles], add=False, empty_value=0, visible=False),
+            "move": pan,
+        }
+        plot.add_tools(*dict.fromkeys(self._tools.values()))
+        plot.toolbar.active_drag = self._tools["spectrum"]
+        self._set_style(plot)
+        plot.grid.visible = False
+        watch = CustomJS(args={"plot": plot, "view": sources["view"]}, code=_WATCH)
+        for name in ("start", "end"):
+            plot.x_range.js_on_change(name, watch)
+        plot.js_on_change("inner_width", watch)
+        # the complete line, with a draggable frame around the lines in view
+        self._navigator = small = figure(
+            name="navigator",
+            height=NAVIGATOR_HEIGHT,
+            tools="",
+            x_range=Range1d(-0.5, lines - 0.5),
+            y_range=Range1d(*edges),
+            toolbar_location=None,
+            **FULL_WIDTH,
+        )
+        small.image_rgba(*_IMAGE, source=sources["base"], level="image")
+        small.axis.visible = small.grid.visible = False
+        small.min_border = 0
+        tool = RangeTool(x_range=plot.x_range)
+        tool.overlay.update(fill_color="white", fill_alpha=0.3, line_color="white", line_width=2)
+        small.add_tools(tool)
+        small.outline_line_color = small.border_fill_color = small.background_fill_color = None
+
+    def _make_spectra(self) -> None:
+        # curves of reflectance, the spread over pixels of regions, and the uncertainty of a curve
+        from bokeh.models import HoverTool, Span
+        from bokeh.plotting import figure
+
+        self._spectra = plot = figure(
+            name="spectra",
+            height=SPECTRA_HEIGHT,
+            tools="pan,box_zoom,reset",
+            x_axis_label="wavelength [nm]",
+            y_axis_label="reflectance factor [1]",
+            **FULL_WIDTH,
+        )
+        axes = ("nm", "reflectance")
+        for name, alpha in (("spreads", 0.12), ("uncertainty", 0.35)):
+            plot.patches(
+                *axes, source=self._sources[name], fill_color="colour", fill_alpha=alpha, line_alpha=0.0
+            )
+        style = {"line_color": "colour", "line_width": "width", "line_dash": "dash"}
+        curves = plot.multi_line(*axes, source=self._sources["curves"], **style)
+        # the wavelength of the band shown in the picture
+        self._shown_band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
+        plot.add_layout(self._shown_band)
+        tips = [("", "@name"), ("nm", "$x{0.0}"), ("reflectance", "$y{0.000}")]
+        plot.add_tools(HoverTool(renderers=[curves], tooltips=tips))
+        self._set_style(plot)
+
+    def _set_style(self, plot: Any) -> None:
+        plot.toolbar.logo = None
+        plot.border_fill_color = plot.background_fill_color = plot.outline_line_color = None
+        for part in (
+            "axis_label_text",
+            "major_label_text",
+            "axis_line",
+            "major_tick_line",
+            "minor_tick_line",
+        ):
+            setattr(plot.axis, f"{part}_color", INK[self._theme])
+        plot.grid.grid_line_color, plot.grid.grid_line_alpha = NEAR_COLOUR, 0.3
+
+    # --- widgets and layout -------------------------------------------------------------------------------
+
+    def _make_widgets(self) -> None:
+        import panel
+
+        def make(kind: str, text: str, **options: Any) -> Any:
+            widget = getattr(panel.widgets, kind)
+            # panel is renaming the argument
+            return widget(**{"label" if "label" in widget.param else "name": text}, **options, **FULL_WIDTH)
+
+        state = self._state
+        bands = sorted(set(np.round(state.wavelength[np.isfinite(state.wavelength)], 1).tolist()))
+        recipes = [name for name, recipe in _RECIPES.items() if state.has_bands(recipe)]
+        flags = {f"{flag_label(flag)}, {percent(share)}": flag for flag, share in state.flag_shares.items()}
+        file = "regions.geojson" if self._save_to is None else str(self._save_to)
+        self._widgets = SimpleNamespace(
+            mode=make("RadioButtonGroup", "", options=_MODES, value="spectrum"),
+            recipe=make("Select", "Colours", options=[*recipes, _ONE_BAND]),
+            band=make(
+                "DiscreteSlider",
+                "Band [nm]",
+                options=bands,
+                value=_nearest_option(bands, 650.0),
+                formatter="%.1f",
+            ),
+            stretch=make("RangeSlider", "Black and white [percentile]", start=0, end=100, value=(2, 98)),
+            flag_boxes=make("CheckBoxGroup", "", options=flags),
+            region_menu=make("Select", "Region", options=[]),
+            name=make("TextInput", "Name"),
+            box_button=make("Button", "Box to region", disabled=True),
+            undo_button=make("Button", "Undo corner", disabled=True),
+            remove_button=make("Button", "Remove"),
+            file=make("TextInput", "File", value=file, disabled=self._save_to is not None),
+            save_button=make("Button", "Save regions"),
+            paint_boxes=make("CheckBoxGroup", "", options={}),
+            **{name: panel.pane.HTML("", **FULL_WIDTH) for name in ("spectrum", "message", "caption")},
+        )
+
+        # layout of the widgets
+        def pane(figure: Any) -> Any:
+            return panel.pane.Bokeh(figure, **FULL_WIDTH)
+
+        def column(flex: str, *parts: Any) -> Any:
+            return panel.Column(*parts, styles={"flex": flex, "min-width": "0"}, **FULL_WIDTH)
+
+        def card(title: str, *parts: Any) -> Any:
+            return column("1 1 230px", panel.pane.HTML(f"<b>{title}</b>", **FULL_WIDTH), *parts)
+
+        lines, columns = state.shape
+        navigator = [pane(self._navigator)] if lines > 3 * columns else []
+        flag_card = (
+            self._widgets.flag_boxes
+            if state.flag_shares
+            else panel.pane.HTML("no flags stored", **FULL_WIDTH)
+        )
+        heading = panel.pane.HTML("<b>Nearest paints</b>: spectral angle, and scale factor", **FULL_WIDTH)
+        buttons = panel.Row(
+            self._widgets.box_button, self._widgets.undo_button, self._widgets.remove_button, **FULL_WIDTH
+        )
+        self.view = panel.Column(
+            panel.FlexBox(
+                column("3 1 340px", self._widgets.mode, pane(self._plot), *navigator, self._widgets.caption),
+                column(
+                    "2 1 320px",
+                    self._widgets.spectrum,
+                    pane(self._spectra),
+                    heading,
+                    self._widgets.paint_boxes,
+                ),
+                **FULL_WIDTH,
+            ),
+            panel.FlexBox(
+                card("Picture", self._widgets.recipe, self._widgets.band, self._widgets.stretch),
+                card("Flags", flag_card),
+                card("Regions", self._widgets.region_menu, self._widgets.name, buttons),
+                card("Save", self._widgets.file, self._widgets.save_button, self._widgets.message),
+                **FULL_WIDTH,
+            ),
+            **FULL_WIDTH,
+        )
+
+    def _connect(self) -> None:
+        from bokeh.events import DoubleTap, SelectionGeometry, Tap
+
+        plot = self._plot
+        plot.on_event(Tap, lambda event: self.tap(event.x, event.y))
+        plot.on_event(DoubleTap, lambda event: self.close(event.x, event.y))
+        plot.on_event(SelectionGeometry, lambda event: self.drag(event.geometry) if event.final else None)
+        self._spectra.on_event(Tap, lambda event: self.take_band(event.x))
+        self._sources["corners"].on_change("data", self._corners_changed)
+        self._sources["view"].on_change("data", self._view_changed)
+        calls = (
+            (self._widgets.mode, "value", lambda _: self._change_mode()),
+            (self._widgets.recipe, "value", lambda _: self._update_pictures()),
+            (self._widgets.stretch, "value_throttled", lambda _: self._update_pictures()),
+            (self._widgets.band, "value_throttled", lambda event: self.take_band(event.new)),
+            (self._widgets.flag_boxes, "value", lambda _: self._update_flags()),
+            (self._widgets.region_menu, "value", lambda event: self._select(event.new)),
+            (self._widgets.name, "value", lambda event: self._rename(event.new)),
+            (self._widgets.paint_boxes, "value", lambda _: self._update_spectra()),
+        )
+        for widget, name, call in calls:
+            widget.param.watch(self._unless_updating(call), name)
+        clicks = (
+            (self._widgets.box_button, self._box_to_region),
+            (self._widgets.undo_button, lambda: self._change_draft(-1)),
+            (self._widgets.remove_button, self._remove_region),
+            (self._widgets.save_button, self._write_regions),
+        )
+        for button, press in clicks:
+            button.on_click(self._unless_updating(lambda _, press=press: press()))
+
+    def _unless_updating(self, call: Any) -> Any:
+        # ignores events of widgets that this class is setting
+        import panel
+
+        def run(event: Any) -> None:
+            if not self._is_updating:
+                # panel runs the call when it holds the lock of the figures' document
+                panel.state.execute(lambda: call(event), schedule=True)
+
+        return run
+
+    # --- events of the mouse -------------------------------------------------------------------------------
+
+    def tap(self, along: float, across: float) -> None:
+        """Handle a click on the picture: select a pixel, add a corner, or select a region to edit."""
+        pixel = int(np.floor(along + 0.5)), int(np.floor(across + 0.5))
+        mode = self._widgets.mode.value
+        if mode == "draw":
+            self._change_draft(None, (along, across))
+        elif mode == "edit":
+            spot = np.array([across]), np.array([along])
+            names = [region.name for region in self._state.drawn if contains(region.polygon, (), *spot)[0]]
+            self._select(names[-1] if names else self._widgets.region_menu.value)
+        elif all(0 <= number < size for number, size in zip(pixel, self._state.shape, strict=True)):
+            self._select_place(pixel)
+
+    def drag(self, geometry: dict[str, Any]) -> None:
+        """Show the median spectrum of a box dragged over the picture."""
+        if self._widgets.mode.value != "spectrum" or geometry.get("type") != "rect":
+            return
+        ranges = []
+        for axis, size in zip("xy", self._state.shape, strict=True):
+            minimum, maximum = sorted((geometry[f"{axis}0"], geometry[f"{axis}1"]))
+            ranges.append((max(0, int(np.ceil(minimum))), min(size - 1, int(np.floor(maximum)))))
+        along, across = ranges
+        if along[0] > along[1] or across[0] > across[1]:
+            return
+        # extend the box by a quarter of a pixel, so that a box of one line contains its pixel centres
+        corners = [(across[a] + a / 2 - 0.25, along[b] + b / 2 - 0.25) for a, b in _UNIT_SQUARE]
+        self._select_place(Region("box", np.array(corners)))
+
+    def close(self, along: float, across: float) -> None:
+        """Add the last corner of the polygon in progress, and make it a region."""
+        if self._widgets.mode.value == "draw":
+            self.tap(along, across)
+            draft = self._sources["draft"].data
+            # the polygon is not finished while its corners enclose no area
+            if self._add_region(draft["along"], draft["across"]):
+                self._change_draft(0)
+
+    def take_band(self, wavelength: float) -> None:
+        """Show the band nearest to a wavelength [nm]."""
+        self._is_updating = True
+        self._widgets.band.value = _nearest_option(self._widgets.band.options, wavelength)
+        self._widgets.recipe.value = _ONE_BAND
+        self._is_updating = False
+        self._update_pictures()
+
+    def _select_place(self, clicked: Place) -> None:
+        self._selected = clicked
+        self._select(None)
+
+    def _box_to_region(self) -> None:
+        if isinstance(self._selected, Region):
+            across, along = self._selected.polygon.T.tolist()
+            self._add_region(along, across)
+
+    def _add_region(self, along: list[float], across: list[float]) -> bool:
+        name = self._state.add(along, across)
+        self._select(name or self._widgets.region_menu.value)
+        if name is None:
+            self._show_message(
+                "these corners enclose no area: a region needs three corners that are not on a line"
+            )
+        return name is not None
+
+    def _change_draft(self, stop: int | None, *new_corners: tuple[float, float]) -> None:
+        draft = self._sources["draft"].data
+        self._sources["draft"].data = {
+            name: [*draft[name][:stop], *(corner[axis] for corner in new_corners)]
+            for axis, name in enumerate(("along", "across"))
+        }
+        self._widgets.undo_button.disabled = not self._sources["draft"].data["along"]
+
+    def _change_mode(self) -> None:
+        self._plot.toolbar.active_drag = self._tools[self._widgets.mode.value]
+        self._change_draft(0)
+        self._update_caption()
+        self._select(self._widgets.region_menu.value)
+
+    def _corners_changed(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002 (bokeh asks for these names)
+        name = self._widgets.region_menu.value
+        if not self._is_updating and name is not None:
+            self._state.move(name, list(new["along"]), list(new["across"]))
+            self._select(name)
+
+    def _rename(self, new: str) -> None:
+        name = self._widgets.region_menu.value
+        if name is not None and new != name:
+            problem = self._state.rename(name, new)
+            self._select(new.strip() if problem is None else name)
+            self._show_message(problem or self._region_count())
+
+    def _remove_region(self) -> None:
+        if self._widgets.region_menu.value is not None:
+            self._state.drop(self._widgets.region_menu.value)
+            self._select(None)
+
+    def _write_regions(self) -> None:
+        file = self._save_to or Path(self._widgets.file.value)
+        try:
+            saved_file = self._state.save_again(file)
+        except PaintError as error:
+            self._show_message(error.text(on_command_line=self._save_to is not None))
+            return
+        except OSError as error:
+            self._show_message(str(error))
+            return
+        self._show_message(f"{self._region_count()} saved in {saved_file}")
+
+    def _view_changed(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002
+        (first, last), (width, height) = new["along"], new["size"]
+        if self._window is None and width and height:
+            # the size of the picture is new: show as many lines as give pixels their aspect ratio on the
+            # ground
+            lines, columns = self._state.shape
+            visible_lines = columns * width / height / self._state.orientation.aspect
+            first = -0.5 - max(0.0, visible_lines - lines) / 2
+            last = first + visible_lines
+            self._plot.x_range.update(start=first, end=last)
+        window = int(np.floor(first)), int(np.ceil(last)) + 1
+        if window != self._window:
+            self._window = window
+            self._update_pictures(base=False)
+
+    # --- display ----------------------------------------------------------------------------------------
+
+    def _show_message(self, text: str) -> None:
+        self._widgets.message.object = html.escape(text)
+
+    def _region_count(self) -> str:
+        count = len(self._state.drawn)
+        other_count = len(self._state.others)
+        return f"{count} region{'' if count == 1 else 's'}" + f" (and {other_count} of other lines)" * bool(
+            other_count
+        )
+
+    def _update_pictures(self, *, base: bool = True) -> None:
+        # update the lines in view; with ``base`` also the picture of the complete line behind them
+        recipe = _RECIPES.get(self._widgets.recipe.value) or ()
+        if self._widgets.recipe.value == _ONE_BAND:
+            recipe = (self._widgets.band.value,)
+        try:
+            if base:
+                self._show_picture("base", self._state.picture(recipe, self._widgets.stretch.value))
+            detail = self._state.picture(recipe, self._widgets.stretch.value, self._window)
+        except PaintError as error:
+            self._widgets.caption.object = html.escape(str(error))
+            return
+        self._show_picture("detail", detail)
+        self._caption = (
+            f"{recipe[0]:.1f} nm" if self._widgets.recipe.value == _ONE_BAND else self._widgets.recipe.value
+        )
+        self._caption += f", lines {detail.first} to {detail.last - 1}" + f", {detail.text}" * bool(
+            detail.text
+        )
+        self._update_caption()
+        self._update_flags()
+        is_one_band = len(recipe) == 1
+        self._shown_band.update(visible=is_one_band, location=recipe[0] if is_one_band else 0.0)
+
+    def _show_picture(self, name: str, picture: Picture | None) -> None:
+        # put a picture into a data source; None empties the source
+        values: list[Any] = []
+        if picture is not None:
+            columns, lines = picture.rgba.shape[0], picture.last - picture.first
+            values = [picture.rgba, picture.first - 0.5, -0.5, lines, columns]
+        self._sources[name].data = {column: values[at : at + 1] for at, column in enumerate(_IMAGE)}
+
+    def _show_rows(self, name: str, rows: list[dict[str, Any]]) -> None:
+        self._sources[name].data = {column: [row[column] for row in rows] for column in _SOURCES[name]}
+
+    def _update_caption(self) -> None:
+        self._widgets.caption.object = (
+            f"{html.escape(_HELP[self._widgets.mode.value])}.<br><small>{self._caption}</small>"
+        )
+
+    def _update_flags(self) -> None:
+        flags = self._widgets.flag_boxes.value
+        self._show_picture("flags", self._state.flag_picture(flags, self._window) if flags else None)
+
+    def _select(self, name: str | None) -> None:
+        # select a region, which is drawn bold, with handles in edit mode; None selects no region
+        regions = self._state.drawn
+        selected_name = name if name in regions.names else None
+        if selected_name is not None or isinstance(self._selected, str):
+            self._selected = selected_name
+        edited = [
+            region.polygon
+            for region in regions
+            if region.name == selected_name and self._widgets.mode.value == "edit"
+        ]
+        along, across = (edited[0][:, axis].tolist() if edited else [] for axis in (1, 0))
+        self._is_updating = True
+        try:
+            self._widgets.region_menu.options = [None, *regions.names]
+            self._widgets.region_menu.value = selected_name
+            self._widgets.name.value = selected_name or ""
+            self._sources["corners"].data = {"along": along, "across": across}
+        finally:
+            self._is_updating = False
+        self._widgets.name.disabled = self._widgets.remove_button.disabled = selected_name is None
+        self._widgets.box_button.disabled = not isinstance(self._selected, Region)
+        self._sources["outlines"].data = {
+            "along": [region.polygon[:, 1].tolist() for region in regions],
+            "across": [region.polygon[:, 0].tolist() for region in regions],
+            "name": list(regions.names),
+            "colour": [_colour(number) for number in range(len(regions))],
+            "width": [3 if region.name == selected_name else 1.5 for region in regions],
+        }
+        self._show_message(self._region_count() + ("" if self._state.is_saved else ", not saved"))
+        self._update_spectra()
+
+    @property
+    def _selected_place(self) -> Place | None:
+        name = self._selected
+        drawn = {region.name: region for region in self._state.drawn}
+        return drawn[name] if isinstance(name, str) else name
+
+    def _update_spectra(self) -> None:
+        import panel
+
+        rows: list[tuple[Spectrum, str, str, float]] = []
+        for number, region in enumerate(self._state.drawn):
+            spectrum = self._state.spectrum_of(region)
+            if isinstance(spectrum, Spectrum):
+                rows.append(
+                    (spectrum, region.name, _colour(number), 3 if region.name == self._selected else 1.5)
+                )
+        clicked = self._selected_place
+        spectrum_now = None if clicked is None else self._state.spectrum_of(clicked)
+        if isinstance(spectrum_now, Spectrum) and not isinstance(self._selected, str):
+            rows.append((spectrum_now, "clicked", INK[self._theme], 2))
+        spreads = [
+            {**band_around(spectrum.wavelength, *spectrum.spread), "colour": colour}
+            for spectrum, _, colour, _ in rows
+            if spectrum.spread is not None
+        ]
+        curves = [_curve(spectrum, name, colour, width, "solid") for spectrum, name, colour, width in rows]
+        # list the most similar paints, and draw the ticked ones
+        near_paints = self._state.near_paints(spectrum_now) if isinstance(spectrum_now, Spectrum) else []
+        self._is_updating = True
+        self._widgets.paint_boxes.options = {
+            f"{paint.name}: {paint.angle:.1f}°, x {paint.factor:.2f}": i
+            for i, paint in enumerate(near_paints)
+        }
+        self._is_updating = False
+        curves += [
+            _curve(near_paints[i], near_paints[i].name, NEAR_COLOUR, 1.5, DASHES[i % len(DASHES)])
+            for i in self._widgets.paint_boxes.value
+            if i < len(near_paints)
+        ]
+        self._show_rows("spreads", spreads)
+        self._show_rows("curves", curves)
+        self._show_rows("uncertainty", [])
+        name = f"{self._selected}: " if isinstance(self._selected, str) else ""
+        text = (
+            spectrum_now.text
+            if isinstance(spectrum_now, Spectrum)
+            else spectrum_now or "Click on the picture for a spectrum"
+        )
+        self._widgets.spectrum.object = html.escape(name + text)
+        # the last click, outlined by its corners
+        corners = clicked.polygon if isinstance(clicked, Region) else np.zeros((0, 2))
+        if isinstance(clicked, tuple):
+            corners = np.array([(clicked[1] + a - 0.5, clicked[0] + b - 0.5) for a, b in _UNIT_SQUARE])
+        across, along = np.vstack([corners, corners[:1]]).T.tolist()
+        self._sources["spot"].data = {"along": along, "across": across}
+        if isinstance(spectrum_now, Spectrum):
+            # show the curve before its uncertainty is computed
+            panel.state.execute(self._update_uncertainty, schedule=True)
+
+    def _update_uncertainty(self) -> None:
+        clicked = self._selected_place
+        spectrum = None if clicked is None else self._state.spectrum_of(clicked)
+        if clicked is None or not isinstance(spectrum, Spectrum):
+            return
+        uncertainty = self._state.uncertainty_of(clicked)
+        name = f"{self._selected}: " if isinstance(self._selected, str) else ""
+        if isinstance(uncertainty, str):
+            text = f"uncertainty unknown: {uncertainty.splitlines()[-1].strip()}"
+        else:
+            u, text = uncertainty
+            colour = INK[self._theme]
+            if isinstance(self._selected, str):
+                colour = _colour(self._state.drawn.names.index(self._selected))
+            outline = band_around(spectrum.wavelength, spectrum.reflectance - u, spectrum.reflectance + u)
+            self._show_rows("uncertainty", [{**outline, "colour": colour}])
+        self._widgets.spectrum.object = (
+            f"{html.escape(name + spectrum.text)}<br><small>{html.escape(text)}</small>"
+        )
+
+
+def _curve(spectrum: Spectrum | NearPaint, name: str, colour: str, width: float, dash: str) -> dict[str, Any]:
+    axes = {"nm": spectrum.wavelength, "reflectance": spectrum.reflectance}
+    return {**axes, "name": name, "colour": colour, "width": width, "dash": dash}
+
+
+def _nearest_option(values: list[float], value: float) -> float:
+    return min(values, key=lambda option: abs(option - value))
+
+
+def _colour(number: int) -> str:
+    return COLOURS[number % len(COLOURS)]
+
+
+# --- in a notebook, or in a browser ------------------------------------------------------------------------
 
 
 @documented(line="dataset")
@@ -100,7 +1258,7 @@ def explore(
 
 
 def require_panel() -> None:
-    """Raise `MissingExtraError` where panel or bokeh is not installed."""
+    # Raise `MissingExtraError` where panel or bokeh is not installed
     for package in ("panel", "bokeh"):
         with needs_extra(package, "interactive", "an explorer"):
             __import__(package)
@@ -145,7 +1303,15 @@ def serve_explorer(
     MissingExtraError
         panel or bokeh is not installed.
     """
-    lines = _line_groups(store)
+    # groups of flight lines by name: those of the folder first, then other groups with a cube of pixels
+    groups = list_groups(store)
+    line_groups = [group for group in groups if group.startswith("flightlines/")]
+    for group in [group for group in groups if group not in line_groups]:
+        dataset = rename_to_roles(open_store(store, group))
+        has_cube = bool({"counts", "radiance", "reflectance"} & set(dataset.data_vars))
+        if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) and "wavelength" in dataset.variables and has_cube:
+            line_groups.append(group)
+    lines = {group.rpartition("/")[2] or Path(store).stem: group for group in line_groups}
     first_name = next(iter(lines), "") if line is None else line.rpartition("/")[2]
     if first_name not in lines:
         raise StoreError(
@@ -160,10 +1326,9 @@ def serve_explorer(
     stem = Path(store).resolve().stem
 
     def region_file(name: str) -> Path:
-        if regions is not None and name == first_name:
-            return Path(regions)
         # the name of the store is part, because lines of several stores may have the same name
-        return Path(f"{stem}-regions.geojson" if name == stem else f"{stem}-{name}-regions.geojson")
+        default = f"{stem}-regions.geojson" if name == stem else f"{stem}-{name}-regions.geojson"
+        return Path(regions if regions is not None and name == first_name else default)
 
     @functools.cache
     def line_state(name: str) -> Explored:
@@ -201,11 +1366,9 @@ def serve_explorer(
 
 
 def _guard(server: Any, token: str) -> None:
-    """Refuse requests to the server from elsewhere than its own page.
-
-    The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
-    websocket must have an origin; and every origin must be this server.
-    """
+    # Refuse requests to the server from elsewhere than its own page.
+    # The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
+    # websocket must have an origin; and every origin must be this server.
     from tornado.web import ErrorHandler
 
     application = server._tornado
@@ -227,19 +1390,6 @@ def _guard(server: Any, token: str) -> None:
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
 
     application.find_handler = find_guarded
-
-
-def _line_groups(store: str | os.PathLike[str]) -> dict[str, str]:
-    groups = list_groups(store)
-    lines = [group for group in groups if group.startswith("flightlines/")]
-    lines += [group for group in groups if group not in lines and _is_line(open_store(store, group))]
-    return {group.rpartition("/")[2] or Path(store).stem: group for group in lines}
-
-
-def _is_line(group: xr.Dataset) -> bool:
-    line = rename_to_roles(group)
-    cubes = {"counts", "radiance", "reflectance"} & set(line.data_vars)
-    return {ALONG_TRACK, CROSS_TRACK} <= set(line.dims) and "wavelength" in line.variables and bool(cubes)
 
 
 def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:

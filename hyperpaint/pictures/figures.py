@@ -23,20 +23,20 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
 from hyperpaint.io.files.publishing import check_place, published_files
 
 _MAX_LABEL_CHARS = 60
+#: Colours of curves, of Okabe and Ito for colour-blind readers.
+COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 
 
 def new_figure(purpose: str, **options: Any) -> Any:
-    """Return a matplotlib figure independent of pyplot, with options of `Figure`.
-
-    ``purpose``, such as "a quicklook", opens the message where matplotlib is missing (`MissingExtraError`).
-    """
+    # Return a matplotlib figure independent of pyplot, with options of `Figure`.
+    # ``purpose``, such as "a quicklook", opens the message where matplotlib is missing (`MissingExtraError`).
     with needs_extra("matplotlib", "viz", purpose):
         from matplotlib.figure import Figure
     return Figure(**options)
 
 
 def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
-    """Return the axes passed, or new axes of pyplot, which a notebook displays."""
+    # Return the axes passed, or new axes of pyplot, which a notebook displays
     if axes is not None:
         return axes
     with needs_extra("matplotlib", "viz", purpose):
@@ -45,10 +45,8 @@ def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
 
 
 def ink_of(axes: Any, strength: float = 1.0) -> tuple[float, float, float]:
-    """Return the text colour of axes mixed with their background, visible in light and dark themes.
-
-    ``strength``: 1 is the text colour, 0 the background.
-    """
+    # Return the text colour of axes mixed with their background, visible in light and dark themes.
+    # ``strength``: 1 is the text colour, 0 the background.
     from matplotlib import rcParams
     from matplotlib.colors import to_rgb
 
@@ -63,7 +61,7 @@ _AXIS_HEIGHT_INCH = 0.5  # of ticks and the label of an axis
 
 
 def axes_width(axes: Any) -> float:
-    """Return the width of the part of a figure reserved for axes and their labels [inch]."""
+    # Return the width of the part of a figure reserved for axes and their labels [inch]
     width, spec = float(axes.figure.get_size_inches()[0]), axes.get_subplotspec()
     if spec is None:
         return width
@@ -72,10 +70,8 @@ def axes_width(axes: Any) -> float:
 
 
 def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = None, **options: Any) -> None:
-    """Place a legend of the curves of axes and ``others`` below the axes, in as many columns as fit.
-
-    Long names are wrapped, so that they do not narrow the axes. ``entries``: additional handles by name.
-    """
+    # Place a legend of the curves of axes and ``others`` below the axes, in as many columns as fit.
+    # Long names are wrapped, so that they do not narrow the axes. ``entries``: additional handles by name.
     from matplotlib.transforms import ScaledTranslation
 
     handles_by_label: dict[str, Any] = dict(entries or {})
@@ -130,14 +126,12 @@ def label_for(text: object, longest: int = _MAX_LABEL_CHARS) -> str:
     return f" {label}" if label.startswith("_") else label
 
 
-def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
-    """Write a figure to ``path``, if any; an existing file is replaced atomically.
-
-    Raises `SchemaError` if matplotlib does not write this file type, `StoreError` if the file cannot be
-    written.
-    """
+def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> Any:
+    # Write a figure to ``path``, if any, and return it; an existing file is replaced atomically.
+    # Raises `SchemaError` if matplotlib does not write this file type, `StoreError` if the file cannot be
+    # written.
     if path is None:
-        return
+        return figure
     path = Path(path)
     if not path.suffix:  # as matplotlib does
         path = path.with_name(f"{path.name}.{figure.canvas.get_default_filetype()}")
@@ -146,6 +140,7 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
             figure.savefig(target, dpi=dpi)
         except ValueError as error:
             raise SchemaError(f"{path}: {error}", code="picture-unwritable") from error
+    return figure
 
 
 def check_picture(path: Path) -> None:
@@ -165,7 +160,7 @@ def check_picture(path: Path) -> None:
 
 
 def png_of(figure: Any, dpi: int = 110) -> bytes:
-    """Return a figure as PNG."""
+    # Return a figure as PNG
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         # names may be in any script; glyphs that the font lacks become boxes
@@ -199,7 +194,7 @@ def encode_png(picture: npt.NDArray[np.uint8]) -> bytes:
 
 
 def data_uri(png: bytes) -> str:
-    """Return a PNG as a data URL."""
+    # Return a PNG as a data URL
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
@@ -208,8 +203,7 @@ def data_uri(png: bytes) -> str:
 
 @dataclass(frozen=True)
 class Orientation:
-    """Position of a picture's pixels on its axes."""
-
+    # Position of a picture's pixels on its axes
     extent: tuple[float, float, float, float]  # outer edges of first and last column, of first and last line
     is_mirrored: bool  # whether columns run to the left of the flight, so that their axis is reversed
     goes_down: bool  # whether the vertical axis grows downwards
@@ -218,32 +212,30 @@ class Orientation:
 
     @property
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Limits of the horizontal axis from left to right, and of the vertical axis upwards."""
+        # Limits of the horizontal axis from left to right, and of the vertical axis upwards
         left, right, *vertical = self.extent
         horizontal = (right, left) if self.is_mirrored else (left, right)
         minimum, maximum = sorted(vertical)
         return horizontal, (maximum, minimum) if self.goes_down else (minimum, maximum)
 
     def height_of(self, width: float) -> float:
-        """Return the height of a picture of a given width."""
+        # Return the height of a picture of a given width
         left, right, first_line, last_line = self.extent
         return width * self.aspect * abs((last_line - first_line) / (right - left))
 
 
 def map_dims(cube: xr.DataArray | xr.Dataset) -> dict[str, str]:
-    """Return "y" and "x" by role if a dataset has the coordinates of a map, otherwise an empty dict."""
+    # Return "y" and "x" by role if a dataset has the coordinates of a map, otherwise an empty dict
     pairs = {ALONG_TRACK: "y", CROSS_TRACK: "x"}
     is_map = all(name in cube.coords and cube[name].dims == (role,) for role, name in pairs.items())
     return pairs if is_map else {}
 
 
 def orientation_of(dataset: xr.Dataset) -> Orientation:
-    """Return the orientation of a flight line or a map.
-
-    Columns are reversed if they run to the left of the flight, by ``east`` and ``north`` of the pixels, else
-    by ``look_across``, else by the declared column order. Pixels have the aspect ratio of their spacing on
-    the ground where it is known, else they are square.
-    """
+    # Return the orientation of a flight line or a map.
+    # Columns are reversed if they run to the left of the flight, by ``east`` and ``north`` of the pixels,
+    # else by ``look_across``, else by the declared column order. Pixels have the aspect ratio of their
+    # spacing on the ground where it is known, else they are square.
     lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
     if map_dims(dataset) and lines > 1 and columns > 1:
         x, y = (np.asarray(dataset[name].values, np.float64) for name in ("x", "y"))
@@ -272,9 +264,8 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
         aspect = float(np.hypot(*forward) / np.hypot(*right))
         return Orientation(extent, bool(mirrored), False, aspect, labels)
     # column order from the look angles, as in `locate`, else the declared column order
-    slope = 0.0
-    if "look_across" in dataset.variables and dataset["look_across"].dims == (CROSS_TRACK,):
-        slope = _mean_step(dataset["look_across"].values)
+    look = dataset.variables.get("look_across")
+    slope = 0.0 if look is None or look.dims != (CROSS_TRACK,) else _mean_step(look.values)
     order = "left_to_right" if slope > 0.0 else "right_to_left" if slope < 0.0 else ""
     order = order or dataset.attrs.get("convention_column_order", "")
     assumed = "" if order in ("left_to_right", "right_to_left") else ", assumed to run to the right"
@@ -298,9 +289,8 @@ def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
         np.array([_mean_step(positions[name].values) for name in ("east", "north")])
         for positions in (central_column, central_line)
     ]
-    if not all(np.isfinite(step).all() and np.hypot(*step) > 0.0 for step in steps):
-        return None
-    return steps[0], steps[1]
+    are_known = all(np.isfinite(step).all() and np.hypot(*step) > 0.0 for step in steps)
+    return (steps[0], steps[1]) if are_known else None
 
 
 def _mean_step(values: Array) -> float:
@@ -312,13 +302,13 @@ def _mean_step(values: Array) -> float:
 
 
 def flown_right(picture: Array, orientation: Orientation) -> Array:
-    """Return a picture (line, column, ...) as (row, line, ...) with the flight to the right."""
+    # Return a picture (line, column, ...) as (row, line, ...) with the flight to the right
     # the flight is to the right, so that columns on its right side are below
     return np.asarray((picture[:, ::-1] if orientation.is_mirrored else picture).swapaxes(0, 1))
 
 
 def show_picture(axes: Any, picture: Array, orientation: Orientation, **options: Any) -> Any:
-    """Show a picture (line, column, ...) on axes, in pixels of the line or metres of the map."""
+    # Show a picture (line, column, ...) on axes, in pixels of the line or metres of the map
     image = axes.imshow(
         picture,
         origin="lower",

@@ -1,24 +1,46 @@
-"""Pictures of a flight line."""
+"""Pictures of a flight line: colours, flags, layers, light of neighbours, steps of processing."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.facts import documented
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+    Quality,
+    flag_names,
+    flag_shares,
+    flags_named,
+    numbers_of,
+    rename_to_roles,
+    require,
+)
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
+from hyperpaint.paints.signatures import EXCLUDED
+from hyperpaint.paints.signatures.pixel_statistics import QUANTILES, gather
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
+from hyperpaint.regions import Region, pixels_of, regions_from
 
 from .figures import (
+    Orientation,
+    axes_or_new,
+    axes_width,
     columns_for,
     ink_of,
     label_for,
@@ -29,6 +51,7 @@ from .figures import (
     save_figure,
     show_picture,
 )
+from .plot_spectra import checked_places, draw_pixels, good_bands
 
 OVERVIEW_SHAPE = (1000, 640)  # maximum lines and columns of the stored picture
 STRETCH = (2.0, 98.0)  # percentiles of brightness shown black and white
@@ -79,49 +102,49 @@ def rgb(
     >>> picture.sizes["along_track"], picture["rgb"].values.tolist(), float(picture.max()) <= 1.0
     (32, ['red', 'green', 'blue'], True)
     """
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     if lines is not None and lines < 1:
         raise SchemaError(
             f"lines={lines}", expected="1 line of the picture or more", code="value-out-of-range"
         )
     has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
-        step = max(1, -(-dataset.sizes.get(schema.ALONG_TRACK, 1) // lines)) if lines else None
+        step = max(1, -(-dataset.sizes.get(ALONG_TRACK, 1) // lines)) if lines else None
         picture_of_store = stored_picture(dataset, step, at_most=True) if stretch == STRETCH else None
         if picture_of_store is not None:
             return picture_of_store
         if has_cube and step:
-            subsample = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
+            subsample = dataset.isel({ALONG_TRACK: slice(None, None, step)})
             return rgb(subsample, stretch=stretch).assign_attrs(level=_level_text("cube", step, 1))
     dataset, shown_name = with_shown_cube(dataset)
     cube = dataset[shown_name]
-    wavelength = schema.require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
+    wavelength = require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
     visible = visible_bands(wavelength)
     shift = None
     if "wavelength_shift" in dataset.variables:
-        shifts = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
-        shift = (shifts.isel({schema.BAND: visible}) if schema.BAND in shifts.dims else shifts).values
-    source = cube.isel({schema.BAND: visible})
+        shifts = require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
+        shift = (shifts.isel({BAND: visible}) if BAND in shifts.dims else shifts).values
+    source = cube.isel({BAND: visible})
     if source.chunks is not None:
-        source = source.chunk({schema.BAND: -1, schema.CROSS_TRACK: -1})
-    source = source.transpose(..., schema.BAND, schema.CROSS_TRACK)
+        source = source.chunk({BAND: -1, CROSS_TRACK: -1})
+    source = source.transpose(..., BAND, CROSS_TRACK)
     linear = xr.apply_ufunc(
         linear_srgb,
         source,
         kwargs={"weights": srgb_weights(wavelength[visible], shift)},
-        input_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
-        output_core_dims=[[schema.CROSS_TRACK, "rgb"]],
+        input_core_dims=[[BAND, CROSS_TRACK]],
+        output_core_dims=[[CROSS_TRACK, "rgb"]],
         dask="parallelized",
         output_dtypes=[np.float32],
         dask_gufunc_kwargs={"output_sizes": {"rgb": 3}},
     ).drop_vars(["wavelength", "fwhm", "good", "wavelength_shift"], errors="ignore")
     renamed_dims = map_dims(cube)
-    dims = [dim for dim in source.dims if dim != schema.BAND]
+    dims = [dim for dim in source.dims if dim != BAND]
     is_absolute = shown_name == "reflectance" and stretch == (0.0, 100.0)
     black, white = (np.float32(0.0), np.float32(1.0)) if is_absolute else _levels(linear, dims[0], stretch)
     scaled = ((linear - black) / np.maximum(white - black, np.float32(1e-6))).clip(0.0, 1.0)
     if "quality" in dataset.variables and set(dataset["quality"].dims) == set(dims):
-        saturated = (dataset["quality"].reset_coords(drop=True) & schema.Quality.SATURATED.value) != 0
+        saturated = (dataset["quality"].reset_coords(drop=True) & Quality.SATURATED.value) != 0
         is_black = (linear == 0.0).all("rgb").reset_coords(drop=True)
         scaled = scaled.where(~(saturated & is_black), np.float32(1.0))
     picture: xr.DataArray = xr.apply_ufunc(
@@ -148,7 +171,7 @@ def rgb(
 
 
 def visible_bands(wavelength: Array) -> Array:
-    """Return the indices of the visible bands; SchemaError for fewer than three."""
+    # Return the indices of the visible bands; SchemaError for fewer than three
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
     if visible.size < 3:
         raise SchemaError(
@@ -160,7 +183,7 @@ def visible_bands(wavelength: Array) -> Array:
 
 
 def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
-    """Return a line with the cube to show, and its name: reflectance, else radiance, else counts."""
+    # Return a line with the cube to show, and its name: reflectance, else radiance, else counts
     names = set(dataset.variables)
     if "reflectance" in names:
         return dataset, "reflectance"
@@ -168,25 +191,22 @@ def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
         return dataset, "values"
     if "irradiance" in names or not {"counts", "radiance"} & names:
         return reflectance(dataset), "reflectance"
-    if "radiance" in names or {"dark_counts", "radiance_gain"} & names:
-        return radiance(dataset), "radiance"
-    return dataset, "counts"
+    has_radiance = bool({"radiance", "dark_counts", "radiance_gain"} & names)
+    return (radiance(dataset), "radiance") if has_radiance else (dataset, "counts")
 
 
 def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:
-    """Return the stored overview, subsampled to about every ``step``-th line, in the form of `rgb`.
-
-    None without an overview, for a crop of a line, or if the overview has fewer lines than requested. With
-    ``step`` None all lines are returned. ``at_most``: the step is rounded up instead of down.
-    """
-    row = schema.VARIABLES["overview"]
+    # Return the stored overview, subsampled to about every ``step``-th line, in the form of `rgb`.
+    # None without an overview, for a crop of a line, or if the overview has fewer lines than requested. With
+    # ``step`` None all lines are returned. ``at_most``: the step is rounded up instead of down.
+    row = VARIABLES["overview"]
     if "overview" not in dataset.variables or set(dataset["overview"].dims) != set(row.dims):
         return None
     overview = dataset["overview"].transpose(*row.dims)
     attrs = [overview.attrs.get(name) for name in ("line_step", "column_step")]
     steps = [int(number) if isinstance(number, int | np.integer) else 0 for number in attrs]
     # a crop keeps the overview of its complete line, whose shape differs
-    sizes = [dataset.sizes.get(dim, 0) for dim in (schema.ALONG_TRACK, schema.CROSS_TRACK)]
+    sizes = [dataset.sizes.get(dim, 0) for dim in (ALONG_TRACK, CROSS_TRACK)]
     shape = [-(-size // number) for size, number in zip(sizes, steps, strict=True) if number > 0 and size]
     if min(steps) < 1 or any(a != b for a, b in zip(shape, overview.shape, strict=False)):
         return None
@@ -198,7 +218,7 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
     picture = xr.DataArray(
         values.data,
         {"rgb": ["red", "green", "blue"]},
-        (schema.ALONG_TRACK, schema.CROSS_TRACK, "rgb"),
+        (ALONG_TRACK, CROSS_TRACK, "rgb"),
         "true_colour",
         {
             "long_name": "True colour (sRGB)",
@@ -206,7 +226,7 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
             "level": _level_text("overview", every_line, every_column),
         },
     )
-    for dim, number in {schema.ALONG_TRACK: every_line, schema.CROSS_TRACK: every_column}.items():
+    for dim, number in {ALONG_TRACK: every_line, CROSS_TRACK: every_column}.items():
         axis = dataset.coords.get(dim)
         if axis is not None and axis.dims == (dim,):
             picture = picture.assign_coords({dim: axis[::number].variable})
@@ -218,7 +238,7 @@ def _level_text(source: str, lines: int, columns: int) -> str:
 
 
 def linear_srgb(values: Array, *, weights: Array) -> Array:
-    """Return linear sRGB (..., column, 3) of spectra (..., band, column); missing bands make pixels white."""
+    # Return linear sRGB (..., column, 3) of spectra (..., band, column); missing bands make pixels white
     *lines, bands, columns = values.shape
     colours = np.empty((math.prod(lines), columns, 3), np.float32)
     cube = np.ascontiguousarray(values, np.float32).reshape(-1, bands, columns)
@@ -255,7 +275,7 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     Lazy, computed from the slabs being written, so that a cube is read once. uint8, at most `OVERVIEW_SHAPE`;
     None with fewer than three visible bands.
     """
-    dims = schema.ALONG_TRACK, schema.CROSS_TRACK
+    dims = ALONG_TRACK, CROSS_TRACK
     steps = {dim: -(-dataset.sizes[dim] // size) for dim, size in zip(dims, OVERVIEW_SHAPE, strict=True)}
     names = [name for name in ("reflectance", "quality") if name in dataset.variables]
     subsample = dataset[names].isel({dim: slice(None, None, step) for dim, step in steps.items()})
@@ -263,7 +283,7 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
         picture = rgb(subsample)
     except SchemaError:  # fewer than three visible bands
         return None
-    row = schema.VARIABLES["overview"]
+    row = VARIABLES["overview"]
     pixels = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
     pixels = pixels.drop_vars(list(pixels.coords)).rename(dict(zip(pixels.dims, row.dims, strict=True)))
     pixels.attrs = {**row.attrs, "line_step": steps[dims[0]], "column_step": steps[dims[1]]}
@@ -309,45 +329,50 @@ def quicklook(
     """
     is_wide = columns_for(width, 4.0, 2) > 1
     figure = new_figure("a quicklook", figsize=(width, 8.0 if is_wide else 15.0), layout="constrained")
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     if "reflectance" in dataset.variables and "quality" not in dataset.variables:
         dataset = reflectance(dataset)
     dataset, cube_name = with_shown_cube(dataset)
     has_flags = "quality" in dataset.variables
-    schema.require(dataset, [cube_name, *(["quality"] if has_flags else [])], "a quicklook")
-    step = max(1, dataset.sizes[schema.ALONG_TRACK] // lines)
+    require(dataset, [cube_name, *(["quality"] if has_flags else [])], "a quicklook")
+    step = max(1, dataset.sizes[ALONG_TRACK] // lines)
     orientation = orientation_of(dataset)
-    dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
+    dataset = dataset.isel({ALONG_TRACK: slice(None, None, step)})
     names = ("flags", "light", "spectra")
     mosaic = [["picture", name] for name in names] if is_wide else [["picture"], *([name] for name in names)]
     heights = (1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0)
     plots = figure.subplot_mosaic(mosaic, height_ratios=heights)
     show_picture(plots["picture"], rgb(dataset).values, orientation)
-    line_text = f", every {step}th line" if step > 1 else ""
-    name = label_for(dataset.attrs.get("name", "flight line"))
-    plots["picture"].set_title(
-        f"{name}: {'true colour' if cube_name == 'reflectance' else cube_name}{line_text}"
-    )
+    title = f"{label_for(dataset.attrs.get('name', 'flight line'))}: "
+    title += "true colour" if cube_name == "reflectance" else cube_name
+    plots["picture"].set_title(title + (f", every {step}th line" if step > 1 else ""))
+    # bars of the share of pixels with each flag
+    axes = plots["flags"]
     if has_flags:
-        _draw_flags(plots["flags"], flags_of(dataset))
+        shares = flag_shares(flags_of(dataset))
+        labels = [name.replace("_", " ") for name in flag_names(sum(shares))] or ["no flag set"]
+        lengths = [100 * share for share in shares.values()] or [0.0]
+        bars = axes.barh(labels, lengths, height=0.6, color="#b5543c")
+        axes.bar_label(bars, [f" {percent(share)}" for share in shares.values()] or [""], fontsize="small")
+        axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(labels), 8) - 0.4, -0.6))
+        axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
     else:
-        plots["flags"].set_axis_off()
+        axes.set_axis_off()
     draw_irradiance(plots["light"], dataset)
     draw_spread(plots["spectra"], dataset, cube_name)
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def flags_of(dataset: xr.Dataset) -> Array:
-    """Return the flags of all pixels (along_track, cross_track) as integers."""
-    quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"]
+    # Return the flags of all pixels (along_track, cross_track) as integers
+    quality = require(dataset, ["quality"], "a picture of flags")["quality"]
     if quality.dtype.kind not in "iu":
         raise SchemaError(f"quality is {quality.dtype}", expected="uint16, one bit a flag", code="type-wrong")
     return np.asarray(quality.values)
 
 
-def flag_label(flag: schema.Quality) -> str:
-    """Return the name of a flag with spaces."""
+def flag_label(flag: Quality) -> str:
+    # Return the name of a flag with spaces
     return str(flag.name).lower().replace("_", " ")
 
 
@@ -366,31 +391,22 @@ def percent(share: float) -> str:
     return f"{float(f'{100 * share:.2g}'):g} %"
 
 
-def _draw_flags(axes: Any, quality: Array) -> None:
-    shares = schema.flag_shares(quality)
-    names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
-    bars = axes.barh(names, [100 * share for share in shares.values()] or [0.0], height=0.6, color="#b5543c")
-    axes.bar_label(bars, [f" {percent(share)}" for share in shares.values()] or [""], fontsize="small")
-    axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
-    axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
-
-
 def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
-    """Draw irradiance over time at three wavelengths, and the time of the line, if known."""
+    # Draw irradiance over time at three wavelengths, and the time of the line, if known
     if "irradiance" not in dataset.variables:
         axes.set_axis_off()
         return
-    series = schema.require(dataset, ["irradiance"], "a picture of irradiance")["irradiance"]
-    moments = series.coords.get(schema.IRRADIANCE_TIME)
+    series = require(dataset, ["irradiance"], "a picture of irradiance")["irradiance"]
+    moments = series.coords.get(IRRADIANCE_TIME)
     if moments is None or not moments.size or moments.dtype.kind != "M":
         raise SchemaError(
             "a picture of irradiance needs the coordinate irradiance_time with at least one time",
             code="variable-missing",
         )
     series = series.compute()
-    start = series[schema.IRRADIANCE_TIME].values[0]
-    seconds = (series[schema.IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
-    samples = series[schema.IRRADIANCE_WAVELENGTH].values
+    start = series[IRRADIANCE_TIME].values[0]
+    seconds = (series[IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
+    samples = series[IRRADIANCE_WAVELENGTH].values
     for nm, colour in ((450.0, "#3399DD"), (550.0, "#009E73"), (850.0, "#D55E00")):
         if samples.min() <= nm <= samples.max():
             axes.plot(
@@ -402,29 +418,30 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
         axes.axvspan(line_seconds.min(), line_seconds.max(), color=ink_of(axes, 0.15), zorder=0, label="line")
     day, _, clock = str(start)[:19].partition("T")
     axes.set(title=f"irradiance, {day}", xlabel=f"time after {clock} UTC [s]")
-    axes.set_ylabel("irradiance [W m$^{-2}$ nm$^{-1}$]")
-    axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
+    axes.set(ylabel="irradiance [W m$^{-2}$ nm$^{-1}$]", ylim=(0, 1.05 * axes.get_ylim()[1]))
     legend_below(axes)
 
 
 def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> None:
-    """Draw the quantiles of a cube over the pixels, band by band."""
-    sample = dataset[name].isel(
-        {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
-    )
-    values = (
-        sample.transpose(..., schema.BAND).astype(np.float32).values.reshape(-1, sample.sizes[schema.BAND])
-    )
-    quantiles = finite_quantiles(values, (0.05, 0.25, 0.5, 0.75, 0.95))
-    wavelength = dataset["wavelength"].values
-    axes.fill_between(wavelength, quantiles[0], quantiles[4], color=ink_of(axes, 0.12), label="5 to 95 %")
-    axes.fill_between(wavelength, quantiles[1], quantiles[3], color=ink_of(axes, 0.3), label="middle half")
-    axes.plot(wavelength, quantiles[2], color=ink_of(axes, 0.9), label="median")
+    # Draw the quantiles of a cube over the pixels, band by band
+    sample = dataset[name].isel({ALONG_TRACK: slice(None, None, max(1, dataset.sizes[ALONG_TRACK] // 50))})
+    values = sample.transpose(..., BAND).astype(np.float32).values.reshape(-1, sample.sizes[BAND])
+    styles = [{"color": ink_of(axes, strength)} for strength in (0.12, 0.3, 0.9)]
+    draw_quantiles(axes, dataset["wavelength"].values, values, styles)
     units = label_for(dataset[name].attrs.get("units", "count"))
     unit = "reflectance factor [1]" if name == "reflectance" else f"{name} [{units}]"
-    axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=unit)
-    axes.set_ylim(bottom=0)
+    axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=unit, ylim=(0, None))
     legend_below(axes)
+
+
+def draw_quantiles(axes: Any, wavelength: Array, values: Array, styles: Sequence[dict[str, Any]]) -> None:
+    # Draw median, middle half and 5 to 95 % of samples (sample, band).
+    # ``styles``: of the 5 to 95 %, of the middle half, and of the median.
+    quantiles = finite_quantiles(values, QUANTILES)
+    for lower, label in enumerate(("5 to 95 %", "middle half")):
+        edges = quantiles[lower], quantiles[4 - lower]
+        axes.fill_between(wavelength, *edges, label=label, **styles[lower])
+    axes.plot(wavelength, quantiles[2], label="median", **styles[2])
 
 
 def finite_quantiles(values: Array, levels: Sequence[float]) -> Array:
@@ -439,3 +456,652 @@ def finite_quantiles(values: Array, levels: Sequence[float]) -> Array:
     has_value = np.isfinite(values).any(axis=0)
     quantiles[:, has_value] = np.nanquantile(values[:, has_value], levels, axis=0)
     return quantiles
+
+
+# --- flags and layers --------------------------------------------------------------------------------------
+
+
+@documented()
+def flag_overlay(
+    dataset: xr.Dataset,
+    flags: Quality | str | Iterable[str] | None = None,
+    *,
+    layer: str | None = None,
+    lines: int = 1000,
+    opacity: float = 0.75,
+    axes: Any = None,
+) -> Any:
+    """Draw flags, or a continuous layer, over the true-colour picture of a flight line.
+
+    Eager. In a subsampled picture a pixel combines several pixels of the line: all their flags, and the
+    maximum of a layer. Of several flags on a pixel the rarest is shown. Shares count all pixels of the line.
+
+    Parameters
+    ----------
+    dataset
+        A flight line with ``quality``, or with the variables to compute it.
+    flags
+        Flags to draw: `Quality`, or names such as ``"glint"``; by default all flags that occur, or with a
+        layer no flags.
+    layer
+        Name of a variable (along_track, cross_track), such as a fraction of glint.
+    lines
+    opacity
+        Opacity of flags or layer, from 0 to 1.
+    axes
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        x is cross_track, y is along_track, flown upwards, in pixels of the flight line; for a map x and y of
+        the map, north up. The picture is not mirrored; pixels have their aspect ratio on the ground where
+        known.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        A flag or the layer does not exist, or quality and the variables to compute it are missing.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> axes = flag_overlay(line, ["saturated", "shadow"])
+    >>> axes.get_xlabel()
+    'cross_track [column]'
+    """
+    dataset = rename_to_roles(dataset)
+    chosen: tuple[Quality, ...] = ()  # all flags
+    if isinstance(flags, Quality):
+        chosen = tuple(flag for flag in Quality if flag & flags)
+    elif flags is not None:
+        chosen = tuple(flags_named([flags] if isinstance(flags, str) else map(str, flags)))
+    planes = [
+        str(name)
+        for name, array in dataset.variables.items()
+        if set(array.dims) == {ALONG_TRACK, CROSS_TRACK} and array.dtype.kind in "fiub"
+    ]
+    if layer is not None and layer not in planes:
+        raise SchemaError(
+            f"no layer {layer!r} on (along_track, cross_track)",
+            expected=", ".join(planes) or "a line with layers",
+            code="variable-missing",
+        )
+    if "quality" not in dataset.variables and (layer is None or chosen):
+        dataset = reflectance(dataset)
+    require(dataset, ["quality"] if layer is None else [], "a picture of flags")
+    step = max(1, -(-dataset.sizes[ALONG_TRACK] // max(lines, 1)))
+    orientation = orientation_of(dataset)
+    height = min(max(orientation.height_of(4.0), 3.5), 12.0) + 1.0
+    axes = axes_or_new(axes, "a picture of flags", figsize=(6.8, height))
+    show_picture(axes, background(dataset, step), orientation)
+    axes.set(title=label_for(dataset.attrs.get("name", "flight line")))
+    if layer is not None:
+        _draw_layer(axes, dataset, orientation, layer, step, opacity)
+    if layer is None or chosen:
+        _draw_flags(axes, dataset, orientation, chosen, step, opacity)
+    return axes
+
+
+def background(dataset: xr.Dataset, step: int) -> Array:
+    """Return a picture (line, column, rgb) of every ``step``-th line, 0 to 1, stored or computed."""
+    overview = stored_picture(dataset, step)
+    if overview is None:
+        overview = rgb(dataset.isel({ALONG_TRACK: slice(None, None, step)}))
+    return np.asarray(overview.values)
+
+
+def draw_outlines(axes: Any, regions: Iterable[Region], *, width: float = 1.0, named: bool = True) -> None:
+    # Outline regions (sensor coordinates) with their names on axes of `flag_overlay`
+    from matplotlib.patheffects import withStroke
+
+    rim = [withStroke(linewidth=2.5, foreground="black")]
+    for region in regions:
+        for ring in (region.polygon, *region.holes):
+            x, y = np.vstack([ring, ring[:1]]).T
+            axes.plot(x, y, color="white", lw=width, path_effects=rim)
+        if named:
+            across, along = region.polygon.mean(axis=0)
+            style = {"color": "white", "fontsize": "x-small", "ha": "center", "va": "center", "clip_on": True}
+            axes.text(across, along, label_for(region.name), path_effects=rim, **style)
+
+
+_NARROW_INCH = 5.0  # width of a picture below which its legend is below it
+
+
+def _draw_flags(
+    axes: Any,
+    dataset: xr.Dataset,
+    orientation: Orientation,
+    chosen: tuple[Quality, ...],
+    step: int,
+    opacity: float,
+) -> None:
+    # draw flags in their colours, the rarest on top, with a legend of shares
+    from matplotlib.colors import to_rgb
+    from matplotlib.patches import Patch
+
+    quality = flags_of(dataset)
+    shares = flag_shares(quality)
+    flags = chosen or tuple(shares)
+    bits = reduced_lines(quality, step, np.bitwise_or)
+    picture = np.zeros((*bits.shape, 4), np.float32)
+    for flag in sorted(flags, key=lambda flag: -shares.get(flag, 0.0)):
+        picture[(bits & int(flag)) != 0] = (*to_rgb(flag.colour), opacity)
+    show_picture(axes, picture, orientation)
+    entries = {}
+    for flag in flags:
+        label = f"{flag_label(flag)}  {percent(shares.get(flag, 0.0))}"
+        entries[label] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
+    entries = entries or {"no flag set": Patch(facecolor="none")}
+    title = "share of pixels"
+    if axes_width(axes) < _NARROW_INCH:
+        legend_below(axes, entries=entries, title=title, alignment="left")
+    else:
+        options = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+        axes.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, title=title, **options)
+
+
+def reduced_lines(values: Array, step: int, combine: Any) -> Array:
+    # Combine every ``step`` lines into one by the ufunc ``combine``
+    starts = np.arange(0, len(values), step)
+    return values if step == 1 else np.asarray(combine.reduceat(values, starts, axis=0))
+
+
+def _draw_layer(
+    axes: Any, dataset: xr.Dataset, orientation: Orientation, layer: str, step: int, opacity: float
+) -> None:
+    # draw a layer that is transparent at zero and has full opacity from a third of its range
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    array = dataset[layer].transpose(ALONG_TRACK, CROSS_TRACK)
+    values = reduced_lines(array.values.astype(np.float32), step, np.fmax)
+    finite = values[np.isfinite(values)]
+    minimum, maximum = np.percentile(finite, (0.2, 99.8)).tolist() if finite.size else (0.0, 0.0)
+    is_signed = -minimum > 0.05 * max(maximum, 0.0) and minimum < 0  # values slightly below zero are noise
+    limit = max(abs(minimum), abs(maximum)) if is_signed else maximum
+    limit = limit if limit > 0 else 1.0
+    colours = ScalarMappable(
+        Normalize(-limit if is_signed else 0.0, limit), "PuOr_r" if is_signed else "inferno"
+    )
+    masked = np.ma.masked_invalid(values)
+    image = show_picture(axes, masked, orientation, cmap=colours.cmap, norm=colours.norm)
+    magnitude = np.abs(values) if is_signed else np.maximum(values, 0.0)
+    image.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * magnitude / limit, 0.0, 1.0)))
+    units = str(array.attrs.get("units", ""))
+    caption = f"{label_for(layer)} [{label_for(units)}]" if units else label_for(layer)
+    options = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
+    axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **options)
+
+
+# --- light of neighbours -------------------------------------------------------------------------------
+
+
+# colours of up to four bands by rising wavelength; more bands take matplotlib's colours
+_COLOURS = ("#3399DD", "#009E73", "#D55E00", "#CC79A7")
+_NEAR_COLOUR, _FAR_COLOUR = "#D55E00", "#808080"
+_QUARTILES = (0.25, 0.75)
+
+
+@takes_quantities(wavelengths="nm")
+@documented(path="picture")
+def adjacency_figure(
+    line: xr.Dataset,
+    near: Any,
+    far: Any,
+    path: str | Path | None = None,
+    *,
+    without: xr.Dataset | None = None,
+    wavelengths: Sequence[float] = (450.0, 550.0, 650.0, 850.0),
+    width: int = 5,
+    figure_width: float = 15.0,
+) -> Any:
+    r"""Draw the light that a coloured neighbour adds to a surface: picture, transect, spectra near and far.
+
+    Eager: the blocks of lines are read that hold the pixels.
+
+    Parameters
+    ----------
+    line
+        A flight line with ``reflectance`` and ``wavelength``; ``adjacency``, from
+        `hyperpaint.surroundings.flag`, is drawn along the transect as well.
+    near, far
+        Regions of the same surface, beside the neighbour and away from it, see
+        `hyperpaint.regions.regions_from`. The transect leads from the centre of ``near`` to that of ``far``.
+    path
+    without
+        The same scene without the neighbour's colour, such as another render, drawn dashed.
+    wavelengths
+        Wavelengths of the bands along the transect [nm].
+    width
+        Width of the transect, which is averaged [pixel].
+    figure_width
+        Width of the figure [inch]; below 10 the plots stand one above the other.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError, UnitsError
+        Reflectance or wavelength is missing; ``without`` has another size; a region holds no pixel, or both
+        regions have the same centre; ``width`` is not positive. All problems are listed.
+
+    Notes
+    -----
+    A neighbour of reflectance :math:`\rho_n` adds :math:`F \rho_n` to the light of a surface, with F the part
+    of its hemisphere that the lit neighbour fills, which increases towards the neighbour.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> from hyperpaint.regions import Region
+    >>> line = simulate_line(lines=32, bands=40, columns=24).paint.reflectance()
+    >>> near = Region("near", [(2, 2), (6, 2), (6, 6), (2, 6)])
+    >>> far = Region("far", [(2, 20), (6, 20), (6, 24), (2, 24)])
+    >>> len(adjacency_figure(line, [near], [far]).axes)
+    4
+    """
+    is_wide = columns_for(figure_width, 5.0, 3) > 1
+    size = (figure_width, 5.6 if is_wide else 14.0)
+    figure = new_figure("a figure of adjacency", figsize=size, layout="constrained")
+    line = rename_to_roles(line)
+    variables = require(line, ["reflectance", "wavelength"], "a figure of adjacency")
+    lines = {"": line} if without is None else {"": line, "without": rename_to_roles(without)}
+    regions = _checked_regions(lines, near, far, width)
+    places = pixels_of(regions, line)
+    route, distance = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
+    nm = variables["wavelength"].values
+    order = np.argsort(nm, kind="stable")
+    ratios = {"width_ratios": (0.9, 1.2, 1.2), "height_ratios": (3, 2)}
+    plots = (
+        figure.subplot_mosaic([["picture", "along", "spectra"], ["picture", "added", "spectra"]], **ratios)
+        if is_wide
+        else figure.subplot_mosaic([["picture"], ["along"], ["added"], ["spectra"]])
+    )
+    # picture with the outlines of both regions, and the transect as an arrow
+    axes = plots["picture"]
+    show_picture(axes, background(line, 1), orientation_of(line))
+    for region, colour in zip(regions, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
+        outline = np.vstack([region.polygon, region.polygon[:1]]).T
+        axes.plot(*outline, color="white", linewidth=3.0)
+        axes.plot(*outline, color=colour, linewidth=1.5)
+    rows, columns = numbers_of(line, ALONG_TRACK), numbers_of(line, CROSS_TRACK)
+    start, stop = ((columns[across], rows[along]) for along, across in route[[0, -1], width // 2])
+    for thickness, colour in ((3.0, "white"), (1.2, "black")):
+        arrow = {"arrowstyle": "->", "color": colour, "linewidth": thickness}
+        axes.annotate("", stop, start, arrowprops=arrow)
+    transects = {}
+    for name, dataset in lines.items():
+        cube = require(dataset, ["reflectance"], "a figure of adjacency")["reflectance"]
+        style, is_labelled = ("--", False) if name else ("-", True)
+        values = _spectra_at(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1)
+        transects[name] = _mean(values, axis=1)
+        _draw_bands(plots["along"], distance, transects[name], nm, wavelengths, style, is_labelled)
+        for region, place, colour in zip(regions, places, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
+            # mean of the region's pixels; for the line itself also their middle half
+            spectra, axes = _spectra_at(cube, *place)[:, order], plots["spectra"]
+            mean = _mean(spectra, axis=0)
+            if is_labelled:
+                is_finite = np.isfinite(mean)
+                lower, upper = np.nanquantile(spectra[:, is_finite], _QUARTILES, axis=0)
+                axes.fill_between(nm[order][is_finite], lower, upper, color=colour, alpha=0.15, linewidth=0)
+            axes.plot(
+                nm[order], mean, style, color=colour, label=label_for(region.name) if is_labelled else None
+            )
+    if without is not None:
+        _draw_bands(
+            plots["added"], distance, transects[""] - transects["without"], nm, wavelengths, "-", False
+        )
+    if "adjacency" in line.variables:
+        layer = line["adjacency"].transpose(ALONG_TRACK, CROSS_TRACK).values
+        adjacency = _mean(layer[route[..., 0], route[..., 1]], axis=1)
+        ink = ink_of(plots["added"])
+        plots["added"].plot(
+            distance, adjacency, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]"
+        )
+    # labels and legends
+    plots["along"].set(ylabel="reflectance factor [1]")
+    plots["added"].set(xlabel="distance from the near end [pixel]", ylabel="added [1]")
+    plots["spectra"].set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]", ylim=(0, None))
+    plots["along"].tick_params(labelbottom=False)
+    plots["along"].sharex(plots["added"])
+    for name in ("along", "added", "spectra"):
+        axes = plots[name]
+        axes.spines[["top", "right"]].set_visible(False)
+        if without is not None and name != "added":
+            axes.plot([], [], "--", color="0.4", label="without the neighbour's colour")
+    legend_below(plots["spectra"])
+    if plots["added"].lines:
+        legend_below(plots["added"], plots["along"])
+    else:
+        plots["added"].set_axis_off()
+        plots["along"].tick_params(labelbottom=True)
+        plots["along"].set(xlabel=plots["added"].get_xlabel())
+        legend_below(plots["along"])
+    return save_figure(figure, path)
+
+
+def _checked_regions(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> Any:
+    problems = Problems("adjacency cannot be drawn", SchemaError)
+    line, *comparisons = lines.values()
+    shape = dict(line["reflectance"].sizes)
+    problems.extend(
+        Problem(
+            "without= has no reflectance of the line's size", expected=f"shape {shape}", code="grid-mismatch"
+        )
+        for comparison in comparisons
+        if "reflectance" not in comparison.variables or dict(comparison["reflectance"].sizes) != shape
+    )
+    if width < 1:
+        problems.add(f"width={width}", expected="1 or more pixels", code="value-out-of-range")
+    pairs = [regions_from(regions) for regions in (near, far)]
+    problems.extend(
+        Problem(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")
+        for name, regions in zip(("near", "far"), pairs, strict=True)
+        if len(regions) != 1
+    )
+    problems.raise_if_any()
+    pair = type(pairs[0])((pairs[0][0], pairs[1][0]), pairs[0].coordinates, pairs[0].crs)
+    problems.extend(
+        Problem(f"region {region.name!r} holds no pixel of the line", code="region-empty")
+        for region, (along, _) in zip(pair, pixels_of(pair, line), strict=True)
+        if not along.size
+    )
+    problems.raise_if_any()
+    return pair
+
+
+def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tuple[Array, Array]:
+    # pixels (step, width, 2) from the centre of the near region to that of the far one, and distances [pixel]
+    start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
+    length = float(np.hypot(*(stop - start)))
+    if length < 1.0:
+        raise SchemaError(
+            "adjacency cannot be drawn: both regions have the same centre",
+            mend="choose regions at different distances from the neighbour",
+            code="region-overlap",
+        )
+    direction = (stop - start) / length
+    distance = np.arange(int(length) + 1, dtype=np.float64)
+    offset = np.arange(width) - (width - 1) / 2
+    positions = (
+        start
+        + distance[:, None, None] * direction
+        + offset[None, :, None] * np.array([-direction[1], direction[0]])
+    )
+    return np.clip(np.floor(positions + 0.5).astype(np.intp), 0, (lines - 1, columns - 1)), distance
+
+
+def _spectra_at(cube: xr.DataArray, along: Array, across: Array) -> Array:
+    spectra, _ = gather({"reflectance": cube}, {}, along, across, slice(0, cube.sizes[BAND]), {})
+    return spectra["reflectance"].astype(np.float64)
+
+
+def _mean(values: Array, axis: int) -> Array:
+    # mean of finite values; NaN where all are missing
+    is_finite = np.isfinite(values)
+    count = is_finite.sum(axis=axis)
+    mean = np.where(is_finite, values, 0.0).sum(axis=axis) / np.maximum(count, 1)
+    return np.asarray(np.where(count > 0, mean, np.nan))
+
+
+def _draw_bands(
+    axes: Any,
+    distance: Array,
+    values: Array,
+    nm: Array,
+    wavelengths: Sequence[float],
+    style: str,
+    is_labelled: bool,
+) -> None:
+    bands = [int(np.nanargmin(np.abs(nm - nm_chosen))) for nm_chosen in wavelengths]
+    colours = _COLOURS if len(bands) <= len(_COLOURS) else [f"C{number}" for number in range(len(bands))]
+    for band, colour in zip(bands, colours, strict=False):
+        name = f"{nm[band]:.0f} nm" if is_labelled else None
+        axes.plot(
+            distance, values[:, band], style, color=colour, linewidth=1.5 if is_labelled else 1.0, label=name
+        )
+
+
+# --- counts, radiance and reflectance ----------------------------------------------------------------------
+
+
+MAX_REGION_PIXELS = 4096  # pixels drawn in a triptych; larger regions are subsampled
+_LABELS = {
+    "counts": "counts [count]",
+    "radiance": "radiance [W m$^{-2}$ sr$^{-1}$ nm$^{-1}$]",
+    "reflectance": "reflectance factor [1]",
+}
+_BLUE = "#3399DD"  # visible on light and dark backgrounds
+_AXES_INCH = (4.3, 4.4)
+
+
+@documented(path="picture")
+def triptych(
+    dataset: xr.Dataset,
+    region: Any = None,
+    path: str | Path | None = None,
+    *,
+    pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
+    exclude: Quality | int | None = None,
+    width: float = 13.0,
+) -> Any:
+    r"""Draw a region, or single pixels, as counts, as radiance and as reflectance, side by side.
+
+    Eager: the blocks of lines with the pixels are read. For a region, curves are medians over the pixels, and
+    shades are their middle half and 5 to 95 %; regions of more than 4096 pixels are subsampled. Single pixels
+    have a curve in the colour of the pixel, also if they are flagged: figure 2, b to d, of the paper.
+
+    Parameters
+    ----------
+    dataset
+        A flight line with ``counts`` and their calibration.
+    region
+        A `hyperpaint.Region`, or any input of `hyperpaint.read_regions` with one region.
+    pixels
+        Instead of a region: (along_track, cross_track) of a pixel, or several such pairs.
+    path
+    exclude
+    width
+        Width of the figure [inch]; below 8.6 the plots stand one above the other.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Three axes. Counts are drawn with dark counts and saturation count, radiance with the radiance of
+        a white surface, :math:`\pi^{-1} E`, at the time nearest to the region.
+
+    Raises
+    ------
+    FormatError
+        The region cannot be read.
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError, UnitsError
+        There is more than one region, all of its pixels are excluded, or pixels lie outside the line; or the
+        flight line lacks variables to compute reflectance.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> from hyperpaint.regions import Region
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> figure = triptych(line, Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)]))
+    >>> [axes.get_title() for axes in figure.axes]
+    ['counts', 'radiance', 'reflectance']
+    """
+    columns = 3 if columns_for(width, _AXES_INCH[0], 3) == 3 else 1
+    size = (width, _AXES_INCH[1] * (3 // columns))
+    figure = new_figure("a triptych", figsize=size, layout="constrained")
+    dataset = rename_to_roles(dataset)
+    counts = require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
+    if (region is None) == (pixels is None):
+        raise SchemaError(
+            "a triptych shows either a region or pixels=(along_track, cross_track)",
+            mend="pass one of the two",
+            code="option-conflict",
+        )
+    calibrated = reflectance(dataset)
+    cubes = {
+        "counts": counts,
+        "radiance": radiance(dataset)["radiance"],
+        "reflectance": calibrated["reflectance"],
+    }
+    plots = figure.subplots(3 // columns, columns, squeeze=False).ravel()
+    wavelength = dataset["wavelength"].values
+    if pixels is not None:
+        problems = Problems("pixels cannot be drawn", SchemaError)
+        places = checked_places(dataset, pixels, problems)
+        problems.raise_if_any()
+        line_indices, column_indices = places.T
+        spectra, values = gather(
+            cubes, {"quality": calibrated["quality"]}, line_indices, column_indices, slice(None), {}
+        )
+        draw_pixels(plots, dataset, spectra, values["quality"], places)
+    else:
+        outlined = regions_from(region)
+        if len(outlined) != 1:
+            raise SchemaError(
+                f"a triptych shows one region, found {len(outlined)}",
+                mend="choose one, such as regions[0]",
+                code="region-number",
+            )
+        line_indices, column_indices = pixels_of(outlined, dataset)[0]
+        step = max(1, -(-line_indices.size // MAX_REGION_PIXELS))
+        line_indices, column_indices = line_indices[::step], column_indices[::step]
+        spectra, values = gather(
+            cubes, {"quality": calibrated["quality"]}, line_indices, column_indices, slice(None), {}
+        )
+        # pixels without excluded flags that have a reflectance
+        is_used = (values["quality"] & int(EXCLUDED if exclude is None else exclude)) == 0
+        is_used &= np.isfinite(spectra["reflectance"]).any(axis=1)
+        name, count = outlined[0].name, line_indices.size
+        if not is_used.any():
+            raise SchemaError(
+                f"region {name!r}: all {count} pixels are flagged",
+                mend="draw the region elsewhere, or pass fewer flags as exclude",
+                code="region-empty",
+            )
+        figure.suptitle(f"{label_for(name)}: {int(is_used.sum())} of {count} pixels")
+        line_indices, column_indices = line_indices[is_used], column_indices[is_used]
+        for axes, cube in zip(plots, spectra.values(), strict=True):
+            samples = np.where(good_bands(dataset), cube[is_used], np.nan)
+            shades = [{"color": _BLUE, "alpha": alpha, "lw": 0} for alpha in (0.2, 0.4)]
+            draw_quantiles(axes, wavelength, samples, [*shades, {"color": _BLUE, "lw": 1.6}])
+    # dark counts of these columns, and the saturation count
+    dark, saturation = (dataset.variables.get(name) for name in ("dark_counts", "saturation_count"))
+    if dark is not None and dark.dims == (BAND, CROSS_TRACK):
+        level = np.median(dark.values[:, np.unique(column_indices)], axis=1)
+        plots[0].plot(wavelength, level, color=ink_of(plots[0], 0.7), lw=1, ls="--", label="dark")
+    if saturation is not None and saturation.ndim == 0:
+        plots[0].axhline(float(saturation), color="#D55E00", lw=1, ls=":", label="saturation")
+    _draw_white(plots[1], dataset, line_indices)
+    for axes, name in zip(plots, cubes, strict=True):
+        axes.set(title=name, xlabel="wavelength [nm]", ylabel=_LABELS[name], ylim=(0, None))
+        legend_below(axes)
+    return save_figure(figure, path)
+
+
+def _draw_white(axes: Any, dataset: xr.Dataset, line_indices: Array) -> None:
+    # radiance of a white surface at the median time of the pixels, in the camera's wavelength range
+    if "irradiance" not in dataset.variables or "time" not in dataset.coords:
+        return
+    series = require(dataset, ["irradiance"], "a triptych")["irradiance"]
+    times = dataset["time"].values[line_indices]
+    times = times[~np.isnat(times)]
+    if not times.size:
+        return
+    sample = np.abs(series[IRRADIANCE_TIME].values - np.sort(times)[times.size // 2]).argmin()
+    nm = series[IRRADIANCE_WAVELENGTH].values
+    min_nm, max_nm = axes.get_xlim()
+    is_shown = (nm >= min_nm) & (nm <= max_nm)
+    white = series.isel({IRRADIANCE_TIME: int(sample)}).values[is_shown] / np.pi
+    axes.plot(nm[is_shown], white, color=ink_of(axes, 0.7), lw=1, ls="--", label="white surface")
+
+
+# --- before and after straightening ------------------------------------------------------------------------
+
+_MAX_LINES = 1500  # maximum lines of the raw picture, and rows of the map
+
+
+@documented(path="picture")
+def straightening(
+    line: xr.Dataset,
+    orthomap: xr.Dataset | None = None,
+    path: str | Path | None = None,
+    *,
+    width: float = 11.0,
+) -> Any:
+    """Draw a flight line as recorded beside its map: figure 3 of the paper.
+
+    Eager: the visible bands are read.
+
+    Parameters
+    ----------
+    line
+        A flight line with reflectance, or with the variables to compute it. Without ``orthomap`` it must be
+        located, or have the attribute ``ground``; it is then mapped north up.
+    orthomap
+        Its map from `hyperpaint.geometry.orthorectify`.
+    path
+    width
+        Width of the figure [inch]; below 6 the map stands below the line.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        Reflectance is missing, or there are fewer than three visible bands; or without ``orthomap`` the line
+        is not located.
+
+    Examples
+    --------
+    >>> from hyperpaint.geometry import locate
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = locate(simulate_line(lines=64, bands=12, columns=48), ground=160.0)
+    >>> figure = straightening(line)
+    >>> len(figure.axes)
+    2
+    """
+    line = rename_to_roles(line)
+    if "reflectance" not in line.variables:
+        line = reflectance(line)
+    if orthomap is None:
+        if not {"east", "north"} <= set(line.coords) and "ground" not in line.attrs:
+            raise SchemaError(
+                "the line is not located and declares no ground height, so it has no map",
+                mend="pass line.paint.locate(...), or its map as orthomap",
+                code="line-not-located",
+            )
+        nm = require(line, ["wavelength"], "a map")["wavelength"].values
+        visible = line.isel({BAND: np.flatnonzero((nm > 380) & (nm < 780))})
+        orthomap = orthorectify(visible, grid="north", variables=["reflectance"])
+    columns = columns_for(width, 3.0, 2)
+    datasets = (("as recorded", line), ("straightened", rename_to_roles(orthomap)))
+    orientations = [orientation_of(dataset) for _, dataset in datasets]
+    heights = [
+        min(0.8 * orientation.height_of(width / columns - 0.9), 9.0) + 1.1 for orientation in orientations
+    ]
+    height = max(heights) if columns == 2 else sum(heights)
+    figure = new_figure("a line before and after", figsize=(width, height + 0.3), layout="constrained")
+    grid = figure.add_gridspec(2 // columns, columns, height_ratios=heights if columns == 1 else None)
+    for number, (title, dataset) in enumerate(datasets):
+        axes = figure.add_subplot(grid[divmod(number, columns)])
+        steps = {dim: max(1, dataset.sizes[dim] // _MAX_LINES) for dim in (ALONG_TRACK, CROSS_TRACK)}
+        subsample = dataset.isel({dim: slice(None, None, step) for dim, step in steps.items()})
+        show_picture(axes, rgb(subsample).values, orientations[number])
+        axes.set_title(title)
+    figure.suptitle(label_for(line.attrs.get("name", "flight line")))
+    return save_figure(figure, path)

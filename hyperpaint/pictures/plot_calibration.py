@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
+from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, require
 from hyperpaint.calibration.calibration_dataset import fitted_lines
 
 from .figures import axes_width, check_picture, columns_for, ink_of, legend_below, new_figure, save_figure
+from .plot import finite_quantiles
 
 Values = dict[str, Any]
 
@@ -112,23 +112,46 @@ def calibration_report(
     grid = [cells[divmod(number, columns)] for number in range(6)]
     fit_cells = grid[0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
     lamp_axes = figure.add_subplot(fit_cells[0])
-    _draw_lamp_lines(
-        lamp_axes, figure.add_subplot(fit_cells[1], sharex=lamp_axes), calibration, sweep, values
+    residual_axes = figure.add_subplot(fit_cells[1], sharex=lamp_axes)
+    from matplotlib import colormaps
+
+    usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
+    # without the outermost lamp lines, some of whose light falls outside the detector
+    positions = np.linspace(0, max(usable.size - 1, 0), _LAMP_LINES_SHOWN + 2)[1:-1].round().astype(int)
+    steps = sorted(set(usable[positions].tolist())) if usable.size else []
+    lamp_lines = fitted_lines(calibration, sweep, steps, values["column"])
+    colours = colormaps["viridis"](np.linspace(0.3, 0.85, max(len(lamp_lines), 1)))
+    for lamp_line, colour in zip(lamp_lines, colours, strict=False):
+        lamp_axes.plot(
+            lamp_line.curve_distance,
+            lamp_line.curve,
+            color=colour,
+            lw=1.2,
+            label=f"{lamp_line.wavelength:g} nm",
+        )
+        lamp_axes.plot(lamp_line.distance, lamp_line.counts, "o", color=colour, ms=4)
+        residual_axes.plot(lamp_line.distance, 100 * lamp_line.residual, "o-", color=colour, ms=2.5, lw=0.6)
+    lamp_axes.set(title=f"lamp lines and fits, column {values['column']}", ylabel="counts above dark [count]")
+    lamp_axes.tick_params(labelbottom=False)
+    lamp_axes.set_ylim(bottom=min(0.0, lamp_axes.get_ylim()[0]))
+    residual_axes.axhline(0, color="0.6", lw=0.8, zorder=0)
+    residual_axes.set(xlabel="distance from the lamp line [nm]", ylabel="counts - fit\n[% of height]")
+    max_residual = max(
+        (float(np.abs(100 * lamp_line.residual).max(initial=0.0)) for lamp_line in lamp_lines), default=0.0
     )
-    _draw_residuals(figure.add_subplot(grid[1]), values)
-    _draw_smile(figure.add_subplot(grid[2]), values)
-    _draw_widths(figure.add_subplot(grid[3]), values)
-    _draw_responsivity(figure.add_subplot(grid[4]), values)
-    _draw_uncertainty(figure.add_subplot(grid[5]), values)
+    legend_below(residual_axes, lamp_axes)
+    residual_axes.set_ylim(*(np.array([-1.15, 1.15]) * max(max_residual, 0.1)))
+    drawers = (_draw_residuals, _draw_smile, _draw_widths, _draw_responsivity, _draw_uncertainty)
+    for cell, draw in zip(grid[1:], drawers, strict=True):
+        draw(figure.add_subplot(cell), values)
     for axes in figure.axes:
         axes.set_title(textwrap.fill(axes.get_title(), int(9 * width / columns)))
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
     # variables in the units of the schema, and the highlighted column
-    variables = schema.require(calibration, list(_DIMS), "a calibration report")
+    variables = require(calibration, list(_DIMS), "a calibration report")
     sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
     problems = Problems("the calibration report cannot be drawn", SchemaError)
     if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
@@ -152,39 +175,6 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
 
 
 # --- lamp lines --------------------------------------------------------------------------------------------
-
-
-def _draw_lamp_lines(
-    axes: Any, residual_axes: Any, calibration: xr.Dataset, sweep: xr.Dataset | None, values: Values
-) -> None:
-    from matplotlib import colormaps
-
-    usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
-    # without the outermost lamp lines, some of whose light falls outside the detector
-    positions = np.linspace(0, max(usable.size - 1, 0), _LAMP_LINES_SHOWN + 2)[1:-1].round().astype(int)
-    steps = sorted(set(usable[positions].tolist())) if usable.size else []
-    lamp_lines = fitted_lines(calibration, sweep, steps, values["column"])
-    colours = colormaps["viridis"](np.linspace(0.3, 0.85, max(len(lamp_lines), 1)))
-    for lamp_line, colour in zip(lamp_lines, colours, strict=False):
-        axes.plot(
-            lamp_line.curve_distance,
-            lamp_line.curve,
-            color=colour,
-            lw=1.2,
-            label=f"{lamp_line.wavelength:g} nm",
-        )
-        axes.plot(lamp_line.distance, lamp_line.counts, "o", color=colour, ms=4)
-        residual_axes.plot(lamp_line.distance, 100 * lamp_line.residual, "o-", color=colour, ms=2.5, lw=0.6)
-    axes.set(title=f"lamp lines and fits, column {values['column']}", ylabel="counts above dark [count]")
-    axes.tick_params(labelbottom=False)
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    residual_axes.axhline(0, color="0.6", lw=0.8, zorder=0)
-    residual_axes.set(xlabel="distance from the lamp line [nm]", ylabel="counts - fit\n[% of height]")
-    max_residual = max(
-        (float(np.abs(100 * lamp_line.residual).max(initial=0.0)) for lamp_line in lamp_lines), default=0.0
-    )
-    legend_below(residual_axes, axes)
-    residual_axes.set_ylim(*(np.array([-1.15, 1.15]) * max(max_residual, 0.1)))
 
 
 def _edges(centres: Array) -> Array:
@@ -281,8 +271,7 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
     axes.plot(wavelength, responsivity[:, column], color=_BLUE, lw=1.8, label=f"column {column}")
     axes.autoscale_view()
     _shade_untrusted(axes, values)
-    axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]")
-    axes.set_ylim(bottom=0)
+    axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]", ylim=(0, None))
     legend_below(axes)
 
 
@@ -291,7 +280,7 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
 
     wavelength = values["wavelength"]
     random, systematic = (
-        _median_of_columns(100 * values[f"radiance_gain_u_{kind}"]) for kind in _UNCERTAINTIES
+        finite_quantiles(100 * values[f"radiance_gain_u_{kind}"].T, [0.5])[0] for kind in _UNCERTAINTIES
     )
     axes.semilogy(wavelength, np.hypot(random, systematic), color=ink_of(axes), lw=2.5, label="both")
     axes.semilogy(
@@ -301,41 +290,28 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     _shade_untrusted(axes, values)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # otherwise labels overlap
-    minimum, maximum = axes.get_ylim()
-    axes.set_ylim(minimum, 2.0 * maximum)
     axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]")
+    axes.set_ylim(top=2.0 * axes.get_ylim()[1])
     legend_below(axes)
 
 
-def _median_of_columns(values: Array) -> Array:
-    has_value = np.isfinite(values).any(axis=1)
-    median = np.full(len(values), np.nan)
-    median[has_value] = np.nanmedian(values[has_value], axis=1)
-    return median
-
-
 def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
-    """Draw gain and band width over wavelength, and smile over columns."""
+    # Draw gain and band width over wavelength, and smile over columns
     names = ["radiance_gain", "wavelength", "fwhm", "wavelength_shift"]
-    values = schema.require(calibration, [n for n in names if n in calibration.variables], "a calibration")
+    values = require(calibration, [n for n in names if n in calibration.variables], "a calibration")
     nm, gain = values["wavelength"].values, values["radiance_gain"].values
     plots = figure.subplots(1, 3)
-    lowest, median, highest = (np.full(len(gain), np.nan) for _ in range(3))
-    has_gain = np.isfinite(gain).any(axis=1)
-    lowest[has_gain], median[has_gain], highest[has_gain] = np.nanpercentile(
-        gain[has_gain], (5, 50, 95), axis=1
-    )
+    lowest, median, highest = finite_quantiles(gain.T, (0.05, 0.5, 0.95))
     plots[0].fill_between(nm, lowest, highest, color=_BLUE, alpha=0.25, lw=0)
     plots[0].semilogy(nm, median, color=_BLUE, lw=1.6)
-    plots[0].set_title("gain, 5 to 95 % of the columns", fontsize="medium")
     plots[0].set_ylabel(values["radiance_gain"].attrs.get("units", ""), fontsize="small")
     if "fwhm" in values:
         plots[1].plot(nm, values["fwhm"].values, color=_VERMILION, lw=1.6)
-    plots[1].set(ylabel="FWHM [nm]")
-    plots[1].set_title("width of the bands", fontsize="medium")
     shift = values["wavelength_shift"].values if "wavelength_shift" in values else np.zeros(gain.shape[1])
     plots[2].plot(np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)].T, lw=1.3)
-    plots[2].set(xlabel="column", ylabel="wavelength shift [nm]")
-    plots[2].set_title("smile", fontsize="medium")
-    for axes in plots[:2]:
-        axes.set_xlabel("wavelength [nm]")
+    plots[1].set_ylabel("FWHM [nm]")
+    plots[2].set_ylabel("wavelength shift [nm]")
+    titles = ("gain, 5 to 95 % of the columns", "width of the bands", "smile")
+    for axes, title, label in zip(plots, titles, (*["wavelength [nm]"] * 2, "column"), strict=True):
+        axes.set_title(title, fontsize="medium")
+        axes.set_xlabel(label)

@@ -1,4 +1,4 @@
-"""Paints as chips beside the scenes rendered with them."""
+"""Pictures of paints: chips beside renders, the card of a paint, and rates of detection."""
 
 from __future__ import annotations
 
@@ -11,11 +11,20 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, Quality
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    LIBRARY_VARIABLES,
+    MEMBER,
+    SIGNATURE,
+    Quality,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import paint_colours, srgb
 from hyperpaint.paints.signatures.extraction import EXCLUDED
@@ -23,6 +32,7 @@ from hyperpaint.paints.signatures.pixel_statistics import excluded_of
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 
 from .figures import (
+    COLOURS,
     columns_for,
     ink_of,
     label_for,
@@ -32,8 +42,7 @@ from .figures import (
     save_figure,
     show_picture,
 )
-from .plot import flag_label, percent, rgb
-from .plot_flags import draw_outlines
+from .plot import draw_outlines, flag_label, percent, rgb
 from .plot_spectra import draw_band, draw_curve, find_usable, good_bands, styles_of
 
 MAX_CHIPS = 60
@@ -89,14 +98,14 @@ def chips_and_renders(
     ['Synthetic Polar White', 'Synthetic Signal Red']
     """
     paints, problems = find_usable(paints)
-    variables = schema.require(paints, ["reflectance", "wavelength"], "chips", schema.LIBRARY_VARIABLES)
+    variables = require(paints, ["reflectance", "wavelength"], "chips", LIBRARY_VARIABLES)
     lines: dict[str, Any] = {"": renders}
     if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
         lines = dict(renders)
     if problems or not paints.sizes[SIGNATURE] or not lines:
         reason = "; ".join(problems) or f"{paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
         raise SchemaError(f"a collage needs a paint library and a render: {reason}", code="empty-input")
-    count = min(paints.sizes[SIGNATURE], MAX_CHIPS)
+    count, nm = min(paints.sizes[SIGNATURE], MAX_CHIPS), variables["wavelength"].values
     columns = max(1, min(columns, count))
     rows = -(-count // columns)
     orientations = {name: orientation_of(line) for name, line in lines.items()}
@@ -114,17 +123,14 @@ def chips_and_renders(
         axes.set_axis_off()
         if number < count:
             paint = paints.isel({SIGNATURE: number})
-            axes.imshow(
-                _chip(paint, variables["wavelength"].values, colours[number]), interpolation="nearest"
-            )
+            axes.imshow(_chip(paint, nm, colours[number]), interpolation="nearest")
             axes.set_title(label_for(str(paint[SIGNATURE].values), 26), fontsize=6, pad=2)
     plots = render_figure.subplots(1, len(lines), squeeze=False)[0]
     for axes, (name, line) in zip(plots, lines.items(), strict=True):
         show_picture(axes, rgb(line, stretch=stretch).values, orientations[name])
         axes.set_axis_off()
         axes.set_title(label_for(name.replace("_", " ")), fontsize="small")
-    save_figure(figure, path, dpi=150)
-    return figure
+    return save_figure(figure, path, dpi=150)
 
 
 def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
@@ -133,9 +139,7 @@ def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
     if "member_reflectance" not in paint.variables:
         return np.asarray(uniform)
     is_visible = good_bands(paint) & (wavelength > 380.0) & (wavelength < 780.0)
-    members = np.asarray(paint["member_reflectance"].transpose(schema.MEMBER, schema.BAND).values)[
-        :, is_visible
-    ]
+    members = np.asarray(paint["member_reflectance"].transpose(MEMBER, BAND).values)[:, is_visible]
     members = members[np.isfinite(members).all(axis=1)]
     if len(members) < 2 or is_visible.sum() < 3:
         return np.asarray(uniform)
@@ -145,7 +149,7 @@ def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
     )
 
 
-# --- the card of a paint: its region, the excluded pixels, and its signature with the 95 % -----------------
+# --- the card of a paint -----------------------------------------------------------------------------------
 
 
 MARGIN = 0.6  # margin drawn around a region, relative to the longer side of the region
@@ -203,8 +207,7 @@ def paint_card(
     >>> len(paint_card(line, paints, "grass").axes)
     4
     """
-    line, (signature, colour) = schema.rename_to_roles(line), _find_paint(library, paint)
-    region = _paint_region(signature)
+    line, (signature, region) = rename_to_roles(line), _find_paint(library, paint)
     surroundings, in_region = _surroundings(line, region)
     is_wide = columns_for(width, 3.0, 3) == 3
     # name, kind and finish of the paint, and the reasons stored with its region
@@ -239,27 +242,12 @@ def paint_card(
         region,
         excluded_of(region, excluded if names else int(EXCLUDED)),
     )
-    _draw_signature(plots["signature"], signature, colour)
-    save_figure(figure, path)
-    return figure
+    _draw_signature(plots["signature"], signature)
+    return save_figure(figure, path)
 
 
-def _paint_region(paint: xr.Dataset) -> Region:
-    name = str(paint[SIGNATURE].item())
-    if "region" not in paint.variables or not str(paint["region"].item()):
-        raise SchemaError(
-            f"paint {name!r} has no region", expected="a library from a flight line", code="region-missing"
-        )
-    if paint.attrs.get("coordinates_of_regions", "sensor") != "sensor":
-        raise SchemaError(
-            f"the region of paint {name!r} is on a map",
-            mend="draw its card from the flight line",
-            code="region-coordinates",
-        )
-    return regions_from(json.loads(str(paint["region"].item())))[0]
-
-
-def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
+def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Region]:
+    # a paint of a library, and its region on the flight line; the dim signature has length 1
     usable, _ = find_usable(library)
     if "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims:
         raise SchemaError(
@@ -273,7 +261,17 @@ def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
             f"there is no paint {paint!r}", expected=", ".join(names[:20]), code="paint-unknown"
         )
     selection = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
-    return selection.isel({SIGNATURE: 0}), np.asarray(paint_colours(selection)[0])
+    if "region" not in selection.variables or not str(selection["region"].item()):
+        raise SchemaError(
+            f"paint {paint!r} has no region", expected="a library from a flight line", code="region-missing"
+        )
+    if selection.attrs.get("coordinates_of_regions", "sensor") != "sensor":
+        raise SchemaError(
+            f"the region of paint {paint!r} is on a map",
+            mend="draw its card from the flight line",
+            code="region-coordinates",
+        )
+    return selection, regions_from(json.loads(str(selection["region"].item())))[0]
 
 
 def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
@@ -327,28 +325,12 @@ def _draw_exclusions(axes: Any, around: xr.Dataset, in_region: Bools, region: Re
     legend_below(axes, entries=entries)
 
 
-def _draw_signature(axes: Any, signature: xr.Dataset, colour: Array) -> None:
+def _draw_signature(axes: Any, selection: xr.Dataset) -> None:
+    (style,) = styles_of(paint_colours(selection))
+    signature = selection.isel({SIGNATURE: 0})
     wavelength, is_good = np.asarray(signature["wavelength"].values), good_bands(signature)
     reflectance = np.where(is_good, signature["reflectance"].values, np.nan)
-    interval = _interval(signature)
-    (style,) = styles_of(colour[np.newaxis])
-    if interval is not None:
-        for sign, label in ((-1, "95 % interval"), (1, None)):
-            axes.plot(
-                wavelength, reflectance + sign * interval, color=ink_of(axes), lw=0.8, ls=":", label=label
-            )
-    draw_band(axes, signature, wavelength, is_good, "quantiles", style["color"])
-    count = f", n = {int(signature['n'])}" if "n" in signature.variables else ""
-    draw_curve(axes, wavelength, reflectance, style, f"signature{count}")
-    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize="small")
-    legend_below(axes)
-
-
-def _interval(signature: xr.Dataset) -> Array | None:
-    # half width of the 95 % interval (band,) [1]; None if the library has no uncertainty
+    # half width of the 95 % interval, if the library has uncertainties
     names = ["reflectance_u_random", "reflectance_u_systematic"]
     if "reflectance_u_coat" in signature.variables and not (
         names[1] in signature.variables and np.isfinite(signature[names[1]]).any()
@@ -363,15 +345,21 @@ def _interval(signature: xr.Dataset) -> Array | None:
         uncertainties.append(
             float(signature["level_uncertainty"]) * signature["reflectance"].values.astype(np.float64)
         )
-    if not uncertainties or not any(u.any() for u in uncertainties):
-        return None
-    return np.asarray(COVERAGE * np.sqrt(sum(u**2 for u in uncertainties)))
+    if any(u.any() for u in uncertainties):
+        interval = COVERAGE * np.sqrt(sum(u**2 for u in uncertainties))
+        for edge, label in ((reflectance - interval, "95 % interval"), (reflectance + interval, None)):
+            axes.plot(wavelength, edge, color=ink_of(axes), lw=0.8, ls=":", label=label)
+    draw_band(axes, signature, wavelength, is_good, "quantiles", style["color"])
+    count = f", n = {int(signature['n'])}" if "n" in signature.variables else ""
+    draw_curve(axes, wavelength, reflectance, style, f"signature{count}")
+    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize="small")
+    legend_below(axes)
 
 
 # --- receiver operating characteristics of paint detection -------------------------------------------------
-
-
-_COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 
 
 @documented(path="picture")
@@ -426,42 +414,35 @@ def detection_curve(
     figure = new_figure("a detection curve", figsize=(width, 0.8 * width), layout="constrained")
     axes = figure.add_subplot()
     for number, (name, result) in enumerate(dict[str, Any](by_name).items()):
-        alarms, hits, dot = _curve(result, is_target)
-        colour = _COLOURS[number % len(_COLOURS)]
+        names = ("detection_score", "best_paint", "score_threshold", "detected")
+        arrays = require(rename_to_roles(result), names, "a detection curve")
+        score, paint, threshold, detected = (arrays[key].values for key in names)
+        if is_target.shape != score.shape:
+            raise SchemaError(
+                f"truth has shape {is_target.shape}",
+                expected=f"{score.shape}, as the detections",
+                code="grid-mismatch",
+            )
+        has_score = paint >= 0
+        is_hit = is_target[has_score]
+        if not is_hit.any() or is_hit.all():
+            raise SchemaError(
+                f"truth is {bool(is_hit.any())} everywhere",
+                expected="True for pixels with a paint, False for all other pixels",
+                code="truth-uniform",
+            )
+        # false alarm and detection rates over all thresholds, and the two rates of the stored detections
+        order = np.argsort(-(score - threshold[paint])[has_score], kind="stable")
+        hits, alarms = (np.cumsum(which[order]) / which.sum() for which in (is_hit, ~is_hit))
+        alarms = np.maximum(alarms, 0.5 / (~is_hit).sum())
+        dot = detected[has_score & ~is_target].mean(), detected[has_score & is_target].mean()
+        colour = COLOURS[number % len(COLOURS)]
         axes.plot(alarms, hits, color=colour, label=name or str(result.attrs.get("method", "")))
         axes.plot(max(dot[0], alarms[0]), dot[1], "o", color=colour)
         rate = result.attrs.get("false_alarm_rate")
         if rate is not None:
             axes.axvline(rate, color=ink_of(axes, 0.5), linewidth=0.8, linestyle="--")
-    axes.set(xscale="log", ylim=(0.0, 1.02))
-    axes.set_xlabel("false alarm rate, share of other pixels [1]")
-    axes.set_ylabel("detection rate, share of the paint's pixels [1]")
+    labels = "false alarm rate, share of other pixels [1]", "detection rate, share of the paint's pixels [1]"
+    axes.set(xscale="log", ylim=(0.0, 1.02), xlabel=labels[0], ylabel=labels[1])
     legend_below(axes)
-    save_figure(figure, path)
-    return figure
-
-
-def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[float, float]]:
-    # false alarm and detection rates over all thresholds, and the two rates of the stored detections
-    names = ("detection_score", "best_paint", "score_threshold", "detected")
-    arrays = schema.require(schema.rename_to_roles(detections), names, "a detection curve")
-    score, paint, threshold, detected = (arrays[name].values for name in names)
-    if is_target.shape != score.shape:
-        raise SchemaError(
-            f"truth has shape {is_target.shape}",
-            expected=f"{score.shape}, as the detections",
-            code="grid-mismatch",
-        )
-    has_score = paint >= 0
-    margin = (score - threshold[paint])[has_score]
-    is_hit = is_target[has_score]
-    if not is_hit.any() or is_hit.all():
-        raise SchemaError(
-            f"truth is {bool(is_hit.any())} everywhere",
-            expected="True for pixels with a paint, False for all other pixels",
-            code="truth-uniform",
-        )
-    order = np.argsort(-margin, kind="stable")
-    hits, alarms = np.cumsum(is_hit[order]) / is_hit.sum(), np.cumsum(~is_hit[order]) / (~is_hit).sum()
-    dot = detected[has_score & ~is_target].mean(), detected[has_score & is_target].mean()
-    return np.maximum(alarms, 0.5 / (~is_hit).sum()), hits, dot
+    return save_figure(figure, path)

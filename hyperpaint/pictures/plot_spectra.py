@@ -9,15 +9,26 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats32
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    LIBRARY_VARIABLES,
+    QUANTILE,
+    SIGNATURE,
+    Quality,
+    find,
+    flag_names,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import ciede2000, lab_of, paint_colours, srgb
 from hyperpaint.paints.signatures import extract_signatures
-from hyperpaint.paints.signatures.pixel_gathering import gather
+from hyperpaint.paints.signatures.pixel_statistics import gather
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 from .figures import axes_or_new, ink_of, label_for, legend_below, new_figure, save_figure
@@ -86,33 +97,44 @@ def spectrum(
     >>> [curve.get_label() for curve in axes.lines]
     ['(3, 4)', '(20, 10)']
     """
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     # a flight line may have the dim signature too, for variables such as the paint of a pixel
-    is_library = "reflectance" in dataset and dataset["reflectance"].dims == (schema.SIGNATURE, BAND)
+    is_library = "reflectance" in dataset and dataset["reflectance"].dims == (SIGNATURE, BAND)
     problems = Problems("spectra cannot be drawn", SchemaError)
     one_of(spread, SPREADS, "spread", problems=problems)
-    if is_library and (regions is not None or pixels is not None):
-        problems.add(
-            "a paint library has neither regions nor pixels",
-            mend="pass paints=, or a flight line",
-            code="option-conflict",
+    problems.extend(
+        Problem(found, mend=mend, code=code)
+        for is_wrong, found, mend, code in (
+            (
+                is_library and (regions is not None or pixels is not None),
+                "a paint library has neither regions nor pixels",
+                "pass paints=, or a flight line",
+                "option-conflict",
+            ),
+            (
+                not is_library and paints is not None,
+                "paints= needs a paint library",
+                "pass regions= or pixels=",
+                "option-conflict",
+            ),
+            (
+                not is_library and (regions is None) == (pixels is None),
+                "a flight line needs either regions or pixels=(along_track, cross_track)",
+                "",
+                "argument-missing",
+            ),
         )
-    if not is_library and paints is not None:
-        problems.add("paints= needs a paint library", mend="pass regions= or pixels=", code="option-conflict")
-    if not is_library and (regions is None) == (pixels is None):
-        problems.add(
-            "a flight line needs either regions or pixels=(along_track, cross_track)", code="argument-missing"
-        )
-    places = np.zeros((0, 2), int)
-    if not is_library and pixels is not None:
-        places = checked_places(dataset, pixels, problems)
+        if is_wrong
+    )
+    has_pixels = not is_library and pixels is not None
+    places = checked_places(dataset, pixels, problems) if has_pixels else np.zeros((0, 2), int)
     problems.raise_if_any()
     axes = axes_or_new(axes, "a picture of spectra", figsize=(8, 4.5))
     if pixels is not None:
         if "reflectance" not in dataset.variables:
             dataset = reflectance(dataset)
         names = [name for name in ("reflectance_u_random", "reflectance_u_systematic") if name in dataset]
-        cubes = schema.require(dataset, ["reflectance", *names], "a picture of spectra")
+        cubes = require(dataset, ["reflectance", *names], "a picture of spectra")
         planes = {"quality": dataset["quality"]} if "quality" in dataset else {}
         spectra, values = gather(cubes, planes, places[:, 0], places[:, 1], slice(None), {})
         u = np.sqrt(sum(spectra[name].astype(np.float64) ** 2 for name in names)) if names else None
@@ -129,10 +151,8 @@ def spectrum(
 
 
 def styles_of(colours: Array) -> list[dict[str, Any]]:
-    """Return colour and dashes of curves from their colours (curve, rgb); similar colours differ in dashes.
-
-    A curve without a colour (NaN) takes a colour of matplotlib's cycle.
-    """
+    # Return colour and dashes of curves from their colours (curve, rgb); similar colours differ in dashes.
+    # A curve without a colour (NaN) takes a colour of matplotlib's cycle.
     lab = lab_of(colours)
     styles: list[dict[str, Any]] = []
     for number, colour in enumerate(colours):
@@ -146,7 +166,7 @@ def styles_of(colours: Array) -> list[dict[str, Any]]:
 
 
 def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str | None = None) -> Any:
-    """Draw a curve with a rim that is visible on light and dark backgrounds; return its colour."""
+    # Draw a curve with a rim that is visible on light and dark backgrounds; return its colour
     from matplotlib.patheffects import Normal, withStroke
 
     rim = withStroke(linewidth=2.8, foreground=ink_of(axes, 0.45))
@@ -158,7 +178,7 @@ def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str 
 
 
 def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | None, spread: str) -> None:
-    names = [str(name) for name in library[schema.SIGNATURE].values]
+    names = [str(name) for name in library[SIGNATURE].values]
     chosen = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
     problems = Problems("paints cannot be drawn", SchemaError)
     if unknown := [name for name in chosen if name not in names]:
@@ -175,8 +195,8 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
     problems.raise_if_any()
     indices = [names.index(name) for name in chosen]
     for name, index, style in zip(chosen, indices, styles_of(paint_colours(library)[indices]), strict=True):
-        paint = library.isel({schema.SIGNATURE: index})
-        wavelength = schema.require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
+        paint = library.isel({SIGNATURE: index})
+        wavelength = require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
         is_good = good_bands(paint)
         reflectance = np.where(is_good, paint["reflectance"].values, np.nan)
         count = f" (n = {int(paint['n'])})" if "n" in paint else ""
@@ -187,13 +207,11 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
 def draw_band(
     axes: Any, paint: xr.Dataset, wavelength: Array, is_good: Array, spread: str, colour: Any
 ) -> None:
-    """Shade the spread of the pixels of one paint of a library; see `spectrum` for ``spread``.
-
-    ``wavelength`` and ``is_good`` (band,): wavelengths [nm], and the bands to show. A library without this
-    spread is not shaded.
-    """
+    # Shade the spread of the pixels of one paint of a library; see `spectrum` for ``spread``.
+    # ``wavelength`` and ``is_good`` (band,): wavelengths [nm], and the bands to show. A library without this
+    # spread is not shaded.
     if spread == "quantiles" and "reflectance_quantiles" in paint:
-        levels = paint[schema.QUANTILE].values
+        levels = paint[QUANTILE].values
         for lower_level, upper_level, shade in ((0.05, 0.95, 0.15), (0.25, 0.75, 0.25)):
             edges = [np.abs(levels - level).argmin() for level in (lower_level, upper_level)]
             if np.allclose(levels[edges], (lower_level, upper_level), atol=1e-6):
@@ -205,17 +223,16 @@ def draw_band(
 
 
 def good_bands(dataset: xr.Dataset) -> Array:
-    """Return which bands are good (band,): all bands for a dataset without ``good``."""
-    if "good" in dataset.variables:
-        return np.asarray(dataset["good"].values, bool)
-    return np.ones(dataset.sizes[BAND], bool)
+    # Return which bands are good (band,): all bands for a dataset without ``good``
+    good = dataset.variables.get("good")
+    return np.ones(dataset.sizes[BAND], bool) if good is None else np.asarray(good.values, bool)
 
 
 # --- pixels ------------------------------------------------------------------------------------------------
 
 
 def checked_places(dataset: xr.Dataset, pixels: Any, problems: Problems) -> Array:
-    """Return pixels as an array (pixel, 2), along and across the track; add faults to ``problems``."""
+    # Return pixels as an array (pixel, 2), along and across the track; add faults to ``problems``
     places = np.atleast_2d(np.asarray(pixels))
     if places.ndim != 2 or places.shape[-1] != 2 or places.dtype.kind not in "iu":
         problems.add(
@@ -232,12 +249,14 @@ def checked_places(dataset: xr.Dataset, pixels: Any, problems: Problems) -> Arra
             code="curve-number",
         )
     lines, columns = dataset.sizes.get(ALONG_TRACK, 0), dataset.sizes.get(CROSS_TRACK, 0)
-    for along, across in places.tolist():
-        if not (0 <= along < lines and 0 <= across < columns):
-            problems.add(
-                f"pixel ({along}, {across}) is outside the line of {lines} lines and {columns} columns",
-                code="pixel-outside",
-            )
+    problems.extend(
+        Problem(
+            f"pixel ({along}, {across}) is outside the line of {lines} lines and {columns} columns",
+            code="pixel-outside",
+        )
+        for along, across in places.tolist()
+        if not (0 <= along < lines and 0 <= across < columns)
+    )
     return places
 
 
@@ -249,16 +268,14 @@ def draw_pixels(
     places: Array,
     u: Array | None = None,
 ) -> None:
-    """Draw spectra of pixels in their colours, at the wavelengths of their columns, one plot a cube.
-
-    ``cubes`` (pixel, band) by name, with reflectance; ``quality`` (pixel,); ``u`` (pixel, band): standard
-    uncertainty, shaded.
-    """
-    wavelength = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
+    # Draw spectra of pixels in their colours, at the wavelengths of their columns, one plot a cube.
+    # ``cubes`` (pixel, band) by name, with reflectance; ``quality`` (pixel,); ``u`` (pixel, band): standard
+    # uncertainty, shaded.
+    wavelength = require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
     is_good = good_bands(dataset)
     shift = np.zeros((wavelength.size, dataset.sizes[CROSS_TRACK]))
     if "wavelength_shift" in dataset.variables:
-        variable = schema.require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
+        variable = require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
         shift = np.broadcast_to(variable.values, shift.shape)
     # colours in daylight; with fewer than three visible bands colours of matplotlib's cycle
     order = np.argsort(wavelength, kind="stable")
@@ -285,7 +302,7 @@ def pixel_label(along: int, across: int, bits: int) -> str:
     >>> pixel_label(3, 4, Quality.GLINT | Quality.LOW_SUN)
     '(3, 4): low sun, glint'
     """
-    flags = ", ".join(schema.flag_names(bits)).replace("_", " ")
+    flags = ", ".join(flag_names(bits)).replace("_", " ")
     return f"({along}, {across})" + (f": {flags}" if flags else "")
 
 
@@ -337,26 +354,36 @@ def library_overview(
     """
     paints, faults = find_usable(paints)
     problems = Problems("a paint library cannot be drawn", SchemaError)
-    for problem in faults:
-        problems.add(problem, code="variable-unusable")
+    problems.extend(Problem(problem, code="variable-unusable") for problem in faults)
     problems.raise_if_any()
-    variables = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
-    count = paints.sizes[schema.SIGNATURE]
-    if not count:
+    variables = require(paints, ["reflectance", "wavelength"], "an overview", LIBRARY_VARIABLES)
+    if not (count := paints.sizes[SIGNATURE]):
         raise SchemaError("the library has no paint to draw", code="library-empty")
     shown_count = min(count, MAX_PAINTS)
     columns = max(1, min(columns, shown_count))
     rows = -(-shown_count // columns)
     size = (_AXES_INCH[0] * columns, _AXES_INCH[1] * rows + 0.4)
     figure = new_figure("a picture of a paint library", figsize=size, layout="constrained")
+    from matplotlib.patches import Rectangle
+
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     wavelength, is_good = variables["wavelength"].values, good_bands(paints)
     colours = paint_colours(paints)
     for number, axes in enumerate(grid.ravel()):
         if number < shown_count:
-            _draw_paint(
-                axes, paints.isel({schema.SIGNATURE: number}), wavelength, is_good, spread, colours[number]
-            )
+            # spread, curve, name, and a swatch of the colour above the axes
+            paint, colour = paints.isel({SIGNATURE: number}), colours[number]
+            has_colour = bool(np.isfinite(colour).all())
+            draw_band(axes, paint, wavelength, is_good, spread, ink_of(axes, 0.6))
+            values = np.where(is_good, paint["reflectance"].values, np.nan)
+            draw_curve(axes, wavelength, values, styles_of(colour[np.newaxis])[0])
+            title = label_for(paint[SIGNATURE].item())
+            title += f"  n = {int(paint['n'])}" if "n" in paint else ""
+            axes.set_title(title, fontsize="small", loc="left", pad=11 if has_colour else None)
+            if has_colour:
+                style = {"facecolor": colour.tolist(), "edgecolor": "0.5", "lw": 0.5, "clip_on": False}
+                axes.add_patch(Rectangle((0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, **style))
+            axes.tick_params(labelsize="small")
         else:
             axes.set_axis_off()
     # the lowest plot of a column has the wavelength axis, also above an incomplete last row
@@ -369,16 +396,13 @@ def library_overview(
         axes.set_ylabel("reflectance factor [1]", fontsize="small")
     if count > shown_count:
         figure.suptitle(f"the first {shown_count} of {count} paints")
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
-    """Return a library without variables that break the schema, and the problems of these variables.
-
-    Reads dims, dtypes and attributes only, never values.
-    """
-    table = schema.LIBRARY_VARIABLES
+    # Return a library without variables that break the schema, and the problems of these variables.
+    # Reads dims, dtypes and attributes only, never values.
+    table = LIBRARY_VARIABLES
     names = [name for name in table if name in paints.variables]
     kinds = {name: _ACCEPTED_KINDS.get(table[name].dtype, paints[name].dtype.kind) for name in names}
     # units of variables with a wrong dtype cannot be checked
@@ -388,42 +412,24 @@ def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
         for name in names
         if name not in numeric
     ]
-    usable, faults = schema.find(paints, numeric, table)
+    usable, faults = find(paints, numeric, table)
     return paints.drop_vars([name for name in names if name not in usable]), [*problems, *map(str, faults)]
 
 
-def _draw_paint(
-    axes: Any, paint: xr.Dataset, wavelength: Any, is_good: Any, spread: str, colour: Floats32
-) -> None:
-    from matplotlib.patches import Rectangle
-
-    (style,) = styles_of(colour[np.newaxis])
-    draw_band(axes, paint, wavelength, is_good, spread, ink_of(axes, 0.6))
-    draw_curve(axes, wavelength, np.where(is_good, paint["reflectance"].values, np.nan), style)
-    count = f"  n = {int(paint['n'])}" if "n" in paint else ""
-    title = label_for(paint[schema.SIGNATURE].item()) + count
-    axes.set_title(title, fontsize="small", loc="left", pad=11 if np.isfinite(colour).all() else None)
-    if np.isfinite(colour).all():
-        style = {"facecolor": colour.tolist(), "edgecolor": "0.5", "lw": 0.5, "clip_on": False}
-        axes.add_patch(Rectangle((0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, **style))
-    axes.tick_params(labelsize="small")
-
-
 def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
-    """Draw the standard uncertainty of the mean of every paint, and its random part (dashed)."""
+    # Draw the standard uncertainty of the mean of every paint, and its random part (dashed)
     names = [f"reflectance_u_{kind}" for kind in ("random", "systematic")]
     present = [name for name in names if name in paints.variables]
-    first_paints = paints.isel({schema.SIGNATURE: slice(MAX_CURVES)})
-    values = schema.require(first_paints, [*present, "wavelength"], "uncertainties", schema.LIBRARY_VARIABLES)
+    first_paints = paints.isel({SIGNATURE: slice(MAX_CURVES)})
+    values = require(first_paints, [*present, "wavelength"], "uncertainties", LIBRARY_VARIABLES)
     is_good, nm = good_bands(first_paints), values["wavelength"].values
     uncertainties = [np.where(is_good, values[name].values, np.nan).astype(np.float64) for name in present]
     total = np.sqrt(sum(np.nan_to_num(u) ** 2 for u in uncertainties))
     total[np.isnan(uncertainties).all(axis=0)] = np.nan
     for number, style in enumerate(styles_of(paint_colours(first_paints))):
-        label = label_for(first_paints[schema.SIGNATURE].values[number])
+        label = label_for(first_paints[SIGNATURE].values[number])
         draw_curve(axes, nm, total[number], {**style, "ls": "-"}, label)
         if len(present) > 1:
             axes.plot(nm, uncertainties[0][number], ls="--", lw=0.9, color=style["color"])
-    axes.set(xlabel="wavelength [nm]", ylabel="standard uncertainty [1]")
-    axes.set_ylim(bottom=0)
+    axes.set(xlabel="wavelength [nm]", ylabel="standard uncertainty [1]", ylim=(0, None))
     legend_below(axes)

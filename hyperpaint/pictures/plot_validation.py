@@ -1,4 +1,4 @@
-"""Picture of a validation: signatures, references and their differences."""
+"""Pictures of a validation, and of panels: signatures and references, measured and expected reflectance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hyperpaint.base.facts import documented
 from hyperpaint.radiometry.panel_judging import PANEL_STATES
 from hyperpaint.radiometry.panels import CLOSURE
 
-from .figures import ink_of, label_for, legend_below, new_figure, save_figure
+from .figures import COLOURS, ink_of, label_for, legend_below, new_figure, save_figure
 from .plot_spectra import good_bands
 
 if TYPE_CHECKING:
@@ -78,7 +78,14 @@ def validation_figure(
         raise SchemaError(
             f"columns={columns}, limit={limit}", expected="positive numbers", code="value-out-of-range"
         )
-    paints = _worst_paints(validation)
+    # pairs by paint, of the `MAX_PAIRS` paints with the largest RMSE
+    pairs_by_paint: dict[str, list[int]] = {}
+    for number, spectra in enumerate(validation.spectra):
+        pairs_by_paint.setdefault(str(spectra.attrs["signature"]), []).append(number)
+    paints, count = list(pairs_by_paint.values()), len(pairs_by_paint)
+    if count > MAX_PAIRS:
+        rmse = np.nan_to_num(validation.statistics["rmse"].max("part").values)
+        paints = sorted(paints, key=lambda pairs: -max(rmse[pairs]))[:MAX_PAIRS]
     columns = min(columns, len(paints))
     rows = -(-len(paints) // columns)
     size = (_AXES_INCH[0] * columns, _AXES_INCH[1] * rows + 0.7)
@@ -98,34 +105,37 @@ def validation_figure(
         upper = figure.add_subplot(grid[2 * row, column])
         lower = figure.add_subplot(grid[2 * row + 1, column], sharex=upper)
         _draw_spectra(upper, validation, pairs)
-        _draw_differences(lower, validation, pairs, limit, labelled=column == 0)
+        # differences below
+        lower.axhline(0.0, color=ink_of(lower, 0.4), lw=0.8)
+        for number, pair in enumerate(pairs):
+            spectra = validation.spectra[pair]
+            colour, dashes = _REFERENCES[number % len(_REFERENCES)]
+            nm, values = _values_on_wavelengths(spectra, spectra["difference"])
+            edge = float(_largest_part(validation, pair)["rmse_limit"])
+            if np.isfinite(edge) and not number:
+                lower.axhspan(-edge, edge, color="#009E73", alpha=0.12, lw=0)
+            lower.plot(nm, values, color=colour, ls=dashes, lw=1.2)
+            uncertainties = [
+                _values_on_wavelengths(spectra, spectra[name])[1]
+                for name in ("signature_u", "reference_u")
+                if name in spectra
+            ]
+            if uncertainties:
+                u = np.sqrt(sum(u_part**2 for u_part in uncertainties))
+                lower.fill_between(nm, values - u, values + u, color=colour, alpha=0.2, lw=0)
+        lower.set_ylim(-limit, limit)
+        lower.tick_params(labelsize="small")
+        if column == 0:
+            lower.set_ylabel("difference [1]", fontsize="small")
         upper.tick_params(labelbottom=False)
         legend_below(lower, upper, fontsize="x-small")
         if column == 0:
             upper.set_ylabel("reflectance factor [1]", fontsize="small")
         lower.set_xlabel("wavelength [nm]", fontsize="small")
-    count = len(_pairs_by_paint(validation))
     ending = f", the {len(paints)} worst of {count} shown" if count > len(paints) else ""
     title = textwrap.fill(label_for(validation.verdict, longest=150) + ending, max(30, int(13 * size[0])))
     figure.suptitle(title, fontsize="small")
-    save_figure(figure, path)
-    return figure
-
-
-def _pairs_by_paint(validation: Validation) -> list[list[int]]:
-    pairs: dict[str, list[int]] = {}
-    for number, spectra in enumerate(validation.spectra):
-        pairs.setdefault(str(spectra.attrs["signature"]), []).append(number)
-    return list(pairs.values())
-
-
-def _worst_paints(validation: Validation) -> list[list[int]]:
-    # pairs by paint, of the `MAX_PAIRS` paints with the largest RMSE
-    paints = _pairs_by_paint(validation)
-    if len(paints) <= MAX_PAIRS:
-        return paints
-    rmse = np.nan_to_num(validation.statistics["rmse"].max("part").values)
-    return sorted(paints, key=lambda pairs: -max(rmse[pairs]))[:MAX_PAIRS]
+    return save_figure(figure, path)
 
 
 def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
@@ -161,32 +171,6 @@ def _largest_part(validation: Validation, pair: int) -> xr.Dataset:
     return statistics.isel(part=int(statistics["bands"].values.argmax()))
 
 
-def _draw_differences(
-    axes: Any, validation: Validation, pairs: list[int], limit: float, *, labelled: bool
-) -> None:
-    axes.axhline(0.0, color=ink_of(axes, 0.4), lw=0.8)
-    for number, pair in enumerate(pairs):
-        spectra = validation.spectra[pair]
-        colour, dashes = _REFERENCES[number % len(_REFERENCES)]
-        nm, values = _values_on_wavelengths(spectra, spectra["difference"])
-        edge = float(_largest_part(validation, pair)["rmse_limit"])
-        if np.isfinite(edge) and not number:
-            axes.axhspan(-edge, edge, color="#009E73", alpha=0.12, lw=0)
-        axes.plot(nm, values, color=colour, ls=dashes, lw=1.2)
-        uncertainties = [
-            _values_on_wavelengths(spectra, spectra[name])[1]
-            for name in ("signature_u", "reference_u")
-            if name in spectra
-        ]
-        if uncertainties:
-            u = np.sqrt(sum(u_part**2 for u_part in uncertainties))
-            axes.fill_between(nm, values - u, values + u, color=colour, alpha=0.2, lw=0)
-    axes.set_ylim(-limit, limit)
-    axes.tick_params(labelsize="small")
-    if labelled:
-        axes.set_ylabel("difference [1]", fontsize="small")
-
-
 def _values_on_wavelengths(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:
     # sorted wavelengths [nm], and values; NaN in bands not compared
     order = np.argsort(spectra["wavelength"].values, kind="stable")
@@ -198,7 +182,6 @@ def _values_on_wavelengths(spectra: xr.Dataset, array: xr.DataArray) -> tuple[An
 
 
 MAX_PANELS = 12  # panels drawn in a figure, in order of time
-_COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 _DASHES = ("-", "--")
 
 
@@ -246,8 +229,7 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
         )
     figure = new_figure("a picture of panels", figsize=(width, 0.45 * width), layout="constrained")
     draw_panels(figure.add_subplot(), closure)
-    save_figure(figure, path)
-    return figure
+    return save_figure(figure, path)
 
 
 def state_text(state: int) -> str:
@@ -263,7 +245,7 @@ def state_text(state: int) -> str:
 
 
 def draw_panels(axes: Any, closure: xr.Dataset) -> None:
-    """Draw the factors over wavelength on axes; bad bands stay blank."""
+    # Draw the factors over wavelength on axes; bad bands stay blank
     values = closure[list(CLOSURE)].isel({schema.PANEL: slice(MAX_PANELS)}).compute()
     nm, is_good = closure["wavelength"].values, good_bands(closure)
     order = np.argsort(nm, kind="stable")
@@ -271,10 +253,10 @@ def draw_panels(axes: Any, closure: xr.Dataset) -> None:
     for number in range(values.sizes[schema.PANEL]):
         panel = values.isel({schema.PANEL: number})
         factor, u = (np.where(is_good, panel[name].values, np.nan)[order] for name in CLOSURE[:2])
-        colour = _COLOURS[number % len(_COLOURS)]
+        colour = COLOURS[number % len(COLOURS)]
         time = np.datetime_as_string(panel["panel_time"].values, "s")
         label = f"panel {number}, {time}: {state_text(int(panel['panel_state']))}"
-        dashes = _DASHES[number // len(_COLOURS) % len(_DASHES)]
+        dashes = _DASHES[number // len(COLOURS) % len(_DASHES)]
         axes.plot(nm[order], factor, dashes, color=colour, linewidth=1.4, label=label)
         axes.fill_between(nm[order], factor - 2.0 * u, factor + 2.0 * u, color=colour, alpha=0.12, lw=0)
     axes.set(xlabel="wavelength [nm]", ylabel="panel: measured / expected reflectance [1]")

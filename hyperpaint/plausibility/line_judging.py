@@ -18,8 +18,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS, lines_a_task
 from hyperpaint.base.errors import PaintWarning, Problem
 from hyperpaint.base.variables import BAND, CROSS_TRACK, IRRADIANCE_TIME
-from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
-from hyperpaint.io.envi.envi_header import EnviHeader, read_header
+from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, open_envi, read_header
 from hyperpaint.io.flightline.dark import DARK_NONE
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index

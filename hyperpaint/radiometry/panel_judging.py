@@ -10,7 +10,6 @@ numbers out.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import SchemaError, warn_user
 
 #: Faults of a panel, in the order of the bits of ``panel_state``.
 PANEL_STATES = ("saturated", "partly_other", "uneven", "leaning", "off_level", "refused")
@@ -137,7 +136,7 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
         notes, *row = _judge(panel, context)
         if notes:
             text = f"{panel['name']}: {'; '.join(notes)}"
-            warnings.warn(PaintWarning(text, code="panel-doubtful"), stacklevel=2)
+            warn_user(text, "panel-doubtful")
         rows.append(row)
     *spectra, states, reasons = zip(*rows, strict=True)
     time = np.array([panel["time"] for panel in panels], "datetime64[ns]")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, PANEL, VARIABLES, label, require
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -102,17 +101,19 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
     Raises SchemaError: The attribute does not declare panels.
     """
     try:
-        rows = json.loads(str(dataset.attrs.get("panels", "[]")))
-        return tuple(
-            Panel(
-                slice(*row["along_track"]),
-                slice(*row["cross_track"]),
-                _tabulated(row["reflectance"]),
-                row["uncertainty"],
-                None if row["tilt"] is None else tuple(row["tilt"]),
+        panels = []
+        for row in json.loads(str(dataset.attrs.get("panels", "[]"))):
+            region = slice(*row["along_track"]), slice(*row["cross_track"])
+            # a number, or pairs of wavelength [nm] and reflectance
+            reflectance, tilt = row["reflectance"], row["tilt"]
+            if isinstance(reflectance, list):
+                wavelengths, values = np.array(reflectance, np.float64).T
+                axis = {"wavelength": ("wavelength", wavelengths, {"units": "nm"})}
+                reflectance = xr.DataArray(values, axis, ("wavelength",), attrs={"units": "1"})
+            panels.append(
+                Panel(*region, reflectance, row["uncertainty"], None if tilt is None else tuple(tilt))
             )
-            for row in rows
-        )
+        return tuple(panels)
     except (ValueError, TypeError, KeyError) as error:
         raise SchemaError(f"attribute 'panels' cannot be read: {error}", code="panels-unreadable") from error
 
@@ -129,7 +130,7 @@ def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] 
         return None
     if other_light:
         warning = "the scale by panels belongs to the line's own irradiance and is left out; pass panel="
-        warnings.warn(PaintWarning(warning, code="panel-scale-foreign"), stacklevel=2)
+        warn_user(warning, "panel-scale-foreign")
         return None
     arrays = require(dataset, list(_SCALE), "the scale by panels")
     return {name.removeprefix("panel_"): slabs.small(array) for name, array in arrays.items()}
@@ -138,19 +139,6 @@ def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] 
 def without_panels(dataset: xr.Dataset) -> xr.Dataset:
     """Return a line without the results of panels."""
     return dataset.drop_vars([name for name in dataset.variables if str(name).startswith("panel_")])
-
-
-def _tabulated(reflectance: Any) -> Any:
-    # Return a declared reflectance: a number, or a DataArray of pairs of wavelength [nm] and reflectance.
-    if not isinstance(reflectance, list):
-        return reflectance
-    wavelengths, values = np.array(reflectance, np.float64).T
-    return xr.DataArray(
-        values,
-        {"wavelength": ("wavelength", wavelengths, {"units": "nm"})},
-        ("wavelength",),
-        attrs={"units": "1"},
-    )
 
 
 def several_panels(panel: Panel | Sequence[Panel] | None) -> tuple[Panel, ...]:

@@ -32,7 +32,7 @@ from hyperpaint.base.constants import (
     brightest_median,
     unit_slip,
 )
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError, TimeError
+from hyperpaint.base.errors import Problems, SchemaError, TimeError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -40,11 +40,10 @@ from hyperpaint.base.schema import (
     CROSS_TRACK,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
-    VARIABLES,
     Quality,
 )
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record
+from hyperpaint.light.diffuse_record import SKY_STATES, split_of_arrays
 from hyperpaint.light.illumination import (
     MAX_SUN_ZENITH_DEG,
     Smile,
@@ -109,7 +108,7 @@ def tilt_factors(
             f"{used.size} samples; tilt= assumes a clear sky for them, otherwise pass "
             "Tilt(diffuse_fraction=)"
         )
-        warnings.warn(PaintWarning(text, code="sky-unknown"), stacklevel=2)
+        warn_user(text, "sky-unknown")
     if is_modelled.any():
         factors[is_modelled] = factor(tilt, np.flatnonzero(is_modelled))
     for sample in np.flatnonzero(~is_modelled):
@@ -177,24 +176,13 @@ def _split(
         state = np.asarray(light.get("sky_state", SKY_STATES.index("overcast"))).ravel()
         state = state[rows] if state.size == len(fraction) else np.broadcast_to(state[:1], rows.shape)
         return np.broadcast_to(fraction, (len(fraction), wavelength.size))[rows], state
-    channels = xr.Variable(
-        IRRADIANCE_WAVELENGTH, light["irradiance_wavelength"], VARIABLES[IRRADIANCE_WAVELENGTH].attrs
-    )
-    record = xr.DataArray(
-        np.asarray(light["irradiance"]),
-        {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: channels},
-        (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH),
-        attrs=VARIABLES["irradiance"].attrs,
-    )
+    # rounded to a kilometre, so that a crop of the line gets the same sky
+    place = round(position[0], 2), round(position[1], 2)
+    spectra, channels = np.asarray(light["irradiance"]), light["irradiance_wavelength"]
     try:
-        # rounded to a kilometre, so that a crop of the line gets the same sky
-        rounded_position = tuple(round(degrees, 2) for degrees in position)
-        split = diffuse_from_record(
-            record.to_dataset(name="irradiance"), *rounded_position, wavelength=wavelength
-        )
+        return split_of_arrays(spectra, stamps, channels, place, wavelength)
     except SchemaError:  # a record without channels in the compared intervals
         return None, np.zeros(stamps.size, np.int8)
-    return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
 
 
 NOISE_MARGIN_SD = 5.0
@@ -388,7 +376,7 @@ def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
             "'masked' is declared, but this part of the line has no masked element: no pedestal is "
             "subtracted; compute reflectance of the whole line before cutting it"
         )
-        warnings.warn(PaintWarning(text, code="masked-missing"), stacklevel=2)
+        warn_user(text, "masked-missing")
     return elements
 
 
@@ -436,7 +424,7 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
         times = None if times is None else np.asarray(times)[is_usable.all(axis=1)]
     elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():
         text = "lines differ in exposure and 'dark_exposure_time' is missing: one dark is used for all"
-        warnings.warn(PaintWarning(text, code="dark-exposure-missing"), stacklevel=2)
+        warn_user(text, "dark-exposure-missing")
     index, weight = np.zeros(exposure.size, np.int64), np.zeros(exposure.size, np.float32)
     if len(dark) == 1 or times is None or "time" not in cube:
         return dark.mean(axis=0, dtype=np.float64).astype(np.float32)[None], index, weight
@@ -478,7 +466,7 @@ def _darks_in_exposure(dark: Array, dark_exposure: Floats, exposure: Floats) -> 
         mend, code = "take a dark at the line's exposure", "dark-exposure-differs"
         if spans > MAX_DARK_SPANS:
             raise SchemaError(text, expected=f"at most {MAX_DARK_SPANS:g}", mend=mend, code=code)
-        warnings.warn(PaintWarning(f"{text}: {mend}", code=code), stacklevel=2)
+        warn_user(f"{text}: {mend}", code)
     centred = dark_exposure - dark_exposure.mean()
     rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
     shortest, longest = exposure.min(), exposure.max()
@@ -992,7 +980,7 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
         comparison = f"expected at least {DULL_MEDIAN:g} by day{slip}"
     if is_doubtful:
         text = f"{found}, {comparison}; check its units, its time, and the line's place"
-        warnings.warn(PaintWarning(text, code="irradiance-level"), stacklevel=2)
+        warn_user(text, "irradiance-level")
 
 
 def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:
@@ -1014,4 +1002,4 @@ def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavele
         f"{is_lost.sum()} of {is_lost.size} bands become NaN at these times, "
         f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over them"
     )
-    warnings.warn(PaintWarning(text, code="irradiance-gaps"), stacklevel=2)
+    warn_user(text, "irradiance-gaps")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import uuid
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +19,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import lines_a_task
-from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import SchemaError, warn_user
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
 from hyperpaint.kernels.arguments import (
@@ -61,7 +60,7 @@ def usable_panels(closure: PanelClosure) -> Array:
         )
     if refused:
         text = f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {refused[0]}"
-        warnings.warn(PaintWarning(text, code="panel-refused"), stacklevel=2)
+        warn_user(text, "panel-refused")
     return np.flatnonzero([not reason for reason in closure.reasons])
 
 
@@ -189,7 +188,7 @@ class Plan:
             "counts are not whole numbers: means of several readings may hide a saturated one; pixels "
             "above half of the range are flagged 'saturated'; average reflectance instead of counts"
         )
-        warnings.warn(PaintWarning(text, code="counts-averaged"), stacklevel=2)
+        warn_user(text, "counts-averaged")
         return text
 
     def light(self, start: int, stop: int) -> Array:

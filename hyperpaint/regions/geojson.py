@@ -1,6 +1,8 @@
 """Regions: named polygons with properties, and their files in GeoJSON (RFC 7946), one Feature a line.
 
-Two members beyond the format define the coordinates: ``"coordinates": "sensor"`` or ``"map"``, and ``"crs"``
+GeoPackage, Shapefile and FlatGeobuf are read through pyogrio, else fiona.
+
+Two members beyond GeoJSON define the coordinates: ``"coordinates": "sensor"`` or ``"map"``, and ``"crs"``
 as in GeoJSON before 2016. Without either they are sensor coordinates.
 """
 
@@ -8,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import html
+import importlib.util
 import json
 import os
 import re
@@ -19,12 +22,10 @@ from typing import Any, overload
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number, one_of
-from hyperpaint.base.input_files import is_plain_file, read_limited
+from hyperpaint.base.input_files import is_plain_file, open_input, read_limited
 from hyperpaint.io.files.publishing import publish_file
-
-from .vector_files import VECTOR_FILES, features_of
 
 #: Maximum size of a regions file [byte]; a thousand regions with a hundred corners take 4 MB.
 MAX_FILE_BYTES = 16 * 2**20
@@ -123,8 +124,8 @@ class Region:
     def __repr__(self) -> str:
         line = f" on {self.flightline}" if self.flightline else ""
         holes = f", {len(self.holes)} holes" if self.holes else ""
-        texts = (f"{key}={str(value)[:40]!r}" for key, value in list(self.properties.items())[:4])
-        properties = "".join(f", {text}" for text in texts)
+        items = list(self.properties.items())[:4]
+        properties = "".join(f", {key}={str(value)[:40]!r}" for key, value in items)
         (left, low), (right, high) = self.polygon.min(axis=0), self.polygon.max(axis=0)
         box = f"x {left:.10g} to {right:.10g}, y {low:.10g} to {high:.10g}"
         return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{properties}>"
@@ -392,8 +393,7 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
             code="file-too-large",
         )
     try:
-        text = raw.decode("utf-8-sig")
-        document = json.loads(text, object_pairs_hook=_object, parse_constant=_no_constant)
+        document = json.loads(raw.decode("utf-8-sig"), object_pairs_hook=_object, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
         raise FormatError(
@@ -442,8 +442,8 @@ def write_regions(
     document = regions_from(regions).__geo_interface__
     features = document.pop("features")
     head = [f"{_json(key)}: {_json(value)}," for key, value in document.items()]
-    lines = ",\n".join(_json(feature) for feature in features)
-    content = "\n".join(["{", *head, '"features": [', *([lines] if lines else []), "]", "}", ""]).encode()
+    lines = [",\n".join(map(_json, features))] if features else []
+    content = "\n".join(["{", *head, '"features": [', *lines, "]", "}", ""]).encode()
     is_same = is_plain_file(file) and file.stat().st_size == len(content) and file.read_bytes() == content
     publish_file(file, content, overwrite=overwrite or is_same)
     return file
@@ -579,8 +579,8 @@ def _region(feature: Any) -> Region:
 
 
 def _rings(geometry: Any, name: Any) -> list[Any]:
-    geometry_type = geometry.get("type") if isinstance(geometry, Mapping) else None
-    rings = geometry.get("coordinates") if isinstance(geometry, Mapping) else None
+    members = geometry if isinstance(geometry, Mapping) else {}
+    geometry_type, rings = members.get("type"), members.get("coordinates")
     subject = f"region {str(name)[:80]!r} has a geometry of type {str(geometry_type)[:40]!r}"
     # many programs write a single polygon as a MultiPolygon
     if geometry_type == "MultiPolygon" and isinstance(rings, list | tuple):
@@ -609,3 +609,114 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
             )
     # a third coordinate, the height, is ignored
     return [np.array([corner[:2] for corner in ring], np.float64).reshape(-1, 2) for ring in rings]
+
+
+# --- polygons of GeoPackage, Shapefile and FlatGeobuf, as GeoJSON ------------------------------------------
+
+
+#: First bytes of a file by suffix. They are checked because pyogrio and fiona ignore the suffix, and some
+#: formats of theirs open further files.
+VECTOR_FILES = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb"}
+
+MAX_VECTOR_FILE_BYTES = 256 * 2**20
+
+
+def features_of(path: Path, max_features: int) -> dict[str, Any]:
+    """Return the polygons of a vector file as a FeatureCollection in coordinates of a map.
+
+    At most ``max_features`` + 1 features are read, so that the caller can tell that there are too many.
+
+    Raises `FormatError`: the file is damaged, of another format, without a crs, or has several layers of
+    polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
+    """
+    magic = VECTOR_FILES[path.suffix.lower()]
+    with open_input(path, "regions", MAX_VECTOR_FILE_BYTES) as file:
+        if file.read(len(magic)) != magic:
+            raise FormatError(
+                f"{path}: not a {path.suffix[1:]} file", mend="check what the file is", code="file-kind-wrong"
+            )
+    readers = {"pyogrio": _by_pyogrio, "fiona": _by_fiona}
+    library = next((name for name in readers if importlib.util.find_spec(name)), None)
+    if library is None:
+        raise MissingExtraError(
+            f"{path.suffix} files need pyogrio or fiona",
+            mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
+            code="dependency-missing",
+        )
+    try:
+        crs, features = readers[library](path, max_features)
+    except (FormatError, MissingExtraError):
+        raise
+    except Exception as error:  # every driver of both libraries has its own errors
+        raise FormatError(
+            f"{path}: {library} cannot read it: {error!s:.200}", code="file-unreadable"
+        ) from error
+    if not crs:
+        raise FormatError(
+            f"{path}: the layer has no crs", mend="set the crs of the layer", code="crs-missing"
+        )
+    return {"type": "FeatureCollection", "coordinates": "map", "crs": crs, "features": features}
+
+
+def _by_pyogrio(path: Path, max_features: int) -> tuple[str | None, list[dict[str, Any]]]:
+    import pyogrio
+
+    try:
+        import shapely
+    except ImportError as error:
+        raise MissingExtraError(
+            "polygons read by pyogrio need shapely",
+            mend="install it with: python -m pip install shapely",
+            code="dependency-missing",
+        ) from error
+    layers = [str(name) for name, geometry in pyogrio.list_layers(path) if geometry is not None]
+    meta, _, shapes, columns = pyogrio.raw.read(
+        path, layer=_single_layer(path, layers), max_features=max_features + 1
+    )
+    names = [str(name) for name in meta["fields"]]
+    features = [
+        {
+            "type": "Feature",
+            "geometry": None if shape is None else shapely.from_wkb(shape).__geo_interface__,
+            "properties": {name: _json_value(value) for name, value in zip(names, row, strict=True)},
+        }
+        for shape, *row in zip(shapes, *columns, strict=True)
+    ]
+    return meta["crs"], features
+
+
+def _by_fiona(path: Path, max_features: int) -> tuple[str | None, list[dict[str, Any]]]:
+    import fiona
+
+    with fiona.open(path, layer=_single_layer(path, fiona.listlayers(path))) as layer:
+        features = [
+            {
+                "type": "Feature",
+                "geometry": feature.geometry and feature.geometry.__geo_interface__,
+                "properties": {name: _json_value(value) for name, value in feature.properties.items()},
+            }
+            for _, feature in zip(range(max_features + 1), layer, strict=False)
+        ]
+        return layer.crs.to_wkt() or None, features
+
+
+def _single_layer(path: Path, layers: list[str]) -> str:
+    # QGIS adds a layer with styles
+    layers = [name for name in layers if name != "layer_styles"]
+    if len(layers) != 1:
+        names = ", ".join(map(repr, layers)) or "none"
+        raise FormatError(
+            f"{path}: layers {names}",
+            expected="one",
+            mend="save the layer with the regions alone",
+            code="layer-ambiguous",
+        )
+    return layers[0]
+
+
+def _json_value(value: Any) -> Any:
+    # JSON value of a property; NaN becomes None
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, float) and value != value:
+        return None
+    return value if value is None or isinstance(value, str | int | float | bool) else str(value)

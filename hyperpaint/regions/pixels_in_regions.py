@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any, TypeVar
@@ -249,7 +249,6 @@ def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> Re
     step = np.array([(values[-1] - values[0]) / max(values.size - 1, 1) or 1.0 for values in numbers])
     if not first.any() and (step == 1.0).all():
         return regions
-
     return _with_rings(
         regions, lambda ring: np.asarray((ring - first) / step if back else ring * step + first)
     )
@@ -275,20 +274,16 @@ def _by_coordinates(
     if x.dims == (CROSS_TRACK,) and y.dims == (ALONG_TRACK,):
         return [_on_axes(region, x.values.astype(float), y.values.astype(float)) for region in regions]
     blocks: list[list[Pixels]] = [[] for _ in regions]
-    for start, stop in _blocks(0, shape[0], shape[1]):
-        rows = {ALONG_TRACK: slice(start, stop)}
-        block_x, block_y = (
-            _values(axis.isel(rows, missing_dims="ignore"), stop - start, shape[1]) for axis in (x, y)
+    for lines in _blocks(*shape):
+        block_x, block_y, *numbers = (
+            _values(axis, lines, shape[1]) for axis in (x, y, *([] if sources is None else sources[:1]))
         )
-        numbers = None if sources is None else _values(sources[0].isel(rows), stop - start, shape[1])
         for number, (region, pieces) in enumerate(zip(regions, blocks, strict=True)):
             is_in = _inside(region, block_x, block_y)
             if sources is not None:
-                is_in &= numbers == sources[1][number]
-            inside = np.flatnonzero(is_in)
-            if inside.size:
-                along, across = np.divmod(inside, shape[1])
-                pieces.append((along + start, across))
+                is_in &= numbers[0] == sources[1][number]
+            along, across = np.divmod(np.flatnonzero(is_in), shape[1])
+            pieces.append((along + lines.start, across))
     return [_joined(pieces) for pieces in blocks]
 
 
@@ -298,10 +293,10 @@ def _on_axes(region: Region, x: Floats, y: Floats) -> Pixels:
     low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
     across, along = (np.flatnonzero((axis >= low[k]) & (axis <= high[k])) for k, axis in enumerate((x, y)))
     blocks = []
-    for start, stop in _blocks(0, along.size, across.size):
-        row, col = np.meshgrid(along[start:stop], across, indexing="ij")
-        inside = _inside(region, x[col.ravel()], y[row.ravel()])
-        blocks.append((row.ravel()[inside], col.ravel()[inside]))
+    for lines in _blocks(along.size, across.size):
+        row, col = (axis.ravel() for axis in np.meshgrid(along[lines], across, indexing="ij"))
+        inside = _inside(region, x[col], y[row])
+        blocks.append((row[inside], col[inside]))
     return _joined(blocks)
 
 
@@ -314,24 +309,24 @@ def _inside(region: Region, x: Floats, y: Floats) -> Bools:
         ) from error
 
 
-def _values(block: xr.DataArray, lines: int, columns: int) -> Floats:
+def _values(axis: xr.DataArray, lines: slice, columns: int) -> Floats:
     # A coordinate of all pixels in a block of lines, line by line (pixel,)
-    values = block.transpose(ALONG_TRACK, CROSS_TRACK, missing_dims="ignore").values.astype(np.float64)
-    if block.dims == (ALONG_TRACK,):
-        values = values[:, None]
-    return np.broadcast_to(values, (lines, columns)).ravel()
+    block = axis.isel({ALONG_TRACK: lines}, missing_dims="ignore")
+    block = block.expand_dims([dim for dim in (ALONG_TRACK, CROSS_TRACK) if dim not in block.dims])
+    values = block.transpose(ALONG_TRACK, CROSS_TRACK).values.astype(np.float64)
+    return np.broadcast_to(values, (lines.stop - lines.start, columns)).ravel()
 
 
-def _blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
-    step = max(1, _BLOCK_PIXELS // max(width, 1))
-    for block_start in range(start, stop, step):
-        yield block_start, min(block_start + step, stop)
+def _blocks(lines: int, columns: int) -> list[slice]:
+    step = max(1, _BLOCK_PIXELS // max(columns, 1))
+    return [slice(start, min(start + step, lines)) for start in range(0, lines, step)]
 
 
 def _joined(blocks: Sequence[Pixels]) -> Pixels:
     empty = np.empty(0, np.int64)
-    along = np.concatenate([empty, *(block[0] for block in blocks)]).astype(np.int64)
-    across = np.concatenate([empty, *(block[1] for block in blocks)]).astype(np.int64)
+    along, across = (
+        np.concatenate([empty, *(block[axis] for block in blocks)]).astype(np.int64) for axis in (0, 1)
+    )
     return along, across
 
 
@@ -370,13 +365,8 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
         )
     region_crs = None if crs is None else _canonical(crs)
     fitting = [pair for pair, system in systems.items() if region_crs is None or system in (None, region_crs)]
-    # pairs with a declared crs take precedence
-    fitting.sort(key=lambda pair: systems[pair] is None)
     declared = [pair for pair, system in systems.items() if system is not None]
-    if not fitting and declared:
-        x, y = declared[0]
-        return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), systems[declared[0]]
-    if not fitting or (region_crs is None and len(fitting) > 1):
+    if (region_crs is None and len(fitting) > 1) or not (fitting or declared):
         pairs = ", ".join(f"{x} and {y} ({system or 'unknown'})" for (x, y), system in systems.items())
         stated = "name no crs" if crs is None else f"are in {crs!r:.80}"
         raise SchemaError(
@@ -384,16 +374,16 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
             mend="write the regions in one of these reference systems, and name it as crs",
             code="crs-missing" if crs is None else "crs-mismatch",
         )
-    x, y = fitting[0]
-    return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), None
+    # pairs with a declared crs take precedence
+    x, y = pair = min(fitting, key=lambda pair: systems[pair] is None) if fitting else declared[0]
+    system = None if fitting else systems[pair]
+    return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), system
 
 
 def _has_pair(line: xr.Dataset, pair: tuple[str, str]) -> bool:
-    if not set(pair) <= set(line.variables):
-        return False
-    dims = [set(line[name].dims) for name in pair]
     # latitude and longitude of the camera have the dim along_track only
-    return set.union(*dims) == {ALONG_TRACK, CROSS_TRACK}
+    dims = {dim for name in pair if name in line.variables for dim in line[name].dims}
+    return set(pair) <= set(line.variables) and dims == {ALONG_TRACK, CROSS_TRACK}
 
 
 def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
@@ -476,8 +466,7 @@ def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
 
 def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tuple[Bools, Bools]:
     # Masks of the points that a ring winds around an odd number of times, and of those on the ring
-    within = np.zeros(x.size, bool)
-    edge = np.zeros(x.size, bool)
+    within, edge = np.zeros((2, x.size), bool)
     closed = np.concatenate([ring, ring[:1]])
     low, high = np.minimum(closed[:-1], closed[1:]), np.maximum(closed[:-1], closed[1:])
     for k in np.flatnonzero(first < last):

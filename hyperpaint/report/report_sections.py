@@ -23,10 +23,18 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, re
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of
-from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flag_label, flags_of, rgb
+from hyperpaint.pictures.plot import (
+    background,
+    draw_irradiance,
+    draw_outlines,
+    draw_spread,
+    flag_label,
+    flag_overlay,
+    flags_of,
+    rgb,
+    triptych,
+)
 from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
-from hyperpaint.pictures.plot_chain import triptych
-from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 from hyperpaint.pictures.plot_paints import paint_card
 from hyperpaint.pictures.plot_spectra import draw_uncertainties, find_usable, library_overview
 from hyperpaint.pictures.plot_validation import draw_panels, validation_figure
@@ -38,8 +46,6 @@ from .summaries import Part, facts_of_bands, facts_of_line, facts_of_map, page_p
 
 if TYPE_CHECKING:
     from markupsafe import Markup
-
-    from hyperpaint.regions import Region
 
 MAX_ROWS = 500  # paints in a table
 
@@ -54,18 +60,32 @@ def line_section(
     ``lines``: maximum height of a picture; ``regions``: drawn as outlines, in sensor coordinates; ``note``:
     remark about the flags.
     """
+    names, pictures = set(map(str, line.variables)), list[bool]()
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_line(line)))
-    yield from _pictures(line, lines, regions)
-    if note:
-        yield "origin of flags", lambda: page_part("paragraph", text=note)
-    if "irradiance" in line.variables:
-        yield "irradiance", partial(_chart, "irradiance", line)
-    if "panel_factor" in line.variables:
-        yield "panels", partial(_chart, "panels", line)
-    if "reflectance" in line.variables or "irradiance" in line.variables:
-        yield "reflectance", partial(_reflectance, line)
-    yield from trust_parts(line, regions)
-    yield "provenance", lambda: _provenance(line.attrs)
+    yield "true colour", partial(_true_colour, line, lines, pictures)
+    # flags are drawn only if there is a picture; otherwise the page already gives the reason
+    heading = "Flags and regions" if regions else "Flags"
+    if pictures and "quality" in names:
+        yield "flags", lambda: _flags(line, lines, regions, heading)
+    chain = {"counts", "radiance_gain", "exposure_time", "irradiance", "wavelength"}
+    can_be_mapped = {"east", "north"} <= names or (names >= _POSE and "ground" in line.attrs)
+    shares_heading = "" if pictures else heading
+    rows: list[tuple[bool, str, Callable[[], Markup]]] = [
+        ("quality" in names, "shares of flags", lambda: _table_of_flags(flags_of(line), shares_heading)),
+        *(
+            (bool(pictures) and layer in names, layer, partial(_flags, line, lines, (), layer=layer))
+            for layer in LAYERS
+        ),
+        (bool(note), "origin of flags", partial(page_part, "paragraph", text=note)),
+        ("irradiance" in names, "irradiance", partial(_chart, "irradiance", line)),
+        ("panel_factor" in names, "panels", partial(_chart, "panels", line)),
+        (bool({"reflectance", "irradiance"} & names), "reflectance", partial(_reflectance, line)),
+        (chain <= names, "counts to reflectance", partial(_triptych, line, regions)),
+        ("reflectance" in names and can_be_mapped, "map", partial(_map, line)),
+        ("alignment_state" in line.attrs, "alignment", partial(_alignment, line.attrs)),
+        (True, "provenance", partial(_provenance, line.attrs)),
+    ]
+    yield from ((name, draw) for is_there, name, draw in rows if is_there)
 
 
 def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: int) -> Iterator[Part]:
@@ -93,26 +113,15 @@ def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
         caption = f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right."
         return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=caption)
 
-    yield "facts", lambda: page_part("facts", pairs=list(facts_of_map(orthomap)))
-    yield "true colour", picture
+    yield from (
+        ("facts", lambda: page_part("facts", pairs=list(facts_of_map(orthomap)))),
+        ("true colour", picture),
+    )
     if "quality" in group.variables:
         yield "shares of flags", lambda: _table_of_flags(flags_of(group), "Flags")
     if "reflectance" in group.variables:
         yield "reflectance", partial(_reflectance, group)
-    yield "provenance", lambda: _provenance(orthomap.attrs)
-
-
-def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterator[Part]:
-    pictures: list[bool] = []
-    yield "true colour", partial(_true_colour, line, lines, pictures)
-    # flags are drawn only if there is a picture; otherwise the page already gives the reason
-    if "quality" in line.variables:
-        heading = "Flags and regions" if regions else "Flags"
-        if pictures:
-            yield "flags", lambda: _flags(line, lines, regions, heading)
-        yield "shares of flags", lambda: _table_of_flags(flags_of(line), "" if pictures else heading)
-    for layer in (name for name in LAYERS if pictures and name in line.variables):
-        yield layer, partial(_layer, line, lines, layer)
+    yield "provenance", partial(_provenance, orthomap.attrs)
 
 
 def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
@@ -137,15 +146,16 @@ def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
     return page_part("true_colour", src=data_uri(encode_png(np.ascontiguousarray(oriented))), caption=caption)
 
 
-def _flags(line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str) -> Markup:
-    axes = _new_axes(7.5)  # lines are flown upwards
-    draw_outlines(flag_overlay(line, lines=lines, axes=axes), regions)
-    return figure_part(axes.figure, "Flagged pixels; of several flags the rarest is shown.", heading)
-
-
-def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
-    axes = flag_overlay(line, layer=layer, lines=lines, axes=_new_axes(7.0))
-    return figure_part(axes.figure, f"{schema.VARIABLES[layer].meaning}.")
+def _flags(
+    line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str = "", layer: str | None = None
+) -> Markup:
+    # a layer, or all flags with the outlines of regions; lines are flown upwards
+    axes = flag_overlay(line, layer=layer, lines=lines, axes=_new_axes(7.0 if layer else 7.5))
+    draw_outlines(axes, regions)
+    caption = (
+        schema.VARIABLES[layer].meaning if layer else "Flagged pixels; of several flags the rarest is shown"
+    )
+    return figure_part(axes.figure, f"{caption}.", heading)
 
 
 def _reflectance(line: xr.Dataset) -> Markup:
@@ -247,7 +257,7 @@ def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
         yield "lab sweep", lambda: figure_part(calibration_report(calibration), caption)
     elif "radiance_gain" in calibration.variables:
         yield "gain and smile", partial(_gain, calibration)
-    yield "provenance", lambda: _provenance(calibration.attrs)
+    yield "provenance", partial(_provenance, calibration.attrs)
 
 
 _CHART_INCH = 7.4  # width of a chart whose text can be read on a telephone
@@ -326,19 +336,6 @@ _COMPARED = {
     "record_fwhm": "width of the record's bands [nm]",
     "camera_width": "width of the camera's bands over declared width [1]",
 }
-
-
-def trust_parts(line: xr.Dataset, regions: Sequence[Region]) -> Iterator[Part]:
-    """Yield counts to reflectance, map and alignment of a flight line, those whose inputs exist."""
-    names = set(line.variables)
-    if {"counts", "radiance_gain", "exposure_time", "irradiance", "wavelength"} <= names:
-        yield "counts to reflectance", partial(_triptych, line, regions)
-    if "reflectance" in names and (
-        ({"east", "north"} <= names) or (names >= _POSE and "ground" in line.attrs)
-    ):
-        yield "map", partial(_map, line)
-    if "alignment_state" in line.attrs:
-        yield "alignment", partial(_alignment, line.attrs)
 
 
 def _triptych(line: xr.Dataset, regions: Sequence[Region]) -> Markup:

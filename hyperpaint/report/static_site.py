@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import KEPT_BITS
-from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
+from hyperpaint.base.errors import FormatError, SchemaError, StoreError, warn_user
 from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.old_names import renamed
@@ -182,7 +181,7 @@ def write_site(
         libraries.append({"name": name, "group": path, "variables": names, "colours": colours})
     for name, note in notes.items():
         if note:
-            warnings.warn(PaintWarning(f"/{name}: {note}", code="group-not-shown"), stacklevel=2)
+            warn_user(f"/{name}: {note}", "group-not-shown")
     if not shown:
         raise StoreError(
             f"{store} has no readable flight line, map or paint library: {'; '.join(problems)}",

@@ -37,7 +37,6 @@ from hyperpaint.surroundings.scratch import compute_into, release, scratch_array
 
 from .report_sections import (
     LAYERS,
-    LAYERS as DRAWN,
     calibration_section,
     card_parts,
     library_section,
@@ -135,10 +134,9 @@ def write_report(
     new_figure("a report")  # before anything is read
     page_path = Path(out)
     check_place(page_path, "the report", example="report.html", store=Path(store), overwrite=overwrite)
-    if max_lines < 1:
-        raise SchemaError(f"max_lines={max_lines}", expected="1 or more", code="value-out-of-range")
-    if cards < 0:
-        raise SchemaError(f"cards={cards}", expected="0 or more", code="value-out-of-range")
+    for option, value, least in (("max_lines", max_lines, 1), ("cards", cards, 0)):
+        if value < least:
+            raise SchemaError(f"{option}={value}", expected=f"{least} or more", code="value-out-of-range")
     groups = groups_to_show(store, flightlines, library)
     lines, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
     paints: list[tuple[str, xr.Dataset, str, Region]] = []  # flight line, library, name and region of paints
@@ -171,8 +169,17 @@ def write_report(
         if progress is not None:
             progress(1000 * number, 1000 * steps)
         drawn_sections.append((name, _draw_section(name, parts, problems)))
-    head = _head(store, groups.groups, problems)
-    page = page_part("page", title=Path(store).resolve().name, head=head, sections=drawn_sections)
+    created = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
+    collects = [str(group.attrs["collect"]) for group in groups.groups.values() if "collect" in group.attrs]
+    title = Path(store).resolve().name
+    facts = {
+        "store": title,
+        "collect": ", ".join(dict.fromkeys(collects)),
+        "groups": ", ".join(f"/{name}" for name in groups.groups),
+        "reported": f"{created.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
+    }
+    head = page_part("head", pairs=list(facts.items()), problems=problems)
+    page = page_part("page", title=title, head=head, sections=drawn_sections)
     publish_file(page_path, page.encode("utf-8", "replace"), overwrite=True)
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
@@ -213,18 +220,6 @@ def _draw_section(name: str, parts: Iterator[Part], problems: list[str]) -> list
             text = f"This could not be shown: {part_name}: {message}"
             markups.append(page_part("paragraph", text=text, kind="problem"))
     return markups
-
-
-def _head(store: str | os.PathLike[str], groups: dict[str, xr.Dataset], problems: list[str]) -> Markup:
-    created = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
-    collects = [str(group.attrs["collect"]) for group in groups.values() if "collect" in group.attrs]
-    facts = {
-        "store": Path(store).resolve().name,
-        "collect": ", ".join(dict.fromkeys(collects)),
-        "groups": ", ".join(f"/{name}" for name in groups),
-        "reported": f"{created.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
-    }
-    return page_part("head", pairs=list(facts.items()), problems=problems)
 
 
 MAX_LINES = 64  # flight lines of one page: each takes some megabytes
@@ -311,31 +306,26 @@ def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | Non
     """Return a line with scene flags, detected if it has none, and a note for the page about their origin."""
     if not {"reflectance", "irradiance"} & set(line.variables):
         return line, ""
+    names = ("quality", *LAYERS)
     try:
         if is_flagged(line):
             return line, ""
-        line = _with_flags(line, sun_zenith, progress)
+        # survey the line, then detect all flags in one pass
+        calibrated = line if "reflectance" in line.variables else reflectance(line)
+        with survey_planned(line, "the survey"):
+            flags = flag_line(calibrated, sun_zenith=sun_zenith, progress=part_of(progress, 0, 2)).line
+            lazy = [flags[name].transpose(ALONG_TRACK, CROSS_TRACK).data for name in names]
+            values = [scratch_array(array.shape, array.dtype) for array in lazy]
+            compute_into(lazy, values)
     # the line is shown even if detection fails; drawing reports damaged data again
     except Exception as error:
         return line, f"{_SCENE_FLAGS} could not be detected: {message_of(error)}"
-    return line, f"{_SCENE_FLAGS} were detected for this page; the store has no such flags."
-
-
-def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
-    # survey the line, then detect all flags in one pass
-    calibrated = line if "reflectance" in line.variables else reflectance(line)
-    with survey_planned(line, "the survey"):
-        flags = flag_line(calibrated, sun_zenith=sun_zenith, progress=part_of(progress, 0, 2)).line
-        names = ["quality", *DRAWN]
-        lazy = [flags[name].transpose(ALONG_TRACK, CROSS_TRACK).data for name in names]
-        values = [scratch_array(array.shape, array.dtype) for array in lazy]
-        compute_into(lazy, values)
-    return line.assign(
-        {
-            name: flags[name].reset_coords(drop=True).copy(data=array)
-            for name, array in zip(names, values, strict=True)
-        }
-    )
+    arrays = {
+        name: flags[name].reset_coords(drop=True).copy(data=array)
+        for name, array in zip(names, values, strict=True)
+    }
+    note = f"{_SCENE_FLAGS} were detected for this page; the store has no such flags."
+    return line.assign(arrays), note
 
 
 def message_of(error: Exception) -> str:

@@ -27,36 +27,36 @@ Facts = Iterator[tuple[str, str]]  # names and texts
 
 def facts_of_line(line: xr.Dataset) -> Facts:
     """Yield the facts of a flight line, opened or stored."""
-    for name in ("counts", "radiance", "reflectance"):
-        if name in line:
-            yield name, form_of(line[name])
-    yield from facts_of_bands(line)
-    if "time" in line.coords:
-        yield "times", times_of(line["time"].values)
+    exposure = ""
     if "exposure_time" in line.variables:
         source = line.attrs.get("exposure_source", "")
         text = range_of(np.unique(line["exposure_time"].values) * 1e3, "ms")
-        yield "exposure", f"{text} ({source})" if source else text
-    yield "dark", str(line.attrs.get("dark_source", ""))
-    if "irradiance" in line:
-        yield "irradiance", f"{counted(line.sizes[IRRADIANCE_TIME], 'sample')} around the line"
-    yield "alignment", str(line.attrs.get("alignment", ""))
+        exposure = f"{text} ({source})" if source else text
+    samples = counted(line.sizes[IRRADIANCE_TIME], "sample") if "irradiance" in line else ""
+    yield from (
+        *((name, form_of(line[name])) for name in ("counts", "radiance", "reflectance") if name in line),
+        *facts_of_bands(line),
+        ("times", times_of(line["time"].values) if "time" in line.coords else ""),
+        ("exposure", exposure),
+        ("dark", str(line.attrs.get("dark_source", ""))),
+        ("irradiance", samples and f"{samples} around the line"),
+        ("alignment", str(line.attrs.get("alignment", ""))),
+    )
 
 
 def facts_of_map(dataset: xr.Dataset) -> Facts:
     """Yield the facts of a map (y, x): cells, extent, cubes, other variables."""
-    grid = grid_of(dataset)
-    yield "map", f"{dataset.sizes['y']} x {dataset.sizes['x']} cells"
-    if grid is not None:
-        yield from facts_of_grid(grid, (dataset.sizes["y"], dataset.sizes["x"]))
-    for name, array in dataset.data_vars.items():
-        if BAND in array.dims:
-            yield str(name), form_of(array)
-    yield from facts_of_bands(dataset)
-    for name in ("resampling", "multi_hit"):
-        yield name.replace("_", " "), str(dataset.attrs.get(name, ""))
-    planes = sorted(str(name) for name, array in dataset.data_vars.items() if BAND not in array.dims)
-    yield "also holds", ", ".join(planes)
+    grid, shape = grid_of(dataset), (dataset.sizes["y"], dataset.sizes["x"])
+    arrays = dataset.data_vars.items()
+    yield from (
+        ("map", f"{shape[0]} x {shape[1]} cells"),
+        *(() if grid is None else facts_of_grid(grid, shape)),
+        *((str(name), form_of(array)) for name, array in arrays if BAND in array.dims),
+        *facts_of_bands(dataset),
+        ("resampling", str(dataset.attrs.get("resampling", ""))),
+        ("multi hit", str(dataset.attrs.get("multi_hit", ""))),
+        ("also holds", ", ".join(sorted(str(name) for name, array in arrays if BAND not in array.dims))),
+    )
 
 
 def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
@@ -66,16 +66,20 @@ def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
     x, y = ([p + q * j + r * i for i in (0, rows) for j in (0, cols)] for p, q, r in ((a, b, c), (d, e, f)))
     heading = np.degrees(np.arctan2(-c, -f)) % 360.0
     orientation = "north up" if c == e == 0.0 and f < 0.0 < b else f"up is {heading:.1f} degrees from north"
-    yield "cells", f"{np.hypot(b, e):.6g} x {np.hypot(c, f):.6g} map units, {orientation}"
-    yield "bounds", f"x {min(x):.10g} to {max(x):.10g}, y {min(y):.10g} to {max(y):.10g}"
-    yield "crs", "unknown" if grid.wkt is None else grid.wkt.partition('"')[2].partition('"')[0]
+    yield from (
+        ("cells", f"{np.hypot(b, e):.6g} x {np.hypot(c, f):.6g} map units, {orientation}"),
+        ("bounds", f"x {min(x):.10g} to {max(x):.10g}, y {min(y):.10g} to {max(y):.10g}"),
+        ("crs", "unknown" if grid.wkt is None else grid.wkt.partition('"')[2].partition('"')[0]),
+    )
 
 
 def facts_of_irradiance(dataset: xr.Dataset) -> Facts:
     """Yield the facts of a series of irradiance."""
-    yield "irradiance", form_of(dataset["irradiance"])
-    yield "wavelength", range_of(dataset[IRRADIANCE_WAVELENGTH].values, "nm")
-    yield "times", times_of(dataset[IRRADIANCE_TIME].values)
+    yield from (
+        ("irradiance", form_of(dataset["irradiance"])),
+        ("wavelength", range_of(dataset[IRRADIANCE_WAVELENGTH].values, "nm")),
+        ("times", times_of(dataset[IRRADIANCE_TIME].values)),
+    )
 
 
 def form_of(array: xr.DataArray) -> str:
@@ -146,12 +150,9 @@ def with_times(dataset: xr.Dataset) -> xr.Dataset:
 
 def size_of(count: int) -> str:
     """Return a number of bytes as text."""
-    size = float(count)
-    for unit in ("bytes", "kB", "MB"):
-        if size < 1000:
-            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
-        size /= 1000
-    return f"{size:.1f} GB"
+    units = {1000**3: "GB", 1000**2: "MB", 1000: "kB"}
+    size = next((size for size in units if count >= size), None)
+    return f"{count} bytes" if size is None else f"{count / size:.1f} {units[size]}"
 
 
 _STORED_TIMES = "nanoseconds since 1970-01-01"
@@ -278,12 +279,14 @@ def _forms(dataset: xr.Dataset) -> Facts:
 
 
 def _line(line: xr.Dataset) -> Facts:
-    yield from facts_of_line(line)
-    yield "quality", _flags(line)
     named_above = {"counts", "radiance", "reflectance", "irradiance", "exposure_time", "quality", "overview"}
     names = [str(name) for name in line.data_vars if name not in named_above]
-    yield "also holds", ", ".join(sorted(names)[:_MAX_NAMES])
-    yield "can do", ", ".join(_abilities(line))
+    yield from (
+        *facts_of_line(line),
+        ("quality", _flags(line)),
+        ("also holds", ", ".join(sorted(names)[:_MAX_NAMES])),
+        ("can do", ", ".join(_abilities(line))),
+    )
 
 
 def _flags(line: xr.Dataset) -> str:
@@ -317,9 +320,11 @@ def _abilities(line: xr.Dataset) -> Iterator[str]:
 def _library(library: xr.Dataset) -> Facts:
     paints = [str(name) for name in library[schema.SIGNATURE].values]
     ending = f" and {len(paints) - _MAX_NAMES} more" if len(paints) > _MAX_NAMES else ""
-    yield "paints", f"{counted(len(paints), 'paint')}: {', '.join(paints[:_MAX_NAMES])}{ending}"
-    yield "reflectance", form_of(library["reflectance"])
-    yield from facts_of_bands(library)
+    yield from (
+        ("paints", f"{counted(len(paints), 'paint')}: {', '.join(paints[:_MAX_NAMES])}{ending}"),
+        ("reflectance", form_of(library["reflectance"])),
+        *facts_of_bands(library),
+    )
     for name, label in (("n", "pixels"), ("n_eff", "independent")):
         if name in library.variables:
             values = np.atleast_1d(library[name].values)

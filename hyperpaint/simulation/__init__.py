@@ -2,11 +2,11 @@
 
 Settings go in; instrument files, or flight lines in memory, come out with their truth. Tests, the
 demonstration and `hyperpaint render` call it. Physics in float64 and file writers are its own, so that the
-chain is tested against independent code. `atmosphere` has the light, `paint_spectra` the surfaces, `camera`
-the camera, `rendering.platforms` its path and attitude. `flight` combines them scan line by scan line: over a
-flat picture of a car park, a checkerboard, or a car park of triangles (`rendered_flight`, `rendering`).
-`instruments` writes the instrument files, `stores` truth and sweeps, `collect` everything; `sweep` is a
-monochromator sweep of the same camera.
+chain is tested against independent code. `atmosphere` has the light, `rendering.scene_spectra` the
+surfaces, `camera` the camera, `rendering.platforms` its path and attitude. `flight` combines them scan line
+by scan line: over a flat picture of a car park, a checkerboard, or a car park of triangles
+(`rendered_flight`, `rendering`). `instruments` writes the instrument files, `stores` truth and sweeps,
+`collect` everything; `sweep` is a monochromator sweep of the same camera.
 """
 
 import lazy_loader

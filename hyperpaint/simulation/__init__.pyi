@@ -1,16 +1,16 @@
+from .atmosphere import BrokenClouds as BrokenClouds
 from .collect import (
     simulate_collect as simulate_collect,
     simulate_line as simulate_line,
 )
-from .rendering.appearance import (
+from .rendering.materials import (
+    base_albedo as base_albedo,
     flop_index as flop_index,
     gloss_units as gloss_units,
     reflectance_factor as reflectance_factor,
 )
-from .rendering.materials import base_albedo as base_albedo
 from .rendering.platforms import platform_from_poses as platform_from_poses
 from .rendering.relighting import relight as relight
-from .rendering.sky_models import BrokenClouds as BrokenClouds
 from .rendering.tracing import trace as trace
 from .settings import SimulationSettings as SimulationSettings
 from .stores import simulate_sweep as simulate_sweep, write_sweep as write_sweep

@@ -19,6 +19,15 @@ where k has unit sum, so that no light is lost. The scene is constant within a c
 fraction f of a column is f of one neighbour and 1 - f of the other, and its centre of mass moves by f. Beyond
 its outer lines and columns the scene is mirrored. The smile changes so little between columns that the order
 of blur and response does not matter.
+
+Rendered scenes need exact integrals over the responses of bands:
+
+INT E(lambda) rho(lambda) R_b(lambda) d lambda,   rho(lambda) = sum_k rho(lambda_k) phi_k(lambda)
+
+The spectrum E of a source has absorption lines much narrower than a band. A product of reflectances rho is
+smooth: cubic interpolation between points ``lambda_k`` 0.5 nm apart reproduces it to 1e-6. The integral INT E
+phi_k R_b of every band and point is computed once for a source, on a grid that resolves its absorption lines;
+the integral of a path is then a short sum.
 """
 
 from __future__ import annotations
@@ -26,15 +35,400 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 
 from .atmosphere import spectral_grid
-from .rendering.camera_bands import BandSet, line_shape
-from .settings import OpticsSettings, SimulationSettings
+from .settings import SHAPES, OpticsSettings, SimulationSettings, finite_floats
+
+# --- bands, and exact integrals over their responses --------------------------------------------------------
+
+
+_GAUSSIAN_REACH = 2.5  # full widths, beyond which the area of a Gaussian is below 1e-8
+#: Distance of the shifts at which products are computed: maximum [nm], and as a fraction 1 / n of the
+#: narrowest band. Between them products are interpolated by cubics; line shapes of slits have corners and
+#: need smaller steps.
+_NODE_STEP = {"gaussian": (0.25, 24.0), "slit": (0.1, 60.0)}
+
+
+def line_shape(
+    offset: Floats, fwhm: Floats | float, spacing: Floats | float, shape: str, step: float
+) -> Floats:
+    """Return the line shape of a band [nm-1], of unit area on a grid of ``step`` nm.
+
+    Parameters
+    ----------
+    offset
+        Distance from the centre of the band [nm], any shape.
+    fwhm
+        Full width at half maximum [nm]; for "slit" the width of the slit's image. It and ``spacing`` are
+        numbers, or arrays that broadcast with ``offset``.
+    spacing
+        Width of a pixel [nm], over which the slit's image is averaged.
+    shape
+        "gaussian", or "slit": a box ``fwhm`` wide convolved with a box ``spacing`` wide.
+    step
+        Grid step [nm]. The shape of a slit has corners and is averaged exactly over every grid cell.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation.settings import SHAPES
+    >>> offset = np.arange(-400, 401) * 0.05
+    >>> [round(float(line_shape(offset, 6.0, 2.2, shape, 0.05).sum() * 0.05), 9) for shape in SHAPES]
+    [1.0, 1.0]
+    """
+    if shape == "gaussian":
+        height = 2.0 * np.sqrt(np.log(2.0) / np.pi) / fwhm
+        return np.asarray(height * np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2))
+    # The convolution of two boxes is a sum of four ramps. A ramp integrates to a square, whose difference
+    # over a cell gives the mean.
+    corners = [(1, fwhm + spacing), (-1, fwhm - spacing), (-1, spacing - fwhm), (1, -fwhm - spacing)]
+    # both sides are computed as the rising one, because squares would not cancel exactly on the falling side
+    rising = -np.abs(offset)
+    upper, lower = rising + step / 2, rising - step / 2
+    total = np.zeros_like(offset, dtype=np.float64)
+    for sign, corner in corners:
+        total += sign * (np.maximum(upper + corner / 2, 0.0) ** 2 - np.maximum(lower + corner / 2, 0.0) ** 2)
+    return total / (2.0 * fwhm * spacing * step)
+
+
+def cubic_weights(fraction: Floats) -> Floats:
+    # Lagrange's cubic weights of points at -1, 0, 1 and 2 at fractions from 0 to 1, (..., 4)
+    t = np.asarray(fraction, np.float64)
+    return np.stack(
+        [
+            -t * (t - 1) * (t - 2) / 6,
+            (t + 1) * (t - 1) * (t - 2) / 2,
+            -(t + 1) * t * (t - 2) / 2,
+            (t + 1) * t * (t - 1) / 6,
+        ],
+        axis=-1,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class BandSet:
+    """Responses of bands in all columns.
+
+    Attributes
+    ----------
+    wavelength
+        Centres at the centre column, shape (band,), increasing [nm].
+    fwhm
+        Full width at half maximum [nm], shape (band,), or of all bands.
+    shape
+        "gaussian", or "slit": a box ``fwhm`` wide convolved with a box one band wide.
+    wavelength_shift
+        Smile, shape (cross_track,) [nm]; None for a camera without smile.
+    responsivity
+        Function of wavelength [nm] that multiplies the line shapes; None for a constant.
+
+    Raises
+    ------
+    SchemaError
+        Shapes or values are invalid; all problems are listed.
+
+    Examples
+    --------
+    >>> bands = BandSet.nano_hyperspec()
+    >>> len(bands.wavelength), float(bands.wavelength[0]), float(bands.fwhm[0])
+    (272, 399.356, 6.0)
+    """
+
+    wavelength: Floats
+    fwhm: Floats
+    shape: str = "gaussian"
+    wavelength_shift: Floats | None = None
+    responsivity: Callable[[Floats], Floats] | None = None
+
+    def __post_init__(self) -> None:
+        problems = Problems("these bands cannot be rendered", SchemaError)
+        wavelength, fwhm = (finite_floats(getattr(self, n), n, problems) for n in ("wavelength", "fwhm"))
+        shift = self.wavelength_shift
+        if shift is not None:
+            shift = finite_floats(shift, "wavelength_shift", problems)
+        has_axis = wavelength.ndim == 1 and wavelength.size > 0
+        has_widths = fwhm.shape in ((), (1,), wavelength.shape)
+        one_of(self.shape, SHAPES, "shape", problems=problems)
+        rows = (
+            (not has_axis, f"wavelength has shape {wavelength.shape}", "(band,)", "", "dims-wrong"),
+            (
+                has_axis and not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0),
+                "wavelength is not positive and increasing",
+                "",
+                "sort the bands",
+                "wavelength-unordered",
+            ),
+            (
+                not has_widths,
+                f"fwhm has shape {fwhm.shape}",
+                f"one value or {wavelength.shape}",
+                "",
+                "dims-wrong",
+            ),
+            (
+                has_widths and not np.all(fwhm > 0),
+                f"fwhm falls to {fwhm.min(initial=np.inf):g} nm",
+                "a width above 0",
+                "",
+                "value-out-of-range",
+            ),
+            (
+                shift is not None and (shift.ndim != 1 or not shift.size),
+                f"wavelength_shift has shape {None if shift is None else shift.shape}",
+                "(cross_track,)",
+                "",
+                "dims-wrong",
+            ),
+        )
+        for is_fault, found, expected, mend, code in rows:
+            if is_fault:
+                problems.add(found, expected=expected, mend=mend, code=code)
+        problems.raise_if_any()
+        object.__setattr__(self, "wavelength", wavelength)
+        object.__setattr__(self, "fwhm", np.broadcast_to(fwhm, wavelength.shape).copy())
+        object.__setattr__(self, "wavelength_shift", shift)
+
+    @classmethod
+    def nano_hyperspec(cls) -> BandSet:
+        """Return the 272 bands of the simulator's Headwall Nano-Hyperspec, without smile."""
+        camera = SimulationSettings()
+        wavelength = np.linspace(camera.first_wavelength, camera.last_wavelength, camera.bands)
+        return cls(wavelength, np.full(camera.bands, camera.fwhm_nm), camera.srf_shape)
+
+    @classmethod
+    def of(cls, bands: Any = None) -> BandSet:
+        """Return the bands of an object with ``wavelength`` and ``fwhm``; None gives the Nano-Hyperspec.
+
+        The line shape is the attribute ``srf_shape`` of a Dataset, or ``shape`` of other objects. Smile and
+        responsivity of a simulated imager are used, but not its element factors.
+
+        Raises
+        ------
+        SchemaError
+            ``wavelength`` or ``fwhm`` are missing or invalid.
+        """
+        if bands is None:
+            return cls.nano_hyperspec()
+        if type(bands) is cls:
+            return bands
+        problems = Problems("these bands cannot be rendered", SchemaError)
+        for name in ("wavelength", "fwhm"):
+            if getattr(bands, name, None) is None:
+                problems.add(
+                    f"{name!r} is missing",
+                    mend="pass a BandSet, or a Dataset with wavelength and fwhm",
+                    code="variable-missing",
+                )
+        problems.raise_if_any()
+        attrs = getattr(bands, "attrs", {})
+        shape = attrs.get("srf_shape", "gaussian") if attrs else getattr(bands, "shape", "gaussian")
+        shift = getattr(bands, "wavelength_shift", None)
+        return cls(
+            np.asarray(bands.wavelength),
+            np.asarray(bands.fwhm),
+            shape if isinstance(shape, str) else "gaussian",
+            None if shift is None or not np.any(shift) else np.asarray(shift),
+            getattr(bands, "responsivity", None) if not attrs else None,
+        )
+
+    @cached_property
+    def spacing(self) -> Floats:
+        """Distance between neighbouring bands, shape (band,) [nm]."""
+        return np.gradient(self.wavelength) if self.wavelength.size > 1 else self.fwhm
+
+    @cached_property
+    def reach(self) -> float:
+        """Distance from the centre of a band beyond which it does not respond [nm]."""
+        return (
+            _GAUSSIAN_REACH * float(self.fwhm.max())
+            if self.shape == "gaussian"
+            else float((self.fwhm + self.spacing).max()) / 2 + 0.1
+        )
+
+    @property
+    def _node_step(self) -> float:
+        # distance of the nodes [nm]: products of sharper bands change faster with the shift
+        max_step, divisor = _NODE_STEP[self.shape]
+        pitch = 3.0 * float(self.spacing.min()) if self.shape == "slit" else np.inf
+        return min(max_step, min(float(self.fwhm.min()), pitch) / divisor)
+
+    @cached_property
+    def nodes(self) -> Floats:
+        """Shifts at which products are computed, shape (node,) [nm]: 0 without smile, else at least four."""
+        if self.wavelength_shift is None:
+            return np.zeros(1)
+        min_shift, max_shift = float(self.wavelength_shift.min()), float(self.wavelength_shift.max())
+        step = self._node_step
+        cells = max(1, int(np.ceil((max_shift - min_shift) / step)))
+        return np.asarray(min_shift + step * np.arange(-1, cells + 2), np.float64)
+
+    def between_nodes(self) -> tuple[NDArray[np.int64], Floats]:
+        """Return the position of columns among the nodes: first of four nodes, and the four weights.
+
+        Returns
+        -------
+        first : (cross_track,)
+        weight : (cross_track, 4)
+            Weights of Lagrange's cubic; rows sum to 1.
+
+        Raises
+        ------
+        SchemaError
+            The bands have no smile, and therefore a single node.
+        """
+        if self.wavelength_shift is None:
+            raise SchemaError(
+                "bands without smile have one node",
+                mend="use the products of this node",
+                code="smile-missing",
+            )
+        node_position = (self.wavelength_shift - self.nodes[0]) / self._node_step
+        first = np.clip(np.floor(node_position).astype(np.int64) - 1, 0, self.nodes.size - 4)
+        return first, cubic_weights(node_position - first - 1)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest wavelength at which any element responds [nm]."""
+        lowest = self.wavelength[0] + self.nodes.min() - self.reach
+        return float(lowest), float(self.wavelength[-1] + self.nodes.max() + self.reach)
+
+
+_FACTOR_STEP_NM = 0.5  # step of the grid for products of reflectances
+_MAX_FINE_STEP_NM = 0.05  # maximum step of the grid for responses, else a hundredth of the narrowest band
+
+
+class BandResponses:
+    """Responses of bands on grids: a coarse one for factors, a fine one for sources.
+
+    Parameters
+    ----------
+    bands
+        Bands of the camera.
+    covered
+        First and last wavelength of the sources [nm]; responses are cut to this range.
+    normalise
+        Divide integrals by INT R d lambda, so that they are means over the response.
+
+    Attributes
+    ----------
+    grid : (grid,)
+        Wavelengths of factors [nm].
+    fine : (fine,)
+        Wavelengths of sources [nm].
+    first_band : (grid,), int64
+        First band to which a grid point contributes.
+    width
+        Number of bands to which a grid point contributes.
+    """
+
+    def __init__(
+        self, bands: BandSet, covered: tuple[float, float] = (0.0, np.inf), *, normalise: bool = True
+    ) -> None:
+        self.bands, self._normalise = bands, normalise
+        self._cell = max(1, round(_FACTOR_STEP_NM / min(_MAX_FINE_STEP_NM, float(bands.fwhm.min()) / 100.0)))
+        self._fine_step = _FACTOR_STEP_NM / self._cell
+        first_point = int(np.floor(bands.limits[0] / _FACTOR_STEP_NM)) - 1
+        nodes = bands.nodes
+        starts = np.floor((bands.wavelength + nodes.min() - bands.reach) / _FACTOR_STEP_NM).astype(np.int64)
+        self._starts = starts - first_point
+        self._cells = int(np.ceil((2 * bands.reach + np.ptp(nodes)) / _FACTOR_STEP_NM)) + 1
+        points = int(self._starts[-1]) + self._cells + 2
+        self.grid: Floats = np.asarray((first_point + np.arange(points)) * _FACTOR_STEP_NM, np.float64)
+        self.fine: Floats = np.asarray(
+            first_point * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step, np.float64
+        )
+        self._inside = (self.fine >= covered[0]) & (self.fine <= covered[1])
+        # cubic interpolation in a cell uses one point before it and two points after it
+        stops, point_numbers = self._starts + self._cells + 2, np.arange(points)
+        first_band = np.searchsorted(stops, point_numbers, side="right")
+        self.width = max(
+            1, int((np.searchsorted(self._starts - 1, point_numbers, side="right") - first_band).max())
+        )
+        self.first_band = np.clip(first_band, 0, starts.size - self.width)
+
+    def _responses(self, node: int) -> tuple[NDArray[np.int64], Floats]:
+        # numbers of the fine points of every band, and response x step at them, both (band, point)
+        bands = self.bands
+        points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
+        offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
+        response = line_shape(
+            offset, bands.fwhm[:, None], bands.spacing[:, None], bands.shape, self._fine_step
+        )
+        if bands.responsivity is not None:
+            response = response * np.asarray(bands.responsivity(self.fine))[points]
+        response = response * (self._inside[points] * self._fine_step)
+        if self._normalise:
+            response /= response.sum(axis=1, keepdims=True)
+        return points, response
+
+    def weights(self, sources: Floats) -> Floats:
+        # weights of the grid points in the bands, shape (source, node, grid, width)
+        # sources : (source, fine): spectra of the sources; see `cell_means`
+        shape = (len(sources), self.bands.nodes.size, self.grid.size, self.width)
+        grid_weights = np.zeros(shape)
+        grid_points = self._starts[:, None] - 1 + np.arange(self._cells + 3)
+        band = np.arange(self._starts.size)[:, None] - self.first_band[grid_points]
+        cubic = cubic_weights(np.arange(self._cell, dtype=np.float64) / self._cell)
+        for node in range(shape[1]):
+            points, responses = self._responses(node)
+            for number, spectrum in enumerate(sources):
+                weighted = (responses * spectrum[points]).reshape(len(points), self._cells, self._cell)
+                band_weights = np.zeros(grid_points.shape)
+                # einsum instead of a matrix product, whose bits depend on the threads of BLAS
+                for offset, cell_weights in enumerate(np.einsum("bcp,pj->jbc", weighted, cubic)):
+                    band_weights[:, offset : offset + self._cells] += cell_weights
+                grid_weights[number, node, grid_points, band] = band_weights
+        return grid_weights
+
+    def means(self, spectra: Floats) -> Floats:
+        # band means of spectra on the fine grid, shape (spectrum, node, band)
+        band_means = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
+        for node in range(band_means.shape[1]):
+            points, responses = self._responses(node)
+            for number, spectrum in enumerate(spectra):
+                band_means[number, node] = (responses * spectrum[points]).sum(axis=1)
+        return band_means
+
+
+def cell_means(wavelength: Floats, spectrum: Floats, grid: Floats) -> Floats:
+    """Return the mean of a spectrum over the cells of an even grid; zero outside the spectrum.
+
+    The spectrum is linear between its points, which may be finer or coarser than the grid, and is integrated
+    exactly.
+
+    Parameters
+    ----------
+    wavelength, spectrum : (point,)
+        Points of the spectrum [nm].
+    grid : (grid,)
+        Centres of the cells [nm].
+
+    Examples
+    --------
+    >>> means = cell_means(np.array([0.0, 1.0, 1.01, 1.02, 5.0]), np.array([0, 0, 8.0, 0, 0]), np.arange(4.0))
+    >>> means.round(6)
+    array([0.  , 0.08, 0.  , 0.  ])
+    """
+    step = grid[1] - grid[0]
+    steps = np.diff(wavelength)
+    cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (spectrum[1:] + spectrum[:-1]) * steps)])
+    edges = np.concatenate([grid - step / 2, grid[-1:] + step / 2]).clip(wavelength[0], wavelength[-1])
+    cell = np.clip(np.searchsorted(wavelength, edges, side="right") - 1, 0, wavelength.size - 2)
+    distance = edges - wavelength[cell]
+    slope = (spectrum[cell + 1] - spectrum[cell]) / steps[cell]
+    integral = cumulative[cell] + distance * (spectrum[cell] + 0.5 * slope * distance)
+    covered = np.diff(edges)
+    return np.divide(np.diff(integral), covered, out=np.zeros_like(grid), where=covered > 1e-9 * step)
+
+
+# --- the imager, its detector and optics --------------------------------------------------------------------
 
 #: Distance from the centre of a Gaussian, in full widths, beyond which its area is below 1e-13.
 GAUSSIAN_REACH = 3.2
@@ -61,23 +455,12 @@ ETENDUE = filled_etendue()
 
 
 def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: float) -> Floats:
-    """Return spectra at the resolution of a spectrometer of Gaussian line shape.
-
-    Parameters
-    ----------
-    spectra
-        Shape (spectrum, grid).
-    grid
-        Even wavelength grid [nm].
-    centres
-        Wavelengths of the spectrometer [nm].
-    fwhm
-        Full width at half maximum [nm].
-
-    Returns
-    -------
-    Shape (spectrum, centres), in the units of ``spectra``.
-    """
+    # spectra at the resolution of a spectrometer of Gaussian line shape
+    # spectra: shape (spectrum, grid)
+    # grid: even wavelength grid [nm]
+    # centres: wavelengths of the spectrometer [nm]
+    # fwhm: full width at half maximum [nm]
+    # Shape (spectrum, centres), in the units of ``spectra``.
     step = grid[1] - grid[0]
     convolved = np.empty((len(spectra), len(centres)))
     for index, centre in enumerate(centres):
@@ -100,13 +483,10 @@ def smile(columns: int, nanometres: float) -> Floats:
 
 
 def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Floats]:
-    """Return R0(lambda) of the simulated imager [count nm J-1].
-
-    Efficiency of optics, grating and silicon x photons per joule x nm per pixel / electrons per count. The
-    efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, so that a white panel at noon
-    nearly saturates twelve bits in 5 ms. R0 falls by 4 % over the 20 nm around the oxygen band.
-    """
-
+    # R0(lambda) of the simulated imager [count nm J-1].
+    # Efficiency of optics, grating and silicon x photons per joule x nm per pixel / electrons per count. The
+    # efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, so that a white panel at noon
+    # nearly saturates twelve bits in 5 ms. R0 falls by 4 % over the 20 nm around the oxygen band.
     def responsivity(wavelength: Floats) -> Floats:
         blaze = np.exp(-0.5 * ((wavelength - 570.0) / 225.0) ** 2)
         silicon = (
@@ -118,35 +498,28 @@ def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Float
     return responsivity
 
 
+# Spectral side of a pushbroom imager: its bands, and the differences between its elements
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Imager(BandSet):
-    """Spectral side of a pushbroom imager: its bands, and the differences between its elements.
-
-    Attributes
-    ----------
-    element_factor
-        f_b,x, shape (band, cross_track).
-    """
-
     wavelength_shift: Floats
     responsivity: Callable[[Floats], Floats]
-    element_factor: Floats
+    element_factor: Floats  # f_b,x, shape (band, cross_track)
 
     @cached_property
     def whole_reach(self) -> float:
-        """Distance from the nominal centre of a band beyond which no column responds [nm]."""
+        # distance from the nominal centre of a band beyond which no column responds [nm]
         smile_reach = float(np.abs(self.wavelength_shift).max())
         if self.shape == "gaussian":
             return GAUSSIAN_REACH * float(self.fwhm.max()) + smile_reach
         return float((self.fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
     def response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        """Return R_b without element factors at wavelength shifts [nm], shape (grid, shift)."""
+        # R_b without element factors at wavelength shifts [nm], shape (grid, shift)
         offset = grid[:, None] - (self.wavelength[band] + shift)
         return np.asarray(self.responsivity(grid)[:, None] * self.line_shape(band, offset, grid[1] - grid[0]))
 
     def line_shape(self, band: int, offset: Floats, step: float) -> Floats:
-        """Return the line shape of a band [nm-1] at distances from its centre [nm], on a grid of ``step``."""
+        # line shape of a band [nm-1] at distances from its centre [nm], on a grid of ``step``
         return line_shape(offset, float(self.fwhm[band]), float(self.spacing[band]), self.shape, step)
 
     def integrals(self, spectra: Floats, grid: Floats) -> Floats:
@@ -210,36 +583,21 @@ def expected_counts(integral: Floats, exposure_time: float, etendue: float) -> F
     return exposure_time * etendue * integral
 
 
+# Electrical side of the imager
 @dataclass(frozen=True)
 class Detector:
-    """Electrical side of the imager.
-
-    Attributes
-    ----------
-    dark
-        Counts with the lens capped, shape (band, cross_track) [count].
-    electrons_per_count
-        [electron count-1]
-    read_noise
-        Standard deviation of a dark count [count].
-    bit_depth
-        Bits of the converter, which saturates at 2**bit_depth - 1.
-    """
-
-    dark: Floats
-    electrons_per_count: float
-    read_noise: float
-    bit_depth: int
+    dark: Floats  # counts with the lens capped, shape (band, cross_track) [count]
+    electrons_per_count: float  # [electron count-1]
+    read_noise: float  # standard deviation of a dark count [count]
+    bit_depth: int  # bits of the converter, which saturates at 2**bit_depth - 1
 
     @property
     def saturation_count(self) -> int:
         return int(2**self.bit_depth - 1)
 
     def read(self, signal: Floats, rng: np.random.Generator | None) -> Floats:
-        """Return the input of the converter [count]: signal, dark and, with ``rng``, shot and read noise.
-
-        The variance is signal / electrons_per_count + read_noise^2; shot noise is approximated as Gaussian.
-        """
+        # input of the converter [count]: signal, dark and, with ``rng``, shot and read noise.
+        # The variance is signal / electrons_per_count + read_noise^2; shot noise is approximated as Gaussian.
         counts = signal + self.dark
         if rng is not None:
             noise = np.maximum(signal, 0.0)
@@ -251,7 +609,7 @@ class Detector:
         return counts
 
     def convert(self, counts: Floats | NDArray[np.float32]) -> NDArray[np.uint16]:
-        """Return whole counts between 0 and `saturation_count`."""
+        # whole counts between 0 and `saturation_count`
         converted = np.empty(counts.shape, dtype=np.uint16)
         for line, line_counts in zip(converted, counts, strict=True):
             rounded = np.rint(line_counts)
@@ -382,13 +740,8 @@ class Optics:
         return cls(settings, wavelength) if is_on else None
 
     def image(self, window: Sequence[Floats]) -> Floats:
-        """Return the signal of the elements of a line, shape (band, column).
-
-        Parameters
-        ----------
-        window
-            ``2 * reach + 1`` lines around the line, each (band, column), without element factors.
-        """
+        # signal of the elements of a line, shape (band, column)
+        # window: ``2 * reach + 1`` lines around the line, each (band, column), without element factors
         total = np.zeros(window[0].shape)
         for along, across in self._terms:
             line = np.zeros_like(total)
@@ -448,35 +801,21 @@ _DARK, _ELEMENTS, _BAD, _DARK_RATE, _COLUMNS = 13, 14, 15, 18, 19
 _RATE_SPREAD = 0.2  # relative standard deviation of the dark current over elements
 
 
+# The simulated camera
 @dataclass(frozen=True)
 class Camera:
-    """The simulated camera.
-
-    Attributes
-    ----------
-    imager
-        Spectral response.
-    dark_bias, dark_rate
-        Counts at no exposure [count] and their growth [count s-1], shape (band, cross_track).
-    bad
-        True at dead elements and in masked columns, shape (band, cross_track).
-    electrons_per_count, read_noise, bit_depth
-        As in `hyperpaint.simulation.camera.Detector`.
-    optics
-        Blur, keystone and stray light; None for a camera without these effects.
-    pedestal
-        Counts added to the dark in all frames except dark frames [count].
-    """
-
-    imager: Imager
+    imager: Imager  # spectral response
+    # dark_bias, dark_rate: counts at no exposure [count] and their growth [count s-1], shape (band,
+    # cross_track)
     dark_bias: Floats
     dark_rate: Floats
-    bad: NDArray[np.bool_]
+    bad: NDArray[np.bool_]  # true at dead elements and in masked columns, shape (band, cross_track)
+    # electrons_per_count, read_noise, bit_depth: as in `hyperpaint.simulation.camera.Detector`
     electrons_per_count: float
     read_noise: float
     bit_depth: int
-    optics: Optics | None = None
-    pedestal: float = 0.0
+    optics: Optics | None = None  # blur, keystone and stray light; None for a camera without these effects
+    pedestal: float = 0.0  # counts added to the dark in all frames except dark frames [count]
 
     @classmethod
     def of(cls, settings: SimulationSettings) -> Camera:
@@ -522,23 +861,23 @@ class Camera:
         )
 
     def detector(self, exposure_time: float) -> Detector:
-        """Return the detector with the dark of an exposure [s]."""
+        # detector with the dark of an exposure [s]
         dark = self.dark_bias + self.dark_rate * exposure_time
         return Detector(dark, self.electrons_per_count, self.read_noise, self.bit_depth)
 
     @property
     def etendue(self) -> float:
-        """Etendue of an element [m2 sr]."""
+        # etendue of an element [m2 sr]
         return ETENDUE
 
     @cached_property
     def response_area(self) -> Floats:
-        """INT R of every element, shape (band, cross_track) [count nm J-1]."""
+        # INT R of every element, shape (band, cross_track) [count nm J-1]
         centres, reach = self.imager.wavelength, self.imager.whole_reach
         grid = spectral_grid(centres.min() - reach - 1.0, centres.max() + reach + 1.0)
         return np.asarray(self.imager.integrals(np.ones((1, len(grid))), grid)[0])
 
     def radiance_gain(self, response_area: Floats | None = None) -> Floats:
-        """1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1]."""
+        # 1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1]
         area = self.response_area if response_area is None else response_area
         return np.where(self.bad, np.nan, 1.0 / (self.etendue * area))

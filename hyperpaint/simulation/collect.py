@@ -34,11 +34,12 @@ from .camera import convolve_gaussian
 from .flight import CheckerboardFlight, Flight, Lines, PlanFlight, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
+    CAMERA_SOFTWARE,
     SVC_DETECTORS,
-    BilWriter,
     svc_wavelengths,
     write_asd,
     write_asd_reflectance,
+    write_bil_header,
     write_frame_index,
     write_navigation,
     write_sbet,
@@ -110,24 +111,22 @@ class PaintedRectangles:
             continues = (label == self._label) & (np.abs(line_heights - self._heights) <= self._step)
             self._run_lengths = np.where(label < 0, 0, np.where(continues, self._run_lengths + 1, 1))
             self._label, self._heights = label, line_heights
-            if (self._run_lengths >= _MIN_SIDE_PIXELS).any():
-                self._search()
+            # keep rectangles that end at this scan line and are larger than those before
+            for run_start, run_stop in self._runs():
+                paint = int(label[run_start]) % len(self._flight.paints)
+                for height, start, stop in _rectangles(self._run_lengths[run_start:run_stop].tolist()):
+                    width = stop - start
+                    if min(height, width) >= _MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
+                        self._areas[paint] = height * width
+                        box = (self._line - height + 1, self._line, run_start + start, run_start + stop - 1)
+                        self._rectangles_by_paint[paint] = self._flightline, box
             self._line += 1
-
-    def _search(self) -> None:
-        # keep rectangles that end at this scan line and are larger than those before
-        for run_start, run_stop in self._runs():
-            paint = int(self._label[run_start]) % len(self._flight.paints)
-            for height, start, stop in _rectangles(self._run_lengths[run_start:run_stop].tolist()):
-                width = stop - start
-                if min(height, width) >= _MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
-                    self._areas[paint] = height * width
-                    box = (self._line - height + 1, self._line, run_start + start, run_start + stop - 1)
-                    self._rectangles_by_paint[paint] = self._flightline, box
 
     def _runs(self) -> Iterator[tuple[int, int]]:
         # ranges of columns with one label, similar heights, and enough lines for a rectangle
         enough = self._run_lengths >= _MIN_SIDE_PIXELS
+        if not enough.any():
+            return
         is_joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         is_joined &= np.abs(np.diff(self._heights)) <= self._step
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_joined, [False]]).astype(np.int8)))
@@ -136,10 +135,8 @@ class PaintedRectangles:
                 yield begin, end + 1
 
     def write(self, path: Path, generator: str) -> None:
-        """Write the regions as GeoJSON in coordinates of the sensor, in the order of the paints.
-
-        ``generator`` marks the file as simulated.
-        """
+        # write the regions as GeoJSON in coordinates of the sensor, in the order of the paints.
+        # ``generator`` marks the file as simulated.
         features = []
         for number, (flightline, (top, bottom, left, right)) in sorted(self._rectangles_by_paint.items()):
             margin = max(1, min(bottom + 1 - top, right + 1 - left) // _MARGIN_DIVISOR)
@@ -183,10 +180,8 @@ def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:
 
 
 def write_references(flight: Flight, folder: Path) -> None:
-    """Write a file of both spectrometers for every paint of the cars, named after the paint.
-
-    The files are in the folders `SVC_FOLDER` and `ASD_FOLDER` of the collect.
-    """
+    # write a file of both spectrometers for every paint of the cars, named after the paint.
+    # The files are in the folders `SVC_FOLDER` and `ASD_FOLDER` of the collect.
     settings = flight.settings
     svc, asd = folder / SVC_FOLDER, folder / ASD_FOLDER
     for directory in (svc, asd):
@@ -246,10 +241,6 @@ PARTS = (
 MARKER = "# simulated by hyperpaint"
 
 _UNFINISHED = f"{MARKER}: not finished\n"
-
-#: Marker of simulated files: software version in headers of cubes, comment in files of field spectrometers,
-#: generator of regions.
-CAMERA_SOFTWARE = "hyperpaint simulation"
 
 _BOOT = 1_234_567_891_000  # instrument's clock at the first line [ns]; it has no date
 _NAVIGATION_MARGIN_NS = 2 * 10**9  # navigation before and after the flight
@@ -436,25 +427,11 @@ def _frame_stamps(mid_times: NDArray[np.int64], settings: SimulationSettings) ->
     )
 
 
-def _comments(flight: Flight) -> dict[str, object]:
-    # fields that Headwall software adds to an ENVI header
-    settings = flight.settings
-    return {
-        "AOI width": settings.columns,
-        "Array Pixel Pitch (um)": 7.4,
-        "AverageDispersion": round(float(flight.imager.spacing.mean()), 6),
-        "Exposure (ms)": settings.exposure_time_ms,
-        "HSIII_VERSION": CAMERA_SOFTWARE,
-        "Lens EFL (mm)": 12,
-        "Serial Number": "SIM-0001",
-    }
-
-
 def _write_dark(flight: Flight, folder: Path) -> None:
     settings = flight.settings
     dark = flight.dark_frames()
-    with BilWriter(folder / "raw_0", flight.wavelength, settings.columns, _comments(flight)) as cube:
-        cube.append(dark)
+    dark.astype("<u2").tofile(folder / "raw_0")
+    write_bil_header(folder / "raw_0", flight.wavelength, settings, len(dark))
     frames = np.arange(len(dark), dtype=np.int64)
     mid_times = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD_NS
     write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(mid_times, settings))
@@ -468,29 +445,28 @@ def _write_flight(
     truth = TruthStore(flight, root / "truth.zarr") if with_truth else None
     painted = PaintedRectangles(flight)
     recorded = settings.recorded
-    starts = settings.cube_starts.tolist()
     reusable: Lines | None = None
-    for first_frame, end_frame in itertools.pairwise(starts):
+    for first_frame, end_frame in itertools.pairwise(settings.cube_starts.tolist()):
         frames = first_frame + np.flatnonzero(recorded[first_frame:end_frame])
         name = f"{frames[0]}"
         painted.begin(f"raw_{name}")
-        with BilWriter(
-            folder / f"raw_{name}", flight.wavelength, settings.columns, _comments(flight)
-        ) as cube:
+        with (folder / f"raw_{name}").open("wb") as cube:
             for begin in range(first_frame, end_frame, block_lines):
                 end = min(begin + block_lines, end_frame)
                 block = flight.lines(begin, end, into=reusable)
                 reusable = block if reusable is None or len(reusable.counts) < len(block.counts) else reusable
                 is_recorded = recorded[begin:end]
                 counts = block.counts if is_recorded.all() else block.counts[is_recorded]
-                cube.append(flight.detector.convert(counts))
+                cube.write(np.ascontiguousarray(flight.detector.convert(counts), "<u2").data)
                 if truth is not None:
                     truth.write(begin, block, is_recorded)
                 painted.add(block, is_recorded)
                 if progress is not None:
                     progress(end, settings.lines)
-        stamps = _frame_stamps(flight.line_times[frames], settings)
-        write_frame_index(folder / f"frameIndex_{name}.txt", frames, stamps)
+        write_bil_header(folder / f"raw_{name}", flight.wavelength, settings, len(frames))
+        write_frame_index(
+            folder / f"frameIndex_{name}.txt", frames, _frame_stamps(flight.line_times[frames], settings)
+        )
     painted.write(root / REGIONS, CAMERA_SOFTWARE)
     write_settings(folder / "settings.txt", settings)
     since = np.arange(

@@ -17,6 +17,7 @@ a pixel is the mean over its area and its exposure, along the moving line of sig
 from __future__ import annotations
 
 import abc
+import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,12 +31,11 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats, Floats32
 
-from .atmosphere import Light, Sky, spectral_grid
+from .atmosphere import Light, Sky, cloud_transmittance, relative_air_mass, spectral_grid
 from .camera import Camera, convolve_gaussian, expected_counts
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
-from .paint_spectra import CAR_PAINTS, MATERIALS, PANELS, reflectance
 from .rendering.platforms import LocalFrame, Trajectory, TransverseMercator
-from .rendering.sky_models import cloud_transmittance, relative_air_mass
+from .rendering.scene_spectra import CAR_PAINTS, MATERIALS, PANELS, reflectance
 from .settings import ORIGIN, PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 
 _OVERCAST_OKTAS = 8.0
@@ -48,7 +48,7 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     ----------
     sky
         One of `hyperpaint.simulation.settings.SKIES`. An overcast sky transmits a quarter of the clear sky's
-        light, slightly bluer (`rendering.sky_models`), without direct sun.
+        light, slightly bluer (`atmosphere`), without direct sun.
     sun_zenith
         [degree]
     wavelength
@@ -79,29 +79,17 @@ class Layer(NamedTuple):
     attrs: Mapping[str, object]  # ``long_name``, ``units`` and the like
 
 
+# Consecutive scan lines: scene radiance, and counts before conversion
 @dataclass(frozen=True)
 class Lines:
-    """Consecutive scan lines: scene radiance, and counts before conversion.
-
-    Attributes
-    ----------
-    surface
-        Class of every pixel, shape (along_track, cross_track), int16.
-    glint
-        True for pixels that mirror the sun, shape (along_track, cross_track).
-    counts
-        Counts before conversion, shape (along_track, band, cross_track), float32 [count].
-    radiance, reflectance
-        Means weighted by the response, shape as counts, float32 [W m-2 sr-1 nm-1], [1].
-    layers
-        Further truth of every pixel, by the names of `Flight.layers`.
-    """
-
-    surface: NDArray[np.int16]
-    glint: NDArray[np.bool_]
+    surface: NDArray[np.int16]  # class of every pixel, shape (along_track, cross_track), int16
+    glint: NDArray[np.bool_]  # true for pixels that mirror the sun, shape (along_track, cross_track)
+    # counts before conversion, shape (along_track, band, cross_track), float32 [count]
     counts: NDArray[np.float32]
+    # radiance, reflectance: means weighted by the response, shape as counts, float32 [W m-2 sr-1 nm-1], [1]
     radiance: NDArray[np.float32]
     reflectance: NDArray[np.float32]
+    # further truth of every pixel, by the names of `Flight.layers`
     layers: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
 
 
@@ -109,26 +97,14 @@ class Lines:
 LineView: TypeAlias = tuple[Lines, Callable[[int], Floats]]
 
 
-@dataclass(frozen=True)
-class SkySamples:
-    """The simulated irradiance record.
-
-    Attributes
-    ----------
-    stamp
-        UTC by the clock of the logging computer, in whole seconds since 1970, shape (irradiance_time,).
-    middle
-        True time of the middle of every average, in nanoseconds after the first line, int64.
-    factors
-        Mean factors of direct and diffuse light over every average, shape (2, irradiance_time).
-    irradiance
-        Irradiance, shape (irradiance_time, irradiance_wavelength) [W m-2 nm-1].
-    """
-
+# The simulated irradiance record
+class SkySamples(NamedTuple):
+    # UTC by the clock of the logging computer, in whole seconds since 1970, shape (irradiance_time,)
     stamp: NDArray[np.int64]
+    # true time of the middle of every average, in nanoseconds after the first line, int64
     middle: NDArray[np.int64]
-    factors: Floats
-    irradiance: Floats
+    factors: Floats  # mean factors of direct and diffuse light over every average, shape (2, irradiance_time)
+    irradiance: Floats  # irradiance, shape (irradiance_time, irradiance_wavelength) [W m-2 nm-1]
 
 
 class Flight(abc.ABC):
@@ -363,87 +339,70 @@ _WINDOWS = ((0.27, 0.40, 0.0, 0.74), (0.74, 0.84, 0.0, 0.70), (0.42, 0.72, 0.76,
 _WHEELS = ((0.13, 0.25, 0.98, 1.03), (0.72, 0.84, 0.98, 1.03))
 
 
-@dataclass(frozen=True)
-class CarPark:
-    """Layout of a car park.
+def surface_classes(start: int, stop: int, columns: int, seed: int = 0) -> NDArray[np.int16]:
+    """Return the class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track).
 
-    Attributes
-    ----------
-    columns
-        Columns of the imager across the swath.
-    seed
-        Seed of the occupied bays, and of paints and positions of the cars.
+    ``columns`` cover the swath; ``seed`` chooses the occupied bays, and paints and positions of the cars.
 
     Examples
     --------
-    >>> park = CarPark(columns=32, seed=0)
-    >>> park.surface(0, 2).shape, park.surface(0, 2).dtype
-    ((2, 32), dtype('int16'))
+    >>> surface_classes(0, 2, columns=32).dtype
+    dtype('int16')
     """
+    sample = SWATH_M / columns  # side of a pixel on the ground [m]
+    along = (np.arange(start, stop) + 0.5) * sample
+    y, x = np.meshgrid(along, (np.arange(columns) + 0.5) * sample, indexing="ij")
+    classes = np.full(y.shape, _CLASS["asphalt"], dtype=np.int16)
+    classes[x < _KERB_END] = _CLASS["concrete"]
+    classes[x < _GRASS_END] = _CLASS["grass"]
+    # painted lines, at least a pixel wide, so that coarse pictures have them
+    beside = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2)
+    is_along = beside <= max(_LINE_HALF_WIDTH, sample / 2)
+    for edge in _ROWS:
+        classes[is_along & (x >= edge) & (x <= edge + _BAY_LENGTH)] = _CLASS["painted_line"]
+    # panels in the aisle
+    is_along = (y - _PANEL_START) % _PANEL_PERIOD <= _PANEL_SIZE
+    pitch = (_ROWS[1] - _ROWS[0] - _BAY_LENGTH) / len(PANELS)
+    for index, level in enumerate(PANELS):
+        edge = _ROWS[0] + _BAY_LENGTH + (index + 0.5) * pitch - _PANEL_SIZE / 2
+        is_panel = is_along & (x >= edge) & (x <= edge + _PANEL_SIZE)
+        classes[is_panel] = _CLASS[f"panel_{round(100 * level):02d}"]
+    # cars
+    first_bay, last_bay = int(along[0] // _BAY_WIDTH) - 1, int(along[-1] // _BAY_WIDTH) + 1
+    for bay, row in itertools.product(range(first_bay, last_bay + 1), range(len(_ROWS))):
+        _park(classes, y, x, bay, row, seed)
+    return classes
 
-    columns: int
-    seed: int = 0
 
-    @property
-    def ground_sample(self) -> float:
-        # side of a pixel on the ground [m]
-        return SWATH_M / self.columns
-
-    def surface(self, start: int, stop: int) -> NDArray[np.int16]:
-        # class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track)
-        along = (np.arange(start, stop) + 0.5) * self.ground_sample
-        y, x = np.meshgrid(along, (np.arange(self.columns) + 0.5) * self.ground_sample, indexing="ij")
-        classes = np.full(y.shape, _CLASS["asphalt"], dtype=np.int16)
-        classes[x < _KERB_END] = _CLASS["concrete"]
-        classes[x < _GRASS_END] = _CLASS["grass"]
-        # painted lines, at least a pixel wide, so that coarse pictures have them
-        half_width = max(_LINE_HALF_WIDTH, self.ground_sample / 2)
-        is_along = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= half_width
-        for edge in _ROWS:
-            classes[is_along & (x >= edge) & (x <= edge + _BAY_LENGTH)] = _CLASS["painted_line"]
-        # panels in the aisle
-        is_along = (y - _PANEL_START) % _PANEL_PERIOD <= _PANEL_SIZE
-        pitch = (_ROWS[1] - _ROWS[0] - _BAY_LENGTH) / len(PANELS)
-        for index, level in enumerate(PANELS):
-            edge = _ROWS[0] + _BAY_LENGTH + (index + 0.5) * pitch - _PANEL_SIZE / 2
-            is_panel = is_along & (x >= edge) & (x <= edge + _PANEL_SIZE)
-            classes[is_panel] = _CLASS[f"panel_{round(100 * level):02d}"]
-        # cars
-        first_bay, last_bay = int(along[0] // _BAY_WIDTH) - 1, int(along[-1] // _BAY_WIDTH) + 1
-        for bay in range(first_bay, last_bay + 1):
-            for row in range(len(_ROWS)):
-                self._park(classes, y, x, bay, row)
-        return classes
-
-    def _park(self, classes: NDArray[np.int16], y: Floats, x: Floats, bay: int, row: int) -> None:
-        rng = np.random.default_rng([self.seed, 1, bay + 2, row])
-        if rng.random() > 0.85:
-            return
-        length, width = rng.uniform(4.0, 4.7), rng.uniform(1.7, 1.9)
-        centre = (bay + 0.5) * _BAY_WIDTH + rng.normal(0.0, 0.08)
-        nose = _ROWS[row] + rng.uniform(0.1, _BAY_LENGTH - length)
-        turn, forward = rng.normal(0.0, 0.02), rng.random() < 0.7
-        is_near = np.abs(y[:, 0] - centre) < _BAY_WIDTH
-        if not is_near.any():
-            return
-        # twelve neighbouring bays have twelve different paints
-        paints = list(CAR_PAINTS)
-        group, index = divmod(2 * bay + row + 2 * len(paints), len(paints))
-        paint = paints[int(np.random.default_rng([self.seed, 2, group]).permutation(len(paints))[index])]
-        y, x, view = y[is_near], x[is_near], classes[is_near]
-        # u is 0 at the nose and 1 at the tail, v is 0 on the centre line and 1 at the flank
-        u = (x - nose + turn * (y - centre)) / length
-        u = u if forward else 1.0 - u
-        v = np.abs(y - centre - turn * (x - nose - length / 2)) / (width / 2)
-        body = np.abs(2 * u - 1) ** 6 + v**5 <= 1.0
-        wheels, windows = (
-            np.any([(u >= a) & (u <= b) & (v >= c) & (v <= d) for a, b, c, d in boxes], axis=0)
-            for boxes in (_WHEELS, _WINDOWS)
-        )
-        view[wheels] = _CLASS["tyre"]
-        view[body] = _CLASS[paint]
-        view[body & windows] = _CLASS["glass"]
-        classes[is_near] = view
+def _park(classes: NDArray[np.int16], y: Floats, x: Floats, bay: int, row: int, seed: int) -> None:
+    rng = np.random.default_rng([seed, 1, bay + 2, row])
+    if rng.random() > 0.85:
+        return
+    length, width = rng.uniform(4.0, 4.7), rng.uniform(1.7, 1.9)
+    centre = (bay + 0.5) * _BAY_WIDTH + rng.normal(0.0, 0.08)
+    nose = _ROWS[row] + rng.uniform(0.1, _BAY_LENGTH - length)
+    turn, forward = rng.normal(0.0, 0.02), rng.random() < 0.7
+    is_near = np.abs(y[:, 0] - centre) < _BAY_WIDTH
+    if not is_near.any():
+        return
+    # twelve neighbouring bays have twelve different paints
+    paints = list(CAR_PAINTS)
+    group, index = divmod(2 * bay + row + 2 * len(paints), len(paints))
+    paint = paints[int(np.random.default_rng([seed, 2, group]).permutation(len(paints))[index])]
+    y, x, view = y[is_near], x[is_near], classes[is_near]
+    # u is 0 at the nose and 1 at the tail, v is 0 on the centre line and 1 at the flank
+    u = (x - nose + turn * (y - centre)) / length
+    u = u if forward else 1.0 - u
+    v = np.abs(y - centre - turn * (x - nose - length / 2)) / (width / 2)
+    body = np.abs(2 * u - 1) ** 6 + v**5 <= 1.0
+    wheels, windows = (
+        np.any([(u >= a) & (u <= b) & (v >= c) & (v <= d) for a, b, c, d in boxes], axis=0)
+        for boxes in (_WHEELS, _WINDOWS)
+    )
+    view[wheels] = _CLASS["tyre"]
+    view[body] = _CLASS[paint]
+    view[body & windows] = _CLASS["glass"]
+    classes[is_near] = view
 
 
 _CAR = np.array([name in CAR_PAINTS for name in MATERIALS])
@@ -456,7 +415,6 @@ class PlanFlight(Flight):
 
     def __init__(self, settings: SimulationSettings) -> None:
         super().__init__(settings)
-        self.park = CarPark(settings.columns, settings.seed)
         #: shape (light, band, material x cross_track), as a lookup table
         self._reflected = (
             self._reflected_light(list(MATERIALS)).transpose(0, 2, 1, 3).reshape(2, settings.bands, -1)
@@ -464,20 +422,19 @@ class PlanFlight(Flight):
 
     def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
         number = stop - start
-        surface = self.park.surface(start, stop)
+        surface = surface_classes(start, stop, self.settings.columns, self.settings.seed)
         # reflectance factor of the sun mirrored in clear coats, zero for most pixels
         mirrored = np.zeros(surface.shape)
         for row in range(number):
             rng = self._rng(_GLINT, start + row)
             chance, strength = rng.random(surface.shape[1]), rng.uniform(2.0, 12.0, surface.shape[1])
             mirrored[row] = np.where((chance < self.settings.glint) & _CAR[surface[row]], strength, 0.0)
-        block = Lines(surface, mirrored > 0, *self._cubes(number, into))
         factors = self._factors(start, stop)
 
         def element_radiance(row: int) -> Floats:
             return self._element_radiance(start + row, surface[row], factors[:, row], mirrored[row])
 
-        return block, element_radiance
+        return Lines(surface, mirrored > 0, *self._cubes(number, into)), element_radiance
 
     def _element_radiance(
         self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats
@@ -552,17 +509,10 @@ class Checkerboard:
         return np.stack([first_axis[0] * x + first_axis[1] * y, second_axis[0] * x + second_axis[1] * y])
 
     def share(self, place: Floats, steps: Floats, weights: Floats) -> Floats:
-        """Return the share of the sample points of pixels that are on bright squares.
-
-        Parameters
-        ----------
-        place
-            East and north of pixel centres, shape (2, ...) [m].
-        steps
-            Vectors along width, length and exposure of a pixel, shape (step, 2, ...) [m].
-        weights
-            Weights of these vectors for every sample point, shape (point, step).
-        """
+        # share of the sample points of pixels that are on bright squares
+        # place: east and north of pixel centres, shape (2, ...) [m]
+        # steps: vectors along width, length and exposure of a pixel, shape (step, 2, ...) [m]
+        # weights: weights of these vectors for every sample point, shape (point, step)
         centre = self.numbers(*place)
         vectors = np.moveaxis(np.tensordot(self._axes / self.square, steps, axes=(1, 1)), 1, 0)
         bright = np.zeros(centre.shape[1:])

@@ -14,8 +14,6 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +21,10 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 
 from .settings import SimulationSettings
+
+#: Marker of simulated files: software version in headers of cubes, comment in files of field spectrometers,
+#: generator of regions.
+CAMERA_SOFTWARE = "hyperpaint simulation"
 
 #: Wavelengths of the simulated spectrometer [nm].
 ASD_WAVELENGTH = np.arange(350.0, 1076.0)
@@ -45,55 +47,32 @@ _LEAPS = np.array(
 _OLE_EPOCH = np.datetime64("1899-12-30T00:00:00", "s")
 
 
-class BilWriter:
-    """Writer of a cube in blocks of lines, band-interleaved by line; the header is written at the end.
-
-    Parameters
-    ----------
-    path
-        Path of the binary file, without an extension; the header is beside it.
-    wavelength
-        Centre wavelengths, shape (band,) [nm], written with three decimals.
-    columns
-        Samples of a line.
-    comments
-        Lines ``;key = value`` below the ENVI part.
-    """
-
-    def __init__(self, path: Path, wavelength: Floats, columns: int, comments: Mapping[str, object]) -> None:
-        self._path, self._wavelength, self._columns, self._comments = path, wavelength, columns, comments
-        self._lines = 0
-
-    def __enter__(self) -> Self:
-        self._file = self._path.open("wb")
-        return self
-
-    def append(self, counts: NDArray[np.uint16]) -> None:
-        self._file.write(np.ascontiguousarray(counts, dtype="<u2").data)
-        self._lines += len(counts)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
-        if kind is not None:
-            return
-        default_bands = ",".join(
-            str(1 + int(np.abs(self._wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0)
-        )
-        # Headwall headers have the comma at the start of the next line
-        wavelengths = "\n,".join(f"{nm:.3f}" for nm in self._wavelength)
-        comments = "".join(f";{key} = {value}\n" for key, value in self._comments.items())
-        self._path.with_name(self._path.name + ".hdr").write_text(
-            "ENVI\n"
-            "description = {[HEADWALL Hyperspec III]}\n"
-            f"samples = {self._columns}\nlines = {self._lines}\nbands = {len(self._wavelength)}\n"
-            "header offset = 0\nfile type = ENVI Standard\ndata type = 12\ninterleave = bil\n"
-            f"sensor type = Unknown\ndefault bands = {{{default_bands}}}\n"
-            "byte order = 0\nwavelength units = nm\n"
-            f"wavelength = {{\n{wavelengths}\n}}\n{comments}",
-            encoding="ascii",
-        )
+def write_bil_header(path: Path, wavelength: Floats, settings: SimulationSettings, lines: int) -> None:
+    # write the header of a band-interleaved cube; ``path`` is the binary file, without an extension
+    default_bands = ",".join(str(1 + int(np.abs(wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0))
+    # Headwall headers have the comma at the start of the next line
+    wavelengths = "\n,".join(f"{nm:.3f}" for nm in wavelength)
+    # fields that Headwall software adds to an ENVI header
+    comments = {
+        "AOI width": settings.columns,
+        "Array Pixel Pitch (um)": 7.4,
+        "AverageDispersion": round(float(np.gradient(wavelength).mean()), 6),
+        "Exposure (ms)": settings.exposure_time_ms,
+        "HSIII_VERSION": CAMERA_SOFTWARE,
+        "Lens EFL (mm)": 12,
+        "Serial Number": "SIM-0001",
+    }
+    rows = "".join(f";{key} = {value}\n" for key, value in comments.items())
+    path.with_name(path.name + ".hdr").write_text(
+        "ENVI\n"
+        "description = {[HEADWALL Hyperspec III]}\n"
+        f"samples = {settings.columns}\nlines = {lines}\nbands = {len(wavelength)}\n"
+        "header offset = 0\nfile type = ENVI Standard\ndata type = 12\ninterleave = bil\n"
+        f"sensor type = Unknown\ndefault bands = {{{default_bands}}}\n"
+        "byte order = 0\nwavelength units = nm\n"
+        f"wavelength = {{\n{wavelengths}\n}}\n{rows}",
+        encoding="ascii",
+    )
 
 
 def write_settings(path: Path, settings: SimulationSettings) -> None:
@@ -102,7 +81,7 @@ def write_settings(path: Path, settings: SimulationSettings) -> None:
 
 
 def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.int64]) -> None:
-    """Write a ``frameIndex`` file (variant A) of frame numbers and microseconds of the instrument's clock."""
+    # write a ``frameIndex`` file (variant A) of frame numbers and microseconds of the instrument's clock
     rows = "".join(
         f"{frame}\t{stamp}\n" for frame, stamp in zip(frames.tolist(), stamps.tolist(), strict=True)
     )
@@ -112,17 +91,10 @@ def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.
 def write_navigation(
     path: Path, pose: Mapping[str, Floats], stamps: NDArray[np.int64], utc: NDArray[np.datetime64]
 ) -> None:
-    """Write ``imu_gps.txt`` (variant A).
-
-    Parameters
-    ----------
-    pose
-        roll, pitch, heading, latitude, longitude [degree], altitude [m], each of shape (row,).
-    stamps
-        Microseconds of the instrument's clock, shape (row,).
-    utc
-        The same instants in UTC, shape (row,).
-    """
+    # write ``imu_gps.txt`` (variant A)
+    # pose: roll, pitch, heading, latitude, longitude [degree], altitude [m], each of shape (row,)
+    # stamps: microseconds of the instrument's clock, shape (row,)
+    # utc: the same instants in UTC, shape (row,)
     header = "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTimestamp\tGps_UTC_Date&Time\tStatus\tHeading\n"
     names = ("roll", "pitch", "heading", "latitude", "longitude", "altitude")
     columns = [pose[name].tolist() for name in names]
@@ -139,15 +111,9 @@ def write_navigation(
 
 
 def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime64]) -> None:
-    """Write an SBET file: rows of 17 float64, angles in radians, seconds of the GPS week, zero velocities.
-
-    Parameters
-    ----------
-    pose
-        As for `write_navigation`; heights above the ellipsoid.
-    utc
-        UTC of the rows, shape (row,).
-    """
+    # write an SBET file: rows of 17 float64, angles in radians, seconds of the GPS week, zero velocities
+    # pose: as for `write_navigation`; heights above the ellipsoid
+    # utc: UTC of the rows, shape (row,)
     leap = np.searchsorted(_LEAPS, utc, side="right") * 10**9
     week = ((utc - _GPS_EPOCH).astype(np.int64) + leap) % (7 * 86_400 * 10**9)
     rows = np.zeros((len(utc), 17), "<f8")
@@ -173,22 +139,13 @@ _LAMP_COUNTS = (
 
 
 def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, reference_stamp: int) -> None:
-    """Write an irradiance spectrum as an ASD binary file, version 7.
-
-    The file holds raw counts and three calibration blocks; irradiance is LMP x counts / FO x
-    (integration time of FO / integration time).
-
-    Parameters
-    ----------
-    irradiance
-        Irradiance on `ASD_WAVELENGTH`, shape (726,) [W m-2 nm-1].
-    stamp
-        Time by the clock of the logging computer, UTC as seconds since 1970.
-    utc_offset
-        Time zone of this computer [s].
-    reference_stamp
-        Time of the reference by the same clock.
-    """
+    # write an irradiance spectrum as an ASD binary file, version 7.
+    # The file holds raw counts and three calibration blocks; irradiance is LMP x counts / FO x (integration
+    # time of FO / integration time).
+    # irradiance: irradiance on `ASD_WAVELENGTH`, shape (726,) [W m-2 nm-1]
+    # stamp: time by the clock of the logging computer, UTC as seconds since 1970
+    # utc_offset: time zone of this computer [s]
+    # reference_stamp: time of the reference by the same clock
     counts = irradiance * _LAMP_COUNTS / _LAMP * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
     blocks = (
         (1, b"bse_sim.ref", np.full(len(ASD_WAVELENGTH), 0.99)),
@@ -202,15 +159,10 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
 def write_asd_reflectance(
     path: Path, radiance: Floats, white: Floats, *, stamp: int, utc_offset: int, reference_stamp: int
 ) -> None:
-    """Write a reflectance spectrum as an ASD binary file, version 7: counts of surface and white panel.
-
-    Parameters
-    ----------
-    radiance, white
-        Radiance of the surface and of the panel, on `ASD_WAVELENGTH`, shape (726,) [W m-2 sr-1 nm-1].
-    stamp, utc_offset, reference_stamp
-        As for `write_asd`; ``reference_stamp`` is the time of the panel.
-    """
+    # write a reflectance spectrum as an ASD binary file, version 7: counts of surface and white panel
+    # radiance, white: radiance of the surface and of the panel, on `ASD_WAVELENGTH`, shape (726,) [W m-2 sr-1
+    # nm-1]
+    # stamp, utc_offset, reference_stamp: as for `write_asd`; ``reference_stamp`` is the time of the panel
     per_radiance = np.pi * _LAMP_COUNTS / _LAMP * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
     times = stamp, utc_offset, reference_stamp
     _write_asd(path, _REFLECTANCE, radiance * per_radiance, white * per_radiance, times)
@@ -283,27 +235,16 @@ _EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
 _UNIT = 1e-6  # W m-2 sr-1 nm-1 per unit of the files, 1e-10 W cm-2 sr-1 nm-1
 
 
+# A detector of the SVC spectrometer
 @dataclass(frozen=True)
 class SvcDetector:
-    """A detector of the SVC spectrometer.
-
-    Attributes
-    ----------
-    channels
-        Number of channels.
-    first, last
-        Wavelengths of the outer channels [nm].
-    first_step
-        Distance of the first two channels [nm]; the distance changes linearly with the channel.
-    fwhm
-        Full width at half maximum of every channel [nm].
-    """
-
-    channels: int
+    channels: int  # number of channels
+    # first, last: wavelengths of the outer channels [nm]
     first: float
     last: float
+    # distance of the first two channels [nm]; the distance changes linearly with the channel
     first_step: float
-    fwhm: float
+    fwhm: float  # full width at half maximum of every channel [nm]
 
     @property
     def wavelength(self) -> Floats:
@@ -329,7 +270,7 @@ SVC_DETECTORS = (
 
 
 def svc_wavelengths() -> Floats:
-    """Return the wavelengths of the rows of a file, shape (1024,) [nm]; they decrease at two joins."""
+    # wavelengths of the rows of a file, shape (1024,) [nm]; they decrease at two joins
     return np.concatenate([detector.wavelength for detector in SVC_DETECTORS])
 
 
@@ -343,21 +284,12 @@ def write_svc(
     position: tuple[float, float],
     sun: tuple[float, float],
 ) -> None:
-    """Write a measurement of a white panel and a target.
-
-    Parameters
-    ----------
-    white, target
-        Radiance on `svc_wavelengths`, shape (1024,) [W m-2 sr-1 nm-1].
-    stamps
-        UTC of panel and target [s since 1970].
-    utc_offset
-        Zone of the instrument's clock [s].
-    position
-        Latitude and longitude [degree].
-    sun
-        Zenith angle and azimuth of the sun [degree].
-    """
+    # write a measurement of a white panel and a target
+    # white, target: radiance on `svc_wavelengths`, shape (1024,) [W m-2 sr-1 nm-1]
+    # stamps: UTC of panel and target [s since 1970]
+    # utc_offset: zone of the instrument's clock [s]
+    # position: latitude and longitude [degree]
+    # sun: zenith angle and azimuth of the sun [degree]
     latitude = _degrees_and_minutes(position[0], 2, "NS")
     longitude = _degrees_and_minutes(position[1], 3, "EW")
     times, local = ([np.datetime64(stamp + zone, "s").item() for stamp in stamps] for zone in (0, utc_offset))
@@ -385,7 +317,7 @@ def write_svc(
         "longitude": f"{longitude:<16}, {longitude:<16}",
         "latitude": f"{latitude:<16}, {latitude:<16}",
         "gpstime": ", ".join(f"{f'{t:%H%M%S}.000':<16}" for t in times),
-        "comm": "hyperpaint simulation",
+        "comm": CAMERA_SOFTWARE,
         "memory slot": "0, 0",
         "factors": "1.000, 1.000, 1.000 [Overlap: Preserve, Matching Type: None]",
         "inclinometer x offset": "0, 0",

@@ -19,19 +19,20 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
+from .atmosphere import CIE_OVERCAST_SHARE, clear_spread
+from .camera import BandSet
 from .flight import Flight, Layer, Lines, LineView
-from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
 from .rendering.painting import factor_spectra, populations_of
-from .rendering.platforms import Platform, TransverseMercator, pixel_edges
+from .rendering.platforms import Platform, pixel_edges
 from .rendering.relighting import ProductTable, source_spectra
 from .rendering.scene import Scene
-from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
+from .rendering.scene_record import SceneRecord, TraceSettings, label_layers
 from .rendering.scene_spectra import paint_spec, spectrum_of
-from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .settings import PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
+from .transport.mixing import member_rows
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
 from .transport.paths import Block
 
@@ -80,7 +81,25 @@ class RenderedFlight(Flight):
         self.paints = tuple(
             sorted({material.spectrum for material in record.materials if material.kind == "paint"})
         )
-        self.layers = _layers(self._scene.labels, self.plane)
+        meters = {
+            "east": f"East of the mean place seen, on {self.plane.crs}",
+            "north": f"North of the mean place seen, on {self.plane.crs}",
+            "height": "Mean height above the ellipsoid of what is seen",
+            "up": "Mean height above the ground, a plane that touches it under the first line",
+        }
+        layers: dict[str, tuple[str, str, dict[str, Any]]] = {
+            "surface_class": ("int16", "Kind of the surface", self._scene.labels["surface_class"].attrs),
+            "paint_id": ("int16", "Paint of the car; -1 off paint", self._scene.labels["paint_id"].attrs),
+            "car_id": ("int32", "Number of the car; -1 where there is none", {}),
+            "purity": ("float32", "Share of the pixel that shows this surface", {"units": "1"}),
+            "shadow": ("float32", "Share of the pixel that does not see the sun", {"units": "1"}),
+            **{name: ("float64", text, {"units": "m"}) for name, text in meters.items()},
+        }
+        # convert arrays to lists, because attributes are written as JSON
+        self.layers = {
+            name: Layer(dtype, {"long_name": text} | {k: np.asarray(v).tolist() for k, v in attrs.items()})
+            for name, (dtype, text, attrs) in layers.items()
+        }
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
         bands = BandSet.of(self.imager)
@@ -97,10 +116,11 @@ class RenderedFlight(Flight):
             overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
             **shares,
         )
-        light = source_spectra(atmosphere, trace)
         factors = factor_spectra(record, bands)
         self._populations = populations_of(record, factors, bands)
-        self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
+        self._products = ProductTable(
+            bands, self._scene.codes, self.grid, source_spectra(atmosphere, trace), factors, normalise=False
+        )
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         # reflectance of paints without mirror reflection and flakes, shape (name, wavelength)
@@ -116,9 +136,8 @@ class RenderedFlight(Flight):
 
     def _flake_share(self, paint: str) -> float:
         # share of flakes in a paint of this scene
-        flakes = paint_spec(paint).flakes
-        has_some = flakes is not None and self.settings.fleet == "real" and self.settings.coat
-        return flakes.share if flakes is not None and has_some else 0.0
+        flakes = paint_spec(paint).flakes if self.settings.fleet == "real" and self.settings.coat else None
+        return 0.0 if flakes is None else flakes.share
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
         # paint and car of pixels that show only one car's paint, in full sun and without glint; else -1
@@ -179,30 +198,10 @@ class RenderedFlight(Flight):
             blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
         block = Block(*map(np.concatenate, zip(*blocks, strict=True)))
         factors = self._factors(start, stop)
-        record = Lines(
-            self._surface[block.material],
-            self._glint_mask(block, factors),
-            *self._cubes(stop - start, into),
-            self._labels(block),
-        )
-        # the array of radiance holds INT L R until counts are computed
-        direct, diffuse = factors[:, :, None, None]
-        weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
-        place = np.moveaxis(block.position, 1, 0)
-        texture = (
-            None
-            if self._populations is None
-            else self._populations.texture(block.material, block.instance, place, self.settings.seed)
-        )
-        self._products.mix(weight, block.code, record.radiance, texture)
-        per_element = np.pi * self.imager.element_factor
-        return record, lambda row: record.radiance[row] * per_element
-
-    def _labels(self, block: Block) -> dict[str, NDArray[Any]]:
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
         east, north = self.plane.project(latitude, longitude)
-        return {
-            **self._scene.labels.layers(block.material, block.instance),
+        layers = {
+            **label_layers(self._scene.labels, block.material, block.instance),
             "purity": block.purity,
             "shadow": 1.0 - block.sun_visibility[:, 0],
             "east": east,
@@ -210,33 +209,22 @@ class RenderedFlight(Flight):
             "height": height,
             "up": block.position[:, 2],
         }
-
-    def _glint_mask(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
         # pixels in which mirrored sun adds more than `GLINT`, shape (line, column)
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
-        weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
         level = self.incident.mean(axis=(1, 2)) @ factors
         normal = self.incident[0].mean() / self._cosine * factors[0]
-        return np.asarray(weight * (normal / level)[:, None] > GLINT)
-
-
-def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
-    meters = {
-        "east": f"East of the mean place seen, on {plane.crs}",
-        "north": f"North of the mean place seen, on {plane.crs}",
-        "height": "Mean height above the ellipsoid of what is seen",
-        "up": "Mean height above the ground, a plane that touches it under the first line",
-    }
-    layers: dict[str, tuple[str, dict[str, Any]]] = {
-        "surface_class": ("int16", {"long_name": "Kind of the surface", **labels.attrs("surface_class")}),
-        "paint_id": ("int16", {"long_name": "Paint of the car; -1 off paint", **labels.attrs("paint_id")}),
-        "car_id": ("int32", {"long_name": "Number of the car; -1 where there is none"}),
-        "purity": ("float32", {"long_name": "Share of the pixel that shows this surface", "units": "1"}),
-        "shadow": ("float32", {"long_name": "Share of the pixel that does not see the sun", "units": "1"}),
-        **{name: ("float64", {"long_name": text, "units": "m"}) for name, text in meters.items()},
-    }
-    # convert arrays to lists, because attributes are written as JSON
-    return {
-        name: Layer(dtype, {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attrs.items()})
-        for name, (dtype, attrs) in layers.items()
-    }
+        glint = np.where(mirrored, block.weight, 0.0).sum(axis=1) * (normal / level)[:, None] > GLINT
+        cubes = self._cubes(stop - start, into)
+        record = Lines(self._surface[block.material], np.asarray(glint), *cubes, layers)
+        # the array of radiance holds INT L R until counts are computed
+        direct, diffuse = factors[:, :, None, None]
+        weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
+        texture = None
+        if self._populations is not None:
+            members, (x, y, z) = self._populations, np.moveaxis(block.position, 1, 0)
+            seed = self.settings.seed
+            rows = member_rows(block.material, block.instance, x, y, z, members.grain, seed)
+            texture = members.of_rows(rows)
+        self._products.mix(weight, block.code, record.radiance, texture)
+        per_element = np.pi * self.imager.element_factor
+        return record, lambda row: record.radiance[row] * per_element

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -59,7 +59,7 @@ ORIGIN = (43.0845, -77.6749, 160.0)
 
 
 def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
-    """Return values as a new float64 array, and note entries that are not finite numbers."""
+    # values as a new float64 array, and note entries that are not finite numbers
     try:
         array = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError):
@@ -74,7 +74,7 @@ def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
 
 
 def moment_of(value: Any) -> np.datetime64:
-    """Return a time [ns]; NaT for a value that is not a time."""
+    # time [ns]; NaT for a value that is not a time
     try:
         return np.datetime64(np.asarray(value, "datetime64[ns]").item(), "ns")
     except (ValueError, TypeError):
@@ -577,7 +577,7 @@ class SimulationSettings(OpticsSettings):
         problems.raise_if_any()
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> SimulationSettings:
+    def of(cls, values: Mapping[str, Any]) -> Self:
         """Return settings from keywords.
 
         Raises

@@ -61,7 +61,7 @@ def _surface_attrs(flight: Flight) -> dict[str, Any]:
 
 
 def labelled(row: Variable, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
-    """Return values with the dims, dtype and attributes of a row of the table of variables."""
+    # values with the dims, dtype and attributes of a row of the table of variables
     values = np.asarray(values).astype(row.dtype)
     if dims is None:
         dims = next(d for d in (row.dims, *row.alternatives) if len(d) == values.ndim)
@@ -91,7 +91,7 @@ def _calibration(flight: Flight) -> dict[str, xr.Variable]:
 
 
 def write_calibration(flight: Flight, path: Path) -> None:
-    """Write ``calibration.zarr``: the gain of every element, wavelengths, smile, line shape, noise."""
+    # write ``calibration.zarr``: the gain of every element, wavelengths, smile, line shape, noise
     optics = flight.camera.optics
     stray_light = {} if optics is None else {"stray_light": _variable("stray_light", optics.stray_matrix)}
     calibration = xr.Dataset(
@@ -275,8 +275,9 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
     if matched:
         # irradiance weighted by the response of each element, INT E R / INT R
         values = np.asarray(np.einsum("kt,kbx->tbx", samples.factors, flight.incident) / flight.response_area)
-        dims = ("irradiance_time", BAND, CROSS_TRACK)
-        line["matched_irradiance"] = xr.Variable(dims, values, VARIABLES["irradiance"].attrs)
+        line["matched_irradiance"] = xr.Variable(
+            (("irradiance_time", BAND, CROSS_TRACK)), values, VARIABLES["irradiance"].attrs
+        )
     return line
 
 
@@ -311,7 +312,7 @@ def _sweep_dataset(sweep: Sweep) -> xr.Dataset:
 
 
 def sweep_truth(sweep: Sweep) -> xr.Dataset:
-    """Return the expected results of a sweep's calibration; names start with `TRUTH`."""
+    # expected results of a sweep's calibration; names start with `TRUTH`
     camera = sweep.camera
     imager = camera.imager
     values: dict[str, Any] = {
@@ -448,7 +449,6 @@ def write_sweep(
     """
     values = {"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}
     path = input_path(path, "a folder for the sweep", StoreError, "simulate to a folder, and copy it")
-    sweep = Sweep(SweepSettings.of(values))
     for target in filter(Path.exists, (path, _truth_beside(path))):
         # remove only an earlier simulated sweep, or its truth
         try:
@@ -466,7 +466,7 @@ def write_sweep(
                 code="store-exists",
             )
         shutil.rmtree(target)
-    store_sweep(sweep, path, truth=truth, progress=progress)
+    store_sweep(Sweep(SweepSettings.of(values)), path, truth=truth, progress=progress)
     return path
 
 

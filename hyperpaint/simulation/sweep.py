@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -25,8 +25,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import check_fields, declared, fact
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
-from .camera import GAUSSIAN_REACH, Camera
-from .rendering.camera_bands import cubic_weights
+from .camera import GAUSSIAN_REACH, Camera, cubic_weights
 from .settings import CAMERA_FIELDS, SimulationSettings
 
 PerStep = float | Sequence[float] | Floats
@@ -160,7 +159,7 @@ class SweepSettings:
         problems.raise_if_any()
 
     @classmethod
-    def of(cls, values: Mapping[str, Any], camera: SimulationSettings | None = None) -> SweepSettings:
+    def of(cls, values: Mapping[str, Any], camera: SimulationSettings | None = None) -> Self:
         """Return settings from keywords, of the sweep and of the camera.
 
         Parameters
@@ -243,8 +242,9 @@ class Sweep:
             place = (shifts - self._shifts[0]) / step
             lower = np.clip(np.floor(place).astype(int), 1, len(self._shifts) - 3)
             self._to_columns = np.zeros((len(shifts), len(self._shifts)))
-            nodes = lower[:, None] + np.arange(-1, 3)
-            np.put_along_axis(self._to_columns, nodes, cubic_weights(place - lower), axis=1)
+            np.put_along_axis(
+                self._to_columns, lower[:, None] + np.arange(-1, 3), cubic_weights(place - lower), axis=1
+            )
 
     def _rng(self, stream: int, *key: int) -> np.random.Generator:
         return np.random.default_rng([self.settings.camera.seed, stream, *key])
@@ -262,8 +262,9 @@ class Sweep:
         settings, columns = self.settings, self.settings.camera.columns
         if settings.beam_fwhm_columns is None:
             return np.ones((settings.steps, columns))
-        phase = np.linspace(0.0, 2 * np.pi, settings.steps)
-        centre = columns // 2 + settings.beam_wander_columns * np.sin(phase)
+        centre = columns // 2 + settings.beam_wander_columns * np.sin(
+            np.linspace(0.0, 2 * np.pi, settings.steps)
+        )
         offset = (np.arange(columns) - centre[:, None]) / settings.beam_fwhm_columns
         return np.asarray(np.exp(-4.0 * np.log(2.0) * offset**2))
 
@@ -312,13 +313,13 @@ class Sweep:
         weights = height / height.sum()
         grid = centre + offset
         weights = weights * imager.responsivity(grid)
-        reach = imager.whole_reach + order * offset[-1]
         integrals = np.zeros((len(imager.wavelength), self.settings.camera.columns))
         cell = order * (offset[1] - offset[0])
-        for band in np.flatnonzero(np.abs(imager.wavelength - order * centre) <= reach).tolist():
+        for band in np.flatnonzero(
+            np.abs(imager.wavelength - order * centre) <= (imager.whole_reach + order * offset[-1])
+        ).tolist():
             distance = order * grid - (imager.wavelength[band] + self._shifts[:, None])
-            integrals_by_shift: Floats = imager.line_shape(band, distance, cell) @ weights
-            integrals[band] = self._to_columns @ integrals_by_shift
+            integrals[band] = self._to_columns @ (imager.line_shape(band, distance, cell) @ weights)
         return integrals
 
     def signal(self, step: int) -> Floats:

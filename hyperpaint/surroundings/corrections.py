@@ -18,6 +18,7 @@ from hyperpaint.base.mirrored_light import BODY, EXCLUDED, THROUGH_COAT, mirror_
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
+from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance
 
 from .light_split import OVERCAST_ZENITH, LightSplit, split_of, sun_zenith_of
@@ -115,7 +116,7 @@ def remove_mirrored_sky(
     # all corrections must follow this one: mirrored light does not scale with the light on the paint
     numbers = {"strength": (strength, 0.0, 1.0), "sky_view_factor": (sky_view_factor, 0.0, 1.0)}
     line = _checked(line, CORRECTIONS, numbers)
-    split = _split(line, diffuse, sun_zenith, sky)
+    split = split_of(line, diffuse, sun_zenith, sky)
     mirrored = (strength * sky_view_factor * split.fraction * sky_above(split)).astype(np.float32)
     text = (
         f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({split.source}) "
@@ -193,10 +194,9 @@ def correct_light(
         for name, value in (("direct", direct), ("sky_view_factor", sky_view_factor))
         if np.ndim(value) == 0 and not hasattr(value, "dims")
     }
-    numbers = {"neighbour_reflectance": neighbour_reflectance, **plain}
-    ranges = {name: (value, 0.0, 10.0) for name, value in numbers.items()}
-    line = _checked(line, ("light_corrected", "tilt"), ranges)
-    split = _split(line, diffuse, sun_zenith, sky)
+    numbers = {"neighbour_reflectance": neighbour_reflectance, **plain}.items()
+    line = _checked(line, ("light_corrected", "tilt"), {name: (value, 0.0, 10.0) for name, value in numbers})
+    split = split_of(line, diffuse, sun_zenith, sky)
     gain: Any = 0.0
     if split.sky not in ("uniform", "overcast"):
         gain = (1.0 - split.cloud) * _on_bands(sunward_gain(split.wavelength, split.zenith))
@@ -214,11 +214,10 @@ def correct_light(
             mend="crop all to the same pixels, or drop their coordinates along_track and cross_track",
             code="grid-mismatch",
         ) from error
-    factors = {
-        name: f"{value:g}" if name in plain else "given"
+    amounts = ", ".join(
+        f"{name} {f'{value:g}' if name in plain else 'given'}"
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
-    }
-    amounts = ", ".join(f"{name} {value}" for name, value in factors.items())
+    )
     text = f"{amounts}, diffuse fraction ({split.source}), sky ({split.sky})"
     return _with_correction(line, corrected, "light_corrected", text)
 
@@ -254,8 +253,9 @@ def _checked(
             code="mirrored-sky-included",
         )
     problems.raise_if_any()
-    names = [name for name in (*LEVELS, *WIDTHS) if name in line.variables]
-    return line.assign({name: convert(line[name], "1") for name in names})
+    return line.assign(
+        {name: convert(line[name], "1") for name in (*LEVELS, *WIDTHS) if name in line.variables}
+    )
 
 
 def sky_above(split: LightSplit) -> Any:
@@ -264,14 +264,6 @@ def sky_above(split: LightSplit) -> Any:
         return 1.0
     clear = 0.0 if split.sky == "overcast" else _on_bands(zenith_radiance(split.wavelength, split.zenith))
     return (1.0 - split.cloud) * clear + split.cloud * OVERCAST_ZENITH
-
-
-def _split(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None) -> LightSplit:
-    if isinstance(diffuse, str) and diffuse == "shadow":
-        raise SchemaError(
-            "diffuse='shadow'", expected="'model', 'pvlib' or a measured spectrum", code="choice-unknown"
-        )
-    return split_of(line, diffuse, sun_zenith, sky)
 
 
 def _on_bands(values: Any) -> xr.DataArray:
@@ -286,15 +278,14 @@ def _with_correction(
         key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
         for key, array in variables.items()
     }
-    attrs = {}
-    if name == "mirrored_sky_removed":
-        attrs = {"mirror_reflection": EXCLUDED, "quantity": THROUGH_COAT, "specular_component": EXCLUDED}
-    corrected["reflectance"] = corrected["reflectance"].assign_attrs({name: text, **attrs})
+    quantity = {"mirrored_sky_removed": THROUGH_COAT, "coat_corrected": BODY}.get(name)
+    attrs = {"mirror_reflection": EXCLUDED, "quantity": quantity, "specular_component": EXCLUDED}
+    corrected["reflectance"].attrs |= {name: text, **(attrs if quantity else {})}
     result = line.assign(corrected)
     if SIGNATURE in line["reflectance"].dims:
         earlier = line.attrs.get("corrections", "none")
-        entry = f"{name}: {text}"
-        result = result.assign_attrs(corrections=entry if earlier == "none" else f"{earlier}; {entry}")
+        entries = [*([] if earlier == "none" else [earlier]), f"{name}: {text}"]
+        result = result.assign_attrs(corrections="; ".join(entries))
     return result
 
 
@@ -387,18 +378,14 @@ def correct_coat(
     # index and split also determine the uncertainty of the subtracted mirrored sky
     was_removed = "mirrored_sky_removed" in line["reflectance"].attrs
     coat_u = ((corrected["reflectance"] * share_u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / share
-    if "reflectance_u_systematic" in corrected:
-        corrected["reflectance_u_systematic"] = (
-            corrected["reflectance_u_systematic"] ** 2 + coat_u**2
-        ) ** 0.5
+    if (name := "reflectance_u_systematic") in corrected:
+        corrected[name] = (corrected[name] ** 2 + coat_u**2) ** 0.5
     text = f"clear coat of index {index:g} +- {index_u:g}, panel level +- {lean_u:g} degree"
     result = _with_correction(line, corrected, "coat_corrected", text)
-    quantity = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
-    result["reflectance"] = result["reflectance"].assign_attrs(quantity)
     layers = {"coat_transmission": share, "coat_transmission_u": share_u}
-    is_library = SIGNATURE in line["reflectance"].dims
-    table = schema.LIBRARY_VARIABLES if is_library else schema.VARIABLES
-    if is_library:
+    table = schema.VARIABLES
+    if SIGNATURE in line["reflectance"].dims:
+        table = schema.LIBRARY_VARIABLES
         layers["reflectance_u_coat"] = coat_u.transpose(SIGNATURE, BAND).astype(np.float32)
     return result.assign({name: layer.assign_attrs(table[name].attrs) for name, layer in layers.items()})
 
@@ -443,15 +430,8 @@ def _paint_shares(
 ) -> tuple[xr.DataArray, ...]:
     # `_shares` of every paint under its sun (signature, band); `light`: arguments of `split_of`
     diffuse, sun_zenith, sky = light
-    names = (
-        "wavelength",
-        "diffuse_fraction",
-        "diffuse_fraction_u",
-        "sky_state",
-        "sun_zenith",
-        "view_zenith",
-    )
-    light_variables = library[[name for name in names if name in library.variables]].reset_coords().compute()
+    names = {"wavelength", *SPLIT, "sun_zenith", "view_zenith"} & set(library.variables)
+    light_variables = library[sorted(names)].reset_coords().compute()
     rows = []
     for number in range(library.sizes[SIGNATURE]):
         paint = light_variables.isel({SIGNATURE: number})

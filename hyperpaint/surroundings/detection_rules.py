@@ -243,6 +243,9 @@ class ShadowRules:
     beside_px: int = 8
     penumbra_px: int = 8  #: Maximum distance from a shadow over which light fades [pixel].
     max_penumbra_sky: float = 1.3  #: Maximum amount of the sky's light in fading light [1].
+    min_shadow_px: int = 60  #: Minimum number of pixels of a cast shadow for the diffuse fraction.
+    #: Quantiles of brightness in the blue, between which the pixels of a shadow see most of the sky.
+    open_sky_quantiles: tuple[float, float] = (0.6, 0.9)
 
 
 @dataclass(frozen=True)
@@ -314,15 +317,6 @@ class BodyRules:
 
 
 @dataclass(frozen=True)
-class DiffuseRules:
-    """The diffuse fraction from a cast shadow in the image."""
-
-    min_shadow_px: int = 60  #: Minimum number of pixels of a shadow for the diffuse fraction.
-    #: Quantiles of brightness in the blue, between which the pixels of a shadow see most of the sky.
-    open_sky_quantiles: tuple[float, float] = (0.6, 0.9)
-
-
-@dataclass(frozen=True)
 class FlagRules:
     """Unmixing of single pixels."""
 
@@ -372,6 +366,5 @@ LOBES = LobeRules()
 MIRROR = MirrorRules()
 DARK_COATS = DarkCoatRules()
 BODIES = BodyRules()
-DIFFUSE = DiffuseRules()
 FLAGS = FlagRules()
 VEGETATION = VegetationRules()

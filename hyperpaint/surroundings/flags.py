@@ -27,8 +27,8 @@ from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
 from .detection_rules import FLAGS, MIRROR
-from .full_light import SATURATED_IN_LOBE, Light, max_excesses
 from .model import SHADED
+from .segments import SATURATED_IN_LOBE, Light, max_excesses
 from .surveying import to_channels, to_nominal_channels
 
 #: Layers from which bits are set, and layers that explain them.
@@ -113,7 +113,7 @@ def flag(
 
     ``glint_fraction`` is all light that looks like direct light of another colour than the body, including
     light from flakes in a paint, and from leaning grey paint. The bit of glint is set only in a lobe of a
-    coat, with a core that stands out (`hyperpaint.surroundings.full_light`), and in saturated pixels that a
+    coat, with a core that stands out (`hyperpaint.surroundings.segments`), and in saturated pixels that a
     lobe encloses.
 
     Known limits: the wide lobe of a worn coat can be distinguished from flakes on coloured and on black paint
@@ -200,11 +200,8 @@ def _flag_lazily(
         name: schema.label(xr.DataArray(array, dims=pixel), name)
         for name, array in split_outputs(blocks, "lbx", layout).items()
     }
-    for name, limit in (
-        ("glint_fraction", "glint"),
-        ("blocked_direct", "shadow"),
-        ("adjacency", "adjacency"),
-    ):
+    # the first three layers have a threshold
+    for name, limit in zip(LAYERS, _LIMITS[:3], strict=False):
         layers[name].attrs["threshold"] = limits[limit]
     bits = layers["quality"]
     if "quality" in line.variables:
@@ -225,12 +222,11 @@ def _flag_block(
     from hyperpaint.kernels import arguments
     from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
-    start = starts[block_id[0]]
-    stop = start + len(block)
+    lines = slice(starts[block_id[0]], starts[block_id[0]] + len(block))
     channels = to_channels(block, model.channel)
     to_nominal_channels(channels, model.channel_wavelength, model.shift)
     shape = channels.shape[:2]
-    neighbours = model.neighbours(start, stop)
+    neighbours = model.neighbours(lines.start, lines.stop)
     amount = np.empty((*shape, PARTS), np.float32)
     added = np.empty((*shape, 2), np.float32)
     together, misfit = np.empty((2, *shape), np.float32)
@@ -244,7 +240,7 @@ def _flag_block(
         lean = float(np.cos(angle / 2) / np.cos(angle) - 1.0)
     unmix_lines(
         channels,
-        arguments.Bodies(model.bodies(start, stop), model.reference, neighbours),
+        arguments.Bodies(model.bodies(lines.start, lines.stop), model.reference, neighbours),
         arguments.LightParts(
             *Light.under(model.diffuse_fraction, model.zenith_radiance, model.sunward_radiance)
         ),
@@ -254,8 +250,7 @@ def _flag_block(
         arguments.Glinting(lean, MIRROR.coat),
         arguments.Unmixed(amount, added, together, misfit),
     )
-    brightest = np.argmax(added, axis=2)[..., None]
-    adjacency_segment = np.take_along_axis(neighbours, brightest, 2)[..., 0]
+    adjacency_segment = np.take_along_axis(neighbours, np.argmax(added, axis=2)[..., None], 2)[..., 0]
     layers = {
         "glint_fraction": amount[..., 2],
         "blocked_direct": 1.0 - amount[..., 0],
@@ -267,19 +262,19 @@ def _flag_block(
     added_glint = layers["glint_fraction"] * (1.0 - model.diffuse_fraction).mean()
     without_glint = np.maximum(channels.mean(axis=2) - added_glint, 0.0)
     in_glint = added_glint > np.maximum(limits["glint"] * without_glint, FLAGS.min_glint)
-    lobe = model.lobe[start:stop]
+    lobe = model.lobe[lines]
     bits[in_glint & (lobe > 0)] |= np.uint16(Quality.GLINT)
     # missing direct light is that of a cast shadow near one on the ground, and in shaded segments of objects;
     # surfaces that lean away from the sun lack direct light, too: on objects more of it must be missing
-    segment, missing = model.segment[start:stop], layers["blocked_direct"]
+    segment, missing = model.segment[lines], layers["blocked_direct"]
     on_ground = np.append(model.ground > 0, False)[segment]
-    near = on_ground & (model.shade_distance[start:stop] <= FLAGS.penumbra_px)
+    near = on_ground & (model.shade_distance[lines] <= FLAGS.penumbra_px)
     on_objects = ~on_ground & np.append(model.state == SHADED, False)[segment]
     object_limit = max(limits["shadow"], FLAGS.min_missing_on_objects)
     is_shaded = near & (missing >= limits["shadow"]) | on_objects & (missing >= object_limit)
     bits[is_shaded] |= np.uint16(Quality.SHADOW)
     bits[together > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
-    bits[model.edge_distance[start:stop] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
+    bits[model.edge_distance[lines] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
     bits[segment < 0] = 0
     bits[lobe == SATURATED_IN_LOBE] |= np.uint16(Quality.GLINT)
     return {

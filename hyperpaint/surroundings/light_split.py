@@ -6,15 +6,14 @@ corrections and signatures use it.
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import PaintWarning, SchemaError, needs_extra
+from hyperpaint.base.errors import SchemaError, needs_extra, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
@@ -107,10 +106,8 @@ class LightSplit:
         warn_of_contradiction(state, self.zenith)
         numbers, counts = np.unique(state, return_counts=True)
         frequent = numbers[(counts > MIN_STATE_SHARE * counts.sum()) & (numbers != UNKNOWN_STATE)]
-        words = tuple(SKY_STATES[number] for number in frequent)
         # errors of the sky are common to all lines: their variance does not fall with the number of lines
         mean_u = np.sqrt((u**2).mean(line_dims) + fraction.var(line_dims))
-        weight = cloud.mean() if hasattr(cloud, "mean") else cloud
         mean = fraction.mean(line_dims)
         has_value = np.isfinite(mean.values)
         if not has_value.any():
@@ -126,16 +123,13 @@ class LightSplit:
                 array.copy(data=np.interp(nm, nm[has_value], array.values[has_value]))
                 for array in (mean, mean_u)
             )
-        return LightSplit(
-            self.wavelength,
-            mean,
-            mean_u,
-            float(weight),
-            self.source,
-            self.sky,
-            self.zenith,
+        return replace(
+            self,
+            fraction=mean,
+            u=mean_u,
+            cloud=float(cloud.mean() if hasattr(cloud, "mean") else cloud),
             state=int(numbers[np.argmax(counts)]),
-            states=words,
+            states=tuple(SKY_STATES[number] for number in frequent),
         )
 
     def mirrored(self) -> tuple[Floats, Floats]:
@@ -149,15 +143,21 @@ class LightSplit:
             )
         if self.sky in SKIES:
             return mirrored_radiances(self.sky, self.wavelength, self.zenith)
-        clear = mirrored_radiances("clear", self.wavelength, self.zenith)
-        overcast = mirrored_radiances("overcast", self.wavelength, self.zenith)
+        skies = (mirrored_radiances(sky, self.wavelength, self.zenith) for sky in ("clear", "overcast"))
         above, sunward = (
-            (1.0 - self.cloud) * blue + self.cloud * grey for blue, grey in zip(clear, overcast, strict=True)
+            (1.0 - self.cloud) * blue + self.cloud * grey for blue, grey in zip(*skies, strict=True)
         )
         return above, sunward
 
 
-def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str | None = None) -> LightSplit:
+def split_of(
+    line: xr.Dataset,
+    diffuse: Any,
+    sun_zenith: float | None,
+    sky: str | None = None,
+    *,
+    from_shadow: bool = False,
+) -> LightSplit:
     """Return the division of the light of a line, or of a paint library.
 
     Parameters
@@ -172,6 +172,8 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
         [degree]; by default from time and place.
     sky
         One of `SKIES`; by default from the record, clear with a model, uniform with a measured spectrum.
+    from_shadow
+        Whether ``diffuse`` may be "shadow", from which a survey starts as from "model".
 
     Raises
     ------
@@ -191,26 +193,28 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
         name = sky or "uniform"
         has_sun = sun_zenith is not None or set(SUN_FROM) <= set(line.variables)
         zenith = sun_zenith_of(line, sun_zenith) if has_sun or name == "clear" else float("nan")
-        cloud = float(name == "overcast")
-        return LightSplit(wavelength, fraction, 0.0 * fraction, cloud, "measured", name, zenith)
-    declared = _line_split(line, sun_zenith) if diffuse is None else None
-    if declared is not None:
+        return LightSplit(
+            wavelength, fraction, 0.0 * fraction, float(name == "overcast"), "measured", name, zenith
+        )
+    if diffuse is None and (declared := _line_split(line, sun_zenith)) is not None:
         return _from_line_split(line, declared, wavelength, sun_zenith, sky)
-    if diffuse is not None and diffuse not in SOURCES:
+    sources = SOURCES if from_shadow else SOURCES[:2]
+    if diffuse is not None and diffuse not in sources:
         raise SchemaError(
             f"diffuse={diffuse!r}",
-            expected=f"{', '.join(map(repr, SOURCES))} or a measured spectrum",
+            expected=f"{', '.join(map(repr, sources))} or a measured spectrum",
             code="choice-unknown",
         )
     zenith = sun_zenith_of(line, sun_zenith)
     if diffuse is None:
-        warnings.warn(PaintWarning(CLEAR_SKY_ASSUMED, code="clear-sky-assumed"), stacklevel=3)
+        warn_user(CLEAR_SKY_ASSUMED, "clear-sky-assumed")
     fraction = xr.DataArray(diffuse_from_clear_sky(diffuse or "model", wavelength, zenith), dims=BAND)
     source = f"{diffuse or 'model'}, sun zenith {zenith:.4g} degree"
-    name = sky or "clear"
     u = MODEL_U * fraction * (1.0 - fraction)
-    cloud, state = float(name == "overcast"), SKY_STATES.index("overcast" if name == "overcast" else "clear")
-    return LightSplit(wavelength, fraction, u, cloud, source, name, zenith, state)
+    state = SKY_STATES.index("overcast" if sky == "overcast" else "clear")
+    return LightSplit(
+        wavelength, fraction, u, float(sky == "overcast"), source, sky or "clear", zenith, state
+    )
 
 
 def has_split(line: xr.Dataset) -> bool:
@@ -221,9 +225,7 @@ def has_split(line: xr.Dataset) -> bool:
 def warn_of_contradiction(states: Any, zenith: float) -> None:
     """Warn where most of the lines' states, numbers in `SKY_STATES`, are "contradictory"."""
     if np.mean(np.asarray(states) == CONTRADICTORY) > 0.5:
-        warnings.warn(
-            PaintWarning(CONTRADICTION.format(zenith=zenith), code="sky-contradictory"), stacklevel=3
-        )
+        warn_user(CONTRADICTION.format(zenith=zenith), "sky-contradictory")
 
 
 def _line_split(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
@@ -263,11 +265,7 @@ def _from_line_split(
     fraction = declared["diffuse_fraction"].astype(np.float64)
     if ALONG_TRACK in fraction.dims and ALONG_TRACK in line.coords:
         fraction = fraction.assign_coords({ALONG_TRACK: line[ALONG_TRACK]})
-    u = (
-        declared["diffuse_fraction_u"].astype(np.float64)
-        if "diffuse_fraction_u" in declared
-        else 0.0 * fraction
-    )
+    u = declared.get("diffuse_fraction_u", 0.0 * fraction).astype(np.float64)
     try:
         zenith = sun_zenith_of(line, sun_zenith)
     except SchemaError:  # raised later if the angle is needed
@@ -275,19 +273,17 @@ def _from_line_split(
             raise
         zenith = float("nan")
     cloud: Any = float(sky == "overcast")
-    state: Any = UNKNOWN_STATE
-    if "sky_state" in declared:
-        state = declared["sky_state"].reset_coords(drop=True)
+    state = declared["sky_state"].reset_coords(drop=True) if "sky_state" in declared else UNKNOWN_STATE
     if sky is None:
         # excess of the fraction at 550 nm over a clear sky: the weight for unknown and broken skies
         green = int(np.nanargmin(np.abs(wavelength - 550.0)))
         clear = float(diffuse_fraction(wavelength[[green]], zenith if np.isfinite(zenith) else 45.0)[0])
         excess = ((fraction.isel({BAND: green}) - clear) / (1.0 - clear)).clip(0.0, 1.0)
-        excess = excess.reset_coords(drop=True) if hasattr(excess, "reset_coords") else excess
+        excess = excess.reset_coords(drop=True)
         clear_states = [SKY_STATES.index(word) for word in ("clear", "hazy")]
-        overcast = SKY_STATES.index("overcast")
         states = state if hasattr(state, "isin") else xr.full_like(excess, state)
-        cloud = excess.where(~states.isin(clear_states), 0.0).where(states != overcast, 1.0)
+        cloud = excess.where(~states.isin(clear_states), 0.0)
+        cloud = cloud.where(states != SKY_STATES.index("overcast"), 1.0)
     source = "of the lines' own record"
     return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith, state)
 

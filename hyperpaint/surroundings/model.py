@@ -33,18 +33,16 @@ def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, pixel
 
 def _first_two(candidates: Index, body: Index, paint: Index, number: Index) -> Index:
     # First two bodies of other paints than the pixels' among candidate segments (..., rank)
-    bodies = np.append(body, np.int32(-1))
-    paints = np.append(paint, np.int32(-2))
-    pixel_paint = paints[number]
-    nearest = np.full((*number.shape, 2), -1, np.int32)
-    for rank in range(candidates.shape[-1]):
-        candidate = bodies[candidates[..., rank]]
-        is_new = (candidate >= 0) & (paints[candidate] != pixel_paint) & (candidate != nearest[..., 0])
-        into_first = is_new & (nearest[..., 0] < 0)
-        into_second = is_new & ~into_first & (nearest[..., 1] < 0)
-        nearest[..., 0] = np.where(into_first, candidate, nearest[..., 0])
-        nearest[..., 1] = np.where(into_second, candidate, nearest[..., 1])
-    return nearest
+    bodies, paints = np.append(body, np.int32(-1)), np.append(paint, np.int32(-2))
+    first, second = np.full((2, *number.shape), -1, np.int32)
+    for candidate in np.moveaxis(bodies[candidates], -1, 0):
+        is_new = (candidate >= 0) & (paints[candidate] != paints[number]) & (candidate != first)
+        is_second = is_new & (first >= 0) & (second < 0)
+        first, second = (
+            np.where(is_new & (first < 0), candidate, first),
+            np.where(is_second, candidate, second),
+        )
+    return np.stack([first, second], axis=-1)
 
 
 #: States of a segment: its surface in full light, in cast shadow, or under the sun's mirror image.
@@ -91,7 +89,7 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
     count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
     for name in ("segment", "neighbour", "body", "paint"):
         numbers = fields.get(name, np.empty(0))
-        if numbers.size and (numbers.min() < -1 or numbers.max() >= count):
+        if not ((numbers >= -1) & (numbers < count)).all():
             problems.add(
                 f"{name!r} refers to segments other than the {count} of the model", code="segment-unknown"
             )
@@ -223,8 +221,8 @@ class SceneModel:
 
     def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
         """Return `nearest_at` of the pixels of some lines (line, column, 2)."""
-        lines, columns = np.arange(start, min(stop, len(self.segment))), np.arange(self.segment.shape[1])
-        cells = self.neighbour[lines // CELL][:, columns // CELL]
+        line, column = (np.arange(length) // CELL for length in self.segment.shape)
+        cells = self.neighbour[line[start:stop]][:, column]
         return _first_two(cells, self.body, self.paint, self.segment[start:stop])
 
     def to_dataset(self) -> xr.Dataset:
@@ -259,12 +257,11 @@ class SceneModel:
                 )
             else:
                 values = dataset[stored].transpose(*dims).values
-                limits = None if dtype == "float64" else np.iinfo(dtype)
                 # a cast must keep all values in range; both comparisons are False for NaN
                 if values.dtype.kind in "iufb" and (
-                    limits is None
+                    dtype == "float64"
                     or not values.size
-                    or (values.min() >= limits.min and values.max() <= limits.max)
+                    or (values.min() >= np.iinfo(dtype).min and values.max() <= np.iinfo(dtype).max)
                 ):
                     fields[name] = np.ascontiguousarray(values, dtype)
                 else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -16,35 +15,23 @@ from scipy.ndimage import binary_dilation, find_objects, label
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented
 from hyperpaint.base.progress_reports import as_progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 
-from .detection_rules import BODIES, DARK_COATS, DIFFUSE, GLINT, SHADOWS, SURVEY, VEGETATION
-from .full_light import (
+from .detection_rules import BODIES, DARK_COATS, GLINT, SHADOWS, SURVEY, VEGETATION
+from .light_split import LightSplit, shadow_side_of, split_of
+from .model import CELL, LIT, SHADED, SceneModel, nearest_at
+from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
+from .segments import (
     AS_GLINT,
     Light,
     Matches,
     Mixtures,
     Picture,
-    least_amounts,
-    match_segments,
-    median_spectra,
-    mirror_lobes,
-    mixtures_of,
-    padded,
-    senders_of,
-    solve,
-    unmix_spectra,
-    without_sun,
-)
-from .light_split import LightSplit, shadow_side_of, split_of
-from .model import CELL, LIT, SHADED, SceneModel, nearest_at
-from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
-from .segments import (
     Segments,
     Touching,
     beyond,
@@ -53,8 +40,18 @@ from .segments import (
     distinct_pairs,
     divide,
     edge_distance,
+    least_amounts,
+    match_segments,
+    median_spectra,
+    mirror_lobes,
+    mixtures_of,
+    padded,
     sample_pixels,
+    senders_of,
+    solve,
     touching,
+    unmix_spectra,
+    without_sun,
 )
 
 # --- leaves by their spectrum: lawns are ground with shadows, crowns of trees are not cars -----------------
@@ -63,21 +60,17 @@ from .segments import (
 def is_vegetation(spectrum: Floats, wavelength: Floats) -> Bools:
     """Return whether spectra (n, channel) [1] are of leaves (n,); ``wavelength`` (channel,) [nm]."""
     rules = VEGETATION
-    spans = (rules.blue_nm, rules.green_nm, rules.red_nm, rules.edge_nm, rules.infrared_nm)
-    blue, green, red, edge, infrared = (
-        _mean_over(np.nan_to_num(spectrum), wavelength, span) for span in spans
-    )
+    means = []
+    for span in (rules.blue_nm, rules.green_nm, rules.red_nm, rules.edge_nm, rules.infrared_nm):
+        # mean over a range of wavelengths; over the nearest channel where it contains none
+        inside = (wavelength >= span[0]) & (wavelength <= span[1])
+        if not inside.any():
+            inside[np.argmin(np.abs(wavelength - 0.5 * sum(span)))] = True
+        means.append(np.nan_to_num(spectrum)[:, inside].mean(axis=1))
+    blue, green, red, edge, infrared = means
     return np.asarray(
         (edge > rules.min_edge * red) & (infrared < rules.max_rise * edge) & (green > blue) & (red > 0.0)
     )
-
-
-def _mean_over(spectrum: Floats, wavelength: Floats, span: tuple[float, float]) -> Floats:
-    # Mean over a range of wavelengths; over the nearest channel where it contains none
-    inside = (wavelength >= span[0]) & (wavelength <= span[1])
-    if not inside.any():
-        inside[np.argmin(np.abs(wavelength - 0.5 * sum(span)))] = True
-    return np.asarray(spectrum[:, inside].mean(axis=1))
 
 
 # --- cast shadows: surfaces of other segments that only sky and objects around light -----------------------
@@ -141,54 +134,49 @@ def match_shade(
     observed_side, coherence = _side_of_shadows(mixtures, sides, scene) or (None, 0.0)
     agree = side is None or observed_side is None or observed_side @ side >= SHADOWS.min_agreement
     if not agree and coherence >= SHADOWS.min_coherence:
-        warnings.warn(
-            PaintWarning(
-                "shadows fall to another side than sun and heading of the line predict; the observed side "
-                "is used. Check the heading, its convention and the clock",
-                code="shadow-side-contradictory",
-            ),
-            stacklevel=2,
+        warn_user(
+            "shadows fall to another side than sun and heading of the line predict; the observed side "
+            "is used. Check the heading, its convention and the clock",
+            "shadow-side-contradictory",
         )
         side = observed_side
     side = observed_side if side is None else side
     if side is None:
         _assign(mixtures, _by_spectrum(mixtures, scene, number), state, body)
         return Matches(state, body), ground
-    # step 1: certain shadows. Contact with the lit body: pixel sides, and their sum along `side`
-    length, away = sides.sum(axis=1), sides @ (_STEPS @ side)
-    _assign(mixtures, _are_certain(mixtures, length, away, border), state, body)
+    # step 1: certain shadows, clear ones that lie away from the sun beside their lit body, or are enclosed by
+    # it. Contact with the lit body: pixel sides, and their sum along `side`
+    length, away, segment_border = sides.sum(axis=1), sides @ (_STEPS @ side), border[mixtures.segment]
+    touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure_border * segment_border)
+    is_away = away >= SHADOWS.sure_direction * length
+    enclosed = (length > SHADOWS.island_border * segment_border) & (away >= -SHADOWS.sideways * length)
+    certain = _are_clear(mixtures) & (mixtures.sky > SHADOWS.min_clear_sky) & touches & (is_away | enclosed)
+    _assign(mixtures, certain, state, body)
     ground = _ground(scene, state, body)
     possible = ~_coats_in_the_sun(mixtures, spectrum, light)
     mixtures, length, away = mixtures.subset(possible), length[possible], away[possible]
     # step 2: shadows on the ground
-    on_ground = ground[mixtures.body]
-    segment_border = border[mixtures.segment]
-    touches = (length >= SHADOWS.on_ground_border * segment_border) & (
-        away >= SHADOWS.on_ground_direction * length
+    on_ground, segment_border = ground[mixtures.body], border[mixtures.segment]
+    has_contact = length >= SHADOWS.min_contact_sides
+    touches = (
+        has_contact
+        & (length >= SHADOWS.on_ground_border * segment_border)
+        & (away >= SHADOWS.on_ground_direction * length)
     )
-    touches &= length >= SHADOWS.min_contact_sides
-    fits = (mixtures.misfit < SHADOWS.max_misfit) & without_sun(mixtures)
     # more direct light is allowed with more contact
+    max_direct = SHADOWS.sided_direct[0] + SHADOWS.sided_direct[1] * (SHADOWS.open_sky - mixtures.sky)
     sided = (
         (length >= SHADOWS.sided_border * segment_border)
         & (away >= SHADOWS.sided_direction * length)
-        & (mixtures.misfit < SHADOWS.max_misfit)
+        & (mixtures.direct < max_direct)
     )
-    fits |= sided & (
-        mixtures.direct
-        < SHADOWS.sided_direct[0] + SHADOWS.sided_direct[1] * (SHADOWS.open_sky - mixtures.sky)
-    )
-    beside = (
-        (length >= SHADOWS.min_contact_sides)
-        & (away >= SHADOWS.beside_direction * length)
-        & _are_clear(mixtures)
-    )
+    fits = (mixtures.misfit < SHADOWS.max_misfit) & (without_sun(mixtures) | sided)
+    beside = has_contact & (away >= SHADOWS.beside_direction * length) & _are_clear(mixtures)
     # candidates whose misfit is close to that of the best candidate on the ground
     min_misfit = np.full(count, np.inf)
     np.minimum.at(min_misfit, mixtures.segment[on_ground], mixtures.misfit[on_ground])
     max_misfit = SHADOWS.worse_factor * min_misfit[mixtures.segment] + SHADOWS.worse_by
-    best = np.asarray(mixtures.misfit < max_misfit)
-    best &= ~ground[mixtures.segment]
+    best = np.asarray((mixtures.misfit < max_misfit) & ~ground[mixtures.segment])
     _assign(mixtures, on_ground & best & ((touches & fits) | beside), state, body)
     # step 3: sides turned away from the sun, and segments that touch shadows
     _assign(mixtures, _are_turned_away(mixtures, length, away, scene) & ~on_ground, state, body)
@@ -200,12 +188,11 @@ def match_shade(
 
 def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
     # Pairs of a segment and a brighter body nearby, or one of the largest, with their amounts of light
-    spectrum, size, pairs = scene.spectrum, scene.size, scene.pairs
-    count = size.size
+    spectrum, size, count = scene.spectrum, scene.size, scene.size.size
     is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
     level = np.where(is_finite, np.nan_to_num(spectrum).mean(axis=1), 0.0)
     largest = np.argsort(-size, kind="stable")[: SHADOWS.large_segments]
-    near_segment, near_body = beyond(pairs, size)
+    near_segment, near_body = beyond(scene.pairs, size)
     segment = np.concatenate([near_segment, np.repeat(np.arange(count), largest.size)])
     body = np.concatenate([near_body, np.tile(largest, count)])
     fits = (
@@ -213,24 +200,23 @@ def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
         & is_finite[body]
         & (segment != body)
         & (level[segment] < SHADOWS.max_brightness * level[body])
+        & (size[body] >= SHADOWS.min_body_share * size[segment])
+        & (level[segment] > 0)
     )
-    fits &= (size[body] >= SHADOWS.min_body_share * size[segment]) & (level[segment] > 0)
     return mixtures_of(*distinct_pairs(segment[fits], body[fits], count), spectrum, senders, light)
 
 
 def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
     # Number of sides (n, 4), by direction, on which candidates touch segments with the surface of their body
-    pairs, spectrum = scene.pairs, scene.spectrum
     # all touching pairs of every candidate's segment, one after another
+    pairs = scene.pairs
     start, stop = np.searchsorted(pairs.one, [mixtures.segment, mixtures.segment + 1])
     counts = stop - start
     row = np.repeat(np.arange(counts.size), counts)
     pair = np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(start, counts)
-    same = _same_surface(spectrum, pairs.other[pair], mixtures.body[row])
-    lit = np.zeros((counts.size, 4))
-    for direction in range(4):
-        lit[:, direction] = np.bincount(row[same], pairs.sides[pair[same], direction], counts.size)
-    return lit
+    same = _same_surface(scene.spectrum, pairs.other[pair], mixtures.body[row])
+    lit = [np.bincount(row[same], pairs.sides[pair[same], direction], counts.size) for direction in range(4)]
+    return np.stack(lit, axis=1).astype(np.float64)
 
 
 def _same_surface(spectrum: Floats, one: Ints, other: Ints) -> Bools:
@@ -261,31 +247,27 @@ def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[F
 def _are_clear(mixtures: Mixtures, max_sent: float = SHADOWS.max_sent) -> Bools:
     # Whether candidates fit well and, unlike glass and black paint, get little light other than the sky's
     hidden = np.clip(SHADOWS.open_sky - mixtures.sky, 0.0, 1.0)
-    clear = mixtures.direct < SHADOWS.clear_direct[0] + SHADOWS.clear_direct[1] * hidden
-    clear &= mixtures.sent < max_sent * (1.0 - mixtures.sky)
-    return np.asarray(clear & (mixtures.misfit < SHADOWS.max_clear_misfit))
-
-
-def _are_certain(mixtures: Mixtures, length: Floats, away: Floats, border: Floats) -> Bools:
-    # Whether candidates are clear, and lie away from the sun beside their lit body, or are enclosed by it
-    segment_border = border[mixtures.segment]
-    touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure_border * segment_border)
-    is_away = away >= SHADOWS.sure_direction * length
-    enclosed = (length > SHADOWS.island_border * segment_border) & (away >= -SHADOWS.sideways * length)
-    sees_sky = mixtures.sky > SHADOWS.min_clear_sky
-    return np.asarray(_are_clear(mixtures) & sees_sky & touches & (is_away | enclosed))
+    return np.asarray(
+        (mixtures.direct < SHADOWS.clear_direct[0] + SHADOWS.clear_direct[1] * hidden)
+        & (mixtures.sent < max_sent * (1.0 - mixtures.sky))
+        & (mixtures.misfit < SHADOWS.max_clear_misfit)
+    )
 
 
 def _are_turned_away(mixtures: Mixtures, length: Floats, away: Floats, scene: Scene) -> Bools:
     # Whether candidates are the side of a bright object that faces away from the sun; its lit side adjoins
     # on the sunward side
     level = np.nan_to_num(scene.spectrum).mean(axis=1)[mixtures.body]
-    touches = length >= SHADOWS.min_contact_sides
-    touches &= length > SHADOWS.sure_border * scene.border[mixtures.segment]
-    fits = (mixtures.misfit < SHADOWS.max_spectral_misfit) & (mixtures.direct < SHADOWS.max_turned_direct)
-    fits &= (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct) & (level < SHADOWS.max_lit_level)
-    fits &= mixtures.sky * level > DARK_COATS.max_mirrored
-    return np.asarray(fits & touches & (away < -SHADOWS.sideways * length))
+    return np.asarray(
+        (mixtures.misfit < SHADOWS.max_spectral_misfit)
+        & (mixtures.direct < SHADOWS.max_turned_direct)
+        & (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct)
+        & (level < SHADOWS.max_lit_level)
+        & (mixtures.sky * level > DARK_COATS.max_mirrored)
+        & (length >= SHADOWS.min_contact_sides)
+        & (length > SHADOWS.sure_border * scene.border[mixtures.segment])
+        & (away < -SHADOWS.sideways * length)
+    )
 
 
 def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Bools:
@@ -300,24 +282,32 @@ def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Boo
     ]
     amount, misfit = least_amounts(spectra, parts)
     body, mirrored = amount[:, :2].sum(axis=1), amount[:, 2:].sum(axis=1)
-    dark = (body > DARK_COATS.min_body) & (spectra.mean(axis=1) < DARK_COATS.max_level)
-    dark &= (mirrored > DARK_COATS.min_mirrored) & (mirrored < DARK_COATS.max_mirrored)
-    dark &= (misfit < DARK_COATS.max_misfit) & (spectra > 0).all(axis=1)
+    dark = (
+        (body > DARK_COATS.min_body)
+        & (spectra.mean(axis=1) < DARK_COATS.max_level)
+        & (mirrored > DARK_COATS.min_mirrored)
+        & (mirrored < DARK_COATS.max_mirrored)
+        & (misfit < DARK_COATS.max_misfit)
+        & (spectra > 0).all(axis=1)
+    )
     return np.asarray(dark[row] & (DARK_COATS.worse_factor * misfit[row] < mixtures.misfit))
 
 
 def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]) -> Bools:
     # Whether candidates are shadows by their spectrum, beside their lit body on any side
     level = np.nan_to_num(scene.spectrum).mean(axis=1)
-    fits = (mixtures.misfit < SHADOWS.max_spectral_misfit) & (mixtures.direct < SHADOWS.max_spectral_direct)
-    fits &= (mixtures.sky > SHADOWS.min_clear_sky) & (mixtures.sent < SHADOWS.max_spectral_direct)
-    fits &= level[mixtures.segment] < SHADOWS.max_brightness * level[mixtures.body]
-    fits &= mixtures.sky * level[mixtures.body] > SHADOWS.min_spectral_level
-    fits &= scene.size[mixtures.segment] >= SHADOWS.min_telling_px
+    fits = (
+        (mixtures.misfit < SHADOWS.max_spectral_misfit)
+        & (mixtures.direct < SHADOWS.max_spectral_direct)
+        & (mixtures.sky > SHADOWS.min_clear_sky)
+        & (mixtures.sent < SHADOWS.max_spectral_direct)
+        & (level[mixtures.segment] < SHADOWS.max_brightness * level[mixtures.body])
+        & (mixtures.sky * level[mixtures.body] > SHADOWS.min_spectral_level)
+        & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
+    )
     boxes = find_objects(number + 1) if fits.any() else []
     for row in np.flatnonzero(fits):
-        window = padded(boxes[mixtures.segment[row]], SHADOWS.beside_px)
-        numbers = number[window]
+        numbers = number[padded(boxes[mixtures.segment[row]], SHADOWS.beside_px)]
         near = binary_dilation(numbers == mixtures.segment[row], iterations=SHADOWS.beside_px)
         fits[row] = (numbers[near] == mixtures.body[row]).sum() >= SHADOWS.beside_px
     return np.asarray(fits)
@@ -348,8 +338,12 @@ def penumbrae(
         spectra = channels[window][near].astype(np.float64)
         amount, misfit = solve(np.nan_to_num(spectra), np.broadcast_to(lit, spectra.shape), None, light)
         bluer = amount[:, 1] > amount[:, 0] + SHADOWS.min_pixel_sky_excess
-        fades = (amount[:, 0] < SHADOWS.max_pixel_direct) & (misfit < SHADOWS.max_misfit) & bluer
-        fades &= amount[:, 1] < SHADOWS.max_penumbra_sky
+        fades = (
+            (amount[:, 0] < SHADOWS.max_pixel_direct)
+            & (misfit < SHADOWS.max_misfit)
+            & bluer
+            & (amount[:, 1] < SHADOWS.max_penumbra_sky)
+        )
         if result is number:
             result = number.copy()
         view = result[window]
@@ -388,17 +382,17 @@ def _extend(
     pairs, segment_border, on_ground = scene.pairs, scene.border[mixtures.segment], ground[mixtures.body]
     faces_sun = (away < -SHADOWS.sideways * length) & (length > SHADOWS.sure_border * segment_border)
     fits = best & ~faces_sun & without_sun(mixtures)
-    ground_shadows = fits & on_ground & (mixtures.misfit < SHADOWS.max_misfit)
-    ground_shadows &= mixtures.sky < SHADOWS.open_sky
+    in_limits = (mixtures.misfit < SHADOWS.max_misfit) & (mixtures.sky < SHADOWS.open_sky)
+    ground_shadows = fits & on_ground & in_limits
     bright = mixtures.sky > SHADOWS.min_clear_sky
-    object_shadows = (
-        fits
-        & ~on_ground
-        & (mixtures.misfit < np.where(bright, SHADOWS.max_dim_misfit, SHADOWS.max_dark_misfit))
-    )
+    max_misfit = np.where(bright, SHADOWS.max_dim_misfit, SHADOWS.max_dark_misfit)
+    object_shadows = fits & ~on_ground & (mixtures.misfit < max_misfit)
     # shadows on bay lines and kerbs: dark glass compared with these gets less light of the sky
-    markings = object_shadows & (mixtures.sky > SHADOWS.min_marking_sky)
-    markings &= mixtures.direct < SHADOWS.max_marking_direct
+    markings = (
+        object_shadows
+        & (mixtures.sky > SHADOWS.min_marking_sky)
+        & (mixtures.direct < SHADOWS.max_marking_direct)
+    )
     clear = _are_clear(mixtures, max_sent=SHADOWS.max_sent_beside)
     for _ in range(SHADOWS.rounds):
         # share of the border that touches any shadow, and shadows on the ground
@@ -408,11 +402,13 @@ def _extend(
             / segment_border
             for mask in (shaded, shaded & ground[body])
         )
-        enough = ground_shadows & (beside_shadow > np.where(clear, SHADOWS.next_clear, SHADOWS.next))
-        enough |= object_shadows & bright & (beside_shadow > SHADOWS.next)
-        enough |= markings & (beside_ground_shadow > SHADOWS.next_marking)
-        enclosed = beside_shadow > SHADOWS.enclosed
-        enough |= best & ~faces_sun & (mixtures.direct < SHADOWS.max_enclosed_direct) & enclosed
+        enclosed = (mixtures.direct < SHADOWS.max_enclosed_direct) & (beside_shadow > SHADOWS.enclosed)
+        enough = (
+            (ground_shadows & (beside_shadow > np.where(clear, SHADOWS.next_clear, SHADOWS.next)))
+            | (object_shadows & bright & (beside_shadow > SHADOWS.next))
+            | (markings & (beside_ground_shadow > SHADOWS.next_marking))
+            | (best & ~faces_sun & enclosed)
+        )
         if not _assign(mixtures, enough, state, body):
             break
 
@@ -445,8 +441,7 @@ def shaded_pixels(
     on_ground = np.append(level, False)[number]
     for lines, block in line_blocks(channels):
         segment = number[lines]
-        is_dark = block.mean(axis=2) < SHADOWS.max_pixel_level * lit_brightness[segment]
-        tested = on_ground[lines] & is_dark
+        tested = on_ground[lines] & (block.mean(axis=2) < SHADOWS.max_pixel_level * lit_brightness[segment])
         amount, misfit = solve(block[tested].astype(np.float64), reference[segment[tested]], None, light)
         bluer = amount[:, 1] > amount[:, 0] + SHADOWS.min_pixel_sky_excess
         missing = (amount[:, 0] < SHADOWS.max_pixel_direct) & bluer & (misfit < SHADOWS.max_pixel_misfit)
@@ -525,10 +520,8 @@ def nearest_coloured(
     centre = number[CELL // 2 :: CELL, CELL // 2 :: CELL]
     cells = tuple(-(-length // CELL) for length in number.shape)
     labels = np.full((*cells, BODIES.neighbours_of_cell), -1, np.int32)
-    distances = np.full((*cells, BODIES.neighbours_of_cell), np.inf)
-    sources: Any = np.where(np.append(sends, False)[centre], centre, -1)
-    labels[: centre.shape[0], : centre.shape[1], 0] = sources
-    distances[..., 0] = np.where(labels[..., 0] >= 0, 0.0, np.inf)
+    labels[: centre.shape[0], : centre.shape[1], 0] = np.where(np.append(sends, False)[centre], centre, -1)
+    distances = np.where(labels >= 0, 0.0, np.inf)
     nearest_sources(labels, distances, reach / CELL)
     return labels
 
@@ -628,9 +621,16 @@ def clean_references(
                 # scaled to the median direct light of the body: the clean pixels may lean differently
                 scale = 1.0 if grey else np.median(direct) / np.median(direct[clean])
                 reference[segment] = values[clean].mean(axis=0) * scale
-    reference -= _common_glint(reference, samples, same_paint, light) @ np.stack(
-        [light.direct, light.sunward]
-    )
+    # mirrored sun, and the sky around it, that cover a whole body (segment, 2), by comparison with other
+    # parts of the same paint
+    size = np.array([indices.size for indices in samples])
+    one, other = same_paint
+    large = size[other] >= BODIES.min_part_share * size[one]
+    one, other = one[large], other[large]
+    amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT.tolerance, AS_GLINT)
+    glint = np.zeros((len(reference), 2))
+    np.maximum.at(glint, one[misfit < 1.0], amount[misfit < 1.0][:, [2, 4]])
+    reference -= glint @ np.stack([light.direct, light.sunward])
     return np.ascontiguousarray(reference[matches.body]), tilt[matches.body]
 
 
@@ -668,23 +668,8 @@ def _added_light(
     lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * neighbour_spectra
     body = np.full(len(values), segment)
     amount, _, added = unmix_spectra(lifted, body, finite_spectrum, light, 0.01, _AS_PIXEL, neighbours)
-    glint = amount[:, 2] + amount[:, 4]
-    return glint + added.sum(axis=1) - BODIES.lift * neighbour_spectra.max(axis=1), amount[:, 0]
-
-
-def _common_glint(
-    reference: Floats, samples: list[Ints], same_paint: tuple[Ints, Ints], light: Light
-) -> Floats:
-    # Amounts of mirrored sun, and of the sky around it, that cover a whole body (segment, 2), by comparison
-    # with other parts of the same paint
-    size = np.array([indices.size for indices in samples])
-    one, other = same_paint
-    large = size[other] >= BODIES.min_part_share * size[one]
-    one, other = one[large], other[large]
-    amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT.tolerance, AS_GLINT)
-    glint = np.zeros((len(reference), 2))
-    np.maximum.at(glint, one[misfit < 1.0], amount[misfit < 1.0][:, [2, 4]])
-    return glint
+    glint = amount[:, 2] + amount[:, 4] + added.sum(axis=1)
+    return glint - BODIES.lift * neighbour_spectra.max(axis=1), amount[:, 0]
 
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:
@@ -926,7 +911,7 @@ def survey(
     wavelength = variables["wavelength"].values.astype(np.float64)
     good = _good_bands(line, cube, wavelength)
     try:
-        line_split = split_of(line, diffuse, sun_zenith).mean()
+        line_split = split_of(line, diffuse, sun_zenith, from_shadow=True).mean()
     except SchemaError as error:
         if not (isinstance(diffuse, str) and diffuse == "shadow"):
             raise
@@ -1072,10 +1057,10 @@ def fraction_in_shadow(
     unknown sky that objects hide, and the unknown light that they send. Takes ``samples``: flat indices of
     pixels of every segment. Raises `SchemaError`: no cast shadow is large enough.
     """
-    shaded = np.flatnonzero((matches.state == SHADED) & (size >= DIFFUSE.min_shadow_px))
+    shaded = np.flatnonzero((matches.state == SHADED) & (size >= SHADOWS.min_shadow_px))
     if not shaded.size:
         raise SchemaError(
-            f"diffuse='shadow': no cast shadow of at least {DIFFUSE.min_shadow_px} pixels on ground that is "
+            f"diffuse='shadow': no cast shadow of at least {SHADOWS.min_shadow_px} pixels on ground that is "
             "also seen in full sun",
             mend="pass diffuse='model', or a measured spectrum",
             code="shadow-missing",
@@ -1087,7 +1072,7 @@ def fraction_in_shadow(
     values = gather(flat, indices).astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
-    low, high = np.quantile(blue, DIFFUSE.open_sky_quantiles)
+    low, high = np.quantile(blue, SHADOWS.open_sky_quantiles)
     under_open_sky = values[(blue >= low) & (blue <= high)]
     return np.asarray(np.clip(under_open_sky.mean(axis=0) / spectrum[largest], 0.0, 1.0))
 

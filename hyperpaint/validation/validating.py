@@ -1,31 +1,1282 @@
-"""Validation of paint signatures against references, band by band and in parts of the spectrum."""
+"""Validation of paint signatures: pairs with references by name, on common bands, and their agreement.
+
+Spectra of paint libraries and spectrometer datasets are prepared: names, values, uncertainties and channels
+on one axis of wavelengths; readings outside of a clear coat and of the body under it are distinguished, and
+converted where possible.
+"""
 
 from __future__ import annotations
 
 import itertools
-import warnings
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.alignment import oxygen_depth
-from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import Problem, Problems, SchemaError, UnitsError, warn_user
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.units import takes_quantities
-
-from .comparing import (
-    Compared,
-    between_references,
-    compare,
-    paired,
-    statistics_of,
-    uncertainty_of,
+from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT, mirror_reflection
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, find, require
+from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.light.coat_transmission import (
+    COAT_INDEX,
+    COAT_INDEX_U,
+    interface_reflectance,
+    sky_reflectance,
 )
-from .dataset_spectra import references_from, scaled_by_panel, signatures_from
+from hyperpaint.light.diffuse_record import SKY_STATES
+from hyperpaint.light.responses import Responses, matching_operator
+from hyperpaint.paints.band_ratios import covariance
+
 from .validation_result import FLOOR, MAX_TOLERANCE_SHARE, MEANINGS, RELATIVE, STATISTICS, Validation
+
+_SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
+
+
+@dataclass(frozen=True)
+class Names:
+    # Names of one spectrum
+    shown: str  #: Name in results.
+    #: Names for pairing, by rank: full names; names without suffix; names without folder, which spectra of
+    #: other folders may share. A match of one rank excludes matches of later ranks.
+    ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
+    #: Number of the dataset, and folder in it: only readings of one origin are repeats of one another.
+    origin: tuple[int, str]
+
+
+def names_of_spectrum(spectrum: str, source: str, further: str, number: int, dataset: int) -> Names:
+    """Return the names of a spectrum of a field spectrometer.
+
+    ``spectrum``: its name, preceded by the folder where names repeat; ``source``: its file; ``further``: a
+    further name; any of these may be empty. ``number``: number of the spectrum in its dataset; ``dataset``:
+    number of the dataset.
+
+    Examples
+    --------
+    >>> names = names_of_spectrum("site1/red", "red.sig", "", 0, 1)
+    >>> [sorted(rank) for rank in names.ranks], names.origin
+    ([['site1/red', 'site1/red.sig'], [], ['red', 'red.sig']], (1, 'site1/'))
+    """
+    base = PurePath(spectrum).name
+    folder = spectrum[: len(spectrum) - len(base)] if spectrum.endswith(base) else ""
+    full = frozenset(text for text in (spectrum, further, source and folder + source) if text)
+    no_suffix = frozenset(name for text in full for name in _without_suffix(text)) - full
+    aliases = frozenset(alias for text in (spectrum, source, further) for alias in _aliases(text))
+    # readers number equal names in one folder, such as "red (1)" of red.sig: these are not repeats either
+    numbered = base if source and base not in set(_aliases(source)) else ""
+    shown = spectrum or source or further or f"spectrum {number}"
+    return Names(shown, (full, no_suffix, aliases - full - no_suffix), (dataset, folder + numbered))
+
+
+def _aliases(text: str) -> Iterator[str]:
+    """Yield the names of a file, or of a column in it: with and without folder and suffixes.
+
+    Examples
+    --------
+    >>> sorted(set(_aliases("svc/red.asd.txt")))
+    ['red', 'red.asd', 'red.asd.txt', 'svc/red.asd.txt']
+    """
+    if not text:
+        return
+    yield text
+    for path in (text, text.rpartition(":")[2]):
+        name = PurePath(path).name
+        yield name
+        yield from _without_suffix(name)
+
+
+def _without_suffix(name: str) -> Iterator[str]:
+    while name.lower().endswith(_SUFFIXES):
+        name = name[: name.rindex(".")]
+        yield name
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One spectrum of reflectance with its origin and uncertainty."""
+
+    names: Names  #: Names for pairing, and the origin.
+    reference_name: str  #: Name of the reference in the properties of a signature; empty without it.
+    instrument: str  #: Make of the instrument.
+    serial: str  #: Serial number of the instrument, or a similar text; may be empty.
+    wavelength: Floats  #: (channel,), float64: Increasing centre wavelengths [nm].
+    fwhm: Floats  #: (channel,), float64: Widths [nm].
+    values: Floats  #: (channel,), float64: Reflectance [1]; NaN without a value.
+    u_random: Floats | None  #: (channel,): Standard uncertainty independent from channel to channel [1].
+    u_systematic: Floats | None  #: (channel,): Standard uncertainty common to all channels [1].
+    sd: Floats | None  #: (channel,): Standard deviation of the averaged readings or pixels [1].
+    count: float  #: Number of averaged readings or independent pixels; 1 where unknown.
+    overlap: str  #: Treatment of overlapping detectors by the reader: preserved, removed or unknown.
+    matched: bool  #: Whether values were changed there to make detectors meet.
+    mirror: str  #: Whether the mirror image of sky and surroundings is included, excluded, or unknown.
+    absolute: bool  #: Whether reflectance is relative to a perfect diffuser, not to a panel.
+    notes: tuple[str, ...]  #: Remarks for the reader of results.
+    quantity: str = ""  #: Body under a coat or outside of the coat, see base.mirrored_light.
+    geometry: str = ""  #: Measurement geometry of the instrument, such as d/8.
+    coat_index: float = 1.5  #: Refractive index of the coat.
+    covariance: Floats | None = (
+        None  #: (channel, channel): Covariance of both uncertainties [1]; None if unknown.
+    )
+
+    @property
+    def name(self) -> str:
+        """Name in results."""
+        return self.names.shown
+
+    @property
+    def has_uncertainty(self) -> bool:
+        """Whether any part of the uncertainty is known."""
+        return any(component is not None for component in (self.u_random, self.u_systematic, self.sd))
+
+    def times(self, factor: Floats | float, **changes: Any) -> Measured:
+        """Return the spectrum with values and spreads multiplied by a factor, and other changed fields."""
+        spreads = {"u_random": self.u_random, "u_systematic": self.u_systematic, "sd": self.sd}
+        scaled = {name: None if spread is None else spread * factor for name, spread in spreads.items()}
+        return replace(self, **{"values": self.values * factor, **scaled, **changes})
+
+    def gaps(self) -> list[str]:
+        """Return the unknown parts of the uncertainty, for the reader of the result."""
+        if self.u_random is None and self.u_systematic is None:
+            return []
+        gaps, has_value = [], np.isfinite(self.values)
+        for name, u, counterpart in (
+            ("random", self.u_random, "systematic"),
+            ("systematic", self.u_systematic, "random"),
+        ):
+            if u is None:
+                gaps.append(f"{counterpart} part only, the {name} part is unknown")
+            elif not np.isfinite(u[has_value]).all():
+                count = int(np.isfinite(u[has_value]).sum())
+                gaps.append(
+                    f"{name} part known in {count} of {int(has_value.sum())} channels; no uncertainty "
+                    "elsewhere"
+                )
+        return gaps
+
+    def errors(self, rng: np.random.Generator, draws: int) -> Floats:
+        """Return random draws of the errors of the values (draw, channel).
+
+        They follow the covariance where it is known; else random errors are independent and systematic errors
+        common to all channels. Where neither is known, the standard deviation of the mean counts as
+        systematic: readings of a surface differ in level more than in shape. NaN in channels without an
+        uncertainty that other channels have.
+        """
+        if self.covariance is not None:
+            missing = np.isnan(np.diagonal(self.covariance))
+            # truncated correlations cause eigenvalues slightly below zero
+            variances, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
+            components = vectors * np.sqrt(np.maximum(variances, 0.0))
+            errors = rng.standard_normal((draws, variances.size)) @ components.T
+            return np.asarray(np.where(missing, np.nan, errors))
+        errors = np.zeros((draws, self.values.size))
+        if self.u_random is not None:
+            errors += self.u_random * rng.standard_normal(errors.shape)
+        systematic = self.u_systematic
+        if systematic is None and self.u_random is None and self.sd is not None:
+            systematic = self.sd / np.sqrt(self.count)
+        if systematic is not None:
+            errors += systematic * rng.standard_normal((draws, 1))
+        return errors
+
+
+def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
+    # Return references multiplied by the reflectance of their white panel.
+    # ``spectra``: references relative to the panel; ``panel``: reflectance of the panel on ``wavelength``: a
+    # DataArray, or a Dataset with ``reflectance``. It is interpolated linearly; beyond its wavelengths the
+    # result is NaN.
+    # Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is not a certificate;
+    # all problems are listed.
+    array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
+    if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:
+        raise SchemaError(
+            f"panel= is {type(panel).__name__}",
+            expected="a DataArray of reflectance on wavelength",
+            mend="see read_certificate",
+            code="type-wrong",
+        )
+    problems = Problems("references cannot be scaled by the panel", SchemaError)
+    wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
+    values = convert(array, "1", "panel").values.astype(np.float64)
+    order = np.argsort(wavelength)
+    wavelength, values = wavelength[order], values[order]
+    if not (np.isfinite(wavelength).all() and np.isfinite(values).all() and (np.diff(wavelength) > 0).all()):
+        problems.add("panel= has wavelengths twice, or values that are not finite", code="not-finite")
+    elif not ((values > 0.0) & (values <= 1.2)).all():
+        limits = f"{values.min():g} to {values.max():g}"
+        problems.add(
+            f"panel= has values from {limits}",
+            expected="above 0, at most 1.2",
+            mend="divide percent by 100",
+            code="value-out-of-range",
+        )
+    problems.extend(
+        Problem(
+            f"reference {spectrum.name!r} is absolute already, or from a library",
+            mend="remove the argument panel=",
+            code="option-conflict",
+        )
+        for spectrum in spectra
+        if spectrum.absolute
+    )
+    problems.raise_if_any()
+    scaled = []
+    for spectrum in spectra:
+        factor = np.interp(spectrum.wavelength, wavelength, values, np.nan, np.nan)
+        covariance = None if spectrum.covariance is None else spectrum.covariance * np.outer(factor, factor)
+        notes = (*spectrum.notes, "scaled by the panel's certificate")
+        scaled.append(spectrum.times(factor, covariance=covariance, absolute=True, notes=notes))
+    return scaled
+
+
+# --- clear coats -------------------------------------------------------------------------------------------
+
+#: Zenith angle of the sun above which a degree of lean changes the direct light by more than the usual
+#: tolerance, 5 % [degree].
+_LOW_SUN_DEG = 70.0
+
+
+def coat_of(attrs: Any) -> dict[str, Any]:
+    # Return quantity, instrument geometry and index of the coat, by the attributes of a dataset.
+    # ``quantity`` is one of the words of `hyperpaint.base.mirrored_light`; without it, ``specular_component``
+    # determines the quantity.
+    declared, index = attrs.get("quantity"), attrs.get("coat_index", COAT_INDEX)
+    implied = OUTSIDE if attrs.get("specular_component") == INCLUDED else ""
+    usable = isinstance(index, int | float) and 1.0 <= float(index) <= 3.0
+    return {
+        "quantity": declared if declared in (BODY, OUTSIDE, THROUGH_COAT) else implied,
+        "geometry": str(attrs.get("measurement_geometry", "")),
+        "coat_index": float(index) if usable else COAT_INDEX,
+    }
+
+
+def as_body(reference: Measured, signature: Measured) -> Measured:
+    r"""Return a reading outside of a coat converted to the body under it, if the signature is of the body.
+
+    The attribute ``measurement_geometry`` of the reference must be "0/0", "0/45", "45/0", or that of an
+    integrating sphere, such as "d/8". Without it, or for a reading of the body, the reference is returned
+    unchanged.
+
+    Notes
+    -----
+    .. math:: R_{body} = (R - s F(0)) \frac{1 - F(0)}{1 - F_{in}}
+
+    with s = 1 where the mirror image is included, and the interface's reflectance :math:`F_{in}` of the
+    instrument's light.
+    """
+    if signature.quantity != BODY or reference.quantity != OUTSIDE:
+        return reference
+    # reflectance of the coat for the light of the instrument [1]
+    index, angles = reference.coat_index, {"0/0": 0.0, "0/45": 45.0, "45/0": 45.0}
+    if reference.geometry in angles:
+        incident = float(interface_reflectance(angles[reference.geometry], index))
+    elif reference.geometry in ("d/0", "0/d", "d/8", "8/d"):
+        incident = float(sky_reflectance([550.0], None, index=index)[0])
+    else:
+        return reference
+    normal = float(interface_reflectance(0.0, index))
+    mirrored = normal if reference.mirror == INCLUDED and reference.geometry not in ("0/45", "45/0") else 0.0
+    factor = (1.0 - normal) / (1.0 - incident)
+
+    # uncertainty of the subtracted reflectance from that of the index, the largest part for black paint
+    normal_u = float(mirrored > 0.0) * 4.0 * (index - 1.0) / (index + 1.0) ** 3 * COAT_INDEX_U
+    known_u = 0.0 if reference.u_systematic is None else reference.u_systematic
+    systematic = factor * np.hypot(known_u, normal_u) * np.ones_like(reference.values)
+
+    note = (
+        f"the reference, a reading of the coat's outside in {reference.geometry}, was converted to the body "
+        f"under it: less {mirrored:.3f}, times {factor:.3f}"
+    )
+    return reference.times(
+        factor,
+        values=(reference.values - mirrored) * factor,
+        u_systematic=systematic,
+        covariance=None,  # it lacks the uncertainty of the index
+        mirror=EXCLUDED,
+        quantity=BODY,
+        notes=(*reference.notes, note),
+    )
+
+
+# --- datasets ----------------------------------------------------------------------------------------------
+
+_MAX_DETECTORS = 8
+
+#: Channel widths of the three detectors of FieldSpec 3/4 and HR-1024i, as their makers state them [nm].
+_WIDTHS_NM: dict[str, tuple[float, ...]] = {"asd": (3.0, 10.0, 10.0), "svc": (3.5, 9.5, 6.5)}
+_NAMES = {"asd": ("asd", "fieldspec", "handheld"), "svc": ("svc", "spectra vista", "hr-1024", "hr-768")}
+#: Wavelengths between detectors, for files without gaps or overlaps at these [nm].
+_DETECTOR_EDGES_NM = (1000.0, 1900.0)
+
+
+def join_detectors(
+    wavelength: Floats,
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], tuple[float, ...]]:
+    """Return the channels that form one increasing axis of wavelengths.
+
+    Their positions in the file (channel,), the number of every channel's detector (channel,), and the
+    wavelengths at which the next detector begins [nm].
+
+    Where wavelengths fall, another detector begins. Two overlapping detectors are joined in the middle of
+    their overlap: samples of different detectors are not averaged, since scale and resolution differ.
+
+    ``wavelength`` (channel,): wavelengths in the order of the file [nm]; descending files are reversed.
+
+    Raises `SchemaError`: Wavelengths are not finite, or in an order that no set of detectors has.
+
+    Examples
+    --------
+    >>> order, _, joins = join_detectors(np.array([980.0, 990.0, 1000.0, 970.0, 988.0, 1006.0]))
+    >>> order.tolist(), joins
+    ([0, 4, 5], (985.0,))
+    """
+    if not (wavelength.size and np.isfinite(wavelength).all()):
+        raise SchemaError("wavelengths must be finite, and at least one [nm]", code="not-finite")
+    is_falling = (np.diff(wavelength) < 0).sum() > wavelength.size // 2
+    order = np.arange(wavelength.size)[:: -1 if is_falling else 1]
+    begins = np.flatnonzero(np.diff(wavelength[order]) <= 0) + 1
+    detectors = np.split(order, begins)
+    if len(detectors) > _MAX_DETECTORS:
+        raise SchemaError(
+            f"wavelengths fall {len(begins)} times",
+            expected="an increasing axis, except where detectors join",
+            mend="sort the spectrum",
+            code="wavelengths-unordered",
+        )
+    channels, number, joins = detectors[0], np.zeros(detectors[0].size, np.intp), []
+    for index, following in enumerate(detectors[1:], 1):
+        join = float(0.5 * (wavelength[channels[-1]] + wavelength[following[0]]))
+        below_join = wavelength[channels] <= join
+        above_join = following[wavelength[following] > join]
+        if not (below_join.any() and above_join.size):
+            raise SchemaError(
+                f"one detector's wavelengths lie within another's near {join:g} nm",
+                mend="open the detectors as separate datasets",
+                code="detectors-overlap",
+            )
+        channels = np.concatenate([channels[below_join], above_join])
+        number = np.concatenate([number[below_join], np.full(above_join.size, index)])
+        joins.append(join)
+    return channels, number, tuple(joins)
+
+
+def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
+    # Return usual widths of channels for data that do not state them, and the source of these widths.
+    # ``wavelength`` (channel,): increasing wavelengths [nm]; ``detector`` (channel,): number of the detector;
+    # ``instrument``: name of the instrument in the data.
+    # Returns full widths at half maximum (channel,) [nm], and their source, for the reader of the result.
+    lowered = instrument.lower()
+    for make, names in _NAMES.items():
+        if any(name in lowered for name in names):
+            has_detectors = detector.max() > 0 and wavelength[0] < _DETECTOR_EDGES_NM[0]
+            number = detector if has_detectors else np.searchsorted(_DETECTOR_EDGES_NM, wavelength, "right")
+            widths = np.array(_WIDTHS_NM[make])[np.minimum(number, len(_DETECTOR_EDGES_NM))]
+            return widths, f"widths of channels as usual for {make.upper()}"
+    if wavelength.size < 2:
+        return np.ones(wavelength.size), "widths of channels assumed, 1 nm"
+    return 2.0 * np.gradient(wavelength), "widths of channels assumed, twice their distance"
+
+
+UNKNOWN = "unknown"
+_MIRRORS = ("included", "excluded")
+_SPREADS = ("reflectance_u_random", "reflectance_u_systematic", "reflectance_sd")
+#: Range of plausible channel widths: minimum [nm], and maximum in distances of channels.
+_MIN_WIDTH_NM, _MAX_WIDTH_SPACINGS = 0.05, 100.0
+
+
+def signatures_from(signatures: xr.Dataset) -> list[Measured]:
+    # Return the spectra of a paint library; bad bands are NaN.
+    # Raises `SchemaError`: It is not a paint library; all problems are listed. Raises `UnitsError`: Units
+    # cannot be read.
+    if not hasattr(signatures, "data_vars"):
+        raise SchemaError(
+            f"signatures are {type(signatures).__name__}",
+            expected="a paint library (xarray.Dataset)",
+            code="type-wrong",
+        )
+    return list(_library_spectra(signatures, 0, None, "band"))
+
+
+def references_from(references: Any, fwhm: float | None) -> list[Measured]:
+    # Return the spectra of spectrometer datasets and paint libraries.
+    # ``references``: a Dataset, or several; ``fwhm``: width of channels [nm], if given by the user.
+    # Raises `SchemaError`: Datasets that hold no reflectance; all are listed.
+    datasets = [references] if hasattr(references, "data_vars") else references
+    if isinstance(datasets, Mapping):
+        datasets = list(datasets.values())
+    if not isinstance(datasets, Iterable) or isinstance(datasets, str):
+        raise SchemaError(
+            f"references are {type(references).__name__}",
+            expected="a Dataset, or several",
+            mend="see open_svc",
+            code="type-wrong",
+        )
+    problems = Problems("references cannot be used", SchemaError)
+    spectra: list[Measured] = []
+    for number, dataset in enumerate(datasets, 1):
+        try:
+            spectra += _dataset_spectra(dataset, number, fwhm)
+        except (SchemaError, UnitsError) as error:
+            problems.add_error(f"reference {number}", error)
+    if not spectra and not problems:
+        problems.add(
+            "references= is empty",
+            mend="open references with open_svc, open_asd or open_library",
+            code="empty-input",
+        )
+    problems.raise_if_any()
+    # serial numbers distinguish several instruments of one make
+    serials: dict[str, set[str]] = {}
+    for spectrum in spectra:
+        serials.setdefault(spectrum.instrument, set()).add(spectrum.serial)
+    return [
+        replace(spectrum, instrument=f"{spectrum.instrument} {spectrum.serial}")
+        if spectrum.serial and len(serials[spectrum.instrument]) > 1
+        else spectrum
+        for spectrum in spectra
+    ]
+
+
+def _dataset_spectra(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
+    if not hasattr(dataset, "data_vars"):
+        raise SchemaError(f"{type(dataset).__name__}", expected="a Dataset", code="type-wrong")
+    if "reflectance" not in dataset.data_vars:
+        variables = ", ".join(map(str, dataset.data_vars)) or "nothing"
+        raise SchemaError(
+            f"holds {variables}",
+            expected="reflectance",
+            mend="open it with quantity='reflectance'",
+            code="variable-missing",
+        )
+    dims = set(dataset["reflectance"].dims)
+    if BAND in dims:
+        return _library_spectra(dataset, number, fwhm, "library")
+    if "wavelength" in dims and dims <= {"spectrum", "wavelength"}:
+        return _spectrometer_spectra(dataset, number, fwhm)
+    raise SchemaError(
+        f"'reflectance' has dims ({', '.join(map(str, dataset['reflectance'].dims))})",
+        expected="(spectrum, wavelength) of a spectrometer or (signature, band) of a library",
+        code="dim-missing",
+    )
+
+
+# --- paint libraries ---------------------------------------------------------------------------------------
+
+
+def _library_spectra(
+    dataset: xr.Dataset, dataset_number: int, fwhm: float | None, default_instrument: str
+) -> Iterator[Measured]:
+    if SIGNATURE not in dataset.dims and BAND in dataset.dims:
+        # a single paint, as isel returns it
+        if SIGNATURE not in dataset.coords:
+            label = f"reference {dataset_number}" if dataset_number else "signatures"
+            dataset = dataset.assign_coords({SIGNATURE: label})
+        dataset = dataset.expand_dims(SIGNATURE)
+    optional = [name for name in (*_SPREADS, "fwhm", "n", "n_eff") if name in dataset.variables]
+    purpose = "a validation"
+    required = require(dataset, [SIGNATURE, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
+    arrays = {**required, **find(dataset, optional, LIBRARY_VARIABLES)[0]}
+    attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
+    values = arrays["reflectance"].values.astype(np.float64)
+    if "good" in dataset.variables and dataset["good"].dims == (BAND,):
+        values = np.where(dataset["good"].values.astype(bool), values, np.nan)
+    channels = _Channels.of(
+        arrays["wavelength"].values, arrays.get("fwhm"), fwhm, str(attrs.get("instrument", ""))
+    )
+    has_sources = {"reflectance_errors", *_SPREADS[:2]} <= set(dataset.variables)
+    covariances = covariance(dataset).transpose(SIGNATURE, ...).values if has_sources else None
+    for number, name in enumerate(arrays[SIGNATURE].values):
+        spreads = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
+        # the number of independent pixels if it is known: neighbours share errors
+        counts = (float(arrays[key].values[number]) for key in ("n_eff", "n") if key in arrays)
+        yield channels.spectrum(
+            values[number],
+            spreads,
+            next((count for count in counts if np.isfinite(count)), None),
+            names=Names(str(name), (frozenset({str(name)}), frozenset(), frozenset()), (dataset_number, "")),
+            reference_name=_text_of(dataset, "reference", number, SIGNATURE),
+            instrument=str(attrs.get("instrument", "")) or default_instrument,
+            serial="",
+            **_overlap_of(attrs.get("overlap"), attrs.get("overlap_matched", False)),
+            mirror=mirror_reflection(dataset) or UNKNOWN,
+            absolute=attrs.get("reflectance_scale", "absolute") == "absolute",
+            covariance=None
+            if covariances is None
+            else covariances[number][np.ix_(channels.order, channels.order)],
+            notes=(*channels.notes, *_light_notes(dataset, number)),
+            **(coat_of(attrs) | _uncorrected_coat(dataset, number, attrs)),
+        )
+
+
+def _uncorrected_coat(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict[str, str]:
+    # The quantity of a paint without correction for its coat, in a library of corrected paints
+    if attrs.get("quantity") != BODY or "coat_transmission" not in dataset.variables:
+        return {}
+    names = ("coat_transmission", "coat_transmission_u")
+    shares = [dataset[name].values for name in names if name in dataset]
+    if any(share.ndim != 2 for share in shares):
+        return {}
+    is_uncorrected = (shares[0][number] == 1.0).all() and all((u[number] == 0.0).all() for u in shares[1:])
+    return {"quantity": THROUGH_COAT} if is_uncorrected else {}
+
+
+def _light_notes(dataset: xr.Dataset, number: int) -> list[str]:
+    # Reasons why the level of a signature is uncertain, for the reader of the result
+    values = {
+        name: dataset[name].isel({SIGNATURE: number}).values[()]
+        for name in ("sun_zenith", "sky_state")
+        if name in dataset.variables and dataset[name].dims == (SIGNATURE,)
+    }
+    has_split = "diffuse_fraction" in dataset.variables and SIGNATURE in dataset["diffuse_fraction"].dims
+    has_split = has_split and bool(np.isfinite(dataset["diffuse_fraction"].isel({SIGNATURE: number})).all())
+    notes, sun_zenith = [], float(values.get("sun_zenith", np.nan))
+    if sun_zenith > _LOW_SUN_DEG:
+        change = 100.0 * np.tan(np.radians(min(sun_zenith, 89.0))) * np.pi / 180.0
+        notes.append(
+            f"the sun stood {sun_zenith:.0f} degrees from the zenith: one degree of lean changes its light "
+            f"by {change:.0f} %; judge the shape of the signature rather than its level"
+        )
+    if has_split and values.get("sky_state") == SKY_STATES.index("contradictory"):
+        notes.append(
+            "the irradiance record contradicted every sky at that time, so the level is uncertain: check "
+            "clocks and the receiver's calibration, or give sun_zenith= to signatures"
+        )
+    return notes
+
+
+# --- spectrometers -----------------------------------------------------------------------------------------
+
+
+def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float | None) -> Iterator[Measured]:
+    if "spectrum" not in dataset["reflectance"].dims:
+        dataset = dataset.expand_dims("spectrum")
+    if "wavelength" not in dataset.coords:
+        raise SchemaError(
+            "the coordinate 'wavelength' of reflectance is missing [nm]", code="variable-missing"
+        )
+    order = ("spectrum", "wavelength")
+    values = convert(dataset["reflectance"], "1").transpose(*order).values.astype(np.float64)
+    wavelength = convert(dataset["wavelength"], "nm").values.astype(np.float64)
+    spreads = {
+        name: convert(dataset[name], "1").transpose(*order).values.astype(np.float64)
+        for name in _SPREADS
+        if name in dataset.variables and set(dataset[name].dims) == set(order)
+    }
+    has_widths = "fwhm" in dataset.variables and dataset["fwhm"].dims == ("wavelength",)
+    widths = dataset["fwhm"] if has_widths else None
+    attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
+    # number of every channel's detector, in the order of the file; None where it is not stated
+    detectors = None
+    if "detector" in dataset.variables and dataset["detector"].dims == ("wavelength",):
+        names = [str(name) for name in dataset["detector"].values]
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+        detectors = np.array([numbers[name] for name in names], np.intp)
+    channels = _Channels.of(wavelength, widths, fwhm, str(attrs.get("instrument", "")), detectors)
+    for number, spectrum in enumerate(values):
+        texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
+        attributes = {
+            key: _text_of(dataset, key, number, "spectrum") or attrs.get(key)
+            for key in ("overlap", "mirror_reflection", "specular_component", "instrument")
+        }
+        mirror = attributes["mirror_reflection"] or attributes["specular_component"]
+        count = dataset["n"].values[number] if "n" in dataset.variables and dataset["n"].dims else None
+        yield channels.spectrum(
+            spectrum,
+            {name: array[number] for name, array in spreads.items()},
+            None if count is None else float(count),
+            names=names_of_spectrum(texts[0], texts[1], texts[2], number, dataset_number),
+            reference_name="",
+            instrument=str(attrs.get("instrument") or attributes["instrument"] or "spectrometer"),
+            serial=_text_of(dataset, "instrument", number, "spectrum"),
+            notes=(*channels.notes, *_instrument_errors(dataset, number)),
+            **_overlap_of(attributes["overlap"], _flag_of(dataset, "overlap_matched", number)),
+            mirror=mirror if mirror in _MIRRORS else UNKNOWN,
+            absolute=attrs.get("reflectance_scale", "relative") == "absolute",
+            **coat_of(attrs),
+        )
+
+
+def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
+    # Text of a variable for one spectrum; empty without such a text
+    if key not in dataset.variables:
+        return ""
+    array = dataset[key]
+    if array.dims not in ((dim,), ()) or array.dtype.kind not in "OUST":
+        return ""
+    value = array.values[number] if array.dims else array.values.item()
+    return value if isinstance(value, str) else ""
+
+
+def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
+    if key not in dataset.variables:
+        return bool(dataset.attrs.get(key, False))
+    array = dataset[key]
+    return bool(array.values[number] if array.dims == ("spectrum",) else array.values.any())
+
+
+def _instrument_errors(dataset: xr.Dataset, number: int) -> list[str]:
+    # Error bits of the scans, as the instrument recorded them
+    errors = []
+    for scan in ("target", "reference"):
+        key = f"error_{scan}"
+        if key in dataset.variables and dataset[key].dims in (("spectrum",), ()):
+            bits = int(np.ravel(dataset[key].values)[number if dataset[key].dims else 0])
+            if bits > 0:
+                panel = " of the white panel" if scan == "reference" else ""
+                errors.append(f"the instrument set error bits {bits} in the {scan} scan{panel}")
+    return errors
+
+
+def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
+    overlap = text if isinstance(text, str) and text else UNKNOWN
+    return {"overlap": overlap, "matched": bool(matched) or overlap == "matched"}
+
+
+# --- channels ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Channels:
+    # Channels on one increasing axis of wavelengths
+    order: npt.NDArray[np.intp]  # (channel,): Positions in the data
+    wavelength: Floats
+    fwhm: Floats
+    notes: tuple[str, ...]  # Joins of detectors, and the source of the widths
+
+    @classmethod
+    def of(
+        cls, wavelength: Any, data_fwhm: Any, user_fwhm: float | None, instrument: str, detector: Any = None
+    ) -> _Channels:
+        # `data_fwhm`: widths in the data; `user_fwhm`: width that the user states
+        wavelength = np.asarray(wavelength, np.float64)
+        order, number, joins = join_detectors(wavelength)
+        nm_sorted = wavelength[order]
+        text = ", ".join(f"{nm:.4g}" for nm in joins)
+        notes = [f"detectors joined at {text} nm"] if joins else []
+        if user_fwhm is not None:
+            _check_widths(np.array([user_fwhm]), nm_sorted)
+            notes.append(f"widths of channels {user_fwhm:g} nm, as given")
+            return cls(order, nm_sorted, np.full(nm_sorted.size, user_fwhm), tuple(notes))
+        if data_fwhm is not None:
+            fwhm = convert(data_fwhm, "nm").values.astype(np.float64)[order]
+            if np.isfinite(fwhm).all() and (fwhm > 0).all():
+                _check_widths(fwhm, nm_sorted)
+                return cls(order, nm_sorted, fwhm, tuple(notes))
+        channel_detector = number if detector is None else detector[order]
+        fwhm, source = channel_widths(nm_sorted, channel_detector, instrument)
+        return cls(order, nm_sorted, fwhm, (*notes, source))
+
+    def spectrum(
+        self, values: Floats, spreads: Mapping[str, Any], count: float | None, **description: Any
+    ) -> Measured:
+        # spreads in the order of wavelength; None without finite values
+        u_random, u_systematic, sd = (
+            np.asarray(spread, np.float64)[self.order]
+            if (spread := spreads.get(name)) is not None and np.isfinite(spread[self.order]).any()
+            else None
+            for name in _SPREADS
+        )
+        return Measured(
+            wavelength=self.wavelength,
+            fwhm=self.fwhm,
+            values=np.asarray(values, np.float64)[self.order],
+            u_random=u_random,
+            u_systematic=u_systematic,
+            sd=sd,
+            count=max(count, 1.0) if count is not None and np.isfinite(count) else 1.0,
+            **{"notes": self.notes, **description},
+        )
+
+
+def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
+    # A single wrong width would determine the step of all responses
+    spacing = float(np.median(np.diff(wavelength))) if wavelength.size > 1 else np.inf
+    if not ((fwhm >= _MIN_WIDTH_NM) & (fwhm <= _MAX_WIDTH_SPACINGS * spacing)).all():
+        raise SchemaError(
+            f"'fwhm' is {np.min(fwhm):g} to {np.max(fwhm):g} nm",
+            expected=f"{_MIN_WIDTH_NM:g} to {_MAX_WIDTH_SPACINGS * spacing:g} nm, {_MAX_WIDTH_SPACINGS:g} "
+            "distances of channels",
+            mend="correct it, or pass reference_fwhm=",
+            code="value-out-of-range",
+        )
+
+
+# --- statistics of agreement, and resampling of both spectra onto common bands ----------------------------
+
+#: Minimum number of bands for the shape of a spectrum: with one band, angle and scale-free error are 0.
+_MIN_SHAPE_BANDS = 3
+
+
+def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
+    r"""Return the statistics of agreement over the last axis.
+
+    Takes ``signature``, ``reference`` (..., band): reflectance [1] without missing values. The result has the
+    names in `STATISTICS`, in units of 1, the angle in degree. All are NaN without bands; angle, scale and
+    scale-free error also where a spectrum is zero, angle and scale-free error also with fewer than three
+    bands.
+
+    Notes
+    -----
+    With :math:`d = s - r` over n bands,
+
+    .. math:: bias = \bar d, \quad RMSE = \sqrt{\overline{d^2}}, \quad MAE = \overline{|d|}, \quad
+              \theta = \angle(s, r), \quad k = \frac{s \cdot r}{r \cdot r}, \quad
+              e = \sqrt{\overline{(s / k - r)^2}} .
+
+    k is the scale factor of the least-squares fit of the reference to the signature, e the RMS difference
+    after the signature is divided by k; e over the RMS of the reference is :math:`\tan\theta`. The angle is
+    computed as :math:`2 \arctan(|\hat s - \hat r| / |\hat s + \hat r|)` of the unit vectors [1]_, since the
+    cosine is imprecise for small angles.
+
+    References
+    ----------
+    .. [1] W. Kahan, "How futile are mindless assessments of roundoff in floating-point computation?" (2006),
+       section 12, "Mangled angles".
+
+    Examples
+    --------
+    >>> found = statistics_of(np.array([0.11, 0.22, 0.33]), np.array([0.1, 0.2, 0.3]))
+    >>> round(float(found["scale"]), 6), round(float(found["bias"]), 6)
+    (1.1, 0.02)
+    """
+    shape = np.broadcast_shapes(signature.shape, reference.shape)
+    if shape[-1] == 0:
+        return {name: np.full(shape[:-1], np.nan) for name in STATISTICS}
+    difference = signature - reference
+    signature_length, reference_length = (
+        np.sqrt((spectrum**2).sum(axis=-1, keepdims=True)) for spectrum in (signature, reference)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # both scaled to the same length
+        s, r = signature * reference_length, reference * signature_length
+        angle = 2.0 * np.arctan2(_length(s - r), _length(s + r))
+        scale = (signature * reference).sum(axis=-1, keepdims=True) / reference_length**2
+        residual = signature / np.where(scale > 0.0, scale, np.nan) - reference
+    has_shape = shape[-1] >= _MIN_SHAPE_BANDS
+    has_angle = has_shape & ((signature_length * reference_length)[..., 0] > 0.0)
+    return {
+        "bias": difference.mean(axis=-1),
+        "rmse": np.sqrt((difference**2).mean(axis=-1)),
+        "mae": np.abs(difference).mean(axis=-1),
+        "spectral_angle": np.where(has_angle, np.degrees(angle), np.nan),
+        "scale": scale[..., 0],
+        "scale_free_error": np.where(has_shape, np.sqrt((residual**2).mean(axis=-1)), np.nan),
+    }
+
+
+def _length(vectors: Floats) -> Floats:
+    return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
+
+
+def uncertainty_of(
+    signature: Floats, reference: Floats, signature_errors: Floats, reference_errors: Floats
+) -> dict[str, Floats]:
+    r"""Return the standard uncertainty of every statistic of `statistics_of`.
+
+    Takes ``signature``, ``reference`` (band,): reflectance [1]; ``signature_errors``, ``reference_errors``
+    (draw, band): random draws of their errors [1].
+
+    Notes
+    -----
+    By propagation of distributions (JCGM 101:2008): with f the statistic,
+
+    .. math:: u_f = \sqrt{\overline{\big(f(s + \delta s, r + \delta r) - f(s, r)\big)^2}} .
+
+    The deviations are from the statistic of the exact spectra, not from the mean of the draws: noise only
+    increases RMSE, MAE and angle, so that the spread about their mean would be too small for equal spectra.
+    """
+    exact = statistics_of(signature, reference)
+    draws = statistics_of(signature + signature_errors, reference + reference_errors)
+    return {name: np.asarray(np.sqrt(((draws[name] - exact[name]) ** 2).mean())) for name in STATISTICS}
+
+
+#: Maximum difference of equal wavelengths [nm].
+_MAX_EQUAL_NM = 1e-3
+#: Maximum ratio of equal widths [1].
+_MAX_EQUAL_WIDTH_RATIO = 1.02
+#: Maximum factor by which resampling may multiply noise; channels much wider than a band exceed it.
+_MAX_NOISE_GAIN = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Operator:
+    # Linear resampling of the channels of a spectrum to bands
+    weights: (
+        Floats | None
+    )  #: (band, channel): Weights, rows sum to 1; None where channels and bands are equal.
+    #: (band,): Whether a band is covered completely, and not too narrow for the channels.
+    is_covered: npt.NDArray[np.bool_]
+    #: (band,): Part of a band's response covered by the channels [1]; 0 where channels within are missing.
+    coverage: Floats
+    misfit: Floats  #: (band,): See `hyperpaint.light.responses.Matching`.
+    noise_gain: Floats  #: (band,): See `hyperpaint.light.responses.Matching`.
+
+    def __call__(self, values: Floats) -> Floats:
+        # Return values (..., channel) on the bands (..., band); NaN in bands that are not covered
+        on_bands = np.full((*values.shape[:-1], self.is_covered.size), np.nan)
+        if self.weights is None:
+            on_bands[..., self.is_covered] = values[..., self.is_covered]
+            return on_bands
+        # channels without weight may be missing
+        channels = np.flatnonzero(self.weights[self.is_covered].any(axis=0))
+        on_bands[..., self.is_covered] = (
+            values[..., channels] @ self.weights[np.ix_(self.is_covered, channels)].T
+        )
+        return on_bands
+
+
+def bands_of(signature: Measured, references: list[Measured]) -> Measured:
+    # Return the spectrum whose channels are the common bands: the coarser one.
+    # This is the signature, unless every reference is coarser in the common range.
+    low, high = signature.wavelength[[0, -1]]
+    widths = []
+    for reference in references:
+        in_range = (reference.wavelength >= low) & (reference.wavelength <= high)
+        widths.append(np.median(reference.fwhm[in_range]) if in_range.any() else 0.0)
+    is_coarser = min(widths) > _MAX_EQUAL_WIDTH_RATIO * np.median(signature.fwhm)
+    return references[0] if is_coarser else signature
+
+
+def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
+    # Return the operator that resamples a spectrum to the channels of the spectrum ``bands``.
+    # Equal channels need no weights. Missing samples of ``spectrum`` count as not covered; missing samples of
+    # ``bands`` are ignored.
+    is_finite = np.isfinite(spectrum.values)
+    if (
+        bands.wavelength.shape == spectrum.wavelength.shape
+        and (np.abs(bands.wavelength - spectrum.wavelength) <= _MAX_EQUAL_NM).all()
+        and np.allclose(bands.fwhm, spectrum.fwhm, rtol=_MAX_EQUAL_WIDTH_RATIO - 1.0)
+    ):
+        zero = np.where(is_finite, 0.0, np.nan)
+        return Operator(None, is_finite, is_finite.astype(np.float64), zero, zero + 1.0)
+    size = bands.wavelength.size
+    reach = 3.0 * (bands.fwhm.max() + spectrum.fwhm.max())
+    near = spectrum.wavelength >= bands.wavelength.min() - reach
+    channels = np.flatnonzero(is_finite & near & (spectrum.wavelength <= bands.wavelength.max() + reach))
+    weights = np.zeros((size, spectrum.wavelength.size))
+    if channels.size < 2:
+        zeros, unknown = np.zeros(size), np.full(size, np.nan)
+        return Operator(weights, zeros.astype(bool), zeros, unknown, unknown)
+    centre, width = spectrum.wavelength[channels], spectrum.fwhm[channels]
+    matching = matching_operator(Responses(centre, width), Responses(bands.wavelength, bands.fwhm))
+    # bands over gaps: channels farther from one another than two of their widths
+    is_gap = np.diff(centre) > 2.0 * np.maximum(width[1:], width[:-1])
+    has_gap = np.zeros(size, bool)
+    for start, stop in zip(centre[:-1][is_gap], centre[1:][is_gap], strict=True):
+        has_gap |= (bands.wavelength + bands.fwhm > start) & (bands.wavelength - bands.fwhm < stop)
+    # False for an unknown noise gain, NaN
+    is_covered = ~has_gap & (matching.noise_gain[0] <= _MAX_NOISE_GAIN)
+    weights[np.ix_(is_covered, channels)] = matching.weights[0][is_covered]
+    return Operator(
+        weights,
+        is_covered,
+        np.where(has_gap, 0.0, matching.coverage[0]),
+        matching.misfit[0],
+        matching.noise_gain[0],
+    )
+
+
+# --- pairs ------------------------------------------------------------------------------------------------
+
+_MAX_LISTED_NAMES = 12
+
+
+@dataclass(frozen=True)
+class Pair:
+    # A signature and its reference spectra from one instrument
+    signature: Measured
+    references: tuple[Measured, ...]  #: Repeated readings; their mean is compared.
+    between: bool = False  #: Whether ``signature`` is a reference, from another instrument.
+
+
+def paired(
+    signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None
+) -> tuple[list[Pair], tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Return the pairs of signatures and references, and the names of those without a counterpart.
+
+    Names of signatures without a reference; names of references without a signature, with their instrument;
+    and signatures whose property names an absent reference.
+
+    ``signatures``, ``references``: spectra with their names; ``pairs``: one or several names of references by
+    name of a paint. By default a signature's property ``reference`` names them, and without this property the
+    signature's name.
+
+    Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
+    datasets, share a name; or nothing can be paired. All problems of a kind are listed.
+    """
+    names_of_paint = _named_pairs(signatures, references, pairs) if pairs is not None else None
+    problems = Problems("paints and references cannot be paired by name", SchemaError)
+    counts = Counter(signature.name for signature in signatures)
+    matched: list[Pair] = []
+    unpaired: list[str] = []
+    missing: list[str] = []
+    paired_references: set[int] = set()
+    for signature in signatures:
+        requested = signature.reference_name
+        if names_of_paint is None:
+            names: Sequence[str] = (requested or signature.name,)
+        else:
+            names = names_of_paint.get(signature.name, ())
+        matching = sorted({k for name in names for k in _references_of_name(name, references, problems)})
+        if not matching:
+            is_missing = names_of_paint is None and bool(requested)
+            unpaired.append(signature.name + (f" (no reference {requested!r})" if is_missing else ""))
+            missing += unpaired[-1:] if is_missing else []
+            continue
+        if counts[signature.name] > 1 and (names_of_paint is not None or not requested):
+            problems.add(
+                f"{counts[signature.name]} paints have the name {signature.name!r}",
+                mend="give each paint a unique name",
+                code="paint-duplicate",
+            )
+        paired_references.update(matching)
+        for instrument in dict.fromkeys(references[k].instrument for k in matching):
+            group = tuple(references[k] for k in matching if references[k].instrument == instrument)
+            matched.append(Pair(signature, group))
+    problems.raise_if_any()
+    unpaired_references = tuple(
+        f"{reference.name} ({reference.instrument})"
+        for k, reference in enumerate(references)
+        if k not in paired_references
+    )
+    if not matched:
+        mend = "name them with {}, or give regions a property reference"
+        raise SchemaError(
+            f"no paint has a reference of its name; paints are {_listed([s.name for s in signatures])}, "
+            f"references {_listed(unpaired_references)}",
+            mend=mend.format("pairs={paint: reference}"),
+            option=mend.format("--pairs"),
+            code="reference-unmatched",
+        )
+    return matched, tuple(unpaired), unpaired_references, tuple(missing)
+
+
+def _references_of_name(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
+    # Numbers of the references that a name matches, of every instrument those of the first rank that matches.
+    # Files of one name in different folders are not repeated readings of one paint: a problem.
+    matches: dict[str, list[int]] = {}
+    for rank in range(3):
+        matches_of_rank: dict[str, list[int]] = {}
+        for k, reference in enumerate(references):
+            if name in reference.names.ranks[rank] and reference.instrument not in matches:
+                matches_of_rank.setdefault(reference.instrument, []).append(k)
+        matches |= matches_of_rank
+    for instrument, numbers in matches.items():
+        origins = {references[k].names.origin for k in numbers}
+        if len(origins) > 1:
+            in_datasets = len({dataset for dataset, _ in origins}) > 1
+            candidates = _listed(
+                [
+                    references[k].name
+                    + (f" (dataset {references[k].names.origin[0]})" if in_datasets else "")
+                    for k in numbers
+                ]
+            )
+            mend = "name one reference, or all repeated readings, with {}, or remove files"
+            problems.add(
+                f"{name!r} may be any of {candidates} of {instrument}",
+                mend=mend.format("pairs={paint: reference}"),
+                option=mend.format("--pairs"),
+                code="reference-ambiguous",
+            )
+    return [k for numbers in matches.values() for k in numbers]
+
+
+def _named_pairs(
+    signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any
+) -> dict[str, tuple[str, ...]]:
+    if not isinstance(pairs, Mapping):
+        raise SchemaError(
+            f"pairs is {type(pairs).__name__}",
+            expected="a mapping from names of paints to names of references",
+            code="type-wrong",
+        )
+    problems = Problems("pairs= cannot be used", SchemaError)
+    paints = {signature.name for signature in signatures}
+    known_names = frozenset[str]().union(
+        *(rank for reference in references for rank in reference.names.ranks)
+    )
+    names_of_paint: dict[str, tuple[str, ...]] = {}
+    for paint, value in pairs.items():
+        names = (value,) if isinstance(value, str) else tuple(value)
+        if paint not in paints:
+            problems.add(
+                f"there is no paint {paint!r}", expected=_listed(sorted(paints)), code="paint-unknown"
+            )
+        problems.extend(
+            Problem(
+                f"there is no reference {name!r} for {paint!r}",
+                expected=_listed([reference.name for reference in references]),
+                code="reference-unknown",
+            )
+            for name in names
+            if name not in known_names
+        )
+        names_of_paint[str(paint)] = names
+    problems.raise_if_any()
+    return names_of_paint
+
+
+def _listed(names: Sequence[str]) -> str:
+    text = ", ".join(map(repr, names[:_MAX_LISTED_NAMES])) or "none"
+    more = len(names) - _MAX_LISTED_NAMES
+    return f"{text} and {more} more" if more > 0 else text
+
+
+def between_references(pairs: Sequence[Pair]) -> list[Pair]:
+    # Return pairs of references of one paint, measured by two instruments
+    pairs_of_paint: dict[int, list[Pair]] = {}
+    for pair in pairs:
+        pairs_of_paint.setdefault(id(pair.signature), []).append(pair)
+    return [
+        Pair(_mean_reference(first), second.references, between=True)
+        for same_paint in pairs_of_paint.values()
+        for first, second in itertools.combinations(same_paint, 2)
+    ]
+
+
+def _mean_reference(pair: Pair) -> Measured:
+    # Mean of the readings of a pair, on the channels of the first reading, under the name of the paint
+    first = pair.references[0]
+    renamed = replace(first, names=replace(first.names, shown=pair.signature.name))
+    if len(pair.references) == 1:
+        return renamed
+    operators = [operator_onto(first, reading) for reading in pair.references]
+    values = np.stack(
+        [resample(reading.values) for resample, reading in zip(operators, pair.references, strict=True)]
+    )
+    sd = values.std(axis=0, ddof=1)
+    systematic = np.zeros(sd.shape) if first.u_systematic is None else first.u_systematic
+    return replace(
+        renamed,
+        values=values.mean(axis=0),
+        sd=sd,
+        count=len(values),
+        u_random=None,
+        u_systematic=np.hypot(sd / np.sqrt(len(values)), systematic),
+        covariance=None,
+    )
+
+
+#: Number of random draws of errors; it determines their standard deviation to 2 %.
+DRAWS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    # A pair on common bands
+    pair: Pair
+    bands: Measured  #: The spectrum whose channels are the common bands.
+    signature: Floats  #: (band,): Reflectance [1]; NaN where unknown.
+    reference: Floats  #: (band,): Mean reflectance of the readings [1]; NaN where unknown.
+    operators: tuple[Operator, ...]  #: Resampling of the references, and last of the signature.
+    #: Draws of the errors of signature and reference (draw, band); None where both are unknown.
+    errors: tuple[Floats, Floats] | None
+
+    @property
+    def names(self) -> str:
+        # Names of the references
+        return ", ".join(reference.name for reference in self.pair.references)
+
+    @property
+    def instrument(self) -> str:
+        # Instrument of the references
+        instrument = self.pair.references[0].instrument
+        return f"{self.pair.signature.instrument} against {instrument}" if self.pair.between else instrument
+
+    @property
+    def used(self) -> npt.NDArray[np.bool_]:
+        # Bands that are compared (band,)
+        return np.isfinite(self.signature) & np.isfinite(self.reference)
+
+    @property
+    def coverage(self) -> Floats:
+        # Part of each band's response covered by the channels of all spectra (band,)
+        return np.asarray(np.min([operator.coverage for operator in self.operators], axis=0))
+
+    @property
+    def ranges(self) -> str:
+        # Wavelength ranges of all spectra, as text
+        return ", ".join(
+            f"{spectrum.name} {spectrum.wavelength[0]:g} to {spectrum.wavelength[-1]:g} nm"
+            for spectrum in (self.pair.signature, *self.pair.references)
+        )
+
+    @property
+    def matched(self) -> bool:
+        # Whether values of any reference were changed to join detectors
+        return any(reference.matched for reference in self.pair.references)
+
+    def common(self, name: str) -> str:
+        # Return the word in a field of the references; "mixed" where they differ
+        words = {getattr(reference, name) for reference in self.pair.references}
+        return words.pop() if len(words) == 1 else "mixed"
+
+    def warnings(self) -> list[tuple[str, str]]:
+        # Return code and text of each condition that the user can mend
+        signature, reference_mirror = self.pair.signature, self.common("mirror")
+        name, mirror, quantity = signature.name, signature.mirror, signature.quantity
+        # how to mend a difference in quantity
+        mends = {
+            BODY: "give the reference the attributes measurement_geometry and specular_component, or extract "
+            "signatures with coat=False",
+            OUTSIDE: "extract signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
+            THROUGH_COAT: "extract signatures with coat=True, or call correct_coat",
+        }
+        quantities = dict.fromkeys(reference.quantity for reference in self.pair.references)
+        if quantity and (others := [other for other in quantities if other and other != quantity]):
+            return [
+                (
+                    "coats-differ",
+                    f"{name}: the signature is a {quantity}, the reference a {other}: {mends[quantity]}",
+                )
+                for other in others
+            ]
+        if mirror == reference_mirror or not {mirror, reference_mirror} <= {"included", "excluded", "mixed"}:
+            return []
+        text = (
+            f"{name}: the mirror image of the sky is {mirror} in the signature, {reference_mirror} in the "
+            "reference; a clear coat mirrors 0.04 times the share of skylight; see remove_mirrored_sky"
+        )
+        return [("mirrored-sky-differs", text)]
+
+    def notes(self) -> tuple[str, ...]:
+        # Return remarks for the reader of the result
+        notes = [note for reference in self.pair.references for note in reference.notes]
+        notes += [f"signature: {note}" for note in self.pair.signature.notes]
+        if self.matched:
+            notes.append(
+                "the reference is overlap-matched: its values were scaled below the join of its detectors"
+            )
+        if self.bands is not self.pair.signature:
+            notes.append("the signature was resampled to the reference's bands")
+        narrow = np.any(
+            [~operator.is_covered & np.isfinite(operator.noise_gain) for operator in self.operators], axis=0
+        )
+        reasons = {
+            "not covered completely, or without a value": ~self.used & ~narrow,
+            "narrower than the other spectrum resolves": ~self.used & narrow,
+        }
+        notes += [
+            f"excluded of {self.used.size} bands: {int(excluded.sum())} {reason}"
+            for reason, excluded in reasons.items()
+            if excluded.any()
+        ]
+        is_absolute = self.pair.signature.absolute
+        if any(reference.absolute != is_absolute for reference in self.pair.references):
+            sides = ("reference", "signature") if is_absolute else ("signature", "reference")
+            notes.append(
+                f"the {sides[0]} is relative to a white panel, the {sides[1]} is absolute: the panel's own "
+                f"reflectance is in the difference{'; pass panel=' if is_absolute else ''}"
+            )
+        signature, references = self.pair.signature, self.pair.references
+        has_uncertainty = {
+            "signature": signature.has_uncertainty,
+            "reference": len(references) > 1 or references[0].has_uncertainty,
+        }
+        if unknown := [side for side, is_known in has_uncertainty.items() if not is_known]:
+            notes.append(f"the uncertainty of the {' and the '.join(unknown)} is unknown and not included")
+        notes += [f"uncertainty of the signature: {text}" for text in signature.gaps()]
+        notes += [
+            f"uncertainty of the reference: {text}" for spectrum in references for text in spectrum.gaps()
+        ]
+        return tuple(dict.fromkeys(notes))
+
+    @property
+    def scatter(self) -> float:
+        # Standard deviation of repeated readings, RMS over the bands compared [1]
+        if len(self.pair.references) < 2 or not self.used.any():
+            return 0.0
+        return float(np.sqrt((self._spreads()["reference_sd"][self.used] ** 2).mean()))
+
+    def dataset(self) -> xr.Dataset:
+        # Return both spectra on the common bands
+        columns = {
+            "signature": self.signature,
+            "reference": self.reference,
+            "difference": self.signature - self.reference,
+            "coverage": self.coverage,
+            **self._spreads(),
+        }
+        if self.errors is not None:
+            for name, errors in zip(("signature_u", "reference_u"), self.errors, strict=True):
+                columns[name] = np.sqrt((errors**2).mean(axis=0))
+        sides = ("signature", "reference")
+        meanings = dict(MEANINGS) | {name: f"Reflectance of the {name} on common bands" for name in sides}
+        variables = {
+            name: (BAND, values, {"units": "1", "long_name": meanings[name]})
+            for name, values in columns.items()
+        }
+        wavelength = (BAND, self.bands.wavelength, {"units": "nm", "long_name": "Centre of the common bands"})
+        fwhm = (BAND, self.bands.fwhm, {"units": "nm", "long_name": "Width of the common bands"})
+        return xr.Dataset(
+            variables,
+            {"wavelength": wavelength, "fwhm": fwhm, "used": (BAND, self.used)},
+            {"signature": self.pair.signature.name, "reference": self.names, "instrument": self.instrument},
+        )
+
+    def _spreads(self) -> dict[str, Floats]:
+        spreads = {}
+        signature_sd, references = self.pair.signature.sd, self.pair.references
+        if signature_sd is not None:
+            spreads["signature_sd"] = self.operators[-1](signature_sd)
+        if len(references) > 1:
+            readings = [
+                resample(reading.values)
+                for resample, reading in zip(self.operators[:-1], references, strict=True)
+            ]
+            spreads["reference_sd"] = np.std(readings, axis=0, ddof=1)
+        elif references[0].sd is not None:
+            spreads["reference_sd"] = self.operators[0](references[0].sd)
+        return spreads
+
+
+def compare(pair: Pair, seed: int) -> Compared:
+    # Resample a pair to common bands, and draw its errors there. Every pair has its own generator of the same
+    # seed: the draws do not depend on the order of pairs.
+    if not pair.between:
+        converted = tuple(as_body(reference, pair.signature) for reference in pair.references)
+        pair = replace(pair, references=converted)
+    bands = bands_of(pair.signature, list(pair.references))
+    operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
+    resampled = list(zip(operators[:-1], pair.references, strict=True))
+    readings = np.stack([resample(reading.values) for resample, reading in resampled])
+    rng, count = np.random.default_rng(seed), len(readings)
+    errors = None
+    if pair.signature.has_uncertainty or count > 1 or pair.references[0].has_uncertainty:
+        of_signature = operators[-1](pair.signature.errors(rng, DRAWS))
+        if count == 1:
+            of_mean = operators[0](pair.references[0].errors(rng, DRAWS))
+        else:
+            # draws of the errors of the mean of readings (draw, band); the equation is in `validate`
+            deviations = readings - readings.mean(axis=0)
+            of_mean = rng.standard_normal((DRAWS, count)) @ deviations / np.sqrt(count * (count - 1.0))
+            # readings of one instrument share its systematic error, which their scatter does not show
+            systematic = [
+                resample(reading.u_systematic)
+                for resample, reading in resampled
+                if reading.u_systematic is not None
+            ]
+            if systematic:
+                of_mean += np.mean(systematic, axis=0) * rng.standard_normal((DRAWS, 1))
+            # a few readings may agree by chance: their random uncertainty is added
+            for resample, reading in resampled:
+                if reading.u_random is not None:
+                    noise = reading.u_random * rng.standard_normal((DRAWS, reading.u_random.size))
+                    of_mean += resample(noise) / count
+        errors = of_signature, np.asarray(of_mean)
+    signature = operators[-1](pair.signature.values)
+    return Compared(pair, bands, signature, readings.mean(axis=0), operators, errors)
+
+
+# --- validation, band by band and in parts of the spectrum -------------------------------------------------
+
 
 #: Parts of the spectrum [nm]: first wavelength, and end, exclusive.
 PARTS: Mapping[str, tuple[float, float]] = {
@@ -130,7 +1381,7 @@ def validate(
     Equal quantities are compared: where the signature is of the body under a clear coat, and the attributes
     of a reference declare a reading of the coat's outside (``quantity``, or ``specular_component``
     "included") and its geometry (``measurement_geometry`` such as "d/8", ``coat_index``), the reference is
-    converted to the body, see `hyperpaint.validation.dataset_spectra.as_body`; the result notes it.
+    converted to the body, see `hyperpaint.validation.validating.as_body`; the result notes it.
 
     Statistics are plain means over bands, see `statistics_of`. Their uncertainty comes from propagated draws
     (JCGM 101): random errors independent from channel to channel, systematic errors common to all. The
@@ -175,11 +1426,11 @@ def validate(
             f"{parts!r:.60}", expected="names with first and last wavelength [nm]", code="type-wrong"
         )
         problems.raise_if_any()
-    for name, edges in parts.items():
-        if len(tuple(edges)) != 2 or not edges[0] < edges[1]:
-            problems.add(
-                f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong"
-            )
+    problems.extend(
+        Problem(f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong")
+        for name, edges in parts.items()
+        if len(tuple(edges)) != 2 or not edges[0] < edges[1]
+    )
     problems.raise_if_any()
     reference_spectra = references_from(references, reference_fwhm)
     if panel is not None:
@@ -191,13 +1442,15 @@ def validate(
     between = [compare(pair, seed) for pair in between_references(matched)]
     between = [comparison for comparison in between if comparison.used.any()]
     problems = Problems("pairs have no band in common", SchemaError)
-    for comparison in compared:
-        if not comparison.used.any():
-            problems.add(
-                f"{comparison.pair.signature.name!r}: paint and reference share no complete band "
-                f"({comparison.ranges})",
-                code="range-disjoint",
-            )
+    problems.extend(
+        Problem(
+            f"{comparison.pair.signature.name!r}: paint and reference share no complete band "
+            f"({comparison.ranges})",
+            code="range-disjoint",
+        )
+        for comparison in compared
+        if not comparison.used.any()
+    )
     problems.raise_if_any()
     scatters = [_scatter(comparison, limits) for comparison in compared]
     messages = [message for comparison in compared for message in comparison.warnings()]
@@ -229,7 +1482,7 @@ def validate(
             for row in np.flatnonzero(outside.any(axis=1))
         ]
     for code, text in dict.fromkeys(messages):
-        warnings.warn(PaintWarning(text, code=code), stacklevel=2)
+        warn_user(text, code)
     return Validation(
         statistics=_statistics(compared, parts, limits, user_parts=user_parts),
         spectra=tuple(comparison.dataset() for comparison in compared),
@@ -285,9 +1538,8 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
 
 def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
     # Maximum RMSE at levels of paints; NaN without a limit
-    limit = np.full(np.shape(level), limits.get("rmse", np.inf))
-    if RELATIVE in limits:
-        limit = np.fmin(limit, limits[FLOOR] + limits[RELATIVE] * np.abs(level))
+    of_level = limits[FLOOR] + limits[RELATIVE] * np.abs(level) if RELATIVE in limits else np.inf
+    limit = np.fmin(np.full(np.shape(level), limits.get("rmse", np.inf)), of_level)
     return np.where(np.isfinite(limit), limit, np.nan)
 
 
@@ -295,12 +1547,9 @@ def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
     # A text if repeated readings scatter by more than the tolerance of their mean
     level = np.asarray(compared.reference[compared.used].mean())
     limit = float(np.fmin(_rmse_limit(limits, level), limits.get("mae", np.nan)))
-    if not compared.scatter > limit:
-        return []
-    return [
-        f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of "
-        f"{limit:.2g}; check whether they show one paint"
-    ]
+    text = f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of "
+    text += f"{limit:.2g}; check whether they show one paint"
+    return [text] if compared.scatter > limit else []
 
 
 def _limits(tolerance: Any) -> dict[str, float]:
@@ -313,14 +1562,14 @@ def _limits(tolerance: Any) -> dict[str, float]:
             problems.add(f"{name}: {limit!r}", expected="a number from 0 on", code="value-out-of-range")
     if not limits:
         problems.add("no limit", mend="pass at least one limit, such as rmse 0.02", code="argument-missing")
-    if FLOOR in limits and RELATIVE not in limits:
+    if RELATIVE in limits:
+        limits.setdefault(FLOOR, TOLERANCE[FLOOR])
+    elif FLOOR in limits:
         problems.add(
             "floor is added to a share of the paint's level",
             mend="pass relative as well, such as 0.05",
             code="option-conflict",
         )
-    if RELATIVE in limits:
-        limits.setdefault(FLOOR, TOLERANCE[FLOOR])
     problems.raise_if_any()
     return {name: float(limit) for name, limit in limits.items()}
 
@@ -340,7 +1589,8 @@ def _statistics(
     bands, excluded_bands = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     for row, comparison in enumerate(compared):
         for column, edges in enumerate(parts.values()):
-            in_part = comparison.part(edges)
+            nm = comparison.bands.wavelength
+            in_part = (nm >= edges[0]) & (nm < edges[1])
             used = in_part & comparison.used
             bands[row, column], excluded_bands[row, column] = used.sum(), (in_part & ~used).sum()
             if not used.any():
@@ -363,7 +1613,21 @@ def _statistics(
         statistics["rmse_limit"] > MAX_TOLERANCE_SHARE * statistics["level"] if RELATIVE in limits else False
     )
     judged = (bands >= _MIN_BANDS) & (bands >= _MIN_SHARE * (bands + excluded_bands)) & ~np.asarray(too_dark)
-    passes = _passes(statistics, judged, limits, user_parts=user_parts)
+    # Whether pairs pass in parts (pair, part). A part that is not judged fails outside of a limit, if the
+    # user named it, or if no part of the pair is judged.
+    within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
+    statistic_limits: dict[str, Any] = {
+        name: limit for name, limit in limits.items() if name in STATISTICS and name != "rmse"
+    }
+    if "rmse" in limits or RELATIVE in limits:
+        statistic_limits["rmse"] = statistics["rmse_limit"]
+    for name, limit in statistic_limits.items():
+        deviation = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
+        # NaN is neither within nor outside
+        within &= deviation <= limit
+        outside |= deviation > limit
+    may_pass = judged | ~np.logical_or(user_parts, ~judged.any(axis=1, keepdims=True))
+    passes = np.asarray(~outside & may_pass & (within | ~judged))
     for name, flags in (("judged", judged), ("passes", passes)):
         variables[name] = (dims, flags, {"long_name": MEANINGS[name]})
     for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
@@ -394,24 +1658,3 @@ def _attrs(name: str) -> dict[str, str]:
     units = "degree" if name.startswith("spectral_angle") else "nm" if name.endswith("wavelength") else "1"
     meaning = MEANINGS[name] if name in MEANINGS else f"Standard uncertainty of {name.removesuffix('_u')}"
     return {"units": units, "long_name": meaning}
-
-
-def _passes(
-    statistics: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, user_parts: bool
-) -> Bools:
-    # Whether pairs pass in parts (pair, part).
-    # A part that is not judged fails outside of a limit, if the user named it, or if no part of the pair is
-    # judged.
-    within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
-    statistic_limits: dict[str, Any] = {
-        name: limit for name, limit in limits.items() if name in STATISTICS and name != "rmse"
-    }
-    if "rmse" in limits or RELATIVE in limits:
-        statistic_limits["rmse"] = statistics["rmse_limit"]
-    for name, limit in statistic_limits.items():
-        deviation = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
-        # NaN is neither within nor outside
-        within &= deviation <= limit
-        outside |= deviation > limit
-    may_pass = judged | ~np.logical_or(user_parts, ~judged.any(axis=1, keepdims=True))
-    return np.asarray(~outside & may_pass & (within | ~judged))

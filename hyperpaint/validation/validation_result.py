@@ -234,13 +234,11 @@ class Validation:
             for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts):
                 rows_of_text.setdefault(text, []).append(row)
         remarks = [f"{self._pair_names(rows)}: {text}" for text, rows in rows_of_text.items()]
-        for text, names in (
-            ("without a reference", self.unpaired_signatures),
-            ("references without a paint", self.unpaired_references),
-        ):
-            if names:
-                remarks.append(f"{text}: {', '.join(names)}")
-        return remarks
+        unpaired = {
+            "without a reference": self.unpaired_signatures,
+            "references without a paint": self.unpaired_references,
+        }
+        return [*remarks, *(f"{text}: {', '.join(names)}" for text, names in unpaired.items() if names)]
 
     def _pair_names(self, rows: Sequence[int]) -> str:
         # "all", the instrument that all these pairs and no others share, or the paints

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
@@ -17,11 +16,12 @@ from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.io.spectrometers.asd import open_asd
-from hyperpaint.io.store import list_groups
 from hyperpaint.simulation import simulate_collect
-from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
+from hyperpaint.simulation.collect import MARKER, PARTS
+from hyperpaint.simulation.instruments import CAMERA_SOFTWARE
 from hyperpaint.validation.validation_result import aligned
 
+from .maps import LINES, lines_of_store
 from .pipeline import run
 
 #: Tolerance of the relative RMS error over bands of a signature of many pixels.
@@ -63,95 +63,64 @@ def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tupl
     true_scene = xr.open_zarr(truth)
     attrs = true_scene["paint_id"].attrs
     names = dict(zip(attrs["flag_values"], str(attrs["flag_meanings"]).split(), strict=True))
-    sums: dict[int, _Signature] = {}
+    #: Pixels, cars, sum of recovered and of true reflectance, by paint.
+    sums: dict[int, tuple[int, set[int], Any, Any]] = {}
     wavelength: Floats = np.zeros(0)
-    for group in (name for name in list_groups(store) if name.startswith("flightlines/")):
-        line = xr.open_zarr(store, group=group)
-        wavelength = line["wavelength"].values
-        is_used = line["good"].values & (wavelength >= bands[0]) & (wavelength <= bands[1])
-        for recovered, true, number, car in _paint_pixels(line, true_scene, is_used):
-            for paint in np.unique(number):
-                has_paint = number == paint
-                sums.setdefault(int(paint), _Signature()).add(
-                    recovered[has_paint], true[has_paint], car[has_paint]
-                )
+    labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
+    for slab, true in blocks_with_truth(store, true_scene, labels, bands):
+        wavelength = slab["wavelength"].values
+        # pure, sunlit, unflagged pixels without mirrored sun, on roofs, bonnets and boots
+        is_usable = (true["paint_id"].values >= 0) & (true["purity"].values > _MIN_PURITY)
+        is_usable &= (true["shadow"].values < _MAX_SHADOW) & (true["up"].values > _MIN_HEIGHT_M)
+        is_usable &= (slab["quality"].values == 0) & ~true["glint"].values
+        is_usable[is_usable] = np.isfinite(slab["reflectance"].values[is_usable]).all(axis=1)
+        spectra = [block["reflectance"].values[is_usable].astype(np.float64) for block in (slab, true)]
+        number, car = (true[name].values[is_usable] for name in ("paint_id", "car_id"))
+        for paint in np.unique(number):
+            has_paint = number == paint
+            pixels, cars, *totals = sums.get(int(paint), (0, set(), 0.0, 0.0))
+            recovered, expected = (
+                total + values[has_paint].sum(axis=0) for total, values in zip(totals, spectra, strict=True)
+            )
+            cars = cars | set(np.unique(car[has_paint]).tolist())
+            sums[int(paint)] = pixels + int(has_paint.sum()), cars, recovered, expected
     if not sums:
         return ()
-    field = _field_spectra(truth.parent / "asd_reflectance", wavelength[is_used])
-    agreements = [signature.agreement(names[paint], field[names[paint]]) for paint, signature in sums.items()]
+    spectrometer = open_asd(truth.parent / "asd_reflectance")
+    files = [Path(str(name)).stem for name in spectrometer["source"].values]
+    agreements = []
+    for paint, (pixels, cars, recovered, expected) in sums.items():
+        field = spectrometer["reflectance"].values[files.index(names[paint])]
+        agreements.append(
+            PaintAgreement(
+                paint=names[paint],
+                cars=len(cars),
+                pixels=pixels,
+                recovered=float((recovered / pixels).mean()),
+                error=float(np.sqrt(np.mean(((recovered / pixels) / (expected / pixels) - 1.0) ** 2))),
+                field=float(np.interp(wavelength, spectrometer["wavelength"].values, field).mean()),
+            )
+        )
     return tuple(sorted(agreements, key=lambda agreement: agreement.paint))
 
 
 def blocks_with_truth(
-    line: xr.Dataset, truth: xr.Dataset, names: list[str]
+    store: Path, truth: xr.Dataset, names: list[str], bands: tuple[float, float]
 ) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
-    """Yield blocks of `CHUNK_LINES` lines of a flight line, with the variables ``names`` of their truth."""
-    frames = line["frame"].values
-    for start in range(0, frames.size, CHUNK_LINES):
-        lines = slice(start, start + CHUNK_LINES)
-        true = truth[names].isel({ALONG_TRACK: frames[lines]})
-        yield line[["reflectance", "quality"]].isel({ALONG_TRACK: lines}).compute(), true.compute()
+    """Yield blocks of `CHUNK_LINES` lines of all flight lines, with the variables ``names`` of their truth.
 
-
-Pixels = tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.int64]]
-
-
-def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, is_used: npt.NDArray[np.bool_]) -> Iterator[Pixels]:
-    # recovered and true reflectance (pixel, band), paint and car of pure, sunlit, unflagged pixels
-    labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
-    for slab, true in blocks_with_truth(line, truth, labels):
-        is_usable = (true["paint_id"].values >= 0) & (true["purity"].values > _MIN_PURITY)
-        is_usable &= (
-            (true["shadow"].values < _MAX_SHADOW)
-            & (true["up"].values > _MIN_HEIGHT_M)
-            & (slab["quality"].values == 0)
-        )
-        is_usable &= ~true["glint"].values
-        recovered, true_reflectance = (
-            block["reflectance"].transpose(ALONG_TRACK, CROSS_TRACK, BAND).values[is_usable][:, is_used]
-            for block in (slab, true)
-        )
-        finite = np.isfinite(recovered).all(axis=1)
-        yield (
-            recovered[finite].astype(np.float64),
-            true_reflectance[finite].astype(np.float64),
-            true["paint_id"].values[is_usable][finite].astype(np.int64),
-            true["car_id"].values[is_usable][finite].astype(np.int64),
-        )
-
-
-class _Signature:
-    def __init__(self) -> None:
-        self.pixels, self.cars = 0, set[int]()
-        self.recovered: Floats | float = 0.0
-        self.true: Floats | float = 0.0
-
-    def add(self, recovered: Floats, true: Floats, car: npt.NDArray[np.int64]) -> None:
-        self.pixels += len(car)
-        self.cars.update(np.unique(car).tolist())
-        self.recovered = self.recovered + recovered.sum(axis=0)
-        self.true = self.true + true.sum(axis=0)
-
-    def agreement(self, name: str, field: Floats) -> PaintAgreement:
-        recovered, true = np.asarray(self.recovered) / self.pixels, np.asarray(self.true) / self.pixels
-        return PaintAgreement(
-            paint=name,
-            cars=len(self.cars),
-            pixels=self.pixels,
-            recovered=float(recovered.mean()),
-            error=float(np.sqrt(np.mean((recovered / true - 1.0) ** 2))),
-            field=float(field.mean()),
-        )
-
-
-def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
-
-    spectra = open_asd(folder)
-    nm = spectra["wavelength"].values
-    return {
-        Path(str(name)).stem: np.interp(wavelength, nm, spectrum)
-        for name, spectrum in zip(spectra["source"].values, spectra["reflectance"].values, strict=True)
-    }
+    Bands come last: the good ones from the first to the last wavelength ``bands`` [nm].
+    """
+    for name in lines_of_store(store):
+        line = xr.open_zarr(store, group=f"{LINES}{name}")
+        wavelength, frames = line["wavelength"].values, line["frame"].values
+        is_used = line["good"].values & (wavelength >= bands[0]) & (wavelength <= bands[1])
+        for start in range(0, frames.size, CHUNK_LINES):
+            lines = slice(start, start + CHUNK_LINES)
+            slab = line[["reflectance", "quality"]].isel({ALONG_TRACK: lines, BAND: is_used})
+            true = truth[names].isel({ALONG_TRACK: frames[lines], BAND: is_used})
+            order = (ALONG_TRACK, CROSS_TRACK, ...)
+            yield slab.compute().transpose(*order), true.compute().transpose(*order)
 
 
 def signature_problems(paints: Sequence[PaintAgreement]) -> list[str]:
@@ -223,20 +192,6 @@ class Agreement:
         """Mean recovered minus mean true reflectance."""
         return self.recovered - self.true
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """A row of the table of a `Comparison`."""
-        return (
-            self.material,
-            f"{self.pixels}",
-            f"{self.true:.4f}",
-            f"{self.recovered:.4f}",
-            f"{self.bias:+.5f}",
-            f"{self.rmse_of_mean:.5f}",
-            f"{self.rmse:.5f}",
-            f"{100 * self.oxygen:.2f} %",
-        )
-
 
 @dataclass(frozen=True)
 class Comparison:
@@ -271,7 +226,20 @@ class Comparison:
 
     def __str__(self) -> str:
         head = ("material", "pixels", "true", "recovered", "bias", "RMSE mean", "RMSE", "O2 window")
-        lines = aligned([head, *(agreement.cells for agreement in (*self.materials, self.overall))])
+        rows = [
+            (
+                row.material,
+                f"{row.pixels}",
+                f"{row.true:.4f}",
+                f"{row.recovered:.4f}",
+                f"{row.bias:+.5f}",
+                f"{row.rmse_of_mean:.5f}",
+                f"{row.rmse:.5f}",
+                f"{100 * row.oxygen:.2f} %",
+            )
+            for row in (*self.materials, self.overall)
+        ]
+        lines = aligned([head, *rows])
         rule = "-" * len(lines[0])
         return "\n".join([lines[0], rule, *lines[1:-1], rule, lines[-1]])
 
@@ -287,77 +255,44 @@ def compare(store: Path, truth: Path) -> Comparison:
     """
     true_scene = xr.open_zarr(truth)
     names = str(true_scene["surface"].attrs["flag_meanings"]).split()
-    groups = [name for name in list_groups(store) if name.startswith("flightlines/")]
-    sums: _Sums | None = None
-    for group in groups:
-        line = xr.open_zarr(store, group=group)
-        if sums is None:
-            sums = _Sums.empty(len(names), line["wavelength"].values, line["good"].values)
-        for slab, true in blocks_with_truth(line, true_scene, ["reflectance", "surface"]):
-            sums.add(slab, true)
-    if sums is None:
-        raise StoreError(f"{store} holds no flight line to compare", code="flightline-missing")
-    paints = compare_paints(store, truth, BANDS_NM) if "car_id" in true_scene else ()
-    return replace(sums.comparison(names), paints=paints)
-
-
-@dataclass
-class _Sums:
-    # sums over pixels, (material, band), over the compared bands; is_used: (band,) of the flight line
-    wavelength: Floats
-    is_used: npt.NDArray[np.bool_]
-    count: Floats
-    true: Floats
-    error: Floats
-    squared: Floats
-    pixels: int = 0
-
-    @classmethod
-    def empty(cls, materials: int, wavelength: Floats, good: npt.NDArray[np.bool_]) -> _Sums:
-        is_used = good & (wavelength >= BANDS_NM[0]) & (wavelength <= BANDS_NM[1])
-        shape = (materials, int(is_used.sum()))
-        count, true, error, squared = (np.zeros(shape) for _ in range(4))
-        return cls(wavelength[is_used], is_used, count, true, error, squared)
-
-    def add(self, slab: xr.Dataset, truth: xr.Dataset) -> None:
-        order = (ALONG_TRACK, CROSS_TRACK, BAND)
+    total, slab, sums = 0, None, np.zeros((4, len(names), 1))
+    for slab, true in blocks_with_truth(store, true_scene, ["reflectance", "surface"], BANDS_NM):
         unflagged = slab["quality"].values == 0
-        self.pixels += unflagged.size
-        recovered = (
-            slab["reflectance"].transpose(*order).values[unflagged][:, self.is_used].astype(np.float64)
-        )
-        true_values = (
-            truth["reflectance"].transpose(*order).values[unflagged][:, self.is_used].astype(np.float64)
+        total += unflagged.size
+        recovered, expected = (
+            block["reflectance"].values[unflagged].astype(np.float64) for block in (slab, true)
         )
         is_finite = np.isfinite(recovered)
-        error = np.where(is_finite, recovered - true_values, 0.0)
-        member = truth["surface"].values[unflagged] == np.arange(len(self.count))[:, None]
-        member = member.astype(np.float64)
-        self.count += member @ is_finite
-        self.true += member @ np.where(is_finite, true_values, 0.0)
-        self.error += member @ error
-        self.squared += member @ error**2
+        error = np.where(is_finite, recovered - expected, 0.0)
+        member = (true["surface"].values[unflagged] == np.arange(len(names))[:, None]).astype(np.float64)
+        # sums over pixels (material, band): number, truth, error, squared error
+        terms = (is_finite, np.where(is_finite, expected, 0.0), error, error**2)
+        sums = sums + np.stack([member @ term for term in terms])
+    if slab is None:
+        raise StoreError(f"{store} holds no flight line to compare", code="flightline-missing")
+    wavelength, counts = slab["wavelength"].values, sums[0].max(axis=1)
+    window = (wavelength >= OXYGEN_NM[0]) & (wavelength <= OXYGEN_NM[1])
 
-    def comparison(self, names: list[str]) -> Comparison:
-        counts = self.count.max(axis=1)
-        present = [index for index in range(len(names)) if counts[index] > 0]
-        materials = tuple(self._agreement(names[index], [index]) for index in present)
-        overall = self._agreement("all pixels", present)
-        return Comparison(materials, overall, 1.0 - counts.sum() / max(self.pixels, 1))
-
-    def _agreement(self, name: str, rows: list[int]) -> Agreement:
-        count = self.count[rows].sum(axis=0)
-        true, error = self.true[rows].sum(axis=0) / count, self.error[rows].sum(axis=0) / count
-        window = (self.wavelength >= OXYGEN_NM[0]) & (self.wavelength <= OXYGEN_NM[1])
+    def agreement(name: str, rows: list[int]) -> Agreement:
+        count, true, error, squared = sums[:, rows].sum(axis=1)
+        true, error = true / count, error / count
         return Agreement(
             material=name,
             pixels=int(count.max()),
             true=float(true.mean()),
             recovered=float((true + error).mean()),
             rmse_of_mean=float(np.sqrt(np.mean(error**2))),
-            rmse=float(np.sqrt(self.squared[rows].sum() / count.sum())),
+            rmse=float(np.sqrt(squared.sum() / count.sum())),
             oxygen=float(np.abs(error[window] / true[window]).max()) if window.any() else float("nan"),
         )
+
+    present = [index for index in range(len(names)) if counts[index] > 0]
+    return Comparison(
+        materials=tuple(agreement(names[index], [index]) for index in present),
+        overall=agreement("all pixels", present),
+        flagged=1.0 - counts.sum() / max(total, 1),
+        paints=compare_paints(store, truth, BANDS_NM) if "car_id" in true_scene else (),
+    )
 
 
 # --- the demonstration -------------------------------------------------------------------------------------
@@ -489,9 +424,8 @@ def run_demonstration(
 
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
-    group = next(name for name in list_groups(store) if name.startswith("flightlines/"))
     try:
-        xr.open_zarr(store, group=group).paint.quicklook(picture)
+        xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}").paint.quicklook(picture)
     except MissingExtraError as error:
         say(f"no picture: {error}")
     else:

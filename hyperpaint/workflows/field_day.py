@@ -26,9 +26,9 @@ from hyperpaint.regions import Regions, read_regions
 from hyperpaint.report.store_report import write_report
 
 from .library_files import validate_files, write_signatures, write_table
-from .maps import map_of_store, mosaic_of_store, write_map
+from .maps import LINES, lines_of_store, map_of_store, mosaic_of_store, write_map
 from .pipeline import run
-from .products import Product, Record, StepOutcome, states_of
+from .products import Record, StepOutcome, states_of
 
 #: File with checksums of inputs and products of every step: a step with equal inputs is not repeated, and
 #: products that another program wrote are replaced only on request.
@@ -189,6 +189,11 @@ class FieldDayRun:
         return self.out / STEPS["process"].product
 
     @property
+    def record(self) -> Record:
+        """Record of the products."""
+        return Record(self.out / RECORD, STEPS)
+
+    @property
     def library(self) -> Path:
         """Library of the signatures."""
         return self.out / STEPS["signatures"].product
@@ -201,9 +206,8 @@ class FieldDayRun:
     @functools.cached_property
     def located_lines(self) -> tuple[str, ...]:
         """Names of the flight lines with navigation, from which maps are made."""
-        lines = [name for name in list_groups(self.store) if name.startswith("flightlines/")]
-        located = [name for name in lines if "latitude" in open_store(self.store, name).variables]
-        return tuple(name.removeprefix("flightlines/") for name in located)
+        lines = ((name, open_store(self.store, f"{LINES}{name}")) for name in lines_of_store(self.store))
+        return tuple(name for name, line in lines if "latitude" in line.variables)
 
     @property
     def heights(self) -> dict[str, Any]:
@@ -228,13 +232,11 @@ class FieldDayRun:
             if group
         }
         inputs = [groups, {entry: _INPUTS[entry](self) for entry in step.inputs}]
-        record = Record(self.out / RECORD, STEPS)
+        record = self.record
         outcome = record.produce(
-            Product(name, paths, inputs, functools.partial(step.make, self)), overwrite=self.overwrite
+            name, paths, inputs, functools.partial(step.make, self), overwrite=self.overwrite
         )
-        if name == "validate" and outcome.state == "done":
-            record.write({"passed": self.passed})
-        elif name == "validate" and outcome.state == "unchanged":
+        if name == "validate" and outcome.state == "unchanged":
             self.passed = record.entries().get("passed")
         return outcome
 
@@ -281,6 +283,8 @@ def _validate(day: FieldDayRun) -> str:
     day.passed = validation.passed
     table = day.out / "agreement.csv"
     write_table(validation, table, overwrite=True)
+    # before the step is recorded as done: a run that is killed between them validates again
+    day.record.write({"passed": validation.passed})
     verdict = "passed" if validation.passed else f"NOT passed: {'; '.join(validation.problems[:3])}"
     return f"{table}: {verdict}"
 
@@ -302,8 +306,7 @@ def _map(day: FieldDayRun) -> str:
 def _mosaic(day: FieldDayRun) -> str:
     path = day.out / "mosaic.tif"
     # lines without navigation cannot be mapped
-    lines = day.located_lines
-    mosaic = mosaic_of_store(day.store, lines, progress=day.progress("mosaic"), **day.heights)
+    mosaic = mosaic_of_store(day.store, day.located_lines, progress=day.progress("mosaic"), **day.heights)
     write_map(mosaic, path, overwrite=True)
     return f"{path}: lines {', '.join(mosaic.attrs['flightlines'])}, the steepest view on top"
 

@@ -27,8 +27,7 @@ from hyperpaint.base.facts import documented, key_line, toml_text
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.io.collect.collect_toml import SCHEMA
-from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
-from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.envi.envi_cubes import find_pair, open_envi, read_header
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.files.toml_tables import UNKNOWN
@@ -61,21 +60,6 @@ MAX_SURVEY_SPREAD_M = 1.0
 
 
 @dataclass(frozen=True)
-class Lens:
-    """Optics of the camera, from a header."""
-
-    focal_length_mm: float
-    pixel_pitch_um: float
-    columns: int
-
-    @property
-    def field_of_view(self) -> float:
-        """Angle between the outer edges of the columns [degree]."""
-        half_width_mm = self.columns / 2 * self.pixel_pitch_um * 1e-3 / self.focal_length_mm
-        return 2.0 * math.degrees(math.atan(half_width_mm))
-
-
-@dataclass(frozen=True)
 class Survey:
     """Heights of surveyed points above the ellipsoid."""
 
@@ -93,7 +77,9 @@ class FlightCube:
     frame_index: Path | None  # None: line times must come from elsewhere
     navigation: Path | None
     has_exposure: bool  # whether settings.txt or the header contains the exposure
-    lens: Lens | None = None  # None: missing in the header, or pixels are binned
+    #: Angle between the outer edges of the columns [degree], and the lens; None: missing in the header, or
+    #: pixels are binned.
+    lens: tuple[float, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -148,183 +134,155 @@ def find_field_files(
     ENVI cubes of integers are raw; they are darks if their name, or a subfolder's name, contains ``dark``.
     ASD files of a folder are irradiance or reflectance by the content of the first.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
+    folder, notes = Path(folder), list[str]()
+    raw, darks, calibrations, surveys = (list[Path]() for _ in range(4))
+    spectra: dict[tuple[Path, str], list[Path]] = {}
+
+    def relative(path: Path) -> str:
+        return os.path.relpath(path, folder)
+
+    # cubes are known by their headers, other files by their names
+    for place, kind in ((folder, ""), (dark, "dark"), (asd, "spectra")):
+        if place is None:
+            continue
+        if not Path(place).is_dir():
+            raise CollectError(
+                f"{place} is not a folder",
+                expected=f"a folder of {kind} files" if kind else "the folder of the flight's cubes",
+                code="folder-not-found",
+            )
+        for path in _walk(Path(place)):
+            suffix = path.suffix.lower()
+            if suffix == ".hdr" and kind != "spectra":
+                try:
+                    header = read_header(path)
+                    find_pair(path)
+                except PaintError as error:
+                    notes.append(f"{path.name} is not used: {error}")
+                    continue
+                # a dark outside the folder needs no ``dark`` in its name
+                parts = (kind,) if kind else path.relative_to(folder).parts
+                if header.is_spectral_library:
+                    continue
+                if header.dtype.kind not in "ui":
+                    notes.append(f"{relative(path)} is not used: {header.dtype}, raw counts are integers")
+                else:
+                    (darks if any("dark" in part.lower() for part in parts) else raw).append(path)
+            elif suffix in (".asd", ".sig") and kind != "dark":
+                spectra.setdefault((path.parent, suffix), []).append(path)
+            # a store with flight lines is a processed collect, not a calibration
+            elif not kind and suffix in _STORES and not (path / "flightlines").is_dir():
+                calibrations.append(path)
+            elif not kind and suffix == ".csv" and _SURVEY.search(path.stem):
+                surveys.append(path)
+    if not raw:
+        reasons = f"; {'; '.join(notes)}" if notes else ""
         raise CollectError(
-            f"{folder} is not a folder", expected="the folder of the flight's cubes", code="folder-not-found"
+            f"no raw cube in {folder}{reasons}",
+            expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
+            code="cube-missing",
         )
-    search = _FileSearch(folder)
-    for path in _walk(folder):
-        search.add(path)
-    for extra, kind in ((dark, "dark"), (asd, "spectra")):
-        if extra is not None:
-            search.add_folder(Path(extra), kind)
-    if calibration is not None:
-        search.calibrations = [Path(calibration)]
-    return search.result()
+    chosen = calibrations if calibration is None else [Path(calibration)]
+    camera, sweep = _calibration(chosen, relative, notes)
+    irradiance, references = _instruments(spectra, relative, notes)
+    raw.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
+    cubes = tuple(map(_flight_cube, raw))
+    record = [path for spectra_folder, _ in irradiance for path in spectra[spectra_folder, ".asd"]]
+    utc_offset_h, clock_offsets_s = _record_times(record, cubes)
+    survey = _survey(surveys, relative, notes)
+    return FieldFolder(
+        folder=folder,
+        cubes=cubes,
+        darks=tuple(sorted(darks)),
+        calibration=camera,
+        sweep=sweep,
+        irradiance=tuple(irradiance),
+        references=tuple(references),
+        utc_offset_h=utc_offset_h,
+        clock_offsets_s=clock_offsets_s,
+        survey=survey,
+        notes=tuple(notes),
+    )
 
 
-class _FileSearch:
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.raw: list[Path] = []
-        self.darks: list[Path] = []
-        self.spectra: dict[tuple[Path, str], list[Path]] = {}
-        self.calibrations: list[Path] = []
-        self.surveys: list[Path] = []
-        self.notes: list[str] = []
+def _flight_cube(header: Path) -> FlightCube:
+    has_exposure, lens = False, None
+    with contextlib.suppress(PaintError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        dataset = open_envi(header)
+        has_exposure = find_exposure(None, header, header.name, dataset, required=False)[0] is not None
+        if lengths := lens_lengths(read_header(header).comments):
+            (focal_mm, pitch_um), columns = lengths, dataset.sizes[CROSS_TRACK]
+            angle = 2.0 * math.degrees(math.atan(columns / 2 * pitch_um * 1e-3 / focal_mm))
+            lens = angle, f"{focal_mm:g} mm, {columns} pixels of {pitch_um:g} um"
+    return FlightCube(header, frame_index_beside(header), navigation_beside(header), has_exposure, lens)
 
-    def add(self, path: Path) -> None:
-        # classify cubes by their header, other files by their names
-        suffix = path.suffix.lower()
-        if suffix == ".hdr":
-            inner = path.relative_to(self.folder) if path.is_relative_to(self.folder) else path
-            self._add_cube(path, is_dark=any("dark" in part.lower() for part in inner.parts))
-        elif suffix in (".asd", ".sig"):
-            self.spectra.setdefault((path.parent, suffix), []).append(path)
-        # a store with flight lines is a processed collect, not a calibration
-        elif suffix in _STORES and not (path / "flightlines").is_dir():
-            self.calibrations.append(path)
-        elif suffix == ".csv" and _SURVEY.search(path.stem):
-            self.surveys.append(path)
 
-    def add_folder(self, folder: Path, kind: str) -> None:
-        # a dark outside the field folder needs no ``dark`` in its name
-        if not folder.is_dir():
-            raise CollectError(
-                f"{folder} is not a folder", expected=f"a folder of {kind} files", code="folder-not-found"
-            )
-        for path in _walk(folder):
-            if kind == "dark" and path.suffix.lower() == ".hdr":
-                self._add_cube(path, is_dark=True)
-            elif kind == "spectra" and path.suffix.lower() in (".asd", ".sig"):
-                self.add(path)
-
-    def _add_cube(self, path: Path, *, is_dark: bool) -> None:
-        try:
-            header = read_header(path)
-            find_pair(path)
-        except PaintError as error:
-            self.notes.append(f"{path.name} is not used: {error}")
-            return
-        if header.is_spectral_library:
-            return
-        if header.dtype.kind not in "ui":
-            self.notes.append(f"{self._relative(path)} is not used: {header.dtype}, raw counts are integers")
-            return
-        (self.darks if is_dark else self.raw).append(path)
-
-    def _relative(self, path: Path) -> str:
-        return os.path.relpath(path, self.folder)
-
-    def result(self) -> FieldFolder:
-        if not self.raw:
-            reasons = f"; {'; '.join(self.notes)}" if self.notes else ""
-            raise CollectError(
-                f"no raw cube in {self.folder}{reasons}",
-                expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
-                code="cube-missing",
-            )
-        calibration, sweep = self._calibration()
-        irradiance, references = self._instruments()
-        cubes = tuple(self._flight_cubes())
-        record = [path for folder, _ in irradiance for path in self.spectra[folder, ".asd"]]
-        utc_offset_h, clock_offsets_s = _record_times(record, cubes)
-        return FieldFolder(
-            folder=self.folder,
-            cubes=cubes,
-            darks=tuple(sorted(self.darks)),
-            calibration=calibration,
-            sweep=sweep,
-            irradiance=tuple(irradiance),
-            references=tuple(references),
-            utc_offset_h=utc_offset_h,
-            clock_offsets_s=clock_offsets_s,
-            survey=self._survey(),
-            notes=tuple(self.notes),
-        )
-
-    def _flight_cubes(self) -> Iterator[FlightCube]:
-        for header in sorted(self.raw, key=lambda path: (path.parent, cube_number(path) or 0, path.name)):
-            has_exposure, lens = False, None
-            with contextlib.suppress(PaintError), warnings.catch_warnings():
-                warnings.simplefilter("ignore", PaintWarning)
-                dataset = open_envi(header)
-                has_exposure = (
-                    find_exposure(None, header, header.name, dataset, required=False)[0] is not None
-                )
-                lengths = lens_lengths(read_header(header).comments)
-                lens = None if lengths is None else Lens(*lengths, dataset.sizes[CROSS_TRACK])
-            companions = frame_index_beside(header), navigation_beside(header)
-            yield FlightCube(header, *companions, has_exposure, lens)
-
-    def _survey(self) -> Survey | None:
-        # the surveyed height of the ground, from a single file with similar heights
-        if len(self.surveys) != 1:
-            if self.surveys:
-                names = ", ".join(map(self._relative, self.surveys))
-                self.notes.append(
-                    f"several surveys ({names}): the height of the ground is not taken from them"
-                )
-            return None
-        (path,) = self.surveys
+def _survey(paths: list[Path], relative: Callable[[Path], str], notes: list[str]) -> Survey | None:
+    # the surveyed height of the ground, from a single file with similar heights
+    if len(paths) > 1:
+        names = ", ".join(map(relative, paths))
+        notes.append(f"several surveys ({names}): the height of the ground is not taken from them")
+    for path in paths if len(paths) == 1 else ():
         try:
             heights = _surveyed_heights(path)
         except FormatError as error:
-            self.notes.append(f"{self._relative(path)} is not used: {error}")
+            notes.append(f"{relative(path)} is not used: {error}")
             return None
         spread = float(np.ptp(heights))
-        if spread > MAX_SURVEY_SPREAD_M:
-            self.notes.append(
-                f"{self._relative(path)} is not used: its heights differ by {spread:.2f} m, and a single "
-                f"height is used for up to {MAX_SURVEY_SPREAD_M:g} m; use a dem instead"
-            )
-            return None
-        return Survey(path, float(np.median(heights)), spread, heights.size)
+        if spread <= MAX_SURVEY_SPREAD_M:
+            return Survey(path, float(np.median(heights)), spread, heights.size)
+        notes.append(
+            f"{relative(path)} is not used: its heights differ by {spread:.2f} m, and a single "
+            f"height is used for up to {MAX_SURVEY_SPREAD_M:g} m; use a dem instead"
+        )
+    return None
 
-    def _calibration(self) -> tuple[Path | None, Path | None]:
-        # the single calibration, else the single lab sweep
 
-        calibrations, sweeps, reasons = [], [], []
-        for path in self.calibrations:
+def _calibration(
+    paths: list[Path], relative: Callable[[Path], str], notes: list[str]
+) -> tuple[Path | None, Path | None]:
+    # the single calibration, else the single lab sweep
+    calibrations, sweeps, reasons = [], [], []
+    for path in paths:
+        try:
+            open_calibration(path)
+            calibrations.append(path)
+        except PaintError as error:
             try:
-                open_calibration(path)
-                calibrations.append(path)
-            except PaintError as error:
-                try:
-                    open_sweep(path)
-                    sweeps.append(path)
-                except PaintError:
-                    reasons.append(f"{self._relative(path)} is not used: {error}")
-        candidates = calibrations or sweeps
-        if not candidates:
-            self.notes += reasons
-        if len(candidates) > 1:
-            names = ", ".join(map(self._relative, candidates))
-            self.notes.append(f"several calibrations ({names}) are not used; choose one with --calibration")
-            return None, None
-        return (candidates[0], None) if calibrations else (None, candidates[0] if sweeps else None)
+                open_sweep(path)
+                sweeps.append(path)
+            except PaintError:
+                reasons.append(f"{relative(path)} is not used: {error}")
+    candidates = calibrations or sweeps
+    if not candidates:
+        notes += reasons
+    if len(candidates) > 1:
+        names = ", ".join(map(relative, candidates))
+        notes.append(f"several calibrations ({names}) are not used; choose one with --calibration")
+        return None, None
+    return (candidates[0], None) if calibrations else (None, candidates[0] if sweeps else None)
 
-    def _instruments(self) -> tuple[list[tuple[Path, str]], list[tuple[str, Path, str]]]:
-        # folders of irradiance, and folders of reflectance with their instruments
-        irradiance: list[tuple[Path, str]] = []
-        references: list[tuple[str, Path, str]] = []
-        for (folder, suffix), files in sorted(self.spectra.items()):
-            if suffix == ".sig":
-                references.append(("svc", folder, suffix))
-                continue
-            try:
-                quantity = _read_quietly(sorted(files)[:1])[1]
-            except PaintError as error:
-                self.notes.append(f"{self._relative(folder)}/*.asd is not used: {error}")
-                continue
-            if quantity == "irradiance":
-                irradiance.append((folder, suffix))
-            elif quantity == "reflectance":
-                references.append(("asd", folder, suffix))
-            else:
-                self.notes.append(f"{self._relative(folder)}/*.asd is not used: it contains {quantity}")
-        return irradiance, references
+
+def _instruments(
+    spectra: dict[tuple[Path, str], list[Path]], relative: Callable[[Path], str], notes: list[str]
+) -> tuple[list[tuple[Path, str]], list[tuple[str, Path, str]]]:
+    # folders of irradiance, and folders of reflectance with their instruments
+    irradiance: list[tuple[Path, str]] = []
+    references: list[tuple[str, Path, str]] = []
+    for (folder, suffix), files in sorted(spectra.items()):
+        try:
+            quantity = "svc" if suffix == ".sig" else _read_quietly(sorted(files)[:1])[1]
+        except PaintError as error:
+            notes.append(f"{relative(folder)}/*.asd is not used: {error}")
+            continue
+        if quantity == "irradiance":
+            irradiance.append((folder, suffix))
+        elif quantity in ("svc", "reflectance"):
+            references.append(("svc" if quantity == "svc" else "asd", folder, suffix))
+        else:
+            notes.append(f"{relative(folder)}/*.asd is not used: it contains {quantity}")
+    return irradiance, references
 
 
 def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
@@ -459,83 +417,64 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
     def relative(path: Path) -> str:
         return Path(os.path.relpath(path, base)).as_posix()
 
-    def key(name: str, value: Any = None, note: str = "") -> str:
-        # ``table`` is the table being written
+    def key(table: str, name: str, value: Any = None, note: str = "") -> str:
         return key_line(SCHEMA[table], name, value, note)
 
-    name = files.folder.resolve().name
-    yield f"# Written by hyperpaint init from the files in {name}."
-    yield f'# Replace every "{UNKNOWN}"; a key behind # is optional, with its default or an example.'
-    table = "collect"
-    yield from ("", "[collect]", f"name = {_quoted(name)}")
+    def of_path(path: Path | None) -> str:
+        return UNKNOWN if path is None else _without_controls(relative(path))
 
-    table = "camera"
-    yield from ("", "[camera]", key("bit_depth", 12), key("stamp", "end"))
+    name, survey, lens = files.folder.resolve().name, files.survey, files.cubes[0].lens
+    camera = [key("camera", "bit_depth", 12), key("camera", "stamp", "end")]
     if not all(cube.has_exposure for cube in files.cubes):
-        yield key("exposure_time_ms", UNKNOWN, "exposure [ms]: no settings.txt and no header states it")
+        note = "exposure [ms]: no settings.txt and no header states it"
+        camera.append(key("camera", "exposure_time_ms", UNKNOWN, note))
     if not all(cube.frame_index for cube in files.cubes):
-        yield key("frame_period_ms", UNKNOWN, "time from line to line [ms]: a cube has no frame index")
-
-    table = "calibration"
-    yield from ("", "[calibration]")
-    if files.sweep is not None:
-        yield key("sweep", _without_controls(relative(files.sweep)))
-    else:
-        calibration = files.calibration
-        yield key("path", UNKNOWN if calibration is None else _without_controls(relative(calibration)))
-
-    table = "dark"
-    yield from (
-        "",
-        "[dark]",
-        key("cubes", [_without_controls(relative(path)) for path in files.darks] or UNKNOWN),
-    )
-
-    table = "navigation"
-    yield from ("", "[navigation]  # for maps only")
-    yield "# Conventions differ between makers, and no file states them. These are assumed for a Headwall"
-    yield "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture."
-    for choice, fact in SCHEMA["navigation"].items():
-        if fact.choices:
-            yield key(choice, fact.default or "left_to_right")
-
-    table = "geometry"
-    yield from ("", "[geometry]  # for maps only")
-    if files.survey is None:
-        yield from (key("ground"), key("dem"))
-    else:
-        survey = files.survey
+        note = "time from line to line [ms]: a cube has no frame index"
+        camera.append(key("camera", "frame_period_ms", UNKNOWN, note))
+    calibration = ("path", files.calibration) if files.sweep is None else ("sweep", files.sweep)
+    ground = [key("geometry", "ground"), key("geometry", "dem")]
+    if survey is not None:
         source = f"{relative(survey.path)}, median of {survey.points} points within {survey.spread:.2f} m"
-        yield key("ground", round(survey.height, 3), f"m above the ellipsoid: {source}")
-    lens = files.cubes[0].lens
-    if lens is None:
-        yield key("fov_deg")
-    else:
-        optics = f"{lens.focal_length_mm:g} mm, {lens.columns} pixels of {lens.pixel_pitch_um:g} um"
-        yield key("fov_deg", float(f"{lens.field_of_view:.6g}"), f"lens of the header: {optics}")
-    yield from (key("boresight_deg"), key("lever_arm_m"))
-
-    table = "irradiance"
-    yield from ("", "[irradiance]")
-    if not files.irradiance:
-        yield key("files", UNKNOWN, "files of the irradiance spectrometer (not needed for radiance)")
-    else:
+        ground = [key("geometry", "ground", round(survey.height, 3), f"m above the ellipsoid: {source}")]
+    fov = (None, "") if lens is None else (float(f"{lens[0]:.6g}"), f"lens of the header: {lens[1]}")
+    irradiance = [
+        key("irradiance", "files", UNKNOWN, "files of the irradiance spectrometer (not needed for radiance)")
+    ]
+    if files.irradiance:
         patterns = [_without_controls(f"{relative(folder)}/*{suffix}") for folder, suffix in files.irradiance]
-        yield key("files", patterns[0] if len(patterns) == 1 else patterns)
-        yield key("quantity", "irradiance")
-        if files.utc_offset_h is None:
-            yield key("utc_offset_h", UNKNOWN, "logging PC minus UTC [h], such as -5: no file states it")
-        yield key("clock_offset_s", *_clock_offset(files.clock_offsets_s))
-        yield from (key("fwhm_nm"), key("mount"))
-        table = "alignment"
-        yield from ("", "[alignment]", key("apply", "auto"))
-
-    table = "flightlines"
+        note = "logging PC minus UTC [h], such as -5: no file states it"
+        irradiance = [
+            key("irradiance", "files", patterns[0] if len(patterns) == 1 else patterns),
+            key("irradiance", "quantity", "irradiance"),
+            *([key("irradiance", "utc_offset_h", UNKNOWN, note)] if files.utc_offset_h is None else []),
+            key("irradiance", "clock_offset_s", *_clock_offset(files.clock_offsets_s)),
+            key("irradiance", "fwhm_nm"),
+            key("irradiance", "mount"),
+            *("", "[alignment]", key("alignment", "apply", "auto")),
+        ]
+    yield from (
+        f"# Written by hyperpaint init from the files in {name}.",
+        f'# Replace every "{UNKNOWN}"; a key behind # is optional, with its default or an example.',
+        *("", "[collect]", f"name = {_quoted(name)}"),
+        *("", "[camera]", *camera),
+        *("", "[calibration]", key("calibration", calibration[0], of_path(calibration[1]))),
+        *("", "[dark]", key("dark", "cubes", list(map(of_path, files.darks)) or UNKNOWN)),
+        *("", "[navigation]  # for maps only"),
+        "# Conventions differ between makers, and no file states them. These are assumed for a Headwall",
+        "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture.",
+        *(
+            key("navigation", choice, fact.default or "left_to_right")
+            for choice, fact in SCHEMA["navigation"].items()
+            if fact.choices
+        ),
+        *("", "[geometry]  # for maps only", *ground, key("geometry", "fov_deg", *fov)),
+        *(key("geometry", "boresight_deg"), key("geometry", "lever_arm_m")),
+        *("", "[irradiance]", *irradiance),
+    )
     ids = _folder_ids(files.cubes, relative)
     for cube, cubes in _tables(files.cubes, relative):
         yield from ("", "[[flightlines]]")
-        folder_id = ids.get(cube.header.parent)
-        is_pattern = cubes.endswith(_RAW_CUBES)
+        folder_id, is_pattern = ids.get(cube.header.parent), cubes.endswith(_RAW_CUBES)
         if folder_id is not None:
             yield f"id = {_quoted(folder_id if is_pattern else f'{folder_id}_{_stem(cube)}')}"
         yield f"cube = {_quoted(cubes)}"
@@ -546,19 +485,20 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
         if cube.navigation is not None:
             yield f"nav = {_quoted(relative(cube.navigation))}"
         if cube.frame_index is None or cube.navigation is None:
-            yield key("start_time", UNKNOWN, "UTC of the first line, such as 2021-07-20T17:00:00Z")
-
-    table = "panels"
-    yield from ("", "# [[panels]]  # targets of known reflectance in the scene: they scale their line")
-    yield '# line = "raw_0"'
-    yield from map(key, ("along_track", "cross_track", "reflectance", "uncertainty"))
+            note = "UTC of the first line, such as 2021-07-20T17:00:00Z"
+            yield key("flightlines", "start_time", UNKNOWN, note)
+    yield from (
+        *("", "# [[panels]]  # targets of known reflectance in the scene: they scale their line"),
+        '# line = "raw_0"',
+        *(key("panels", name) for name in ("along_track", "cross_track", "reflectance", "uncertainty")),
+    )
     for instrument, folder, suffix in files.references:
-        yield from ("", "[[references]]", f"instrument = {_quoted(instrument)}")
-        yield f"files = {_quoted(f'{relative(folder)}/*{suffix}')}"
+        pattern = _quoted(f"{relative(folder)}/*{suffix}")
+        yield from ("", "[[references]]", f"instrument = {_quoted(instrument)}", f"files = {pattern}")
     if files.notes:
         yield from ("", "# Files without a use:")
-        for note in files.notes:
-            yield from textwrap.wrap(note, 100, initial_indent="# * ", subsequent_indent="#   ")
+    for note in files.notes:
+        yield from textwrap.wrap(note, 100, initial_indent="# * ", subsequent_indent="#   ")
     yield ""
 
 

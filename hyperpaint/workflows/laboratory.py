@@ -138,12 +138,6 @@ def opened_collect(
         mount=_with_geometry,
         level=level_irradiance,
     )
-    _declare_panels(opened)
-    return opened
-
-
-def _declare_panels(opened: OpenedCollect) -> None:
-
     lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
     panels_by_line: dict[str, list[dict[str, Any]]] = {}
     for panel in opened.settings.panels:
@@ -156,6 +150,7 @@ def _declare_panels(opened: OpenedCollect) -> None:
         panels_by_line.setdefault(panel.line, []).append(row)
     for name, rows in panels_by_line.items():
         lines[name].dataset = lines[name].to_dataset().assign_attrs(panels=json.dumps(rows))
+    return opened
 
 
 def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
@@ -170,7 +165,15 @@ def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
     if geometry.get("look_angle") is not None:
         angles = _column_angles(geometry["look_angle"], line.sizes[CROSS_TRACK])
     elif "fov_deg" in geometry and "roll" in line.variables:
-        angles = _pinhole_angles(line, geometry["fov_deg"])
+        convention = Convention.from_attrs(line.attrs)
+        if convention is None or convention.column_order is None:
+            raise SchemaError(
+                "[geometry] fov_deg without the order of columns",
+                mend='declare [navigation] column_order = "left_to_right" or "right_to_left"',
+                code="column-order-missing",
+            )
+        camera = PinholeCamera(line.sizes[CROSS_TRACK], field_of_view=geometry["fov_deg"], edges="outer")
+        angles = camera.look_across(convention.column_order)
     else:
         return line.assign_attrs(attrs)
     table = xr.DataArray(angles, dims=(CROSS_TRACK,))
@@ -193,17 +196,3 @@ def _column_angles(path: Path, columns: int) -> Floats:
             code="length-mismatch",
         )
     return np.asarray(angles, np.float64)
-
-
-def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
-    # angles of columns from a field of view between the outer edges of the columns [degree]
-
-    convention = Convention.from_attrs(line.attrs)
-    if convention is None or convention.column_order is None:
-        raise SchemaError(
-            "[geometry] fov_deg without the order of columns",
-            mend='declare [navigation] column_order = "left_to_right" or "right_to_left"',
-            code="column-order-missing",
-        )
-    camera = PinholeCamera(line.sizes[CROSS_TRACK], field_of_view=fov_deg, edges="outer")
-    return camera.look_across(convention.column_order)

@@ -40,7 +40,7 @@ from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.validation import Validation, validate
 
-from .maps import location_of
+from .maps import LINES, lines_of_store, location_of
 
 MAX_LISTED_REJECTIONS = 10
 MAX_STORED_REJECTIONS = 200
@@ -135,14 +135,11 @@ def write_signatures(
                     option="--no-flags extracts without them",
                 )
                 raise
-    origins: dict[str, None] = {}
-    for name, line in lines.items():
-        if name in new_flags:
-            origin = str(new_flags[name].line["quality"].attrs["flags_from"])
-        else:
-            text = str(line["quality"].attrs.get("flags_from", "not said from what"))
-            origin = f"those of the store, {text}" if name in flagged_lines else NOT_DETECTED
-        origins[origin] = None
+    origins = dict.fromkeys(lines, NOT_DETECTED)
+    for name in flagged_lines & set(lines):
+        text = lines[name]["quality"].attrs.get("flags_from", "not said from what")
+        origins[name] = f"those of the store, {text}"
+    origins |= {name: str(new.line["quality"].attrs["flags_from"]) for name, new in new_flags.items()}
     targets, refused = _propose(lines, new_flags, survey_options) if outlines is None else (outlines, [])
     lines |= {name: flagged.line for name, flagged in new_flags.items()}
     if options.get("specular_sky"):
@@ -158,7 +155,7 @@ def write_signatures(
                 subject = f"extracting from {name or store}"
                 stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
         library = extract_signatures(lines, targets, progress=step_progress, **options)
-    library.attrs |= {"store": store_path.name, "flags": "; ".join(origins)}
+    library.attrs |= {"store": store_path.name, "flags": "; ".join(dict.fromkeys(origins.values()))}
     if refused:
         library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
     to_store(library, Path(out), overwrite=overwrite)
@@ -192,16 +189,13 @@ def _open_lines(
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
     # opened lines by name, and the names of lines that have flags
 
-    listed = list_groups(store)
-    groups = [group for group in listed if group.startswith("flightlines/")]
-    names = [group.removeprefix("flightlines/") for group in groups]
-    datasets = {}
-    if listed == [""]:
+    names, datasets = lines_of_store(store), {}
+    if list_groups(store) == [""]:
         dataset = open_store(store)
         if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) or {"y", "x"} <= set(dataset.dims):
             datasets[str(dataset.attrs.get("name", ""))] = dataset
     for name in names if not requested or not set(requested) <= set(names) else requested:
-        datasets[name] = open_store(store, f"flightlines/{name}")
+        datasets[name] = open_store(store, f"{LINES}{name}")
     if not datasets:
         raise StoreError(
             f"{store} holds no flight line",
@@ -302,8 +296,7 @@ def validate_files(
                 code="references-missing",
             )
         references = [store]
-    spectra = open_references(references)
-    return validate(signatures, spectra, name_pairs, panel=certificate, **options)
+    return validate(signatures, open_references(references), name_pairs, panel=certificate, **options)
 
 
 # --- tables ------------------------------------------------------------------------------------------------

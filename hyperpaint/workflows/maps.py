@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import os
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -19,9 +20,17 @@ from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, published_files
 from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
-from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
+from hyperpaint.io.maps.map_grids import geozarr_attrs, stac_item, with_own_transform
 from hyperpaint.io.maps.rasters import read_heights
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
+
+#: Prefix of the groups of flight lines.
+LINES = "flightlines/"
+
+
+def lines_of_store(store: str | os.PathLike[str]) -> list[str]:
+    """Return the names of the flight lines of a store."""
+    return [group.removeprefix(LINES) for group in list_groups(store) if group.startswith(LINES)]
 
 
 def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
@@ -96,10 +105,22 @@ def location_of(
     """
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
-    names = ("longitude", "latitude", "altitude")
-    is_flown = set(names) <= set(flightline.variables)
-    track: Any = tuple(flightline[name].values for name in names) if is_flown else None
-    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid, track)
+    if dem is not None:
+        names = ("longitude", "latitude", "altitude")
+        is_flown = set(names) <= set(flightline.variables)
+        track: Any = tuple(flightline[name].values for name in names) if is_flown else None
+        references = {"height_reference": dem_heights, "geoid_undulation": geoid}
+        heights = read_heights(dem, track).assign_attrs(
+            {name: value for name, value in references.items() if value is not None}
+        )
+        if "height_reference" not in heights.attrs:
+            raise SchemaError(
+                f"the height reference of {dem} is unknown (most DEMs are above the geoid)",
+                mend="pass dem_heights='ellipsoid', or dem_heights='geoid' with geoid=, its height there [m]",
+                option="pass --set dem_heights=ellipsoid, or --set dem_heights=geoid with --set geoid=METRES",
+                code="height-reference-missing",
+            )
+        location["dem"] = heights
     if (field_of_view, focal_length_mm, pixel_pitch_um) != (None, None, None):
         location["camera"] = PinholeCamera(
             flightline.sizes["cross_track"],
@@ -130,15 +151,14 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
 
     Raises `SchemaError` if the store has no named flight lines, or lacks one of ``names``.
     """
-    prefix = "flightlines/"
-    stored = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
+    stored = lines_of_store(store)
     absent = [name for name in names if name not in stored]
     if absent or not stored:
         expected, lacking = ", ".join(stored) or "none", ", ".join(absent) or "named line"
         raise SchemaError(
             f"{store} has no {lacking}", expected=f"flight lines {expected}", code="flightline-unknown"
         )
-    lines = {name: open_store(store, f"{prefix}{name}") for name in names or stored}
+    lines = {name: open_store(store, f"{LINES}{name}") for name in names or stored}
     location = {name: options.pop(name) for name in LOCATION & set(options)}
     # all lines were flown with the same camera
     return mosaic(lines, **options, **location_of(next(iter(lines.values())), **location))
@@ -242,8 +262,7 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     """Return a flight line of a store by its name, by default the only one; or the map of a store."""
-    prefix = "flightlines/"
-    lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
+    lines = lines_of_store(store)
     if not lines and line is not None:
         raise SchemaError(
             f"{store} has no flight line {line!r}, and no named flight lines",
@@ -261,24 +280,5 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
             option="pass --line",
             code="flightline-unknown",
         )
-    flightline: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store, "")
+    flightline: xr.Dataset = open_store(store, f"{LINES}{name}" if lines else "")
     return flightline
-
-
-def _heights(
-    path: Path, reference: str | None, undulation: float | None, around: tuple[Any, Any, Any] | None
-) -> xr.DataArray:
-
-    dem = read_heights(path, around)
-    references = {"height_reference": reference, "geoid_undulation": undulation}
-    heights: xr.DataArray = dem.assign_attrs(
-        {name: value for name, value in references.items() if value is not None}
-    )
-    if "height_reference" not in heights.attrs:
-        raise SchemaError(
-            f"the height reference of {path} is unknown (most DEMs are above the geoid)",
-            mend="pass dem_heights='ellipsoid', or dem_heights='geoid' with geoid=, its height there [m]",
-            option="pass --set dem_heights=ellipsoid, or --set dem_heights=geoid with --set geoid=METRES",
-            code="height-reference-missing",
-        )
-    return heights

@@ -13,7 +13,6 @@ import itertools
 import json
 import os
 import shlex
-import warnings
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -29,17 +28,16 @@ from hyperpaint.base.constants import ALIGNMENTS, DEFAULT_CODEC, KEPT_BITS, NUME
 from hyperpaint.base.errors import (
     CollectError,
     PaintError,
-    PaintWarning,
     Problems,
     SchemaError,
     StoreError,
+    warn_user,
 )
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares
 from hyperpaint.geometry.navigation_checking import navigation_findings
 from hyperpaint.io.collect.collect_toml import read_collect
-from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.envi.envi_cubes import find_pair, read_header
 from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.io.store import budget, open_group
 from hyperpaint.io.store.budget import limited_threads, parse_size
@@ -55,19 +53,13 @@ from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 from hyperpaint.radiometry.panels import declared_panels
 
 from .laboratory import opened_collect
-from .products import Outcome, computing_on, local_folder, refuse_to_write_over, write_groups
+from .products import Outcome, computing_on, digest_of, local_folder, refuse_to_write_over, write_groups
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
     from hyperpaint.io.store.budget import Demand
-
-
-def settings_of(parameters: Mapping[str, Any]) -> str:
-    """Return the settings of a run as text: version of its numerics, and a digest of all settings."""
-    text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
-    return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
 
 
 def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
@@ -152,7 +144,7 @@ def refuse_findings(
             elif finding.kind.refused:
                 refused.append(finding.problem(acceptable=True))
             else:
-                warnings.warn(PaintWarning(str(finding), code=finding.kind.name), stacklevel=3)
+                warn_user(str(finding), finding.kind.name)
     if refused:
         raise CollectError(
             f"{opened.settings.path} is implausible, and is not processed",
@@ -181,25 +173,17 @@ def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
     """Warn of flags that more than `MANY_FLAGGED` of the pixels of a stored line have."""
     import zarr
 
-    for name in lines:
-        if not (store / name / "quality").exists():
-            continue
+    for name in (name for name in lines if (store / name / "quality").exists()):
         quality = zarr.open_array(store / name / "quality", mode="r", zarr_format=3)
-        counts: Counter[str] = Counter()
+        shares: Counter[str] = Counter()
         for start in range(0, quality.shape[0], _LINES_A_READ):
             values = np.asarray(quality[start : start + _LINES_A_READ])
-            counts.update(
-                {str(flag.name): share * values.size for flag, share in flag_shares(values).items()}
-            )
-        shares = {flag: count / quality.size for flag, count in counts.items()}
-        texts = [
-            f"{100 * share:.0f} % {flag.lower()}" for flag, share in shares.items() if share > MANY_FLAGGED
-        ]
-        if texts:
-            message = (
-                f"{name}: many pixels are flagged: {', '.join(texts)}; check these flags before using values"
-            )
-            warnings.warn(PaintWarning(message, code="pixels-flagged"), stacklevel=3)
+            part = values.size / quality.size
+            shares.update({str(flag.name): part * share for flag, share in flag_shares(values).items()})
+        if flags := [f"{100 * n:.0f} % {flag.lower()}" for flag, n in shares.items() if n > MANY_FLAGGED]:
+            message = f"{name}: many pixels are flagged: {', '.join(flags)}"
+            mend = "check these flags before using values"
+            warn_user(f"{message}; {mend}", "pixels-flagged")
 
 
 # --- where it is computed ---
@@ -428,7 +412,9 @@ def opened_groups(
         if f"/{name}" not in tree.groups:
             continue
         dataset = tree[name].to_dataset()
-        settings = settings_of(line_parameters if name in cubes else {})
+        # version of the numerics, and a digest of all settings
+        parts = [FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, line_parameters if name in cubes else {}]
+        settings = f"numerics={NUMERICS_VERSION} digest={digest_of(parts)[:32]}"
         digest = inputs_digest(dataset, cubes.get(name, ()), settings)
         groups[name] = dataset.assign_attrs({INPUTS: digest, SETTINGS: settings})
     return opened, groups
@@ -445,10 +431,8 @@ def corrections_of(lines: Mapping[str, xr.Dataset]) -> dict[str, str]:
 
 def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
     """Return a flight line after `hyperpaint.alignment.align`; other groups unchanged."""
-    if to == "radiance" or not name.startswith("flightlines/"):
-        return dataset
-
-    return align(dataset, apply=apply)
+    is_aligned = to != "radiance" and name.startswith("flightlines/")
+    return align(dataset, apply=apply) if is_aligned else dataset
 
 
 def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:
@@ -458,7 +442,6 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
     if to == "radiance":
         product = dataset.paint.radiance()
         return product.drop_vars("radiance") if storage == "none" and "counts" in product else product
-
     product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=declared_panels(dataset) or None)
     product["reflectance"].attrs["keep_bits"] = KEPT_BITS
     split = split_of_lines(dataset)

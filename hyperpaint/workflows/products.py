@@ -75,13 +75,9 @@ def paths_in(settings: Any) -> Iterator[Path]:
     if isinstance(settings, Path):
         yield settings
     elif dataclasses.is_dataclass(settings) and not isinstance(settings, type):
-        for field in dataclasses.fields(settings):
-            yield from paths_in(getattr(settings, field.name))
-    elif isinstance(settings, Mapping):
-        for value in settings.values():
-            yield from paths_in(value)
-    elif isinstance(settings, list | tuple | set | frozenset):
-        for value in settings:
+        yield from paths_in([getattr(settings, field.name) for field in dataclasses.fields(settings)])
+    elif isinstance(settings, Mapping | list | tuple | set | frozenset):
+        for value in settings.values() if isinstance(settings, Mapping) else settings:
             yield from paths_in(value)
 
 
@@ -95,13 +91,10 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
     problems = Problems(
         f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
     )
-    for path in dict.fromkeys(path_in_settings.resolve() for path_in_settings in paths_in(settings)):
-        if output == path:
-            problems.add(f"it is {path}, an input", code="output-is-input")
-        elif output in path.parents:
-            problems.add(f"it holds {path}, an input", code="output-is-input")
-        elif path in output.parents and path.is_dir():
-            problems.add(f"it lies in {path}, an input", code="output-is-input")
+    for path in dict.fromkeys(map(Path.resolve, paths_in(settings))):
+        relation = "is" if output == path else "holds" if output in path.parents else "lies in"
+        if relation != "lies in" or (path in output.parents and path.is_dir()):
+            problems.add(f"it {relation} {path}, an input", code="output-is-input")
     problems.raise_if_any()
 
 
@@ -256,42 +249,39 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
     Raises `MissingExtraError` if distributed is not installed; `CollectError` if no scheduler answers at the
     address; `StoreError` if the cluster has no worker.
     """
-    if address is None:
-        client = client_in_force()
+    with contextlib.ExitStack() as stack:
+        if address is None:
+            client = client_in_force()
+            # set the scheduler here, so that dask does not search for a client again
+            if client is None and not dask.config.get("scheduler", None):
+                stack.enter_context(dask.config.set(scheduler=scheduler_in_force()))
+        else:
+            with needs_extra("distributed", "distributed", "processing on a cluster"):
+                from distributed import Client
+            try:
+                # not the default client: if no scheduler answers, it would remain the default, and later
+                # computations wait
+                client = stack.enter_context(Client(address, timeout="10s", set_as_default=False))
+            except (OSError, ValueError, TimeoutError) as error:
+                raise CollectError(
+                    f"no dask scheduler answers at {address!r} ({error})",
+                    expected="an address such as tcp://host:8786",
+                    code="scheduler-unreachable",
+                ) from error
+            stack.enter_context(client.as_current())
+            stack.enter_context(dask.config.set(scheduler=client.get))
         if client is not None:
-            _wait_for_workers(client)
-        # set the scheduler here, so that dask does not search for a client again
-        has_scheduler = client is not None or dask.config.get("scheduler", None)
-        with dask.config.set({} if has_scheduler else {"scheduler": scheduler_in_force()}):
-            yield client
-        return
-    with needs_extra("distributed", "distributed", "processing on a cluster"):
-        from distributed import Client
-    try:
-        # not the default client: if no scheduler answers, it would remain the default, and later computations
-        # wait
-        client = Client(address, timeout="10s", set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise CollectError(
-            f"no dask scheduler answers at {address!r} ({error})",
-            expected="an address such as tcp://host:8786",
-            code="scheduler-unreachable",
-        ) from error
-    with client, client.as_current(), dask.config.set(scheduler=client.get):
-        _wait_for_workers(client)
+            try:
+                # the size of tasks depends on the memory of the first worker
+                client.wait_for_workers(1, timeout=WORKERS_WAIT)
+            except TimeoutError as error:
+                scheduler = client.scheduler_info()["address"]
+                raise StoreError(
+                    f"no worker joined the scheduler at {scheduler} within {WORKERS_WAIT} s",
+                    mend="start workers (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
+                    code="worker-missing",
+                ) from error
         yield client
-
-
-def _wait_for_workers(client: Client) -> None:
-    # the size of tasks depends on the memory of the first worker
-    try:
-        client.wait_for_workers(1, timeout=WORKERS_WAIT)
-    except TimeoutError as error:
-        raise StoreError(
-            f"no worker joined the scheduler at {client.scheduler_info()['address']} within {WORKERS_WAIT} s",
-            mend="start workers (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
-            code="worker-missing",
-        ) from error
 
 
 # --- files and folders -------------------------------------------------------------------------------------
@@ -299,16 +289,6 @@ def _wait_for_workers(client: Client) -> None:
 _HASH = "blake2b"
 #: Entry of a product that was begun and not finished: its files may be those of a run.
 _UNFINISHED: dict[str, Any] = {"inputs": None, "products": None}
-
-
-@dataclass(frozen=True)
-class Product:
-    """Declaration of a product of files: what it is made from, and the function that makes it."""
-
-    name: str  #: Name in the record.
-    paths: tuple[Path, ...]  #: Its files or folders.
-    inputs: Any  #: Everything that it depends on, besides the version of the program; values for JSON.
-    make: Callable[[], str]  #: Makes it, and returns a text for the report.
 
 
 @dataclass(frozen=True)
@@ -367,13 +347,16 @@ class Record:
         content = json.dumps({**self.entries(), **entries}, indent=1, sort_keys=True)
         publish_file(self.path, content.encode(), overwrite=True)
 
-    def produce(self, product: Product, *, overwrite: bool) -> StepOutcome:
+    def produce(
+        self, name: str, paths: tuple[Path, ...], inputs: Any, make: Callable[[], str], *, overwrite: bool
+    ) -> StepOutcome:
         """Make a product unless it is current; errors of the package are an outcome.
 
-        ``overwrite``: whether to replace files that another program wrote or changed.
+        ``paths``: its files or folders; ``inputs``: values for JSON of everything that it depends on, besides
+        the version of the program; ``make``: makes it, and returns a text for the report; ``overwrite``:
+        whether to replace files that another program wrote or changed.
         """
-        name, paths, listed = product.name, product.paths, ", ".join(map(str, product.paths))
-        inputs = digest_of([version_of_program(), name, product.inputs])
+        inputs, listed = digest_of([version_of_program(), name, inputs]), ", ".join(map(str, paths))
         entry, states = self.entries().get(name), states_of(paths)
         if entry == {"inputs": inputs, "products": states} and all(map(Path.exists, paths)):
             return StepOutcome(name, "unchanged", listed, paths)
@@ -389,7 +372,7 @@ class Record:
                 )
             # if this run is interrupted, its files are not taken for those of another program
             self.write({name: _UNFINISHED})
-            text = product.make()
+            text = make()
         except PaintError as error:
             return StepOutcome(name, "failed", str(error), error=error)
         self.write({name: {"inputs": inputs, "products": states_of(paths)}})

@@ -35,7 +35,6 @@ import os
 import shutil
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -66,7 +65,7 @@ from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.pictures.figures import new_figure, save_figure
 from hyperpaint.pictures.plot import overview
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.painting import assigned_paints, by_name
 from hyperpaint.simulation.rendering.relighting import relight
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
@@ -85,7 +84,6 @@ from .products import (
 )
 from .scene_files import (
     SCHEMA,
-    RenderParts,
     SceneFile,
     build_parts,
     chosen_atmospheres,
@@ -95,7 +93,7 @@ from .scene_files import (
 )
 
 if TYPE_CHECKING:
-    from hyperpaint.simulation.camera import Camera, Detector, Optics
+    from hyperpaint.simulation.camera import Camera
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import Platform
 
@@ -145,30 +143,21 @@ def flight_line(
             line["radiance"], parts.camera, exposure_time, seed, atmosphere.name, noise=parts.noise
         )
         line = line.drop_vars("radiance").merge(counts)
-    line = irradiance_series(line, parts.platform).assign_coords(pose_of(parts.platform))
-    line = line.assign(look_angle=look_angle_of(parts.platform))
-    return line if picture is None else line.assign(overview=picture)
-
-
-def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
-    """Return a render with the irradiance that a spectrometer logs during the flight, every 2 s.
-
-    ``relit`` has the spectrum of its steady light; the record starts before and ends after the flight.
-    """
-    first, last = (moment.astype("datetime64[s]") for moment in platform.utc[[0, -1]])
+    # the irradiance that a spectrometer logs every 2 s, from before to after the flight
+    first, last = (moment.astype("datetime64[s]") for moment in parts.platform.utc[[0, -1]])
     count = int((last - first).astype(np.int64) + 2 * _MARGIN_S) // _INTERVAL_S + 2
     seconds = _INTERVAL_S * np.arange(count) - _MARGIN_S
     time = (first + seconds.astype("timedelta64[s]")).astype("datetime64[ns]")
-    spectrum = np.asarray(relit["irradiance"][0].values)
-    wavelength = relit[IRRADIANCE_WAVELENGTH].variable
-    return (
-        relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
-        .assign(
-            irradiance=_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
-            irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL_S),
-        )
-        .assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
+    spectrum = np.asarray(line["irradiance"][0].values)
+    wavelength = line[IRRADIANCE_WAVELENGTH].variable
+    line = line.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)).assign(
+        irradiance=_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
+        irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL_S),
+        look_angle=look_angle_of(parts.platform),
     )
+    coords = {IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength}
+    line = line.assign_coords({**coords, **pose_of(parts.platform)})
+    return line if picture is None else line.assign(overview=picture)
 
 
 def pose_of(platform: Platform) -> dict[str, xr.Variable]:
@@ -206,28 +195,47 @@ def counts_of(
     cube = radiance.transpose(*CUBE).data
     reach = 0 if camera.optics is None else camera.optics.reach
     number, stops = cube.shape[0], np.cumsum(cube.chunks[0]).tolist()
-    exposure = _Exposure(
-        detector, camera.optics, scale, factor, camera.pedestal, key if noise else None, number
-    )
+
+    def exposed(block: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
+        # counts of ``lines`` in their order, because afterglow of a line adds to the next; the block starts
+        # at the line ``first``
+        block = np.nan_to_num(block, nan=0.0)  # beyond the scene there is no light
+        counts = np.empty((len(lines), *block.shape[1:]), dtype=np.uint16)
+        for line, row in zip(lines, counts, strict=True):
+            rng = np.random.default_rng([*key, line]) if noise else None
+            if camera.optics is None:
+                signal = np.asarray(block[line - first] * (scale * factor))
+            else:
+                rows = camera.optics.rows_of(line, number)
+                signal = camera.optics.image([block[row - first] * scale for row in rows]) * factor
+            electrons = detector.read(signal, rng)
+            if camera.pedestal:
+                electrons += camera.pedestal
+            row[...] = detector.convert(electrons[None])[0]
+        return counts
+
     blocks = []
     for start, stop in zip([0, *stops], stops, strict=False):
         # include the lines around a block that blur into it
         window_start, window_end = max(start - reach, 0), min(stop + reach, number)
         window = cube[window_start:window_end].rechunk(-1)
-        chunks = ((stop - start,), *window.chunks[1:])
         block = da.map_blocks(
-            exposure.counts,
+            exposed,
             window,
             first=window_start,
             lines=range(start, stop),
             dtype=np.uint16,
-            chunks=chunks,
+            chunks=((stop - start,), *window.chunks[1:]),
             meta=np.empty((0, 0, 0), dtype=np.uint16),
         )
         blocks.append(block)
+    dark = detector.dark
+    if noise:  # the mean of frames has residual noise and rounding errors
+        sd = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
+        dark = np.asarray(dark + sd * np.random.default_rng([seed, _DARK]).standard_normal(dark.shape))
     variables = {
         "counts": xr.Variable(CUBE, da.concatenate(blocks), VARIABLES["counts"].attrs),
-        "dark_counts": _variable("dark_counts", _dark(detector, key) if noise else detector.dark),
+        "dark_counts": _variable("dark_counts", dark),
         "radiance_gain": _variable("radiance_gain", camera.radiance_gain()),
         "exposure_time": _variable("exposure_time", exposure_time),
         "saturation_count": _variable("saturation_count", detector.saturation_count),
@@ -235,43 +243,6 @@ def counts_of(
         "read_noise": _variable("read_noise", camera.read_noise),
     }
     return xr.Dataset(variables)
-
-
-@dataclass(frozen=True)
-class _Exposure:
-    detector: Detector
-    optics: Optics | None
-    scale: Floats  # Counts at a mean radiance of 1, (band, cross_track)
-    factor: Floats  # Relative response of the elements, 0 for dead elements, (band, cross_track)
-    pedestal: float
-    key: tuple[int, ...] | None  # Of the noise; None for none
-    number: int  # Number of lines of the scene
-
-    def counts(self, cube: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
-        # counts of ``lines`` in their order, because afterglow of a line adds to the next; the cube starts at
-        # ``first``
-        cube = np.nan_to_num(cube, nan=0.0)  # beyond the scene there is no light
-        counts = np.empty((len(lines), *cube.shape[1:]), dtype=np.uint16)
-        for line, row in zip(lines, counts, strict=True):
-            rng = None if self.key is None else np.random.default_rng([*self.key, line])
-            electrons = self.detector.read(self._signal(cube, first, line), rng)
-            if self.pedestal:
-                electrons += self.pedestal
-            row[...] = self.detector.convert(electrons[None])[0]
-        return counts
-
-    def _signal(self, cube: Floats32, first: int, line: int) -> Floats:
-        if self.optics is None:
-            return np.asarray(cube[line - first] * (self.scale * self.factor))
-        window = [cube[row - first] * self.scale for row in self.optics.rows_of(line, self.number)]
-        return self.optics.image(window) * self.factor
-
-
-def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
-    # the mean of frames has residual noise and rounding errors
-    rng = np.random.default_rng([key[0], _DARK])
-    sd = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
-    return np.asarray(detector.dark + sd * rng.standard_normal(detector.dark.shape))
 
 
 def _variable(name: str, values: Any) -> xr.Variable:
@@ -284,6 +255,7 @@ TRANSPORT = "transport"
 
 #: Prefix of the groups of renders.
 RENDERS = "renders/"
+_SETTINGS = {SETTINGS: f"numerics={NUMERICS_VERSION}"}
 
 # lower bounds of the compressed size: hundreds of bytes for a pixel of a traced scene, two for a sample of a
 # render
@@ -407,9 +379,16 @@ def run(
 ) -> Outcome:
     """Render a scene, as `render_scene` does with the same arguments, and return the groups written."""
     out = local_folder(out, "render")
-    file = _with_options(read_scene_file(path), samples, to)
-    if hold_edges is not None:
-        file = dataclasses.replace(file, hold_edges=hold_edges)
+    file, problems = read_scene_file(path), Problems("cannot render", SchemaError)
+    if samples is not None:
+        if SCHEMA["sampling"]["samples"].note(problems, as_argument("samples", samples), samples):
+            samples = int(samples)  # a number of numpy would give another digest
+        file = dataclasses.replace(file, sampling={**file.sampling, "samples": samples})
+    if to is not None:
+        SCHEMA["output"]["product"].note(problems, as_argument("to", to), to)
+    problems.raise_if_any()
+    changes: dict[str, Any] = {"product": to, "hold_edges": hold_edges}
+    file = dataclasses.replace(file, **{name: value for name, value in changes.items() if value is not None})
     refuse_to_write_over(out, (file, library and Path(library)), "render")
     # a rough check before the scene is built; `check_room` is exact
     folder = next(parent for parent in out.absolute().parents if parent.exists())
@@ -449,7 +428,7 @@ def run(
         for mesh in file.meshes:
             with open_input(mesh.path, "an input of a scene") as content:
                 digest = hashlib.file_digest(content, "sha256").hexdigest()
-            meshes.append([digest, mesh.name, dict(mesh.options)])
+                meshes.append([digest, mesh.name, dict(mesh.options)])
         inputs = {
             "format": [FORMAT_VERSION, NUMERICS_VERSION],
             "scene": {**file.scene, "name": file.name},
@@ -459,10 +438,9 @@ def run(
             "suns": parts.suns,
             "overcast": parts.overcast,
         }
-        traced = traced.assign_coords(pose_of(parts.platform)).assign_attrs({INPUTS: digest_of(inputs)[:32]})
-        settings = {SETTINGS: f"numerics={NUMERICS_VERSION}"}
+        attrs = {INPUTS: digest_of(inputs)[:32], **_SETTINGS}
+        traced = traced.assign_coords(pose_of(parts.platform)).assign_attrs(attrs)
         planned = {TRANSPORT: traced, **_renders(traced, file, parts, names)}
-        planned = {name: dataset.assign_attrs(settings) for name, dataset in planned.items()}
         size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
 
         def pending_groups(pending: list[str]) -> dict[str, xr.Dataset]:
@@ -481,8 +459,7 @@ def run(
             if name == TRANSPORT:
                 return planned[name]
             turn.settle()
-            traced = open_group(out, TRANSPORT)
-            return _renders(traced, file, parts, [name.removeprefix(RENDERS)])[name].assign_attrs(settings)
+            return _renders(open_group(out, TRANSPORT), file, parts, [name.removeprefix(RENDERS)])[name]
 
         def announced(name: str) -> str:
             if name == TRANSPORT:
@@ -511,18 +488,6 @@ def run(
         )
 
 
-def _with_options(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
-    problems = Problems("cannot render", SchemaError)
-    if samples is not None:
-        if SCHEMA["sampling"]["samples"].note(problems, as_argument("samples", samples), samples):
-            samples = int(samples)  # a number of numpy would give another digest
-        file = dataclasses.replace(file, sampling={**file.sampling, "samples": samples})
-    if to is not None:
-        SCHEMA["output"]["product"].note(problems, as_argument("to", to), to)
-    problems.raise_if_any()
-    return file if to is None else dataclasses.replace(file, product=to)
-
-
 # --- groups to write ---------------------------------------------------------------------------------------
 
 
@@ -548,7 +513,7 @@ def _renders(
                 "product": [file.product, file.true_reflectance, file.sampling["seed"]],
             }
             renders[RENDERS + atmosphere.name] = flight_line(traced, atmosphere, file, parts).assign_attrs(
-                {INPUTS: digest_of(inputs)[:32]}
+                {INPUTS: digest_of(inputs)[:32], **_SETTINGS}
             )
     return renders
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, PaintError, Problem, Problems, SchemaError
 from hyperpaint.base.facts import (
     Fact,
     Facts,
@@ -34,16 +36,15 @@ from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
 from hyperpaint.io.library import open_library
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
+from hyperpaint.simulation.atmosphere import SKY
 from hyperpaint.simulation.camera import Camera
-from hyperpaint.simulation.rendering.appearance import coat_of_gloss
 from hyperpaint.simulation.rendering.car_parks import BAY, CAR_PARK, car_park, note_car_park_faults
 from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
-from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material
+from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material, coat_of_gloss
 from hyperpaint.simulation.rendering.mesh_files import read_mesh
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, Platform, note_pushbroom_faults, pushbroom
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS, Instance, Scene, plane
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
-from hyperpaint.simulation.rendering.sky_models import SKY
 from hyperpaint.simulation.settings import CAMERA_FIELDS, SimulationSettings
 from hyperpaint.simulation.transport.path_codes import MAX_SUNS
 
@@ -240,7 +241,28 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
         spectra={name: file for name, file in spectra.items() if file is not None},
         paints=values(reader.one("paints")), **values(reader.one("output")),
     )  # fmt: skip
-    _check_size(scene_file, problems)
+    if scene_file.scene["kind"] == "car_park":
+        # 1300 triangles a car, two a leaf
+        park = park_arguments(scene_file.scene)
+        bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
+        trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
+        triangles = float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
+        if triangles > _MAX_TRIANGLES:
+            problems.add(
+                f"[scene] would have some {triangles:.1e} triangles",
+                expected=f"at most {_MAX_TRIANGLES:.0e}",
+                mend="make it shorter or narrower, or give its trees fewer leaves",
+                code="scene-too-large",
+            )
+    lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
+    bands = scene_file.camera.get("bands", SimulationSettings.bands)
+    if lines * columns * bands > _MAX_VALUES:
+        problems.add(
+            f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
+            expected=f"at most {_MAX_VALUES:.0e}",
+            mend="cut the flight into several",
+            code="cube-too-large",
+        )
     problems.raise_if_any()
     return scene_file
 
@@ -287,21 +309,37 @@ def park_arguments(scene: Mapping[str, Any]) -> dict[str, Any]:
 def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
     entries, names = [], []
     for row, table in enumerate(reader.tables["meshes"]):
-        place = reader.place("meshes", row)
-        if "path" not in table["?"]:
-            reader.problems.add(
-                f"{place} path is missing", mend="name the file of its triangles", code="key-missing"
-            )
-        if not table["?"] & {"spectrum", "materials"}:
-            reader.problems.add(
-                f"{place} spectrum is missing",
-                mend="name a spectrum, or materials, part by part",
-                code="key-missing",
-            )
+        place, name = reader.place("meshes", row), table.get("name", f"mesh_{row + 1}")
+        for is_missing, key, mend in (
+            ("path" not in table["?"], "path", "name the file of its triangles"),
+            (
+                not table["?"] & {"spectrum", "materials"},
+                "spectrum",
+                "name a spectrum, or materials, part by part",
+            ),
+        ):
+            if is_missing:
+                reader.problems.add(f"{place} {key} is missing", mend=mend, code="key-missing")
         for part, material in table.get("materials", {}).items():
-            _check_material(reader.problems, f"{place} materials.{part:.40}", material)
+            where = f"{place} materials.{part:.40}"
+            surface = {"spectrum": material} if isinstance(material, str) else material
+            if not isinstance(surface, dict) or "spectrum" not in surface:
+                reader.problems.add(
+                    f"{where} = {shown(material)}",
+                    expected="a spectrum, or a table with spectrum",
+                    mend="name its spectrum",
+                    code="type-wrong",
+                )
+                continue
+            for key, value in surface.items():
+                if key in MATERIAL:
+                    found = f"{where}.{key} = {shown(value)}"
+                    MATERIAL[key].note(reader.problems, found, value, MATERIAL[key].mend)
+                else:
+                    known = f"known are {', '.join(MATERIAL)}"
+                    found = f"{where} unknown key {key[:40]!r}"
+                    reader.problems.add(found, mend=known, code="key-unknown")
         path = reader.path(place, "path", table.get("path"))
-        name = table.get("name", f"mesh_{row + 1}")
         if name in names:
             reader.problems.add(
                 f"{place} name = {name!r} is the name of another mesh",
@@ -313,24 +351,6 @@ def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
             options = {key: value for key, value in values(table).items() if key not in ("path", "name")}
             entries.append(MeshEntry(path, name, options))
     return tuple(entries)
-
-
-def _check_material(problems: Problems, place: str, material: Any) -> None:
-    table = {"spectrum": material} if isinstance(material, str) else material
-    if not isinstance(table, dict) or "spectrum" not in table:
-        problems.add(
-            f"{place} = {shown(material)}",
-            expected="a spectrum, or a table with spectrum",
-            mend="name its spectrum",
-            code="type-wrong",
-        )
-        return
-    for key, value in table.items():
-        if key in MATERIAL:
-            MATERIAL[key].note(problems, f"{place}.{key} = {shown(value)}", value, MATERIAL[key].mend)
-        else:
-            known = f"known are {', '.join(MATERIAL)}"
-            problems.add(f"{place} unknown key {key[:40]!r}", mend=known, code="key-unknown")
 
 
 def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -412,62 +432,56 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
             problems.add(f"{place} name is missing", mend="name its group in the store", code="key-missing")
         return None
     reader.is_name(place, "name", name)
-    if not sources and name not in PRESETS:
-        problems.add(
-            f"{place} name = {shown(name)} without a source of light",
-            expected=f"a preset ({', '.join(PRESETS)}), table or irradiance",
-            mend="name one of them",
-            code="choice-unknown",
-        )
-    if sources and sources[0] != "preset" and "sun_zenith_deg" not in present:
-        problems.add(
-            f"{place} sun_zenith_deg is missing",
-            mend=f"state where the sun stands: {sources[0]} does not contain it",
-            code="key-missing",
-        )
-    for key in ("direct_fraction", "time"):
-        if key in present and sources != ["irradiance"]:
-            problems.add(
-                f"{place} {key} without irradiance", mend="name files of a spectrometer", code="key-misplaced"
+    measured = [source for source in sources if source != "preset"]
+    needs_sun = sources[:1] not in ([], ["preset"]) and "sun_zenith_deg" not in present
+    checks = (
+        (
+            not sources and name not in PRESETS,
+            Problem(
+                f"{place} name = {shown(name)} without a source of light",
+                expected=f"a preset ({', '.join(PRESETS)}), table or irradiance",
+                mend="name one of them",
+                code="choice-unknown",
+            ),
+        ),
+        (
+            needs_sun,
+            Problem(
+                f"{place} sun_zenith_deg is missing",
+                mend=f"state where the sun stands: {''.join(sources[:1])} does not contain it",
+                code="key-missing",
+            ),
+        ),
+        *(
+            (
+                key in present and sources != ["irradiance"],
+                Problem(
+                    f"{place} {key} without irradiance",
+                    mend="name files of a spectrometer",
+                    code="key-misplaced",
+                ),
             )
-    for key in ("aerosol", "water"):
-        if key in present and set(sources) & {"table", "irradiance"}:
-            problems.add(
-                f"{place} {key} with {sources[-1]}",
-                expected="a preset",
-                mend="remove the key",
-                code="key-misplaced",
+            for key in ("direct_fraction", "time")
+        ),
+        *(
+            (
+                key in present and measured != [],
+                Problem(
+                    f"{place} {key} with {''.join(sources[-1:])}",
+                    expected="a preset",
+                    mend="remove the key",
+                    code="key-misplaced",
+                ),
             )
+            for key in ("aerosol", "water")
+        ),
+    )
+    problems.extend(problem for is_wrong, problem in checks if is_wrong)
     files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
     sky = {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)}
     options = arguments_of(SCHEMA["atmospheres"], sky)
     preset = table.get("preset", None if sources else name)
     return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
-
-
-def _check_size(scene_file: SceneFile, problems: Problems) -> None:
-    if scene_file.scene["kind"] == "car_park":
-        # 1300 triangles a car, two a leaf
-        park = park_arguments(scene_file.scene)
-        bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
-        trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
-        triangles = float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
-        if triangles > _MAX_TRIANGLES:
-            problems.add(
-                f"[scene] would have some {triangles:.1e} triangles",
-                expected=f"at most {_MAX_TRIANGLES:.0e}",
-                mend="make it shorter or narrower, or give its trees fewer leaves",
-                code="scene-too-large",
-            )
-    lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
-    bands = scene_file.camera.get("bands", SimulationSettings.bands)
-    if lines * columns * bands > _MAX_VALUES:
-        problems.add(
-            f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
-            expected=f"at most {_MAX_VALUES:.0e}",
-            mend="cut the flight into several",
-            code="cube-too-large",
-        )
 
 
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", "")
@@ -514,7 +528,10 @@ def read_paints(path: Path) -> dict[str, xr.Dataset] | xr.Dataset:
 
 def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
 
-    records = _export_records(path.parent)
+    records: dict[str, dict[str, Any]] = {}  # by material id; empty for material lists of other programs
+    with contextlib.suppress(FormatError, OSError, ValueError, TypeError, KeyError):
+        document = json.loads(read_limited(path.parent / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
+        records = {str(record["id"]): dict(record) for record in document["paints"]}
     problems = Problems(f"{path} cannot be rendered", FormatError)
     paints: dict[str, xr.Dataset] = {}
     for material in read_materials(path):
@@ -540,15 +557,6 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
             paints[str(record.get("paint", material.name))] = paint
     problems.raise_if_any()
     return paints
-
-
-def _export_records(folder: Path) -> dict[str, dict[str, Any]]:
-    # records of paints by material id; empty for material lists of other programs
-    try:
-        document = json.loads(read_limited(folder / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
-        return {str(record["id"]): dict(record) for record in document["paints"]}
-    except (FormatError, OSError, ValueError, TypeError, KeyError):
-        return {}
 
 
 def spectra_digest(spectra: Mapping[str, Any]) -> str:
@@ -599,28 +607,32 @@ def build_parts(file: SceneFile) -> RenderParts:
     Raises `FormatError` if the file, or one of its files, cannot be used; all problems are listed. Raises
     `MissingExtraError` if a mesh needs a package that is not installed.
     """
-    problems = Problems(f"{file.path} cannot be rendered", FormatError)
     parts: dict[str, Any] = {}
-    # build every part, so that all problems are listed
-    builders: dict[str, tuple[str, Callable[[], Any]]] = {
-        "scene": ("[scene]", lambda: _built_scene(file)),
-        "camera": (
-            "[camera]",
-            lambda: Camera.of(SimulationSettings.of(camera_fields(file.platform, file.camera))),
-        ),
-        "atmospheres": ("[[atmospheres]]", lambda: _built_atmospheres(file)),
-        "spectra": ("[spectra]", lambda: _spectra(file)),
-        "platform": ("[platform]", lambda: _platform(file, parts.get("scene"))),
+    builders: dict[str, Callable[[], Any]] = {
+        "[scene]": lambda: _built_scene(file),
+        "[camera]": lambda: Camera.of(SimulationSettings.of(camera_fields(file.platform, file.camera))),
+        "[[atmospheres]]": lambda: _built_atmospheres(file),
+        "[spectra]": lambda: _spectra(file),
+        "[platform]": lambda: _platform(file, parts.get("[scene]")),
     }
-    for name, (table, build) in builders.items():
+    _built(builders, Problems(f"{file.path} cannot be rendered", FormatError), parts)
+    noise = file.camera.get("noise", True)
+    return RenderParts(**{table.strip("[]"): part for table, part in parts.items()}, noise=noise)
+
+
+def _built(
+    builders: Mapping[str, Callable[[], Any]], problems: Problems, parts: dict[str, Any]
+) -> dict[str, Any]:
+    # add the results of all builders to ``parts``, so that the problems of all are listed
+    for name, build in builders.items():
         try:
             parts[name] = build()
         except ImportError:
             raise
         except (PaintError, OSError) as error:
-            problems.add_error(table, error)
+            problems.add_error(name, error)
     problems.raise_if_any()
-    return RenderParts(**parts, noise=file.camera.get("noise", True))
+    return parts
 
 
 def chosen_atmospheres(parts: RenderParts, names: Sequence[str]) -> tuple[Atmosphere, ...]:
@@ -720,46 +732,38 @@ def _platform(file: SceneFile, scene: Scene | None) -> Platform:
 
 
 def _built_atmospheres(file: SceneFile) -> tuple[Atmosphere, ...]:
+
+    def built(entry: AtmosphereEntry) -> Atmosphere:
+        options = dict(entry.options)
+        oktas = options.pop("oktas", None)
+        if entry.table is not None:
+            atmosphere = Atmosphere.from_table(entry.table, **options)
+        elif entry.irradiance:
+            atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), **options)
+        else:
+            atmosphere = preset_atmosphere(entry.preset or entry.name)
+            share = options.pop("overcast_share", None)
+            if options or oktas is not None:
+                oktas = 8.0 if oktas is None and atmosphere.overcast_share > 0.0 else oktas
+                sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth}
+                atmosphere = Atmosphere.clear(**{**sun, **options})
+            if share is not None:
+                atmosphere = replace(atmosphere, overcast_share=share)
+        return replace(atmosphere.clouded(oktas) if oktas else atmosphere, name=entry.name)
+
     problems = Problems("the atmospheres cannot be used", SchemaError)
-    atmospheres = []
-    for entry in file.atmospheres:
-        try:
-            options = dict(entry.options)
-            oktas = options.pop("oktas", None)
-            if entry.table is not None:
-                atmosphere = Atmosphere.from_table(entry.table, **options)
-            elif entry.irradiance:
-                atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), **options)
-            else:
-                atmosphere = preset_atmosphere(entry.preset or entry.name)
-                share = options.pop("overcast_share", None)
-                if options or oktas is not None:
-                    oktas = 8.0 if oktas is None and atmosphere.overcast_share > 0.0 else oktas
-                    sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth}
-                    atmosphere = Atmosphere.clear(**{**sun, **options})
-                if share is not None:
-                    atmosphere = replace(atmosphere, overcast_share=share)
-            atmosphere = atmosphere.clouded(oktas) if oktas else atmosphere
-            atmospheres.append(replace(atmosphere, name=entry.name))
-        except (PaintError, OSError) as error:
-            problems.add_error(entry.name, error)
-    problems.raise_if_any()
-    return tuple(atmospheres)
+    return tuple(
+        _built({entry.name: partial(built, entry) for entry in file.atmospheres}, problems, {}).values()
+    )
 
 
 def _spectra(file: SceneFile) -> dict[str, Any]:
-    problems = Problems("spectra cannot be read", FormatError)
+    readers = {name: partial(read_spectra, path) for name, path in file.spectra.items()}
     spectra: dict[str, Any] = {}
-    for name, path in file.spectra.items():
-        try:
-            value = read_spectra(path)
-        except PaintError as error:
-            problems.add_error(name, error)
-            continue
+    for name, value in _built(readers, Problems("spectra cannot be read", FormatError), {}).items():
         if isinstance(value, dict):  # paints on different wavelengths
             is_single = len(value) == 1
             spectra |= {name if is_single else f"{name}/{paint}": curve for paint, curve in value.items()}
         else:
             spectra[name] = value
-    problems.raise_if_any()
     return spectra

@@ -179,30 +179,27 @@ def _cubes(
     cubes = {}
     for name, line in lines.items():
         try:
-            arrays = [_array(entries[member]) for member in opened.members[name]]
+            arrays = []
+            for entry in map(entries.__getitem__, opened.members[name]):
+                with warnings.catch_warnings():  # already given when the collect was opened
+                    warnings.simplefilter("ignore", PaintWarning)
+                    dataset = open_envi(entry.path, keep_whole_lines=entry.keep_whole_lines, unsaid="counts")
+                lazy: Any = next(iter(dataset.data_vars.values())).variable._data
+                array = lazy.array
+                if not isinstance(array, EnviArray) or array.scaling is not None or array.dtype != np.uint16:
+                    raise FormatError(
+                        f"{Path(entry.path).name}: samples are {array.dtype.name}, or scaled",
+                        expected="raw counts, uint16 (ENVI data type 12)",
+                        mend="process the collect instead",
+                        code="counts-not-raw",
+                    )
+                arrays.append(array)
             files = tuple(_raw_file(Path(array.path), base, prefix) for array in arrays)
             cubes[name] = _cube(line, arrays, files)
         except (FormatError, StoreError) as error:
             problems.add_error(f"/{name}", error)
     problems.raise_if_any()
     return cubes
-
-
-def _array(entry: Any) -> EnviArray:
-
-    with warnings.catch_warnings():  # already given when the collect was opened
-        warnings.simplefilter("ignore", PaintWarning)
-        dataset = open_envi(entry.path, keep_whole_lines=entry.keep_whole_lines, unsaid="counts")
-    lazy: Any = next(iter(dataset.data_vars.values())).variable._data
-    array = lazy.array
-    if not isinstance(array, EnviArray) or array.scaling is not None or array.dtype != np.uint16:
-        raise FormatError(
-            f"{Path(entry.path).name}: samples are {array.dtype.name}, or scaled",
-            expected="raw counts, uint16 (ENVI data type 12)",
-            mend="process the collect instead",
-            code="counts-not-raw",
-        )
-    return array
 
 
 def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:

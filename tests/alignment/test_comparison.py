@@ -1,7 +1,5 @@
 """Shift and width that separate camera and record, and how well they are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,8 +12,7 @@ def test_uncertainties_are_what_scatters() -> None:
     # Eight scenes, noise and smile: nothing is wrong, and what is found lies within what is stated
     away = []
     for seed in range(420, 428):
-        line = simulate_line(lines=16, columns=48, seed=seed, irradiance_noise=1e-3)
-        found = hp.alignment.compared(line)
+        found = hp.alignment.compared(simulate_line(lines=16, columns=48, seed=seed, irradiance_noise=1e-3))
         assert found is not None
         assert not found.is_significant()
         numbers = np.array([found.shift, found.tilt, found.width - 1.0])
@@ -35,8 +32,7 @@ def test_air_below_the_camera_is_no_width_of_the_record() -> None:
     nm = line.wavelength.values
     seen = np.interp(nm, line.irradiance_wavelength.values, light)
     beside = np.interp(nm, [755.0, 772.0], [np.interp(at, nm, seen) for at in (755.0, 772.0)])
-    inside = (nm > 755.0) & (nm < 772.0)
-    path = np.where(inside, np.minimum(seen / beside, 1.0), 1.0) ** 0.01
+    path = np.where((nm > 755.0) & (nm < 772.0), np.minimum(seen / beside, 1.0), 1.0) ** 0.01
     cube = line.radiance.transpose("along_track", "band", "cross_track")
     deeper = line.assign(radiance=cube.copy(data=(cube.values * path[:, None]).astype("f4")))
     before, after = hp.alignment.compared(line), hp.alignment.compared(deeper)

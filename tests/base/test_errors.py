@@ -1,7 +1,5 @@
 """Errors a user can catch by what they are, and that name everything at once."""
 
-from __future__ import annotations
-
 import pickle
 
 import pytest

@@ -1,7 +1,5 @@
 """Facts: checks, messages, docstrings and tables that follow from one declaration."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

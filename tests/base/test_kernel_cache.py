@@ -1,7 +1,5 @@
 """Compiled kernels are cached on disk; a kernel works without the cache."""
 
-from __future__ import annotations
-
 import errno
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """Whether reflectance holds mirrored light, told alike to all who ask."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,9 +7,9 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.io.dirsig.paint_curves import coat_of
-from hyperpaint.paints.mixing.kubelka_munk import coating_of
-from hyperpaint.validation.dataset_spectra import signatures_from
+from hyperpaint.io.dirsig.dirsig_writing import PaintCurves
+from hyperpaint.paints.mixing.synthetic_paints import coating_of
+from hyperpaint.validation.validating import signatures_from
 
 CASES = [
     ({}, False, None),
@@ -44,8 +42,9 @@ def library(attrs: dict[str, str], apart: bool) -> xr.Dataset:
 def test_all_are_told_the_same(attrs: dict[str, str], apart: bool, expected: str | None) -> None:
     paints = library(attrs, apart)
     assert mirror_reflection(paints) == expected
-    coat = coat_of(paints, 0.0)
-    assert (coat.mirror_reflection, coat.is_declared) == (expected or INCLUDED, expected is not None)
+    attrs = PaintCurves(paints, 0.0).attrs
+    assert attrs["mirror_reflection"] == (expected or INCLUDED)
+    assert attrs["mirror_reflection_source"].startswith("stated") == (expected is not None)
     assert float(coating_of(paints, 0.04, 0.6, None).mirrored) == (0.0 if expected == EXCLUDED else 0.04)
     assert signatures_from(paints)[0].mirror == (expected or "unknown")
 
@@ -64,4 +63,4 @@ def test_another_word_is_refused() -> None:
     with pytest.raises(SchemaError, match="'yes'"):
         hp.paints.mix_paints(paints, {"same": {"red": 1.0}})
     with pytest.raises(SchemaError, match="'yes'"):
-        coat_of(paints, 0.0)
+        PaintCurves(paints, 0.0)

@@ -1,7 +1,5 @@
 """Which bits of `quality` are set, where, and what is missing there."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

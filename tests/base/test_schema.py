@@ -1,7 +1,5 @@
 """The table of variables, and the two doors through which variables pass."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

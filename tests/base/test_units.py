@@ -1,7 +1,5 @@
 """The private registry: what it reads, what it refuses, and that it always comes back."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from typing import Any

@@ -1,7 +1,5 @@
 """Units of strangers: however a unit is written, and whatever registry it is of, it counts or is refused."""
 
-from __future__ import annotations
-
 import datetime
 import inspect
 import re

@@ -1,7 +1,5 @@
 """End to end: a flight calibrated by the sweep of its own camera, against the truth of the scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +20,7 @@ def test_oxygen_window_from_a_calibrated_sweep(tmp_path: Path, shape: str) -> No
     told = [name for name in sweep.variables if str(name).startswith("true_")]
     plain_zarr(sweep.drop_vars(told), tmp_path / "c" / "lab.zarr")
     path.write_text(path.read_text().replace('path = "calibration.zarr"', 'sweep = "lab.zarr"'))
-    tree = hp.open_collect(path)
-    line = tree["flightlines/raw_0"].to_dataset()
+    line = hp.open_collect(path)["flightlines/raw_0"].to_dataset()
     assert line.srf_shape == shape
     found = line.paint.reflectance()
     truth = xr.open_zarr(path.parent / "truth.zarr", consolidated=False).reflectance

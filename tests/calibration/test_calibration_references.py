@@ -1,7 +1,5 @@
 """Calibration against lamps, certificates and factory files of other people's instruments (SOURCES.md)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -114,8 +112,7 @@ def test_sphere_anchors_a_camera(lab: Path) -> None:
             "exposure_time": xr.DataArray(exposure, attrs={"units": "s"}),
         }
     )
-    made = anchor_to_radiance(camera, frames, radiance)
-    np.testing.assert_allclose(made.radiance_gain, gain, rtol=2e-4)
+    np.testing.assert_allclose(anchor_to_radiance(camera, frames, radiance).radiance_gain, gain, rtol=2e-4)
 
 
 def test_lamp_scans_give_the_response(lab: Path) -> None:

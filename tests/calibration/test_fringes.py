@@ -1,7 +1,5 @@
 """Fringes that the steps of a sweep miss, and ripples that they follow."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

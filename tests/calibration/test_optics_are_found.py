@@ -4,8 +4,6 @@ Smile, stray light and a dark that is off have estimators. Keystone has one wher
 where it is: `beam_centre`. A point spread has none: all columns of a monochromator's light look alike.
 """
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 
@@ -24,8 +22,7 @@ EXACT: dict[str, Any] = {"noise": False, "quantise": False}
 @pytest.mark.parametrize("share", [0.005, 0.02])
 def test_stray_light_of_the_sweep_mends_a_flight(share: float) -> None:
     sweep = simulate_sweep(**CAMERA, stray_light=share)
-    calibration = hp.calibrate(sweep)
-    matrix, truth = calibration.stray_light.values, sweep.true_stray_light.values
+    matrix, truth = hp.calibrate(sweep).stray_light.values, sweep.true_stray_light.values
     distance = np.abs(np.subtract.outer(np.arange(136), np.arange(136)))
     # what falls into a line's own window cannot be told from the line
     far = distance > 12
@@ -43,30 +40,33 @@ def test_stray_light_of_the_sweep_mends_a_flight(share: float) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*counts-averaged")
-@pytest.mark.parametrize("share", [0.01, 0.03])
-def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them(share: float) -> None:
+def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them() -> None:
     # By default, by gain and matrix of one calibration, against a camera without wings
     camera: dict[str, Any] = {"bands": 136, "columns": 24, "nonuniformity": 0.02, "seed": 21}
     flight: dict[str, Any] = {"lines": 24, "glint": 0.0, **camera, **EXACT}
 
-    def seen(stray: dict[str, float], names: list[str]) -> np.ndarray:
+    def seen(stray: dict[str, float]) -> list[np.ndarray]:
+        # with the gain alone, and with the wings
         calibration = hp.calibrate(simulate_sweep(**camera, **stray))
         parts = calibration_parts(check_calibration(calibration), is_counts=True)
         line = simulate_line(**flight, **stray)
-        line = line.assign({name: parts[name] for name in names if name in parts})
-        return np.asarray(line.paint.reflectance().reflectance.values)
+        lines = [
+            line.assign({name: parts[name] for name in names if name in parts})
+            for names in (gain, gain + wings)
+        ]
+        return [np.asarray(each.paint.reflectance().reflectance.values) for each in lines]
 
     gain, wings = ["radiance_gain"], ["stray_light", "stray_light_u"]
-    expected = seen({}, gain + wings)  # without any, nothing is subtracted
-    np.testing.assert_array_equal(expected, seen({}, gain))
-    inner = slice(4, -4)
-    unaware, mended = (
-        np.nanmedian(np.abs(seen({"stray_light": share}, names) / expected - 1.0)[:, inner], axis=(0, 2))
-        for names in (gain, gain + wings)
-    )
-    assert unaware.max() > share
-    assert mended.max() < 3e-3
-    assert np.median(mended) < 1e-3
+    without, expected = seen({})  # without any, nothing is subtracted
+    np.testing.assert_array_equal(expected, without)
+    for share in (0.01, 0.03):
+        unaware, mended = (
+            np.nanmedian(np.abs(found / expected - 1.0)[:, 4:-4], axis=(0, 2))
+            for found in seen({"stray_light": share})
+        )
+        assert unaware.max() > share
+        assert mended.max() < 3e-3
+        assert np.median(mended) < 1e-3
 
 
 @pytest.mark.parametrize("pedestal", [-3.0, 2.0, 5.0])
@@ -79,8 +79,7 @@ def test_a_pedestal_is_the_dark_that_is_off(pedestal: float) -> None:
 def test_smile_is_found_behind_any_optics() -> None:
     optics = {"psf_across_columns": 2.0, "keystone_columns": 0.6, "stray_light": 0.01}
     sweep = simulate_sweep(bands=136, columns=40, smile_nm=0.8, **optics)
-    calibration = hp.calibrate(sweep)
-    error = calibration.wavelength_shift - sweep.true_wavelength_shift
+    error = hp.calibrate(sweep).wavelength_shift - sweep.true_wavelength_shift
     assert float(np.abs(error).max()) < 0.02
 
 

@@ -1,7 +1,5 @@
 """Responses that no line model is; sweep and flight are plain sums over a fine grid."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -30,8 +28,7 @@ def slit(offset: np.ndarray, tail: float = 0.0) -> np.ndarray:
 
 def camera(tail: float) -> np.ndarray:
     # Return the responses of all elements (band, column, grid)
-    centres = BANDS[:, None] + SHIFT
-    return slit(GRID - centres[..., None], tail) * np.exp(-(((GRID - 650.0) / 260.0) ** 2))
+    return slit(GRID - (BANDS[:, None] + SHIFT)[..., None], tail) * np.exp(-(((GRID - 650.0) / 260.0) ** 2))
 
 
 def sweep_of(elements: np.ndarray, light_nm: float = 2.0) -> xr.Dataset:
@@ -108,9 +105,10 @@ def test_a_lopsided_slit_becomes_a_table_that_is_used(lopsided: np.ndarray) -> N
 
 
 def test_a_model_that_is_asked_for_warns_of_what_it_costs(lopsided: np.ndarray) -> None:
-    with pytest.warns(PaintWarning, match=r"'gaussian'.*response-shape-misfit"):
+    with pytest.warns(PaintWarning, match=r"'gaussian'.*response-shape-misfit") as caught:
         calibration = hp.calibrate(sweep_of(lopsided), srf_shape="gaussian")
     assert calibration.srf_shape == "gaussian"
+    assert caught[0].filename == __file__
     stated = calibration.attrs["srf_model_effect"]
     assert 0.5 < stated / error_in_flight(lopsided, calibration) < 2.0
 

@@ -8,8 +8,6 @@ A first process does it without a limit. A second one imports everything, limits
 chunk. Takes 11 GB of disk for the whole of it, under TMPDIR. Exits with 1 where anything differs.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import importlib
@@ -23,6 +21,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+
+import hyperpaint as hp
 
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `hyperpaint` may not be importable yet
@@ -50,8 +50,6 @@ def write_collect(folder: Path, cube_bytes: int, *, bands: int = 272, columns: i
     # Write a collect with one cube of at least so many bytes; return its ``collect.toml``
     # Only a block of lines is simulated in full width. The cube repeats it, each time shifted, beside the
     # times, positions and sky of a simulated flight of the whole length.
-    import hyperpaint as hp
-
     lines = -(-cube_bytes // (bands * columns * 2))
     flight = hp.simulate_collect(
         folder / "long", scene="plan", lines=lines, bands=4, columns=4, seed=3, truth=False
@@ -84,15 +82,9 @@ def digests(store: Path) -> dict[str, str]:
 
 
 def process(collect: Path, out: Path, room: int | None = None) -> dict[str, float]:
-    """Process a collect in a new process; return its peaks [MiB] and time [s].
-
-    Parameters
-    ----------
-    collect, out
-        As for `hyperpaint.process`.
-    room
-        Address space above the imports [byte]; None for no limit.
-    """
+    # Process a collect in a new process; return its peaks [MiB] and time [s]
+    # collect, out: As for `hyperpaint.process`
+    # room: Address space above the imports [byte]; None for no limit
     command = [sys.executable, __file__, "--child", str(collect), str(out), str(room or 0)]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT)
     return dict(json.loads(done.stdout.splitlines()[-1]))
@@ -101,7 +93,6 @@ def process(collect: Path, out: Path, room: int | None = None) -> dict[str, floa
 def _child(collect: str, out: str, room: str) -> None:
     for module in IMPORTS:
         importlib.import_module(module)
-    import hyperpaint as hp
 
     before = _status()
     if int(room):

@@ -9,8 +9,6 @@ Every fault is a function of its campaign and its number, so that one that got t
 Exits with 1 where a campaign failed, or was stopped (Ctrl-C shows what was counted so far).
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

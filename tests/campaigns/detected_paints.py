@@ -17,8 +17,6 @@ A share's 95 % interval is Student's over scenes, whose pixels are alike. "backg
 paint, "all" those of no paint looked for.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -27,6 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
 ROOT = Path(__file__).resolve().parents[2]
 for folder in (ROOT, ROOT / "tests"):  # run as a script: `benchmarks` is then not importable yet
@@ -53,15 +53,12 @@ def library_of(bodies: dict[str, Any], wavelength: Any) -> Any:
 
 def fleet(numbers: range, wavelength: Any) -> dict[str, Any]:
     # Return bodies of paints of the fleet, by name
-    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-
     return {f"fleet-{number}": spectrum_of(f"fleet-{number}")(wavelength) for number in numbers}
 
 
 def scene_of(seed: int, cache: Path) -> tuple[Any, dict[int, tuple[str, Any]]]:
     # Return a line, and names and bodies of the paints of its cars by their numbers in it
     from benchmarks.fleet_scenes import foreign_cars, rendered_cars
-    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
     if seed in SEEDS["foreign"]:
         line = foreign_cars.line_of(seed, "clear", cache)
@@ -84,8 +81,7 @@ def look(seed: int, cache: Path, *, ground: bool = False) -> list[dict[str, Any]
     wavelength = line["wavelength"].values
     others = library_of(fleet(range(OTHERS), wavelength), wavelength)
     _, _, flagged = verdicts.looked_at(line)
-    clear = (flagged["quality"].values & int(EXCLUDED)) == 0
-    shown = np.where(clear, line["paint_id"].values, -2)
+    shown = np.where((flagged["quality"].values & int(EXCLUDED)) == 0, line["paint_id"].values, -2)
     here = [number for number in cars if (shown == number).sum() > 150]
     background = line["paint_id"] == -1 if ground else None
     rows = []
@@ -111,8 +107,7 @@ def shares(found: Any, shown: Any, numbers: list[int]) -> dict[str, float]:
     # Return shares above the threshold of the best paint, and detected, by what pixels show
     best, detected = found["best_paint"].values, found["detected"].values
     above = found["detection_score"].values >= found["score_threshold"].values[best] - 1e-7
-    target = np.isin(shown, numbers)
-    other = (shown > -2) & ~target
+    other = (shown > -2) & ~np.isin(shown, numbers)
     groups = {"all": other, "background": other & (shown == -1), "unknown": other & (shown >= 0)}
     values = {}
     for name, where in groups.items():

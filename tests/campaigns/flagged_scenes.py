@@ -17,8 +17,6 @@ what is flagged as mixed itself. Clean paint is coloured, lit, and gets less tha
 of other things. A mixed pixel is filled to less than 95 % by one thing, or touches such a pixel.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -26,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import hyperpaint as hp
 
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
@@ -92,19 +92,10 @@ def true_layers(line: Any, sky: Any) -> dict[str, Any]:
 
 
 def count(bits: Any, true: dict[str, Any], surface: Any) -> Counts:
-    """Return what is found and true by flag, pixels and surface, of one scene.
-
-    Parameters
-    ----------
-    bits : (along_track, cross_track)
-        ``quality`` as flagged.
-    true
-        From `true_layers`.
-    surface : (along_track, cross_track)
-        From `surfaces_of`.
-    """
-    import hyperpaint as hp
-
+    # Return what is found and true by flag, pixels and surface, of one scene
+    # bits : (along_track, cross_track): ``quality`` as flagged
+    # true: From `true_layers`
+    # surface : (along_track, cross_track): From `surfaces_of`
     flagged = {name: (bits & int(hp.Quality[name])) > 0 for name in ("GLINT", "SHADOW", "ADJACENCY")}
     mixed = (bits & int(hp.Quality.MIXED_EDGE)) > 0
     everywhere = np.ones(bits.shape, bool)
@@ -162,14 +153,12 @@ def rows_of(counts: Counts) -> list[str]:
 
 def look(seed: int, flakes: bool, samples: int) -> Counts:
     # Render, survey and flag a scene, print a row, and return what was counted
-    import hyperpaint as hp
     from campaigns.proposed_cars import render, seen_with_noise
 
     clean, sky = render(seed, flakes, samples, surroundings_of(seed))
     line = seen_with_noise(clean, seed).chunk(along_track=64)
     light = {"diffuse": "model", "sun_zenith": sky.sun_zenith, "sun_azimuth": sky.sun_azimuth}
-    flagged = hp.surroundings.flag(line, **light, heading=0.0)
-    bits = flagged["quality"].values
+    bits = hp.surroundings.flag(line, **light, heading=0.0)["quality"].values
     counts = count(bits, true_layers(clean, sky), surfaces_of(clean))
     told = f"{seed:>4} {sky.sun_zenith:>4.0f}/{sky.sun_azimuth:>4.0f} {'+'.join(surroundings_of(seed)):<12}"
     for name in ("glint", "shadow"):

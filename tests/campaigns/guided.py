@@ -11,8 +11,6 @@ in the code; once mended it belongs into ``regressions/<parser>/``, under a name
 `test_corpus.py` reads both. Needs the extra ``fuzz``. Exits with 1 where an input was wrong.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import hashlib
@@ -59,7 +57,7 @@ class Target:
         return f"{self.parser}:{self.seed}"
 
     @classmethod
-    def of(cls, name: str) -> Target:
+    def of(cls, name: str) -> "Target":
         parser, _, seed = name.rpartition(":")
         return cls(parser, int(seed))
 
@@ -282,8 +280,7 @@ def judge(target: Target, bench: Bench, *, kept: bool) -> None:
     _quiet()
     parser = parsers.PARSERS[target.parser]
     with tempfile.TemporaryDirectory() as own:
-        placed = parsers.placed(parser, bench.seeds, Path(own))
-        path, _ = placed[target.seed]
+        path, _ = parsers.placed(parser, bench.seeds, Path(own))[target.seed]
         for data in sorted(bench.wrong.iterdir()):
             path.write_bytes(data.read_bytes())
             wrong = parsers.complaint(parser, path)

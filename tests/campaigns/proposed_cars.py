@@ -12,8 +12,6 @@ max(0.03, 6 %) as it is. The rules know nothing of the scene but the sun's place
 below 200.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -21,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import hyperpaint as hp
 
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
@@ -38,7 +38,7 @@ def render(
 ) -> tuple[Any, Any]:
     # Return a flight line without noise, its truth beside it, and the atmosphere
     import hyperpaint as hp
-    from hyperpaint.simulation.rendering.camera_bands import BandSet
+    from hyperpaint.simulation.camera import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
@@ -62,8 +62,6 @@ def render(
 
 def seen_with_noise(line: Any, seed: int) -> Any:
     # Return a render as it is seen: reflectance from noisy radiance
-    import hyperpaint as hp
-
     radiance = line["radiance"]
     noise = 1.0 + np.random.default_rng([seed, 7]).normal(size=radiance.shape) / SNR
     noisy = radiance.copy(data=(radiance.values * noise).astype(np.float32))
@@ -86,7 +84,6 @@ def tilt_of(line: Any, along: Any, across: Any) -> float:
 
 def look(seed: int, flakes: bool, samples: int) -> tuple[int, int, int, int]:
     # Print a scene's table; return whole cars, of them right and wrong, and wrong regions elsewhere
-    import hyperpaint as hp
     from hyperpaint.regions import pixels_of
     from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 

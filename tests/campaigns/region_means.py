@@ -6,8 +6,6 @@ of one band, and of three ratios of bands. Each collect has errors of its own, d
 ``python tests/campaigns/region_means.py``
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import warnings

@@ -8,14 +8,10 @@ a saddle whose middle (u0, v0) is fitted with the other four by least squares (G
 start is the middle of the pixel nearest to where the corner should be.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-__all__ = ["Fit", "fit_saddles", "misplacement"]
 
 Floats = NDArray[np.float64]
 
@@ -26,39 +22,25 @@ _FARTHEST = 3.0  # that a fit may go from its start [pixel]
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted corners.
-
-    Attributes
-    ----------
-    place
-        Column and row, 0 at the middle of the first pixel, shape (corner, 2); NaN where nothing was fitted.
-    misfit
-        Standard deviation of what is left, in parts of ``a``, shape (corner,).
-    """
-
+    # Fitted corners
+    # place: Column and row, 0 at the middle of the first pixel, shape (corner, 2); NaN where nothing was
+    # fitted
+    # misfit: Standard deviation of what is left, in parts of ``a``, shape (corner,)
     place: Floats
     misfit: Floats
 
 
 def fit_saddles(picture: Floats, expected: Floats, directions: Floats, reach: float) -> Fit:
-    """Fit corners near to where they should be.
-
-    Parameters
-    ----------
-    picture
-        Brightness, shape (row, column); corners with NaN around them are left out.
-    expected
-        Column and row of corners, shape (corner, 2).
-    directions
-        Columns and rows of one pixel along either direction of the board, unit vectors, shape (2, 2).
-    reach
-        How far along both directions pixels belong to the saddle [pixel].
-    """
+    # Fit corners near to where they should be
+    # picture: Brightness, shape (row, column); corners with NaN around them are left out
+    # expected: Column and row of corners, shape (corner, 2)
+    # directions: Columns and rows of one pixel along either direction of the board, unit vectors, shape (2,
+    # 2)
+    # reach: How far along both directions pixels belong to the saddle [pixel]
     start = np.rint(expected).astype(np.int64)
     half = int(np.ceil(reach * np.abs(directions).sum(axis=0).max()))
     offset = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2, indexing="xy"), axis=-1).reshape(-1, 2)
-    inside = (np.abs(offset @ directions.T) <= reach).all(axis=1)
-    offset = offset[inside]
+    offset = offset[(np.abs(offset @ directions.T) <= reach).all(axis=1)]
     at = start[:, None] + offset
     within = ((at >= 0) & (at < np.array(picture.shape[::-1]))).all(axis=(1, 2))
     at = np.where(within[:, None, None], at, 0)
@@ -66,8 +48,7 @@ def fit_saddles(picture: Floats, expected: Floats, directions: Floats, reach: fl
     fitted = within & np.isfinite(seen).all(axis=1)
     place, misfit = np.full(expected.shape, np.nan), np.full(len(expected), np.nan)
     if fitted.any():
-        uv = offset @ directions.T
-        middle, misfit[fitted] = _fit(seen[fitted], uv)
+        middle, misfit[fitted] = _fit(seen[fitted], offset @ directions.T)
         place[fitted] = start[fitted] + middle @ np.linalg.inv(directions).T
     return Fit(place, misfit)
 
@@ -105,28 +86,15 @@ def _model(x: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats]:
 def misplacement(
     picture: Floats, transform: tuple[float, ...], east: Floats, north: Floats, turn: float, square: float
 ) -> Floats:
-    """Return by how many pixels the corners of a board miss their places in a map, shape (corner, 2).
-
-    Parameters
-    ----------
-    picture
-        Map of brightness, shape (y, x).
-    transform
-        Of its cells, in GDAL's order: map coordinates of the outer corner of the first, and steps.
-    east, north
-        Where the corners are [m].
-    turn
-        Direction of one axis of the board, clockwise from the map's north [degree].
-    square
-        Side of its squares [m].
-
-    Returns
-    -------
-    To the right and down [pixel], of those corners around which the map is whole.
-    """
+    # Return by how many pixels the corners of a board miss their places in a map, shape (corner, 2)
+    # picture: Map of brightness, shape (y, x)
+    # transform: Of its cells, in GDAL's order: map coordinates of the outer corner of the first, and steps
+    # east, north: Where the corners are [m]
+    # turn: Direction of one axis of the board, clockwise from the map's north [degree]
+    # square: Side of its squares [m]
+    # Returns: To the right and down [pixel], of those corners around which the map is whole
     east0, east_x, east_y, north0, north_x, north_y = transform
-    steps = np.array([[east_x, east_y], [north_x, north_y]])
-    to_cells = np.linalg.inv(steps)
+    to_cells = np.linalg.inv(np.array([[east_x, east_y], [north_x, north_y]]))
     expected = np.stack([east - east0, north - north0], axis=-1) @ to_cells.T - 0.5
     angle = np.radians(turn)
     axes = np.array([[np.sin(angle), np.cos(angle)], [np.cos(angle), -np.sin(angle)]]) @ to_cells.T

@@ -16,14 +16,14 @@ and full = 4095:
 * bright: the same as clipped for counts without noise, which no flag can know.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import hyperpaint as hp
 
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
@@ -36,7 +36,6 @@ EXPOSURES = (0.003, 0.006, 0.012)
 
 def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 24) -> tuple[Any, Any, Any]:
     # Return radiance of glossy and metallic cars in the sun, the flight, and the light
-    import hyperpaint as hp
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
@@ -54,8 +53,7 @@ def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 
 def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) -> tuple[Any, dict[str, Any]]:
     # Return the flight line of a 12-bit camera, and what is true of its pixels
     import hyperpaint as hp
-    from hyperpaint.simulation.camera import Camera
-    from hyperpaint.simulation.rendering.camera_bands import BandSet
+    from hyperpaint.simulation.camera import BandSet, Camera
     from hyperpaint.simulation.settings import SimulationSettings
     from hyperpaint.workflows.rendering import counts_of
 
@@ -82,8 +80,6 @@ def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) 
 
 def found_in(line: Any) -> Any:
     # Return which pixels the chain flags as saturated (along_track, cross_track)
-    import hyperpaint as hp
-
     return (hp.radiance(line)["quality"].values & int(hp.Quality.SATURATED)) > 0
 
 

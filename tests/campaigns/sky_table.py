@@ -5,8 +5,6 @@ sun two functions of zenith and scattering angle are sought with which, beside a
 sums come nearest to the skies of all wavelengths (variable projection: the sums are solved for inside).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

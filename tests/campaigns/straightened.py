@@ -10,8 +10,6 @@ processed into a store, located and orthorectified as any user would; corners ar
 compared with where they are.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

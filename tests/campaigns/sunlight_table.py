@@ -3,8 +3,6 @@
 ``PYTHONPATH=tests python tests/campaigns/sunlight_table.py`` writes it; without pvlib there is nothing to do.
 """
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What coverage found and what once broke a parser: refused with own errors only, in a second and 256 MB."""
 
-from __future__ import annotations
-
 import importlib
 import warnings
 from pathlib import Path

@@ -5,12 +5,10 @@ prints the relative standard deviation of a pixel, mean over four bands: median 
 and over those that see one thing alone.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperpaint.simulation import relight, trace
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.platforms import pushbroom

@@ -3,12 +3,10 @@
 ``python tests/campaigns/traced_slots.py``
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperpaint.simulation import relight, trace
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.platforms import pushbroom
 

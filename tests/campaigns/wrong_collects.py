@@ -9,14 +9,14 @@ Twenty faults at three strengths; right ones of 23 kinds by turns, and whatever 
 setting thresholds. A wrong one counts as named where a finding or an error holds the name of its fault.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile
 import warnings
 from collections import Counter
 from pathlib import Path
+
+from hyperpaint.base.errors import PaintError, PaintWarning
 
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
@@ -28,7 +28,6 @@ RIGHT = 200
 
 def said_of(path: Path, whole: bool = False) -> list[str]:
     # Return all findings, or the error that stops the opening; of a ``whole`` run what process says
-    from hyperpaint.base.errors import PaintError, PaintWarning
     from hyperpaint.workflows.pipeline import check_collect, process
 
     with warnings.catch_warnings(record=True) as caught:
@@ -84,7 +83,6 @@ def judge_real(data: Path) -> dict[str, list[str]]:
     import numpy as np
     import xarray as xr
 
-    from hyperpaint.base.errors import PaintWarning
     from hyperpaint.io.envi.envi_cubes import open_envi
     from hyperpaint.io.navigation.navigation_opening import open_navigation
     from hyperpaint.plausibility.line_judging import (

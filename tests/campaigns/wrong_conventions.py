@@ -9,8 +9,6 @@ exposures of 5 ms, navigation of 100 Hz with 0.003 degrees of noise, a boresight
 degrees), crab to 8 degrees. Right ones are half calm (0.15 degrees in roll and pitch), half rough (0.42).
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

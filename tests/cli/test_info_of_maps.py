@@ -1,7 +1,5 @@
 """`info` and `report` of maps, regions and folders, as text and as JSON."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -9,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from support.commands import hyperpaint
 from support.flown_lines import EAST, MAP, NORTH, fly, located
+from support.refusals import expect_error, expect_words
 
 import hyperpaint as hp
-from hyperpaint.cli.program import main
 
 pytest.importorskip("pyproj")
 SQUARE = np.array([(EAST, NORTH), (EAST + 1, NORTH), (EAST + 1, NORTH + 1), (EAST, NORTH + 1)])
@@ -26,8 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     values = np.random.default_rng(0).random((40, 6, 30)).astype(np.float32)
     line = located(flown, reflectance=(("along_track", "band", "cross_track"), values, {"units": "1"}))
     line = line.assign_coords(wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}))
-    made = hp.geometry.orthorectify(line, 0.01)
-    hp.to_store(made, folder / "map.zarr")
+    hp.to_store(hp.geometry.orthorectify(line, 0.01), folder / "map.zarr")
     hp.to_store(hp.geometry.orthorectify(line, 0.01, grid="flight"), folder / "turned.zarr")
     hp.write_regions(
         hp.Regions((hp.Region("hood", SQUARE, properties={"make": "x"}),), "map", MAP), folder / "r.geojson"
@@ -36,13 +33,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(*words: object) -> str:
-    done = CliRunner().invoke(main, [*map(str, words)])
-    assert done.exit_code == 0, done.output
-    return done.output
+    return hyperpaint(*words, status=0).output
 
 
 def facts(path: Path) -> dict[str, Any]:
-    """Return what `info --json` says; the same as the text does."""
+    # Return what `info --json` says; the same as the text does
     document: dict[str, Any] = json.loads(run("info", path, "--json"))
     text = run("info", path)
     for name, value in document.items():
@@ -54,8 +49,7 @@ def facts(path: Path) -> dict[str, Any]:
 def test_info_of_maps(folder: Path) -> None:
     facts(folder / "map.zarr")
     text = run("info", folder / "map.zarr")
-    assert "WGS 84 / UTM zone 17N" in text
-    assert "0.01 x 0.01 map units, north up" in text
+    expect_words(text, "WGS 84 / UTM zone 17N", "0.01 x 0.01 map units, north up")
     turned = re.search(r"up is ([0-9.]+) degrees from north", run("info", folder / "turned.zarr"))
     assert turned is not None
     assert float(turned[1]) == pytest.approx(30.0, abs=0.1)
@@ -63,8 +57,7 @@ def test_info_of_maps(folder: Path) -> None:
 
 def test_info_of_a_geotiff(folder: Path, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
-    made = hp.open_store(folder / "map.zarr")
-    path = hp.io.write_geotiff(made, tmp_path / "map.tif")
+    path = hp.io.write_geotiff(hp.open_store(folder / "map.zarr"), tmp_path / "map.tif")
     document = facts(path)
     with rasterio.open(path) as raster:
         assert document["map"] == f"{raster.height} x {raster.width} cells, 6 bands, float32"
@@ -73,22 +66,22 @@ def test_info_of_a_geotiff(folder: Path, tmp_path: Path) -> None:
         document["bounds"]
         == f"x {bounds.left:.10g} to {bounds.right:.10g}, y {bounds.bottom:.10g} to {bounds.top:.10g}"
     )
-    assert document["wavelength"] == "450 to 700 nm"
-    assert document["crs"] == "WGS 84 / UTM zone 17N"
+    assert (document["wavelength"], document["crs"]) == ("450 to 700 nm", "WGS 84 / UTM zone 17N")
     # what only calls itself so, and would have GDAL read another file
     trap = tmp_path / "trap.tif"
     source = f"<SimpleSource><SourceFilename>{path}</SourceFilename></SimpleSource>"
     band = f'<VRTRasterBand dataType="Byte" band="1">{source}</VRTRasterBand>'
     trap.write_text(f'<VRTDataset rasterXSize="9" rasterYSize="9">{band}</VRTDataset>')
-    refused = CliRunner().invoke(main, ["info", str(trap)])
-    assert refused.exit_code == 2
+    refused = hyperpaint("info", trap, status=2)
     assert "not a TIFF" in refused.output
 
 
 def test_info_of_regions(folder: Path) -> None:
     document = facts(folder / "r.geojson")
-    assert document["is"] == "1 region in coordinates of the map"
-    assert (document["names"], document["crs"], document["also says"]) == ("hood", MAP, "make")
+    assert (document["is"], (document["names"], document["crs"], document["also says"])) == (
+        "1 region in coordinates of the map",
+        ("hood", MAP, "make"),
+    )
 
 
 def test_info_of_a_field_folder(tmp_path: Path) -> None:
@@ -98,8 +91,7 @@ def test_info_of_a_field_folder(tmp_path: Path) -> None:
     assert any("frame index" in str(text) for text in document.values())
     empty = tmp_path / "empty"
     empty.mkdir()
-    refused = CliRunner().invoke(main, ["info", str(empty)])
-    assert refused.exit_code == 2
+    refused = hyperpaint("info", empty, status=2)
     assert "format-unknown" in refused.output
 
 
@@ -108,8 +100,7 @@ def test_a_report_of_a_map(folder: Path, tmp_path: Path) -> None:
     said = run("report", folder / "map.zarr", "--out", tmp_path / "map.html", "--quiet")
     assert "map map.zarr" in said
     page = (tmp_path / "map.html").read_text()
-    assert "WGS 84 / UTM zone 17N" in page
-    assert "could not be shown" not in page
+    expect_words(page, "WGS 84 / UTM zone 17N", without=("could not be shown",))
     assert page.count("data:image/png") >= 2  # true colour, and how reflectance is spread
 
 
@@ -144,8 +135,6 @@ def test_regions_of_a_geopackage(
     np.testing.assert_allclose(np.sort(read[0].polygon, axis=0), np.sort(drawn[0].polygon, axis=0))
     assert (read[0].name, dict(read[0].properties)["make"]) == ("hood", "x")
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(hp.errors.MissingExtraError, match="extra-missing"):
-        hp.read_regions(path)
+    expect_error(hp.errors.MissingExtraError, "extra-missing", lambda: hp.read_regions(path))
     path.write_text("<OGRVRTDataSource/>")
-    with pytest.raises(hp.FormatError, match=r"no gpkg file"):
-        hp.read_regions(path)
+    expect_error(hp.FormatError, r"no gpkg file", lambda: hp.read_regions(path))

@@ -1,21 +1,32 @@
 """Options of commands: from functions, few, alike everywhere; old spellings name the new ones."""
 
-from __future__ import annotations
-
 import inspect
+import os
 import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import click
+import numpy as np
 import pytest
+import xarray as xr
 from click.shell_completion import ShellComplete
-from click.testing import CliRunner
+from support.commands import hyperpaint
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import PARAMETERS
 from hyperpaint.cli.options import Settings, parameters_of
 from hyperpaint.cli.program import GROUPS, main
+from hyperpaint.io.store import open_group, to_store
+from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.pictures.exploring import serve_explorer
+from hyperpaint.report.summaries import with_times
+from hyperpaint.simulation import simulate_line
 from hyperpaint.workflows import pipeline
 
 CONTEXT = click.Context(main)
@@ -29,10 +40,8 @@ def options_of(name: str) -> list[click.Option]:
 
 
 def run(*words: str) -> str:
-    """Return the message of a refused call."""
-    done = CliRunner().invoke(main, list(words))
-    assert done.exit_code == 2, done.output
-    return done.stderr
+    # Return the message of a refused call
+    return hyperpaint(*words, status=2).stderr
 
 
 def test_the_number_of_options() -> None:
@@ -41,7 +50,7 @@ def test_the_number_of_options() -> None:
 
 
 def test_help_of_the_program_is_one_screen() -> None:
-    shown = CliRunner().invoke(main, ["--help"]).stdout
+    shown = hyperpaint("--help").stdout
     assert 24 <= len(shown.splitlines()) <= 42
     for group, commands in GROUPS.items():
         assert re.search(rf"^  {group} ", shown, re.MULTILINE)
@@ -51,7 +60,7 @@ def test_help_of_the_program_is_one_screen() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_help_of_a_command_teaches(name: str) -> None:
-    shown = CliRunner().invoke(main, [name, "--help"], terminal_width=100).stdout
+    shown = hyperpaint(name, "--help", terminal_width=100).stdout
     assert len(shown.splitlines()) <= 64
     assert f"  hyperpaint {name}" in shown
     assert all(option.help for option in options_of(name))
@@ -112,8 +121,7 @@ def test_a_wrong_setting(setting: str, message: str) -> None:
 
 def test_settings_are_listed() -> None:
     (settings,) = (option for option in options_of("simulate") if isinstance(option, Settings))
-    shown = CliRunner().invoke(main, ["simulate", "x", "--set", "?"])
-    assert shown.exit_code == 0
+    shown = hyperpaint("simulate", "x", "--set", "?", status=0)
     assert all(re.search(rf"^{name} ", shown.stdout, re.MULTILINE) for name in settings.types)
 
 
@@ -145,3 +153,151 @@ def test_a_renamed_keyword_names_the_new_one() -> None:
             function("lot.zarr", "page", signatures="paints.zarr")  # type: ignore[call-arg]
         with pytest.raises(SchemaError, match=r"max_lines= .keyword"):
             function("lot.zarr", "page", lines=100)  # type: ignore[call-arg]
+
+
+# --- Ctrl-C and SIGTERM: one line, a status that says which, and a store that the same command completes ---
+
+
+@pytest.fixture(scope="module")
+def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("collect")
+    hp.simulate_collect(folder, scene="plan", lines=40, bands=20, columns=8, seed=1)
+    return folder / "collect.toml"
+
+
+@pytest.fixture(autouse=True)
+def _heard() -> Iterator[None]:
+    # Hear Ctrl-C also where these tests run in the background of a shell, which ignores it there
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_process_goes_on_where_it_was(
+    number: signal.Signals, status: int, collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    write = WholeRun.write
+
+    def stop_at_the_second(run: WholeRun, name: str, dataset: xr.Dataset, **options: Any) -> None:
+        if written:
+            os.kill(os.getpid(), number)
+        write(run, name, dataset, **options)
+        written.append(name)
+
+    before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    call = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--quiet"]
+    with monkeypatch.context() as patch:
+        patch.setattr(WholeRun, "write", stop_at_the_second)
+        stopped = hyperpaint(*call)
+    assert stopped.exit_code == status
+    assert stopped.stderr.splitlines()[-1].startswith(f"stopped by {number.name}: ")
+    assert "Traceback" not in stopped.output
+    assert (len(written), (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT))) == (1, before)
+
+    again = hyperpaint(*call, status=0)
+    assert f"/{written[0]} there already" in again.output
+    assert hp.verify(tmp_path / "lot.zarr").ok
+    assert [path.name for path in tmp_path.iterdir()] == ["lot.zarr"]
+
+
+def test_the_second_signal_ends_the_process_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+
+    def stubborn(*_: Any, **__: Any) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        finally:
+            seen.extend([signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)])
+
+    monkeypatch.setattr("hyperpaint.verify", stubborn)
+    assert (hyperpaint("verify", ".").exit_code, seen) == (
+        130,
+        [signal.SIG_DFL, signal.SIG_DFL],
+    )
+
+
+def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt("by somebody else")
+
+    monkeypatch.setattr("hyperpaint.verify", stop)
+    stopped = hyperpaint("verify", ".", status=130)
+    assert stopped.stderr == "stopped by SIGINT\n"
+
+
+def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        monkeypatch.setattr("hyperpaint.verify", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+        assert hyperpaint("verify", ".").exit_code != 143
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+# --- What a fresh process imports and compiles, and what it need not ---
+
+HEAVY = ("dask.array", "distributed", "numba", "pint", "scipy")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("cold") / "lot.zarr"
+    to_store(simulate_line(lines=16, bands=20, columns=12, seed=1), place, "flightlines/raw_0")
+    return place
+
+
+def loaded_after(statements: str, modules: tuple[str, ...] = HEAVY) -> list[str]:
+    # Return which modules a fresh process has loaded after some statements
+    code = f"import sys\n{statements}\nprint(*(name for name in {modules} if name in sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
+    return done.stdout.splitlines()[-1].split()
+
+
+def test_info_of_a_store_loads_nothing_heavy(store: Path) -> None:
+    ask = "from hyperpaint.cli.info_command import describe_path"
+    assert loaded_after(f"{ask}\nprint(describe_path({str(store)!r}))") == []
+
+
+def test_info_of_a_cube_loads_nothing_heavy(tmp_path: Path) -> None:
+    np.arange(24, dtype=np.uint16).tofile(tmp_path / "raw_0")
+    header = "samples = 4\nlines = 3\nbands = 2\ninterleave = bil\ndata type = 12\nbyte order = 0\n"
+    spectral = "wavelength units = nm\nwavelength = {500, 600}\nfwhm = {6, 6}\ndescription = {raw counts}\n"
+    (tmp_path / "raw_0.hdr").write_text(f"ENVI\n{header}{spectral};Exposure (ms): 5\n")
+    ask = "from hyperpaint.cli.info_command import describe_path"
+    assert loaded_after(f"{ask}\nprint(describe_path({str(tmp_path / 'raw_0.hdr')!r}))") == []
+
+
+def test_a_pixel_is_read_without_distributed(store: Path) -> None:
+    read = (
+        f"import xarray as xr, hyperpaint\nline = xr.open_zarr({str(store)!r}, group='flightlines/raw_0')\n"
+    )
+    assert "distributed" not in loaded_after(f"{read}line.paint.pixels(3, 4)")
+
+
+def test_a_store_is_written_and_verified_without_distributed(store: Path) -> None:
+    write = (
+        "from hyperpaint.io.store import open_group, to_store, verify\n"
+        f"line = open_group({str(store)!r}, 'flightlines/raw_0').drop_encoding()\n"
+        f"to_store(line, {str(store.with_name('copy.zarr'))!r}, 'again')"
+    )
+    assert "distributed" not in loaded_after(write)
+
+
+def test_times_are_those_that_xarray_decodes(store: Path) -> None:
+    raw = {"chunks": None, "decode_times": False, "create_default_indexes": False}
+    given = open_group(store, "flightlines/raw_0", **raw)
+    expected = open_group(store, "flightlines/raw_0")
+    decoded = with_times(given)
+    assert given["time"].dtype == np.int64
+    for name in ("time", "irradiance_time"):
+        np.testing.assert_array_equal(decoded[name].values, expected[name].values)
+    # of another program, in another unit
+    days = xr.Dataset({"t": ("x", np.array([1.0, 2.5]), {"units": "days since 2021-07-20"})})
+    np.testing.assert_array_equal(
+        with_times(days)["t"].values, np.array(["2021-07-21", "2021-07-22T12"], "M8[ns]")
+    )

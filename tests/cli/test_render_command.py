@@ -1,11 +1,9 @@
 """From a ``scene.toml`` to a store: what is in it, that it is whole, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +11,11 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner, Result
+from support.commands import hyperpaint
+from support.refusals import expect_error, expect_errors, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
-from hyperpaint.cli.program import main
 from hyperpaint.io.store import list_groups
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.settings import SimulationSettings
@@ -25,7 +23,6 @@ from hyperpaint.workflows import rendering
 
 pytestmark = pytest.mark.slow  # the tracer is compiled
 
-Hyperpaint = Callable[..., Result]
 
 SCENE = """\
 [scene]
@@ -57,16 +54,6 @@ product = "counts"
 """
 
 
-@pytest.fixture
-def hyperpaint() -> Hyperpaint:
-    """Return what runs the command line in this process."""
-
-    def call(*arguments: object) -> Result:
-        return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-    return call
-
-
 def scene_file(folder: Path, text: str = SCENE) -> Path:
     path = folder / "scene.toml"
     path.write_text(text, encoding="utf-8")
@@ -75,7 +62,7 @@ def scene_file(folder: Path, text: str = SCENE) -> Path:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A rendered store."""
+    # A rendered store
     folder = tmp_path_factory.mktemp("render")
     return hp.render_scene(scene_file(folder), folder / "scene.zarr")
 
@@ -97,8 +84,7 @@ def test_the_store_is_whole_and_says_what_it_is(store: Path) -> None:
     groups = ["renders/cloudy", "renders/noon", "transport"]
     assert list_groups(store) == groups
     root = xr.open_zarr(store)
-    assert root.attrs["name"] == "tiny park"
-    assert root.attrs["scene_file"] == SCENE
+    assert (root.attrs["name"], root.attrs["scene_file"]) == ("tiny park", SCENE)
 
 
 def test_a_render_is_a_flight_line(store: Path) -> None:
@@ -130,8 +116,10 @@ def test_labels_say_what_their_numbers_mean(store: Path) -> None:
     assert {"asphalt", "paint", "glass"} <= shown
     instances = json.loads(line.attrs["instances"])
     cars = np.unique(line.car_id)
-    assert (cars[0], len(cars) > 3) == (-1, True)
-    assert {instances[number]["kind"] for number in cars[1:]} == {"car"}
+    assert ((cars[0], len(cars) > 3), {instances[number]["kind"] for number in cars[1:]}) == (
+        (-1, True),
+        {"car"},
+    )
     on_paint = line.surface_class.values == kinds.index("paint")
     paints = line.paint_id.attrs["flag_meanings"].split()
     for number in cars[1:]:
@@ -246,24 +234,22 @@ def test_renders_do_not_depend_on_the_scheduler(store: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_finished_store_is_left_alone(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
+def test_a_finished_store_is_left_alone(tmp_path: Path) -> None:
     file, out = scene_file(tmp_path), tmp_path / "out.zarr"
-    first = hyperpaint("render", file, "--out", out, "--atmosphere", "noon", "--samples", 2)
-    assert first.exit_code == 0, first.output
+    first = hyperpaint("render", file, "--out", out, "--atmosphere", "noon", "--samples", 2, status=0)
     assert first.stdout == f"{out}: wrote /transport, /renders/noon\n"
     before = {path: path.stat().st_mtime_ns for path in (out / "transport").rglob("*")}
     again = hyperpaint("render", file, "--out", out, "--atmosphere", "noon", "--samples", 2)
     assert again.stdout == f"{out} is already complete: same inputs, same parameters; nothing was done\n"
     # another light of the same file costs no tracing
     more = hyperpaint("render", file, "--out", out, "--samples", 2)
-    assert "wrote /renders/cloudy" in more.stdout
-    assert "/renders/noon, /transport there already" in more.stdout
+    expect_words(more.stdout, "wrote /renders/cloudy", "/renders/noon, /transport there already")
     assert {path: path.stat().st_mtime_ns for path in (out / "transport").rglob("*")} == before
-    other = hyperpaint("render", file, "--out", out, "--samples", 3)
-    assert other.exit_code == 2
+    other = hyperpaint("render", file, "--out", out, "--samples", 3, status=2)
     assert "/transport exists, from other inputs or parameters; pass --overwrite" in other.stderr
-    orphan = hyperpaint("render", file, "--out", out, "--samples", 3, "--atmosphere", "noon", "--overwrite")
-    assert orphan.exit_code == 2
+    orphan = hyperpaint(
+        "render", file, "--out", out, "--samples", 3, "--atmosphere", "noon", "--overwrite", status=2
+    )
     assert "holds /renders/cloudy, of a scene traced with other parameters" in orphan.stderr
     assert hyperpaint("render", file, "--out", out, "--samples", 3, "--overwrite").exit_code == 0
     assert hp.verify(out).ok
@@ -319,66 +305,47 @@ def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 # --- what is refused ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("spectrum", "problem"),
-    [
+def test_calls_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    out = tmp_path / "out.zarr"
+    render: Any = partial(hp.render_scene, scene_file(tmp_path))
+    unknown = "no atmosphere 'dusk' in the scene file, expected some of noon, cloudy"
+    expect_errors(
+        (SchemaError, "samples=0", lambda: render(out, samples=0)),
+        (SchemaError, "samples=1000000000000", lambda: render(out, samples=10**12)),
+        (SchemaError, "to='reflectance'", lambda: render(out, to="reflectance")),
+        (SchemaError, unknown, lambda: render(out, atmospheres=["dusk"])),
+        (StoreError, "output-is-url", lambda: render("s3://bucket/out.zarr")),
+    )
+    # spectra that no paint has
+    file = scene_file(tmp_path, SCENE + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')
+    for spectrum, problem in (
         ("300,0.2\n1200,1.3\n", "value-out-of-range"),
         ("500,0.2\n600,0.3\n", "spectrum-coverage"),
         ("300,0.2\n1200,nan\n", "not-finite"),
-    ],
-)
-def test_spectra_that_no_paint_has_are_refused(tmp_path: Path, spectrum: str, problem: str) -> None:
-    (tmp_path / "mine.csv").write_text(spectrum)
-    file = scene_file(tmp_path, SCENE + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')
-    with pytest.raises((SchemaError, FormatError), match=problem):
-        hp.render_scene(file, tmp_path / "out.zarr")
-    assert not (tmp_path / "out.zarr").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        ({"samples": 0}, "samples=0"),
-        ({"samples": 10**12}, "samples=1000000000000"),
-        ({"to": "reflectance"}, "to='reflectance'"),
-        ({"atmospheres": ["dusk"]}, "no atmosphere 'dusk' in the scene file, expected some of noon, cloudy"),
-    ],
-)
-def test_calls_that_make_no_sense_are_refused(tmp_path: Path, options: dict[str, Any], problem: str) -> None:
-    with pytest.raises(SchemaError, match=problem):
-        hp.render_scene(scene_file(tmp_path), tmp_path / "out.zarr", **options)
-    assert not (tmp_path / "out.zarr").exists()
-
-
-def test_scenes_larger_than_the_disk_are_refused_before_anything_is_built(tmp_path: Path) -> None:
+    ):
+        (tmp_path / "mine.csv").write_text(spectrum)
+        expect_error((SchemaError, FormatError), problem, partial(hp.render_scene, file, out))
+    # a scene larger than the disk is refused before anything is built
     text = SCENE.replace("lines = 40", "lines = 1_000_000").replace("columns = 24", "columns = 20_000")
     text = text.replace("ground_sample_m = 0.4", "ground_sample_m = 0.001")
     file = scene_file(tmp_path, text.replace("bands = 12", "bands = 4"))
-    with pytest.raises(StoreError, match=r"633\.30 GiB.*disk-full"):
-        hp.render_scene(file, tmp_path / "out.zarr")
-    assert not (tmp_path / "out.zarr").exists()
+    expect_error(StoreError, r"633\.30 GiB.*disk-full", lambda: hp.render_scene(file, out))
+    assert not out.exists()
 
 
-def test_urls_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="output-is-url"):
-        hp.render_scene(scene_file(tmp_path), "s3://bucket/out.zarr")
-
-
-def test_problems_are_one_message_and_status_2(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
+def test_problems_are_one_message_and_status_2(tmp_path: Path) -> None:
     file = scene_file(tmp_path, SCENE.replace("samples = 4", "samples = 0").replace("[camera]", "[kamera]"))
-    result = hyperpaint("render", file, "--out", tmp_path / "out.zarr")
-    assert result.exit_code == 2
+    result = hyperpaint("render", file, "--out", tmp_path / "out.zarr", status=2)
     assert result.stdout == ""
     assert result.stderr.startswith("error: ")
-    assert "unknown table or key 'kamera'; did you mean 'camera'?" in result.stderr
-    assert "samples = 0" in result.stderr
+    expect_words(result.stderr, "unknown table or key 'kamera'; did you mean 'camera'?", "samples = 0")
     assert hyperpaint("render", tmp_path / "none.toml", "--out", tmp_path / "out.zarr").exit_code == 2
 
 
 # --- the command -------------------------------------------------------------------------------------------
 
 
-def test_the_example_is_printed_and_help_teaches(hyperpaint: Hyperpaint) -> None:
+def test_the_example_is_printed_and_help_teaches() -> None:
     from hyperpaint.workflows.scene_files import example_scene
 
     assert hyperpaint("render", "--example").stdout == example_scene()
@@ -387,13 +354,11 @@ def test_the_example_is_printed_and_help_teaches(hyperpaint: Hyperpaint) -> None
     assert " render  " in hyperpaint("--help").stdout
 
 
-def test_pictures_are_drawn(hyperpaint: Hyperpaint, store: Path, tmp_path: Path) -> None:
+def test_pictures_are_drawn(store: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     picture = tmp_path / "renders.png"
-    result = hyperpaint("render", store.parent / "scene.toml", "--out", store, "--picture", picture)
-    assert result.exit_code == 0, result.output
+    hyperpaint("render", store.parent / "scene.toml", "--out", store, "--picture", picture, status=0)
     assert picture.read_bytes().startswith(b"\x89PNG")
-    refused = hyperpaint(
-        "render", store.parent / "scene.toml", "--out", store, "--picture", tmp_path / "a.xyz"
+    hyperpaint(
+        "render", store.parent / "scene.toml", "--out", store, "--picture", tmp_path / "a.xyz", status=2
     )
-    assert refused.exit_code == 2

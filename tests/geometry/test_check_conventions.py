@@ -1,7 +1,5 @@
 """Wrong declarations are named, right ones are not; the whole table: campaigns/wrong_conventions.py."""
 
-from __future__ import annotations
-
 import functools
 import tempfile
 from typing import Any

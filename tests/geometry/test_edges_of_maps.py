@@ -1,7 +1,5 @@
 """Angles a hair below north, and maps whose axes point elsewhere."""
 
-from __future__ import annotations
-
 import pytest
 
 from hyperpaint.base.attitude_conventions import Convention

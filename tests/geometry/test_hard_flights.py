@@ -1,7 +1,5 @@
 """From poses to the map in one go, of flights that go wrong: nothing is smeared, nothing raises."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ground behind cars that no pixel shows is a gap of the map, and what is seen stays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -71,8 +69,7 @@ def test_without_heights_it_was_shown(seen: Seen) -> None:
 
 
 def test_a_line_that_is_located_on_a_model_of_the_surface(seen: Seen) -> None:
-    pyproj = pytest.importorskip("pyproj")
-    back = pyproj.Transformer.from_crs(MAP, "EPSG:4979", always_xy=True)
+    back = pytest.importorskip("pyproj").Transformer.from_crs(MAP, "EPSG:4979", always_xy=True)
     middle = np.full(LINES, EAST + COLUMNS * SPACING / 2)
     longitude, latitude = back.transform(middle, NORTH + np.arange(LINES) * SPACING)
     poses = {"latitude": latitude, "longitude": longitude, "altitude": np.full(LINES, HEIGHT)}

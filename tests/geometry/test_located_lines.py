@@ -1,7 +1,5 @@
 """A located line in the hands of the rest of the package: reflectance, regions of the map, signatures."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 from support.geocentric_rays import LEFT_TO_RIGHT, UTM, flown

@@ -1,7 +1,5 @@
 """A crop of a flight line keeps its numbers: on its map they are the places of the whole line."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -60,8 +58,7 @@ def test_numbers_of_averaged_lines_name_no_pixel_and_positions_stay(line: xr.Dat
 
 def test_a_region_of_the_whole_line_gives_its_pixels_on_the_map_of_a_crop(line: xr.Dataset) -> None:
     regions = Regions((Region("hood", [(10.5, 40.5), (35.5, 42.5), (30.5, 90.5), (12.5, 80.5)]),))
-    crop = line.isel(CROP)
-    orthomap = hp.geometry.orthorectify(crop, GSD / 2)
+    orthomap = hp.geometry.orthorectify(line.isel(CROP), GSD / 2)
     row, col = pixels(regions[0], orthomap)
     shown = {
         (int(a), int(c))

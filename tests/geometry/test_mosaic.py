@@ -1,7 +1,5 @@
 """Several lines on one map: every cell is of the line that shows it best, and of no other."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import dask
@@ -11,7 +9,7 @@ import pytest
 import xarray as xr
 from support.flown_lines import GSD, HEIGHT, fly, located
 from support.plain_mosaics import plain_mosaic
-from support.refusals import refusal
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -138,19 +136,24 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(SchemaError) as refused:
         hp.geometry.mosaic(lines, -1.0, rule="best")  # type: ignore[arg-type]
     assert refused.value.codes == ("choice-unknown", "value-out-of-range")
-    with pytest.raises(SchemaError, match="type-wrong"):
-        hp.geometry.mosaic({})
-    with refusal(SchemaError, "variable-missing", "a, b, c lack"):
-        hp.geometry.mosaic(lines, variables=["quality"])
+    expect_refusals(
+        (SchemaError, "type-wrong", lambda: hp.geometry.mosaic({})),
+        (
+            SchemaError,
+            "variable-missing",
+            "a, b, c lack",
+            lambda: hp.geometry.mosaic(lines, variables=["quality"]),
+        ),
+    )
     with pytest.raises(SchemaError, match=r"b has.*variable-missing"):
         hp.geometry.mosaic({**lines, "b": lines["b"].drop_vars("view_zenith")})
     elsewhere = lines["b"].assign_coords(east=lines["b"].east.assign_attrs(crs="EPSG:32618"))
-    with refusal(SchemaError, "crs-conflict", "a: EPSG:32617"):
-        hp.geometry.mosaic({**lines, "b": elsewhere})
+    expect_refusals(
+        (SchemaError, "crs-conflict", "a: EPSG:32617", lambda: hp.geometry.mosaic({**lines, "b": elsewhere}))
+    )
     maps = {name: hp.geometry.orthorectify(line, GSD, grid="north") for name, line in lines.items()}
     maps["b"] = hp.geometry.orthorectify(lines["b"], 1.5 * GSD, grid="north")
-    with pytest.raises(SchemaError, match="grid-mismatch"):
-        hp.geometry.mosaic(maps)
+    expect_refusals((SchemaError, "grid-mismatch", lambda: hp.geometry.mosaic(maps)))
     maps["b"] = hp.geometry.orthorectify(lines["b"], GSD, grid="flight")
     with pytest.raises(SchemaError) as refused:
         hp.geometry.mosaic(maps)
@@ -172,8 +175,9 @@ def test_seamlines_enclose_the_cells_of_each_line() -> None:
         made.flightline.shape, fill=-1, transform=(a, b, east, c, d, north), dtype="int16",
     )  # fmt: skip
     np.testing.assert_array_equal(burnt, made.flightline.values)
-    with pytest.raises(SchemaError, match="variable-missing"):
-        hp.geometry.seamlines(made.drop_vars("flightline"))
+    expect_refusals(
+        (SchemaError, "variable-missing", lambda: hp.geometry.seamlines(made.drop_vars("flightline")))
+    )
 
 
 def test_levelling_finds_the_gains_of_lines() -> None:
@@ -202,8 +206,13 @@ def test_levelling_finds_the_gains_of_lines() -> None:
         np.testing.assert_array_equal(
             made.radiance.values[cells], plain.radiance.values[cells] * factor[name]
         )
-    with pytest.raises(SchemaError, match="overlap-missing"):
-        hp.geometry.mosaic({"a": lines["a"], "z": lines["z"]}, GSD, levelling="overlap")
+    expect_refusals(
+        (
+            SchemaError,
+            "overlap-missing",
+            lambda: hp.geometry.mosaic({"a": lines["a"], "z": lines["z"]}, GSD, levelling="overlap"),
+        )
+    )
 
 
 def test_a_band_without_overlap_is_levelled_as_its_neighbours() -> None:

@@ -1,7 +1,5 @@
 """What a map says of height, swath and pixels, and when it warns."""
 
-from __future__ import annotations
-
 import pytest
 import xarray as xr
 from support.geocentric_rays import flown
@@ -30,8 +28,9 @@ def test_height_swath_and_aspect_by_hand() -> None:
 
 
 def test_a_ground_above_the_sea_is_noticed() -> None:
-    with pytest.warns(PaintWarning, match=r"2 m above.*swath-implausible"):
+    with pytest.warns(PaintWarning, match=r"2 m above.*swath-implausible") as caught:
         mapped(98.0)
+    assert caught[0].filename == __file__
 
 
 def test_swath_and_pixels_of_a_whole_camera_are_judged() -> None:

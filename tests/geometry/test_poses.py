@@ -1,7 +1,5 @@
 """Poses between the rows of a navigation record against scipy's, and what becomes of gaps."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 from support.geocentric_rays import START
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
@@ -61,8 +60,7 @@ def test_linear_poses_are_those_of_scipy() -> None:
     knots = np.arange(60) * 0.01
     assert turn_between(made, Slerp(knots, scipy_rotations(data))(SECONDS)).max() < 1e-6
     for name in POSE[:3]:
-        wanted = np.interp(SECONDS, knots, data[name])
-        np.testing.assert_allclose(made[name], wanted, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(made[name], np.interp(SECONDS, knots, data[name]), rtol=0, atol=1e-9)
         assert made[name].dtype == np.float64
     assert (made["heading"] >= 0).all()
     assert (made["heading"] < 360).all()
@@ -168,8 +166,15 @@ def test_times_of_a_record() -> None:
     assert float(made.altitude[0]) == pytest.approx(float(data.altitude[1:3].mean()), abs=1e-12)
     with pytest.raises(TimeError, match=r"4 of 5.*time-backwards"):
         hp.geometry.interpolate_pose(data.isel(navigation_time=slice(None, None, -1)), at([0.0]))
-    with pytest.raises(TimeError, match="type-wrong"):
-        hp.geometry.interpolate_pose(data.assign_coords(navigation_time=np.arange(5.0)), at([0.0]))
+    expect_refusals(
+        (
+            TimeError,
+            "type-wrong",
+            lambda: hp.geometry.interpolate_pose(
+                data.assign_coords(navigation_time=np.arange(5.0)), at([0.0])
+            ),
+        )
+    )
     for kind in ("linear", "cubic"):
         one = data.isel(navigation_time=[2])
         made = hp.geometry.interpolate_pose(one, at([0.01, 0.02, 0.03]), interpolation=kind)  # type: ignore[arg-type]
@@ -228,14 +233,26 @@ def test_units_references_and_heights() -> None:
     magnetic = Convention(heading_reference="magnetic", declination=-7.5)
     turned = hp.geometry.canonical_navigation(data, convention=magnetic)["heading"]
     assert np.abs((turned - data["heading"] + 7.5 + 180) % 360 - 180).max() < 1e-9
-    with pytest.raises(SchemaError, match="declination-missing"):
-        hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="magnetic"))
+    expect_refusals(
+        (
+            SchemaError,
+            "declination-missing",
+            lambda: hp.geometry.canonical_navigation(
+                data, convention=Convention(heading_reference="magnetic")
+            ),
+        )
+    )
     high = Convention(height_reference="geoid", geoid_undulation=-33.2)
     np.testing.assert_allclose(
         hp.geometry.canonical_navigation(data, convention=high).altitude, data.altitude - 33.2
     )
-    with pytest.raises(SchemaError, match="undulation-missing"):
-        hp.geometry.canonical_navigation(data, convention=Convention(height_reference="geoid"))
+    expect_refusals(
+        (
+            SchemaError,
+            "undulation-missing",
+            lambda: hp.geometry.canonical_navigation(data, convention=Convention(height_reference="geoid")),
+        )
+    )
 
 
 def test_headings_from_grid_north() -> None:
@@ -246,8 +263,13 @@ def test_headings_from_grid_north() -> None:
                             (Convention(heading_reference="grid", grid_crs="EPSG:32617"), None)):  # fmt: skip
         made = hp.geometry.canonical_navigation(data, convention=convention, crs=crs)["heading"]
         assert np.abs((made - data["heading"] - gamma + 180) % 360 - 180).max() < 1e-5
-    with pytest.raises(SchemaError, match="grid-crs-missing"):
-        hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="grid"))
+    expect_refusals(
+        (
+            SchemaError,
+            "grid-crs-missing",
+            lambda: hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="grid")),
+        )
+    )
 
 
 def test_conventions_are_stored_with_the_data(tmp_path: Path) -> None:

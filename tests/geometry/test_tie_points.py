@@ -3,8 +3,6 @@
 The simulator has its own geodesy, rotations and navigation; nothing of the way back is shared with it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

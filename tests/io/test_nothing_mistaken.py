@@ -1,7 +1,5 @@
 """Records, cubes and arguments taken for something else are refused or warned of; right ones are silent."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

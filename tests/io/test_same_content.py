@@ -1,7 +1,5 @@
 """The same content in another spelling, encoding or unit: the same values or a refusal, never others."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re
@@ -19,7 +17,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintError, PaintWarning
 from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.io.dirsig import open_emissivity, read_materials
-from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.envi.envi_cubes import read_header
 from hyperpaint.io.flightline.headwall import exposure_seconds, read_frame_index, read_settings
 from hyperpaint.io.navigation.navigation_opening import open_navigation
 from hyperpaint.io.navigation.navigation_records import read_gps_time, read_imu_gps

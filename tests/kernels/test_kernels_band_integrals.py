@@ -1,7 +1,5 @@
 """Loops of relighting against numpy, compiled and not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

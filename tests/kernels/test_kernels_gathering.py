@@ -1,7 +1,5 @@
 """Gathering against fancy indexing and scipy's interpolation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates

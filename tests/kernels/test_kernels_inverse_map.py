@@ -1,7 +1,5 @@
 """The inverse map against plain numpy, which asks every cell of every patch."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import fsolve

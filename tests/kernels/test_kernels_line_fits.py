@@ -1,7 +1,5 @@
 """Line profiles against numerical convolution, and fits against what was put in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

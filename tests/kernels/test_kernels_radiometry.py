@@ -1,7 +1,5 @@
 """The slab kernel against plain numpy, in every mode; with compilation and without."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rays on a flat earth, where a frame is its map: by hand, and against a march in small steps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

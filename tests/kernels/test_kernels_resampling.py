@@ -1,7 +1,5 @@
 """Interpolation with weights of every column's own."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperpaint.kernels.spectral_axis import resample_slab

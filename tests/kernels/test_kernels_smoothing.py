@@ -1,7 +1,5 @@
 """Filters over the bands against scipy, and what a missing band touches."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The kernel tests once more, as plain Python."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

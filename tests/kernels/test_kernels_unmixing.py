@@ -1,7 +1,5 @@
 """The loops of flags, against scipy's least squares and plain numpy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Light sensors on the aircraft: what they read when they lean, and what a level one would have read."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

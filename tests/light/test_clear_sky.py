@@ -1,7 +1,5 @@
 """The level of the clear sky against ASTM G173 and SPECTRL2, by pvlib."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -11,9 +9,14 @@ from support.refusals import expect_refusals
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.clear_sky import ClearSky, ozone_mass, sunlight_table
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.simulation.atmosphere import GRID_STEP, Sky, solar_irradiance, spectral_grid
+from hyperpaint.simulation.atmosphere import (
+    GRID_STEP,
+    Sky,
+    relative_air_mass,
+    solar_irradiance,
+    spectral_grid,
+)
 from hyperpaint.simulation.camera import convolve_gaussian
-from hyperpaint.simulation.rendering.sky_models import relative_air_mass
 
 FINE = spectral_grid(350.0, 1050.0)
 CHANNELS = np.arange(400.0, 1000.1, 5.0)
@@ -23,8 +26,7 @@ AIR_MASS_OF_G173 = 48.19  # degree: 1.5
 @pytest.fixture(scope="module")
 def g173() -> tuple[np.ndarray, np.ndarray]:
     # Return extraterrestrial and direct irradiance of the standard on the fine grid
-    pvlib = pytest.importorskip("pvlib")
-    table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")
+    table = pytest.importorskip("pvlib").spectrum.get_reference_spectra(standard="ASTM G173-03")
     nm = table.index.values
     return np.interp(FINE, nm, table.extraterrestrial.values), np.interp(FINE, nm, table.direct.values)
 
@@ -85,8 +87,7 @@ def test_global_and_diffuse_light_are_those_of_spectrl2(zenith: float, within: f
     blue, red = seen(direct + diffuse, ends, 10.0)
     expected = at("poa_global", ends)
     assert red / blue == pytest.approx(expected[1] / expected[0], rel=0.05)
-    ours = seen(diffuse)
-    assert np.trapezoid(ours) == pytest.approx(np.trapezoid(at("dhi", CHANNELS)), rel=within)
+    assert np.trapezoid(seen(diffuse)) == pytest.approx(np.trapezoid(at("dhi", CHANNELS)), rel=within)
     # outside the bands, which SPECTRL2 has in steps of 10 nm, and the steps of its sun in the violet
     clear = np.array([460.0, 490.0, 520.0, 550.0, 610.0, 670.0, 780.0, 860.0, 880.0])
     np.testing.assert_allclose(seen(diffuse, clear), at("dhi", clear), rtol=0.05)

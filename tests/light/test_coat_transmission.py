@@ -1,7 +1,5 @@
 """What a clear coat lets through: Fresnel's equations, a Monte Carlo's sky, the renderer's coat."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.scattered_sky import sky_radiance
@@ -22,8 +20,7 @@ def plain_fresnel(angle: float, index: float) -> float:
     outside = np.radians(angle)
     inside = np.arcsin(np.sin(outside) / index)
     s = np.sin(outside - inside) ** 2 / np.sin(outside + inside) ** 2
-    p = np.tan(outside - inside) ** 2 / np.tan(outside + inside) ** 2
-    return float(0.5 * (s + p))
+    return float(0.5 * (s + np.tan(outside - inside) ** 2 / np.tan(outside + inside) ** 2))
 
 
 @pytest.mark.parametrize("index", [1.47, 1.5, 1.55])
@@ -47,8 +44,7 @@ def test_the_interface_is_fresnels(index: float) -> None:
 def test_a_clear_sky_loses_more_than_a_uniform_one(sun: float) -> None:
     for nm in (450.0, 850.0):
         sky = sky_radiance(nm, sun, photons=2500, zeniths=20, azimuths=12)
-        fresnel = fresnel_reflectance(sky.cosine)[:, None]
-        truth = sky.mean(sky.relative * fresnel)
+        truth = sky.mean(sky.relative * fresnel_reflectance(sky.cosine)[:, None])
         assert sky_reflectance([nm], sun) == pytest.approx(truth, rel=0.08)
         assert truth > hemispherical_reflectance()
 

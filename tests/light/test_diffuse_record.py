@@ -1,7 +1,5 @@
 """What sky a record of irradiance is of: against SPECTRL2 by pvlib, ASTM G173, and clouds over them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -54,8 +52,7 @@ def words(one: xr.Dataset) -> set[str]:
 
 def inside(one: xr.Dataset, truth: np.ndarray) -> float:
     # Return how often an interval of 95 % holds the truth
-    apart = np.abs(one.diffuse_fraction - truth)
-    return float((apart < 1.96 * one.diffuse_fraction_u).mean())
+    return float((np.abs(one.diffuse_fraction - truth) < 1.96 * one.diffuse_fraction_u).mean())
 
 
 @pytest.mark.parametrize("zenith", [25.0, 45.0, 65.0])
@@ -74,8 +71,7 @@ def test_clear_air_of_another_model(zenith: float, aerosol: float, water: float,
 
 
 def test_the_split_of_g173() -> None:
-    pvlib = pytest.importorskip("pvlib")
-    table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")
+    table = pytest.importorskip("pvlib").spectrum.get_reference_spectra(standard="ASTM G173-03")
     beam = table["direct"].values
     sky = table["global"].values - beam * np.cos(np.radians(48.19 - 37.0))  # as it is on its slope
     direct, sky = (np.interp(NM, table.index, part) for part in (beam * np.cos(np.radians(48.19)), sky))
@@ -87,8 +83,7 @@ def test_the_split_of_g173() -> None:
 @pytest.mark.parametrize("level", [0.1, 0.25, 0.5])
 def test_overcast(level: float) -> None:
     direct, sky = spectrl2(40.0, 0.1)
-    tint = 0.85 + 0.15 * (NM / 490.0) ** -4.0
-    one = split(level * tint * (direct + sky), moments(40.0))
+    one = split(level * (0.85 + 0.15 * (NM / 490.0) ** -4.0) * (direct + sky), moments(40.0))
     assert words(one) == {"overcast"}
     assert float(one.diffuse_fraction.min()) > 0.97
     assert inside(one, np.ones(4)) == 1.0
@@ -143,8 +138,7 @@ def test_samples_without_data_and_a_sun_below_the_horizon() -> None:
     assert np.isnan(one.diffuse_fraction[3]).all()
     assert int(one.sky_state[3]) == SKY_STATES.index("contradictory")
     assert np.isfinite(one.diffuse_fraction[4]).all()
-    night = moments(40.0) + np.timedelta64(9, "h")
-    assert words(split(light, night)) == {"contradictory"}
+    assert words(split(light, moments(40.0) + np.timedelta64(9, "h"))) == {"contradictory"}
 
 
 def test_refusals() -> None:

@@ -1,7 +1,5 @@
 """Irradiance of every band and column: in wavelength, over the smile and on a tilted panel."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -46,8 +44,7 @@ def test_match_is_labelled_lazy_and_float32(no_compute: Any) -> None:
 
 
 def test_match_takes_other_units_and_orders() -> None:
-    rng = np.random.default_rng(0)
-    spectra = rng.uniform(1, 2, (2, 141)).astype("f4")
+    spectra = np.random.default_rng(0).uniform(1, 2, (2, 141)).astype("f4")
     plain = match_irradiance(record(spectra), [540.0, 550.0], [6.0, 6.0])
     other = record(spectra[:, ::-1] * 100, SAMPLES[::-1] / 1000).T
     other.attrs["units"] = "uW cm-2 nm-1"
@@ -119,8 +116,7 @@ def test_cubics_pass_through_any_cubic() -> None:
     cubics = smile.cubics(curve(smile.nodes)[:, None] * np.ones((2, 1, 4)))
     assert cubics.shape == (2, 4, smile.nodes.size - 3, 4)
     for x, wanted in enumerate([-1.2, 0.3, 0.9]):
-        run = np.searchsorted(smile.edges[0], x, side="right") - 1
-        terms = cubics[0, 0, smile.cells[0, run]]
+        terms = cubics[0, 0, smile.cells[0, np.searchsorted(smile.edges[0], x, side="right") - 1]]
         assert np.polyval(terms[::-1], float(smile.shift[0, x])) == pytest.approx(curve(wanted), abs=1e-6)
 
 

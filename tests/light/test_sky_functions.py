@@ -1,7 +1,5 @@
 """Directions of the clear sky: the project's table, a Monte Carlo of its own, perezsky and CIE type 12."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.scattered_sky import Air, sky_radiance

@@ -1,7 +1,5 @@
 """The sun against pvlib's SPA, and the split of its light against published numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,10 +16,13 @@ def test_position_is_that_of_the_spa(latitude: float, longitude: float) -> None:
     index = pandas.DatetimeIndex(times, tz="UTC")
     expected = pvlib.solarposition.spa_python(index, latitude, longitude, delta_t=69.0)
     zenith, azimuth = solar_position(times.values, latitude, longitude)
-    assert np.abs(zenith - expected["zenith"].values).max() < 0.02
     # in degrees on the sky
+    off = zenith - expected["zenith"].values
     turn = (azimuth - expected["azimuth"].values + 180) % 360 - 180
-    assert np.abs(turn * np.sin(np.radians(zenith))).max() < 0.02
+    turn *= np.sin(np.radians(zenith))
+    assert max(np.abs(off).max(), np.abs(turn).max()) < 0.0125
+    # 0.005; with a mean anomaly that is 0.3 degrees off it is 0.008
+    assert np.sqrt(np.mean(off**2 + turn**2)) < 0.006
 
 
 def test_units_of_time_and_missing_stamps() -> None:

@@ -1,6 +1,6 @@
 """Which irradiance samples light each line, and what an error of the clocks could do."""
 
-from __future__ import annotations
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from support.refusals import refusal
 
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import Quality
+from hyperpaint.light.sun import solar_position
 from hyperpaint.light.synchrony import line_light, timing_sensitivity
 
 START = np.datetime64("2020-06-21T17:00", "ns")
@@ -69,8 +70,7 @@ def test_spectra_without_a_value_are_passed_over() -> None:
 
 
 def test_far_from_1970_no_bit_is_lost() -> None:
-    light = line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0)
-    assert light.weight[0] == 1 / 3
+    assert line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0).weight[0] == 1 / 3
 
 
 # --- clocks ------------------------------------------------------------------------------------------------
@@ -130,3 +130,25 @@ def test_one_sample_tells_nothing_of_timing() -> None:
 def test_impossible_seconds_are_named_together() -> None:
     with refusal(SchemaError, "value-out-of-range", "max_gap", "-1 s", "clock_uncertainty", "-2 s"):
         line_light(ns([0.0]), ns([0.0]), np.ones(1), -1.0, clock_uncertainty=-2.0)
+
+
+@pytest.mark.parametrize(
+    ("flag", "limit", "level"),
+    [
+        (Quality.ILLUMINATION_UNSTABLE, 0.02, lambda change: np.array([1.0, 1.0 + change])),
+        (Quality.TIMING_SENSITIVE, 0.01, lambda change: np.array([1.0, 1.0 + 2.0 * change])),
+    ],
+)
+def test_flags_of_changing_light_have_their_limits(flag: Quality, limit: float, level: Callable) -> None:
+    # the line is in the middle of two samples, and the clocks agree to half their interval
+    for share in (0.7, 1.5):
+        flags = line_light(ns([5.0]), ns([0.0, 10.0]), level(share * limit), clock_uncertainty=5.0).flags
+        assert bool(flags[0] & flag) == (share > 1.0)
+
+
+def test_the_flag_of_a_low_sun_begins_at_75_degrees() -> None:
+    morning = np.datetime64("2024-04-03T06:00", "ns") + np.arange(0, 7200, 60).astype("timedelta64[s]")
+    zenith, _ = solar_position(morning, 0.0, 0.0)
+    place = np.zeros(morning.size)
+    flags = line_light(morning, morning[[0, -1]], np.ones(2), 1e9, place, place).flags
+    np.testing.assert_array_equal((flags & Quality.LOW_SUN) != 0, zenith > 75.0)

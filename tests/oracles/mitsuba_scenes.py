@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.materials import internal_reflectance
 from hyperpaint.simulation.rendering.painting import factor_spectra
 from hyperpaint.simulation.rendering.scene_record import SceneRecord, sun_vectors

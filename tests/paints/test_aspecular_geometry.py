@@ -1,7 +1,5 @@
 """Aspecular angles, and what changes from the dark to the bright end of a panel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -11,8 +9,14 @@ from hyperpaint.base.errors import PaintWarning
 from hyperpaint.paints.signatures.extraction import aspecular_angle, flop_of, lean_range
 from hyperpaint.regions import Region, Regions
 from hyperpaint.simulation import simulate_line
-from hyperpaint.simulation.rendering.appearance import flakes_of_flop, reflectance_factor
-from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, fresnel_reflectance
+from hyperpaint.simulation.rendering.materials import (
+    Coat,
+    Flakes,
+    Material,
+    flakes_of_flop,
+    fresnel_reflectance,
+    reflectance_factor,
+)
 
 _ZENITH = st.floats(0.0, 85.0)
 
@@ -67,14 +71,11 @@ def test_solid_paint_changes_with_the_light_and_flakes_with_their_own_colour() -
     assert lean_range(flakes[1], 45.0, middle) > 5.6
 
 
-def test_noise_makes_no_flop() -> None:
+def test_noise_and_few_pixels_make_no_flop() -> None:
     noisy = BODY * (1.0 + 0.01 * np.random.default_rng(1).normal(size=(256, NM.size)))
     flop = flop_of(noisy, GOOD)
     assert abs(flop[1]) < 0.006
     assert np.abs(flop[0]).max() < 0.012
-
-
-def test_what_tells_nothing_is_nan() -> None:
     few = np.tile(BODY, (19, 1))
     assert np.isnan(flop_of(few, GOOD)[0]).all()
     padded = np.full((60, NM.size), np.nan)
@@ -116,12 +117,6 @@ def test_the_coat_is_not_divided_out_of_a_metallic_paint() -> None:
     assert (paints.coat_transmission.values[0] < 0.999).all()
     np.testing.assert_array_equal(paints.coat_transmission.values[1], 1.0)
     assert (paints.reflectance.values[0] > paints.reflectance.values[1]).all()
-
-
-def test_what_a_metallic_paint_is_compared_with_does_not_depend_on_its_library() -> None:
-    line = simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
-    corners = [(0, 0), (0, 31), (6, 31), (6, 0)]
-    regions = [Region(name, corners, properties={"finish": name}) for name in ("solid", "metallic")]
     both = hp.extract_signatures(line, Regions(tuple(regions)), specular_sky=True, diffuse="model")
     alone = both.isel(signature=[1])
     reading = alone[["reflectance"]].assign(reflectance=alone.reflectance + np.float32(0.03))

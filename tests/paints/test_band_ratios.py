@@ -1,7 +1,5 @@
 """Covariance of the bands of signatures against how signatures of simulated collects scatter."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -85,13 +83,10 @@ def test_what_bands_share_leaves_a_ratio() -> None:
     assert (np.linalg.eigvalsh(bands.values[0]) > -0.02 * own.min() ** 2).all()
 
 
-def test_a_mean_says_the_same_as_a_signature() -> None:
+def test_signs_of_errors_and_means() -> None:
     line = noisy_collect(np.random.default_rng(2), 20, 6, 10, common=True)
     mean = mean_uncertainty(reflectance(line, uncertainty=True))
     np.testing.assert_allclose(covariance(mean).values, covariance(signature(line)).values[0], rtol=1e-4)
-
-
-def test_signs_of_an_error_of_wavelength_are_kept() -> None:
     library = signature(noisy_collect(np.random.default_rng(3), 20, 6, 10, common=True))
     row = library.reflectance_errors.values[0, list(library.error_source.values).index("wavelength")]
     light = 1.0 - 0.002 * (WAVELENGTH - 545.0)
@@ -114,15 +109,12 @@ def test_a_library_without_sources_has_a_covariance() -> None:
         band_ratio(bare, 900.0, 550.0)
 
 
-def test_bands_that_were_picked_are_not_taken_for_neighbours() -> None:
+def test_libraries_of_other_sources_and_bands() -> None:
     library = signature(noisy_collect(np.random.default_rng(7), 10, 6, 10))
     whole, picked = (covariance(each).values[0] for each in (library, library.isel(band=[3, 4, 20])))
     np.testing.assert_allclose(np.diagonal(picked), np.diagonal(whole)[[3, 4, 20]], rtol=1e-6)
     assert whole[3, 4] > 0.0
     assert picked[0, 1] == picked[1, 2] == 0.0
-
-
-def test_libraries_of_other_sources_can_be_joined() -> None:
     one = signature(noisy_collect(np.random.default_rng(5), 10, 6, 10, common=True))
     other = signature(noisy_collect(np.random.default_rng(6), 10, 6, 10, irradiance_u=0.0, smile=1.0))
     assert one.sizes["error_source"] > other.sizes["error_source"]

@@ -1,7 +1,5 @@
 """A coat's strength from the pixels of a curved panel, built by plain mirror geometry."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Signatures of the body under a clear coat: what is put into a line by plain arithmetic comes back."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -79,7 +77,7 @@ def test_the_body_comes_back(n: float) -> None:
     assert 0.001 < float(body.coat_transmission_u.min()) < float(body.coat_transmission_u.max()) < 0.02
 
 
-def test_ground_has_no_coat() -> None:
+def test_ground_has_no_coat_and_refusals(no_compute: Any) -> None:
     seen = line(0.1)
     corners = {"hood": {}, "road": {"kind": "asphalt"}}
     regions = hp.Regions(tuple(hp.Region(name, CORNERS, properties=own) for name, own in corners.items()))
@@ -88,6 +86,21 @@ def test_ground_has_no_coat() -> None:
     assert (both.coat_transmission[1] == 1.0).all()
     assert (both.coat_transmission_u[1] == 0.0).all()
     assert both.reflectance.dtype == np.float32
+    with pytest.raises(SchemaError, match="mirrored-sky-included"):
+        hp.surroundings.correct_coat(seen)
+    bare = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
+    body = hp.surroundings.correct_coat(bare, diffuse="model")
+    with pytest.raises(SchemaError, match="corrected-before"):
+        hp.surroundings.correct_coat(body)
+    with pytest.raises(SchemaError, match="correct the coat last"):
+        hp.surroundings.remove_mirrored_sky(body)
+    with pytest.raises(SchemaError, match=r"index=0\.9, expected 1"):
+        hp.surroundings.correct_coat(bare, index=0.9)
+    seen = seen.assign(reflectance=seen.reflectance.chunk(along_track=4))
+    seen = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
+    with no_compute():
+        body = hp.surroundings.correct_coat(seen, diffuse="model")
+    assert body.reflectance.dtype == np.float32
 
 
 def test_a_library_is_corrected_as_an_extraction() -> None:
@@ -114,26 +127,3 @@ def test_a_library_is_corrected_as_an_extraction() -> None:
     f, above = diffuse_fraction(NM, SUN), zenith_radiance(NM, SUN)
     mirror = above * np.hypot(0.128 * 0.03 * f, 0.04 * 0.2 * f * (1 - f))
     np.testing.assert_allclose(own, np.hypot(u.reflectance * uc, mirror) / c, rtol=1e-5)
-
-
-def test_refusals() -> None:
-    seen = line(0.1)
-    with pytest.raises(SchemaError, match="mirrored-sky-included"):
-        hp.surroundings.correct_coat(seen)
-    bare = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
-    body = hp.surroundings.correct_coat(bare, diffuse="model")
-    with pytest.raises(SchemaError, match="corrected-before"):
-        hp.surroundings.correct_coat(body)
-    with pytest.raises(SchemaError, match="correct the coat last"):
-        hp.surroundings.remove_mirrored_sky(body)
-    with pytest.raises(SchemaError, match=r"index=0\.9, expected 1"):
-        hp.surroundings.correct_coat(bare, index=0.9)
-
-
-def test_the_coat_is_corrected_lazily(no_compute: Any) -> None:
-    seen = line(0.1)
-    seen = seen.assign(reflectance=seen.reflectance.chunk(along_track=4))
-    seen = hp.surroundings.remove_mirrored_sky(seen, diffuse="model")
-    with no_compute():
-        body = hp.surroundings.correct_coat(seen, diffuse="model")
-    assert body.reflectance.dtype == np.float32

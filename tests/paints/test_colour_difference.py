@@ -1,7 +1,5 @@
 """CIE Lab and CIEDE2000 against published values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -42,8 +40,7 @@ def test_names_and_digits() -> None:
         assert srgb_hex(parse_colour(name)) == digits
         np.testing.assert_array_equal(parse_colour(digits.upper()), parse_colour(name))
     assert srgb_hex(parse_colour(" GRAY")) == COLOURS["grey"]
-    assert srgb_hex(parse_colour("Dark_Red")) == COLOURS["dark red"]
-    assert srgb_hex([np.nan, 0.0, 0.0]) == ""
+    assert (srgb_hex(parse_colour("Dark_Red")), srgb_hex([np.nan, 0.0, 0.0])) == (COLOURS["dark red"], "")
 
 
 @pytest.mark.parametrize(("colour", "hint"), [("rde", "did you mean 'red'"), ("#12345", "colour-unknown")])

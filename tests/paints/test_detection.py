@@ -1,7 +1,5 @@
 """Paints looked for in an image: scores against plain numpy and SPy, rates, refusals, the same bits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import dask
@@ -72,7 +70,7 @@ def some_spectra(seed: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
     return spectra, rng.random((3, 9)), spectra.mean(axis=0), np.cov(spectra.T)
 
 
-def test_scores_are_those_of_plain_numpy() -> None:
+def test_scores_are_those_of_plain_numpy_at_any_scale() -> None:
     spectra, paints, mean, covariance = some_spectra()
     inverse = np.linalg.inv(covariance)
     project = projection(paints, None, mean, covariance)
@@ -87,6 +85,13 @@ def test_scores_are_those_of_plain_numpy() -> None:
             assert matched[n, k] == pytest.approx(product / (t @ inverse @ t), rel=1e-9, abs=1e-12)
             cosine = pixel @ paint / np.sqrt((pixel @ pixel) * (paint @ paint))
             assert angle[n, k] == pytest.approx(cosine, rel=1e-12)
+    plain = scores(spectra, projection(paints, None, mean, covariance), "ace")
+    longer = scores(mean + 3.7 * (spectra - mean), projection(paints, None, mean, covariance), "ace")
+    np.testing.assert_allclose(longer, plain, rtol=1e-9)
+    rng = np.random.default_rng(8)
+    change, shift = rng.random((9, 9)) + np.eye(9), rng.random(9)
+    moved = projection(paints @ change + shift, None, mean @ change + shift, change.T @ covariance @ change)
+    np.testing.assert_allclose(scores(spectra @ change + shift, moved, "ace"), plain, rtol=1e-6, atol=1e-9)
 
 
 def test_scores_are_those_of_spy() -> None:
@@ -100,17 +105,6 @@ def test_scores_are_those_of_spy() -> None:
         matched = spectral.matched_filter(image, paint, background=background).ravel()
         np.testing.assert_allclose(np.abs(scores(spectra, project, "ace"))[:, number], ace, atol=1e-9)
         np.testing.assert_allclose(scores(spectra, project, "matched_filter")[:, number], matched, rtol=1e-7)
-
-
-def test_ace_knows_no_scale_and_no_affine_change_of_bands() -> None:
-    spectra, paints, mean, covariance = some_spectra()
-    plain = scores(spectra, projection(paints, None, mean, covariance), "ace")
-    longer = scores(mean + 3.7 * (spectra - mean), projection(paints, None, mean, covariance), "ace")
-    np.testing.assert_allclose(longer, plain, rtol=1e-9)
-    rng = np.random.default_rng(8)
-    change, shift = rng.random((9, 9)) + np.eye(9), rng.random(9)
-    moved = projection(paints @ change + shift, None, mean @ change + shift, change.T @ covariance @ change)
-    np.testing.assert_allclose(scores(spectra @ change + shift, moved, "ace"), plain, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("method", ["ace", "matched_filter", "spectral_angle"])
@@ -150,6 +144,17 @@ def test_paints_are_detected_where_they_are(paints: xr.Dataset, red: xr.Dataset)
     level = found["paint_level"].values[10:16, 8:14]
     assert level.min() > 0.65
     assert level.max() < 1.2
+    twin = red.assign_coords(signature=["twin"])
+    found = hp.paints.detect(line, red, false_alarm_rate=1e-2, others=twin).compute()
+    assert found["distance_limit"].item() == 0.0
+    assert not found["detected"].any()
+    clear = np.ones((96, 40), bool)
+    clear[10:16, 8:14] = False
+    found = hp.paints.detect(line, red, false_alarm_rate=1e-2, background=clear, sky=None).compute()
+    assert found["detected"].values[10:16, 8:14].any()
+    turned = xr.DataArray(clear, dims=("lines", "samples")).T
+    options: dict[str, Any] = {"false_alarm_rate": 1e-2, "sky": None}
+    xr.testing.assert_identical(found, hp.paints.detect(line, red, background=turned, **options).compute())
 
 
 def test_paints_that_are_not_looked_for_are_rejected(paints: xr.Dataset, red: xr.Dataset) -> None:
@@ -193,14 +198,6 @@ def test_rate_of_others_is_that_of_the_limits(paints: xr.Dataset) -> None:
         assert 0.9 * rate <= share <= rate * 4001 / 4000
 
 
-def test_a_paint_like_all_others_is_not_detected(paints: xr.Dataset, red: xr.Dataset) -> None:
-    twin = red.assign_coords(signature=["twin"])
-    line = make_line(red)
-    found = hp.paints.detect(line, red, false_alarm_rate=1e-2, others=twin).compute()
-    assert found["distance_limit"].item() == 0.0
-    assert not found["detected"].any()
-
-
 def test_flagged_pixels_are_no_background_and_not_detected(red: xr.Dataset) -> None:
     line = make_line(red)
     line["reflectance"].values[:20, :, 30:] = 5.0
@@ -216,17 +213,6 @@ def test_flagged_pixels_are_no_background_and_not_detected(red: xr.Dataset) -> N
     assert (again["best_paint"].values[:20, 30:] == -1).all()
     keeping = hp.paints.detect(line, red, exclude=hp.Quality.SATURATED, **options).compute()
     assert keeping["detected"].values[10:16, 8:11].any()
-
-
-def test_background_that_is_given(red: xr.Dataset) -> None:
-    line = make_line(red)
-    clear = np.ones((96, 40), bool)
-    clear[10:16, 8:14] = False
-    found = hp.paints.detect(line, red, false_alarm_rate=1e-2, background=clear, sky=None).compute()
-    assert found["detected"].values[10:16, 8:14].any()
-    turned = xr.DataArray(clear, dims=("lines", "samples")).T
-    options: dict[str, Any] = {"false_alarm_rate": 1e-2, "sky": None}
-    xr.testing.assert_identical(found, hp.paints.detect(line, red, background=turned, **options).compute())
 
 
 def test_rate_says_nothing_of_what_is_like_a_paint(red: xr.Dataset) -> None:
@@ -285,10 +271,6 @@ def test_nothing_is_computed_before_it_is_asked_for(red: xr.Dataset) -> None:
         assert found[name].chunks is not None or found[name].ndim == 0
         assert (found[name].dtype, found[name].attrs.get("units")) == (dtype, units)
         assert found[name].attrs["long_name"]
-
-
-def test_dims_of_other_programs(red: xr.Dataset) -> None:
-    line = make_line(red)
     theirs = line.rename(along_track="downtrack", cross_track="crosstrack", band="bands")
     found = theirs.paint.detect(red, false_alarm_rate=1e-2)
     ours = line.paint.detect(red, false_alarm_rate=1e-2)
@@ -326,8 +308,7 @@ def test_refusals(paints: xr.Dataset, red: xr.Dataset) -> None:
 
 
 def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
-    line = make_line(red)
-    found = line.paint.detect(red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3)
+    found = make_line(red).paint.detect(red, false_alarm_rate=1e-2, sky=(NM / 550.0) ** -3)
     outlines = {"car": (8, 10), "road": (22, 40)}
     regions = Regions(
         tuple(

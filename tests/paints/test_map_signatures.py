@@ -1,7 +1,5 @@
 """Regions drawn on a map: signatures of the map, of the stored map, and of the line that it was made from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +66,19 @@ def test_a_located_line_gives_the_pixels_that_lie_in_the_outline(flown: Flown, l
     library = extract(line, regions)
     for number, region in enumerate(regions):
         assert used(library, number) == inside(region, flown)
+    library = extract(hp.geometry.orthorectify(line, grid="north"), regions)
+    large, small = (used(library, number) for number in range(2))
+    # nearest cells leave pixels out, and show few from beyond the edge
+    assert len(large & inside(regions[0], flown)) >= 0.99 * len(large)
+    assert len(small & inside(regions[1], flown)) >= 0.98 * len(small)
+    assert 0.6 * len(inside(regions[0], flown)) < len(large)
+    whole = extract(hp.geometry.orthorectify(line, grid="north").compute(), regions)
+    for tile in (17, 64):
+        made = hp.geometry.orthorectify(line, grid="north", tile=tile)
+        assert extract(made, regions).drop_attrs().identical(whole.drop_attrs())
+    made = hp.geometry.orthorectify(line, grid="north")
+    mask = region_mask(drawn(flown), made)
+    assert made["quality"].where(mask == 1).dims == ("y", "x")
 
 
 @pytest.mark.parametrize(
@@ -106,16 +117,6 @@ def test_a_map_gives_the_pixels_of_the_line(
     assert away.max() < 20e6
     # the middle of the map is the middle of the flight, near noon
     assert library["sun_zenith"].values == pytest.approx([14.2, 14.2], abs=0.05)
-
-
-def test_cells_of_the_spacing_show_pixels_of_the_outline_once(flown: Flown, line: xr.Dataset) -> None:
-    regions = drawn(flown)
-    library = extract(hp.geometry.orthorectify(line, grid="north"), regions)
-    large, small = (used(library, number) for number in range(2))
-    # nearest cells leave pixels out, and show few from beyond the edge
-    assert len(large & inside(regions[0], flown)) >= 0.99 * len(large)
-    assert len(small & inside(regions[1], flown)) >= 0.98 * len(small)
-    assert 0.6 * len(inside(regions[0], flown)) < len(large)
 
 
 def test_outlines_of_the_sensor_are_those_of_the_pixels_that_a_map_shows(line: xr.Dataset) -> None:
@@ -163,20 +164,6 @@ def test_cells_of_a_geotiff(flown: Flown, line: xr.Dataset, tmp_path: Path) -> N
         extract(opened, Regions(region.regions, "map", "EPSG:4326"))
 
 
-def test_a_mask_of_a_map_lies_on_the_map(flown: Flown, line: xr.Dataset) -> None:
-    made = hp.geometry.orthorectify(line, grid="north")
-    mask = region_mask(drawn(flown), made)
-    assert made["quality"].where(mask == 1).dims == ("y", "x")
-
-
-def test_tiles_and_chunks_change_nothing(flown: Flown, line: xr.Dataset) -> None:
-    regions = drawn(flown)
-    whole = extract(hp.geometry.orthorectify(line, grid="north").compute(), regions)
-    for tile in (17, 64):
-        made = hp.geometry.orthorectify(line, grid="north", tile=tile)
-        assert extract(made, regions).drop_attrs().identical(whole.drop_attrs())
-
-
 def test_only_the_tiles_of_the_regions_are_read(flown: Flown, line: xr.Dataset) -> None:
     import dask.array as da
 
@@ -216,8 +203,7 @@ def test_the_accessor_and_the_picture_of_a_map(flown: Flown, line: xr.Dataset, g
 
 def with_poses(flown: Flown, line: xr.Dataset) -> xr.Dataset:
     # Return the line without places: positions, attitude, look angles, and what the signs mean
-    pyproj = pytest.importorskip("pyproj")
-    back = pyproj.Transformer.from_crs(MAP, "EPSG:4979", always_xy=True)
+    back = pytest.importorskip("pyproj").Transformer.from_crs(MAP, "EPSG:4979", always_xy=True)
     longitude, latitude = back.transform(*flown.position[:, :2].T)
     roll, pitch, heading = flown.attitude.T
     poses = {"latitude": latitude, "longitude": longitude, "altitude": flown.position[:, 2] + 152.4}
@@ -251,8 +237,7 @@ def test_a_line_with_poses_is_located_for_regions_of_a_map(flown: Flown, line: x
 
 def test_degrees_without_a_crs_are_not_guessed_but_said(flown: Flown, line: xr.Dataset) -> None:
     # GeoJSON as RFC 7946 has it, which names no reference system
-    pyproj = pytest.importorskip("pyproj")
-    turned = pyproj.Transformer.from_crs(MAP, "OGC:CRS84", always_xy=True)
+    turned = pytest.importorskip("pyproj").Transformer.from_crs(MAP, "OGC:CRS84", always_xy=True)
     features = [
         Region(one.name, np.stack(turned.transform(*one.polygon.T), axis=-1)).feature()
         for one in drawn(flown)

@@ -1,7 +1,5 @@
 """Regions on the mosaic of several flight lines: the pixels of each line are its own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

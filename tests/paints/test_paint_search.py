@@ -1,7 +1,5 @@
 """Paints by name, colour and spectral angle."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import dask.array
@@ -14,7 +12,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, UnitsError
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.paint_search import _one_spectrum
-from hyperpaint.validation.comparing import statistics_of
+from hyperpaint.validation.validating import statistics_of
 
 RED = "Synthetic Signal Red"
 
@@ -61,22 +59,24 @@ def test_a_sharp_s_and_decomposed_letters() -> None:
         assert names(hp.paints.search_library(library, name=wanted)) == [expected]
 
 
-def test_every_paint_is_nearest_to_its_own_swatch(paints: xr.Dataset) -> None:
+def test_paints_are_found_by_swatch_and_word(paints: xr.Dataset) -> None:
     for name, digits in zip(names(paints), paints.srgb.values, strict=True):
         found = hp.paints.search_library(paints, colour=digits)
         # a swatch is rounded to eight bits
         assert found.colour_difference[names(found).index(name)] < 1.0
         assert (np.diff(found.colour_difference) >= 0.0).all()
         assert found.sizes["signature"] == 40
-
-
-def test_words_find_paints_of_that_word(paints: xr.Dataset) -> None:
     for word in ("white", "red", "blue", "green", "yellow", "black", "violet", "brown"):
         found = hp.paints.search_library(paints, colour=word, limit=1)
         assert word in found.colour.item(), (word, found.colour.item())
+    turned = paints.isel(band=slice(None, None, -1))
+    found, other = (hp.paints.search_library(one, colour="blue") for one in (paints, turned))
+    assert names(found) == names(other)
+    np.testing.assert_allclose(found.colour_difference, other.colour_difference, atol=1e-3)
+    assert np.isfinite(paint_colours(paints)).all()
 
 
-def test_limits_leave_out(paints: xr.Dataset) -> None:
+def test_limits_and_bad_bands_leave_out(paints: xr.Dataset) -> None:
     near = hp.paints.search_library(paints, colour="red", maximum_colour_difference=10.0)
     assert 0 < near.sizes["signature"] < 10
     assert float(near.colour_difference.max()) <= 10.0
@@ -84,6 +84,16 @@ def test_limits_leave_out(paints: xr.Dataset) -> None:
     assert (names(alike)[0], float(alike.spectral_angle[0])) == (RED, pytest.approx(0.0, abs=1e-7))
     assert alike.spectral_angle.attrs["units"] == "rad"
     assert hp.paints.search_library(paints, name="no such paint").sizes["signature"] == 0
+    spoilt = paints.copy(deep=True)
+    good = np.ones(272, bool)
+    good[100] = False
+    spoilt.reflectance[:, 100] = 5.0
+    spoilt.reflectance[7] = np.nan
+    spoilt = spoilt.assign_coords(good=("band", good))
+    found = hp.paints.search_library(spoilt, like=paints.isel(signature=5), colour="red")
+    assert (names(found)[0], float(found.spectral_angle[0])) == (RED, pytest.approx(0.0, abs=1e-7))
+    assert np.isinf(found.spectral_angle[-1])
+    assert np.isinf(found.colour_difference[-1])
 
 
 def test_the_angle_by_hand_and_blind_to_scale(paints: xr.Dataset) -> None:
@@ -99,7 +109,7 @@ def test_the_angle_by_hand_and_blind_to_scale(paints: xr.Dataset) -> None:
     np.testing.assert_allclose(degrees, angles, rtol=0.0, atol=1e-10)
 
 
-def test_spectra_on_other_bands(paints: xr.Dataset) -> None:
+def test_spectra_on_other_bands_and_in_other_units(paints: xr.Dataset) -> None:
     truth = paints.isel(signature=5).reflectance
     nm = np.linspace(350.0, 2500.0, 900)[::-1]
     values = np.interp(nm, paints.wavelength, truth, right=np.nan)
@@ -115,27 +125,24 @@ def test_spectra_on_other_bands(paints: xr.Dataset) -> None:
         found = hp.paints.search_library(paints, like=like, limit=1)
         assert names(found) == [RED]
         assert float(found.spectral_angle[0]) < 0.01
-
-
-def test_bad_bands_and_missing_values_do_not_count(paints: xr.Dataset) -> None:
-    spoilt = paints.copy(deep=True)
-    good = np.ones(272, bool)
-    good[100] = False
-    spoilt.reflectance[:, 100] = 5.0
-    spoilt.reflectance[7] = np.nan
-    spoilt = spoilt.assign_coords(good=("band", good))
-    found = hp.paints.search_library(spoilt, like=paints.isel(signature=5), colour="red")
-    assert (names(found)[0], float(found.spectral_angle[0])) == (RED, pytest.approx(0.0, abs=1e-7))
-    assert np.isinf(found.spectral_angle[-1])
-    assert np.isinf(found.colour_difference[-1])
-
-
-def test_descending_wavelengths_have_the_same_colours(paints: xr.Dataset) -> None:
-    turned = paints.isel(band=slice(None, None, -1))
-    found, other = (hp.paints.search_library(one, colour="blue") for one in (paints, turned))
-    assert names(found) == names(other)
-    np.testing.assert_allclose(found.colour_difference, other.colour_difference, atol=1e-3)
-    assert np.isfinite(paint_colours(paints)).all()
+    nm = paints.wavelength.values
+    like = paints.reflectance[5].assign_coords(wavelength=("band", nm / 1000.0, {"units": "um"}))
+    found = hp.paints.search_library(paints, like=like, limit=1)
+    assert (names(found), float(found.spectral_angle[0])) == ([RED], pytest.approx(0.0, abs=1e-5))
+    like.wavelength.attrs["units"] = "K"
+    with pytest.raises(UnitsError):
+        hp.paints.search_library(paints, like=like)
+    # Rationale: a straight line over 300 nm of a red paint is another paint
+    whole = paints.isel(signature=5).reflectance
+    for hole in (
+        whole.where(np.abs(whole.wavelength - 650.0) > 150.0),
+        whole[[*range(40), *range(200, 272)]],
+    ):
+        alike = hp.paints.search_library(paints, like=hole, limit=1)
+        assert (names(alike), float(alike.spectral_angle[0])) == ([RED], pytest.approx(0.0, abs=1e-7))
+    # but a lost sample is what interpolation is for, and so are coarser detectors
+    sparse = whole.where(np.arange(272) % 9 != 4)[[*range(150), *range(150, 272, 6)]]
+    assert np.isfinite(_one_spectrum(paints, sparse, paints.wavelength.values)).mean() > 0.95
 
 
 def test_members_stay_lazy(paints: xr.Dataset, no_compute: Any) -> None:
@@ -175,27 +182,3 @@ def test_a_library_beyond_the_visible_has_no_colours() -> None:
     with pytest.raises(SchemaError, match="visible-bands-missing"):
         hp.paints.search_library(infrared, colour="red")
     assert hp.paints.search_library(infrared, like=RED, limit=1)["signature"].item() == RED
-
-
-def test_holes_of_a_spectrum_are_not_bridged(paints: xr.Dataset) -> None:
-    # Rationale: a straight line over 300 nm of a red paint is another paint
-    whole = paints.isel(signature=5).reflectance
-    for hole in (
-        whole.where(np.abs(whole.wavelength - 650.0) > 150.0),
-        whole[[*range(40), *range(200, 272)]],
-    ):
-        alike = hp.paints.search_library(paints, like=hole, limit=1)
-        assert (names(alike), float(alike.spectral_angle[0])) == ([RED], pytest.approx(0.0, abs=1e-7))
-    # but a lost sample is what interpolation is for, and so are coarser detectors
-    sparse = whole.where(np.arange(272) % 9 != 4)[[*range(150), *range(150, 272, 6)]]
-    assert np.isfinite(_one_spectrum(paints, sparse, paints.wavelength.values)).mean() > 0.95
-
-
-def test_wavelengths_of_a_spectrum_have_units(paints: xr.Dataset) -> None:
-    nm = paints.wavelength.values
-    like = paints.reflectance[5].assign_coords(wavelength=("band", nm / 1000.0, {"units": "um"}))
-    found = hp.paints.search_library(paints, like=like, limit=1)
-    assert (names(found), float(found.spectral_angle[0])) == ([RED], pytest.approx(0.0, abs=1e-5))
-    like.wavelength.attrs["units"] = "K"
-    with pytest.raises(UnitsError):
-        hp.paints.search_library(paints, like=like)

@@ -1,7 +1,5 @@
 """What goes into a signature: flags, smoothing, corrections, several lines; and the library it makes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -31,6 +29,9 @@ def test_excluded_flags_are_the_users_choice() -> None:
     assert (strict.n < extract_signatures(line, TWO).n).all()
     assert strict.attrs["exclude"] == "low_sun glint"
     assert (extract_signatures(line.drop_vars("quality"), TWO).n_excluded == 0).all()
+    line["reflectance"].values[5, :, 3] = np.nan
+    line["quality"].values[:] = 0
+    assert extract_signatures(line, TWO).n_excluded.values.tolist() == [1, 0]
 
 
 def test_all_regions_with_too_few_pixels_are_named() -> None:
@@ -64,13 +65,6 @@ def test_a_region_with_too_few_pixels_is_dropped_on_request(tmp_path: Path) -> N
     line["quality"].values[:] |= int(Quality.SHADOW)
     with pytest.raises(SchemaError, match="region-too-small"):
         extract_signatures(line, TWO, drop_small=True)
-
-
-def test_a_pixel_without_any_value_is_left_out() -> None:
-    line = made()
-    line["reflectance"].values[5, :, 3] = np.nan
-    line["quality"].values[:] = 0
-    assert extract_signatures(line, TWO).n_excluded.values.tolist() == [1, 0]
 
 
 @pytest.mark.parametrize("method", ["savitzky-golay", "box"])
@@ -269,15 +263,11 @@ def test_the_store_gives_back_the_same_bits(tmp_path: Path) -> None:
     hp.to_store(library, tmp_path / "None.zarr")  # the same content: nothing is done
 
 
-def test_reflectance_in_per_cent() -> None:
+def test_units_maps_and_dims_of_others_are_taken() -> None:
     line = made()
     percent = line.assign(reflectance=(line.reflectance * np.float32(100)).assign_attrs(units="percent"))
     a, b = (extract_signatures(each, TWO).reflectance for each in (line, percent))
     np.testing.assert_allclose(a, b, rtol=1e-5)
-
-
-def test_signatures_of_a_map() -> None:
-    line = made()
     grid = (
         line[["reflectance", "wavelength"]]
         .rename(along_track="y", cross_track="x")
@@ -288,9 +278,6 @@ def test_signatures_of_a_map() -> None:
     placed = extract_signatures(grid, Regions((region,), "map", "EPSG:32618"))
     drawn = extract_signatures(line.drop_vars("quality"), Region("a", [(3, 10), (10, 10), (10, 20), (3, 20)]))
     np.testing.assert_array_equal(placed.reflectance, drawn.reflectance)
-
-
-def test_the_accessor_says_the_same() -> None:
     line = made().rename(along_track="downtrack", cross_track="crosstrack", band="bands")
     assert_same_bits(line.paint.signatures(TWO, members=9), extract_signatures(made(), TWO, members=9))
     odd = made().rename(along_track="flown")

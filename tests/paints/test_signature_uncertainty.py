@@ -1,7 +1,5 @@
 """Paint signatures against the truth, and how sure they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,7 +12,7 @@ from hyperpaint.paints.signatures import pixel_statistics
 from hyperpaint.paints.signatures.pixel_statistics import effective_pixels
 from hyperpaint.regions import pixels
 from hyperpaint.simulation import simulate_line
-from hyperpaint.simulation.paint_spectra import MATERIALS
+from hyperpaint.simulation.rendering.scene_spectra import MATERIALS
 
 # --- against the truth -------------------------------------------------------------------------------------
 
@@ -102,7 +100,7 @@ def test_the_spread_of_means_is_what_independent_pixels_say() -> None:
     assert np.std(means) > 2 * np.mean(naive)
 
 
-def test_few_pixels_share_light_with_their_neighbours() -> None:
+def test_few_pixels_share_light_and_more_are_never_worth_less() -> None:
     along, across = np.divmod(np.arange(12), 4)
     assert effective_pixels(np.random.default_rng(0).random((12, 3)), along, across) == 12 / 1.3
     assert effective_pixels(np.zeros((1, 2)), along[:1], across[:1]) == 1.0
@@ -110,9 +108,6 @@ def test_few_pixels_share_light_with_their_neighbours() -> None:
     along, across = np.divmod(np.arange(100), 10)
     assert effective_pixels(np.full((100, 2), np.nan), along, across) == 100 / 1.3
     assert 1.0 <= effective_pixels(np.full((100, 2), 0.3), along, across) <= 100.0
-
-
-def test_more_pixels_are_never_worth_less() -> None:
     # noise without any correlation: from 32 pixels on it is told from values, and a camera still smears
     worth = []
     for count in (31, 32, 33):
@@ -121,8 +116,7 @@ def test_more_pixels_are_never_worth_less() -> None:
         found = [effective_pixels(each, along, across) for each in values]
         assert max(found) <= count / 1.3
         worth.append(np.max(found))
-    assert worth == sorted(worth)
-    assert worth[2] == 33 / 1.3
+    assert (worth, worth[2]) == (sorted(worth), 33 / 1.3)
 
 
 def test_uncertainty_is_that_of_the_pixels_with_a_value() -> None:

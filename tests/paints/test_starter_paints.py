@@ -1,7 +1,5 @@
 """The starter library: what it promises, and that other programs get it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,7 @@ def paints() -> xr.Dataset:
     return hp.paints.starter_library()
 
 
-def test_its_form(paints: xr.Dataset) -> None:
+def test_its_form_names_and_swatches(paints: xr.Dataset) -> None:
     assert dict(paints.member_reflectance.sizes) == {"signature": 40, "member": 24, "band": 272}
     assert (paints.wavelength.values[[0, -1]] == [400.0, 1000.0]).all()
     for name in ("reflectance", "member_reflectance", "specular_reflectance", "reflectance_sd"):
@@ -31,15 +29,13 @@ def test_its_form(paints: xr.Dataset) -> None:
         assert ((paints[name] >= 0.0) & (paints[name] <= 1.0)).all(), name
     assert paints.reflectance.attrs["mirror_reflection"] == "excluded"
     assert (paints.reflectance + paints.specular_reflectance <= 1.0).all()
-
-
-def test_everything_is_named_synthetic(paints: xr.Dataset) -> None:
     names = paints["signature"].values.tolist()
     assert len(set(names)) == 40
     assert all(name.startswith("Synthetic ") and name.isascii() for name in names)
     assert set(paints.provenance.values) == {"synthetic"}
     assert [json.loads(text)[0] for text in paints.parents.values[:14]] == list(FOURTEEN)
     assert "none of them measured" in paints.attrs["title"]
+    assert paints.srgb.values.tolist() == [srgb_hex(colour) for colour in paint_colours(paints)]
 
 
 def test_paints_are_those_of_the_simulator(paints: xr.Dataset) -> None:
@@ -75,10 +71,6 @@ def test_members_surround_their_paint(paints: xr.Dataset) -> None:
     assert "member_reflectance" not in hp.paints.starter_library(members=0)
 
 
-def test_swatches_are_the_colours_of_the_bodies(paints: xr.Dataset) -> None:
-    assert paints.srgb.values.tolist() == [srgb_hex(colour) for colour in paint_colours(paints)]
-
-
 @pytest.mark.parametrize(
     ("options", "text"),
     [
@@ -100,8 +92,7 @@ def test_dirsig_takes_it_without_counting_the_coat_twice(tmp_path: Path) -> None
     file = tmp_path / "dirsig" / made.emissivity_file.values[2]
     back = open_emissivity(file)
     assert back.member_reflectance.shape == (1, 3, 272)
-    opened = hp.open_library(file)
-    xr.testing.assert_identical(opened, back)
+    xr.testing.assert_identical(hp.open_library(file), back)
 
 
 @pytest.mark.parametrize("suffix", ["zarr", "sli", "csv"])

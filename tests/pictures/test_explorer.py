@@ -1,7 +1,5 @@
 """The explorer: what clicks become. The browser itself is not needed, panel for the last tests."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -11,14 +9,13 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import refusal
+from support.refusals import expect_errors, refusal
 from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
-from hyperpaint.pictures import explorer_state
-from hyperpaint.pictures.explorer import Explorer
-from hyperpaint.pictures.explorer_state import INFRARED, Explored, Spectrum, corners_at
+from hyperpaint.pictures import exploring
+from hyperpaint.pictures.exploring import INFRARED, Explored, Explorer, Spectrum, corners_at
 
 BEGIN = hp.Regions((hp.Region("roof", [(1, 2), (4, 2), (4, 9)], properties={"colour": "red"}),))
 PLACES = st.floats(-5.0, 30.0)
@@ -56,13 +53,11 @@ def test_without_area_there_is_no_polygon(places: list[tuple[float, float]]) -> 
 
 
 def test_polygons_become_regions_with_names_of_their_own(state: Explored) -> None:
-    assert state.regions == BEGIN
-    assert state.add([0.2, 9.6, 9.4, 9.4], [0, 0, 3.4, 3.4]) == "region 1"
+    assert (state.regions, state.add([0.2, 9.6, 9.4, 9.4], [0, 0, 3.4, 3.4])) == (BEGIN, "region 1")
     assert state.add([1, 2], [1, 2]) is None
     assert state.add([0, 9, 9], [0, 0, 3]) == "region 2"
     first = state.regions[1]
-    assert first.polygon.tolist() == [[0, 0], [0, 10], [3, 9]]
-    assert first.flightline == "raw_0"
+    assert (first.polygon.tolist(), first.flightline) == ([[0, 0], [0, 10], [3, 9]], "raw_0")
     state.drop("region 1")
     assert state.add([0, 9, 9], [0, 0, 3]) == "region 1"
     assert state.regions.names == ("roof", "region 2", "region 1")
@@ -101,16 +96,15 @@ def test_regions_to_begin_with_can_be_drawn() -> None:
     with pytest.raises(SchemaError, match="region-coordinates"):
         Explored(flight().line, hp.Regions(tuple(BEGIN), "map"))
     holed = hp.Region("ring", [(0, 0), (5, 0), (5, 9)], ([(2, 1), (3, 1), (3, 2)],))
-    with pytest.raises(SchemaError, match=r"ring.*region-holes"):
-        Explored(flight().line, holed)
+    expect_errors((SchemaError, r"ring.*region-holes", lambda: Explored(flight().line, holed)))
 
 
 def test_a_line_without_reflectance_or_wavelength_is_refused() -> None:
     line = flight().line
-    with pytest.raises(SchemaError, match="reflectance"):
-        Explored(line.drop_vars("counts"))
-    with pytest.raises(SchemaError, match="wavelength"):
-        Explored(line.drop_vars("wavelength"))
+    expect_errors(
+        (SchemaError, "reflectance", lambda: Explored(line.drop_vars("counts"))),
+        (SchemaError, "wavelength", lambda: Explored(line.drop_vars("wavelength"))),
+    )
 
 
 def test_on_a_crop_regions_have_the_numbers_of_the_line() -> None:
@@ -139,8 +133,7 @@ def test_regions_of_other_lines_are_kept_and_not_drawn(tmp_path: Path) -> None:
     assert state.is_saved
     # names are of both, as they are of the file
     assert "occurs twice" in str(state.rename("roof", "hood"))
-    assert state.drawn.names == ("trunk", "roof")
-    assert state.add([0, 9, 9], [0, 0, 3]) == "region 1"
+    assert (state.drawn.names, state.add([0, 9, 9], [0, 0, 3])) == (("trunk", "roof"), "region 1")
     state.save_again(path)
     saved = hp.read_regions(path)
     assert sorted(saved.names) == ["hood", "region 1", "roof", "trunk"]
@@ -179,13 +172,13 @@ def test_a_page_loaded_anew_says_what_is_not_saved(tmp_path: Path) -> None:
     state, path = Explored(flight().line, BEGIN), tmp_path / "r.geojson"
     state.add([0, 9, 9], [0, 0, 3])
     shown = Explorer(state, save_to=path)
-    assert "2 regions, not saved" in shown._message_pane.object
+    assert "2 regions, not saved" in shown._widgets.message.object
     path.write_text("{}", encoding="utf-8")
-    shown._save_button.clicks += 1
-    assert "begin anew with --regions" in shown._message_pane.object
+    shown._widgets.save_button.clicks += 1
+    assert "begin anew with --regions" in shown._widgets.message.object
     path.unlink()
-    shown._save_button.clicks += 1
-    assert Explorer(state, save_to=path)._message_pane.object == "2 regions"
+    shown._widgets.save_button.clicks += 1
+    assert Explorer(state, save_to=path)._widgets.message.object == "2 regions"
 
 
 # --- spectra -----------------------------------------------------------------------------------------------
@@ -232,12 +225,12 @@ def test_a_region_without_pixels_says_why(state: Explored) -> None:
 
 def test_of_a_large_region_every_nth_line_is_taken(state: Explored, monkeypatch: pytest.MonkeyPatch) -> None:
     state.add([0, 0, 23, 23], [0, 5, 5, 0])
-    monkeypatch.setattr(explorer_state, "MAX_REGION_PIXELS", 60)
+    monkeypatch.setattr(exploring, "MAX_REGION_PIXELS", 60)
     spectrum = state.spectrum_of(state.drawn[1])
     assert isinstance(spectrum, Spectrum)
     assert "of 48 pixels (every 3. line)" in spectrum.text
     rows = flight().line.paint.reflectance().compute().isel(along_track=slice(None, None, 3))
-    used = (rows.quality.values & explorer_state.EXCLUDED) == 0
+    used = (rows.quality.values & exploring.EXCLUDED) == 0
     values = rows.reflectance.transpose("along_track", "cross_track", "band").values[used]
     np.testing.assert_allclose(spectrum.reflectance, np.median(values, axis=0), rtol=1e-6)
 
@@ -250,16 +243,17 @@ def test_the_uncertainty_is_that_of_the_mean() -> None:
     state = Explored(line)
     sure = state.uncertainty_of((7, 3))
     assert not isinstance(sure, str), sure
-    assert "of a pixel" in sure.text
-    assert "systematic" in sure.text
+    u, text = sure
+    assert "of a pixel" in text
+    assert "systematic" in text
     part = line.isel(along_track=slice(7, 8), cross_track=slice(3, 4)).paint.reflectance(uncertainty=True)
     mean = hp.radiometry.mean_uncertainty(part)
     expected = np.hypot(mean.u_random.values, np.nan_to_num(mean.u_systematic.values))
-    np.testing.assert_array_equal(sure.u, expected)
+    np.testing.assert_array_equal(u, expected)
     state.add([2, 2, 9, 9], [1, 4, 4, 1])
     whole = state.uncertainty_of(state.drawn[0])
     assert not isinstance(whole, str)
-    assert np.nanmedian(whole.u) < np.nanmedian(sure.u)
+    assert np.nanmedian(whole[0]) < np.nanmedian(u)
 
 
 def test_without_noise_the_uncertainty_says_what_is_missing() -> None:
@@ -274,8 +268,7 @@ def test_near_paints_are_those_of_the_search(state: Explored) -> None:
     spectrum = Spectrum(library["wavelength"].values, 0.5 * paint, None, "")
     near = state.near_paints(spectrum)
     assert near[0].name == str(library["signature"].values[7])
-    assert near[0].angle == pytest.approx(0.0, abs=1e-3)
-    assert near[0].factor == pytest.approx(0.5)
+    assert (near[0].angle, near[0].factor) == (pytest.approx(0.0, abs=1e-3), pytest.approx(0.5))
     assert [one.angle for one in near] == sorted(one.angle for one in near)
     assert state.near_paints(spectrum._replace(reflectance=np.full(paint.shape, np.nan))) == []
 
@@ -285,15 +278,12 @@ def test_near_paints_are_those_of_the_search(state: Explored) -> None:
 
 def test_a_picture_of_a_band_has_the_levels_of_the_band(state: Explored) -> None:
     values = flight().line.paint.pixels(wavelength=650.0).reflectance.values
-    picture = state.picture((650.0,), (0.0, 100.0))
-    bytes_of = picture.rgba.view(np.uint8).reshape(6, 24, 4)
+    bytes_of = state.picture((650.0,), (0.0, 100.0)).rgba.view(np.uint8).reshape(6, 24, 4)
     there = np.isfinite(values).T
     assert (bytes_of[..., 3] == np.where(there, 255, 0)).all()
     # brighter pixels are never darker in the picture
-    order = np.argsort(values.T[there])
-    assert (np.diff(bytes_of[..., 0][there][order].astype(int)) >= 0).all()
-    assert bytes_of[..., 0][there].min() == 0
-    assert bytes_of[..., 0][there].max() == 255
+    assert (np.diff(bytes_of[..., 0][there][np.argsort(values.T[there])].astype(int)) >= 0).all()
+    assert (bytes_of[..., 0][there].min(), bytes_of[..., 0][there].max()) == (0, 255)
 
 
 def test_a_part_of_a_picture_has_the_colours_of_the_whole(
@@ -304,11 +294,10 @@ def test_a_part_of_a_picture_has_the_colours_of_the_whole(
             whole, part = state.picture(recipe), state.picture(recipe, window=(5, 12))
             assert (part.first, part.last) == (5, 12)
             np.testing.assert_array_equal(part.rgba, whole.rgba[:, 5:12])
-    monkeypatch.setattr(explorer_state, "DETAIL_LINES", 10)
-    monkeypatch.setattr(explorer_state, "SPARSE_STEP", 5)
+    monkeypatch.setattr(exploring, "DETAIL_LINES", 10)
+    monkeypatch.setattr(exploring, "SPARSE_STEP", 5)
     sparse = Explored(flight().line).picture((550.0,))
-    assert sparse.rgba.shape == (6, 5)
-    assert (sparse.first, sparse.last) == (0, 25)
+    assert (sparse.rgba.shape, sparse.first, sparse.last) == ((6, 5), 0, 25)
     assert "every 5. line" in sparse.text
 
 
@@ -349,39 +338,39 @@ def shown() -> Any:
 
 def test_a_click_shows_the_spectrum_and_a_drag_the_median(shown: Any) -> None:
     shown.tap(7.2, 2.9)
-    curves = shown._spectra.curves.data
+    curves = shown._sources["curves"].data
     assert curves["name"] == ["roof", "clicked"]
     pixel = flight().line.paint.pixels(7, 3)
     np.testing.assert_array_equal(curves["reflectance"][1], pixel.reflectance.values)
-    assert "line 7, column 3" in shown._spectrum_pane.object
-    assert len(shown._paint_boxes.options) == 5
+    assert "line 7, column 3" in shown._widgets.spectrum.object
+    assert len(shown._widgets.paint_boxes.options) == 5
     shown.tap(40.0, 2.0)  # beside the picture
-    assert "line 7, column 3" in shown._spectrum_pane.object
+    assert "line 7, column 3" in shown._widgets.spectrum.object
     shown.drag({"type": "rect", "x0": 9.4, "x1": 1.6, "y0": 0.7, "y1": 3.2})
-    assert "of 24 pixels" in shown._spectrum_pane.object
-    assert not shown._box_button.disabled
-    shown._box_button.clicks += 1
+    assert "of 24 pixels" in shown._widgets.spectrum.object
+    assert not shown._widgets.box_button.disabled
+    shown._widgets.box_button.clicks += 1
     assert shown.regions[1].polygon.tolist() == [[1, 2], [3, 2], [3, 9], [1, 9]]
-    assert shown._region_menu.value == "region 1"
-    assert "not saved" in shown._message_pane.object
+    assert shown._widgets.region_menu.value == "region 1"
+    assert "not saved" in shown._widgets.message.object
 
 
 def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
-    shown._mode.value = "draw"
+    shown._widgets.mode.value = "draw"
     for along, across in ((10, 0), (20, 0.3), (20.4, 3)):
         shown.tap(along, across)
-    assert shown._picture.draft.data["along"] == [10, 20, 20.4]
-    shown._undo_button.clicks += 1
-    assert shown._picture.draft.data["along"] == [10, 20]
+    assert shown._sources["draft"].data["along"] == [10, 20, 20.4]
+    shown._widgets.undo_button.clicks += 1
+    assert shown._sources["draft"].data["along"] == [10, 20]
     shown.tap(20.4, 3)
     shown.close(20.3, 3.1)
-    assert shown._picture.draft.data == {"along": [], "across": []}
+    assert shown._sources["draft"].data == {"along": [], "across": []}
     assert shown.regions[1].polygon.tolist() == [[0, 10], [0, 20], [3, 20]]
-    assert shown._region_menu.options == [None, "roof", "region 1"]
-    assert shown._name.value == shown._region_menu.value == "region 1"
-    assert shown._spectra.curves.data["name"] == ["roof", "region 1"]
+    assert shown._widgets.region_menu.options == [None, "roof", "region 1"]
+    assert shown._widgets.name.value == shown._widgets.region_menu.value == "region 1"
+    assert shown._sources["curves"].data["name"] == ["roof", "region 1"]
     shown.close(10, 0)
-    assert "no area" in shown._message_pane.object
+    assert "no area" in shown._widgets.message.object
     assert len(shown.regions) == 2
     # clicks in haste end nothing
     shown.tap(12, 0)
@@ -390,9 +379,9 @@ def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
 
 
 def test_corners_are_dragged(shown: Any) -> None:
-    corners = shown._picture.corners
+    corners = shown._sources["corners"]
     assert corners.data["along"] == []
-    shown._mode.value = "edit"
+    shown._widgets.mode.value = "edit"
     shown.tap(4.0, 3.5)
     assert corners.data == {"along": [2, 2, 9], "across": [1, 4, 4]}
     corners.data = {"along": [2, 2, 15.3], "across": [1, 4, 4]}
@@ -403,45 +392,45 @@ def test_corners_are_dragged(shown: Any) -> None:
 
 
 def test_regions_are_renamed_saved_and_removed(shown: Any, tmp_path: Path) -> None:
-    shown._name.value = "<b>bonnet"
+    shown._widgets.name.value = "<b>bonnet"
     assert shown.regions.names == ("<b>bonnet",)
-    assert "&lt;b&gt;bonnet" in shown._spectrum_pane.object
-    shown._name.value = ""
-    assert "&#x27;&#x27; is empty" in shown._message_pane.object
-    assert shown._name.value == "<b>bonnet"
-    shown._file.value = str(tmp_path / "r.geojson")
-    shown._save_button.clicks += 1
+    assert "&lt;b&gt;bonnet" in shown._widgets.spectrum.object
+    shown._widgets.name.value = ""
+    assert "&#x27;&#x27; is empty" in shown._widgets.message.object
+    assert shown._widgets.name.value == "<b>bonnet"
+    shown._widgets.file.value = str(tmp_path / "r.geojson")
+    shown._widgets.save_button.clicks += 1
     assert hp.read_regions(tmp_path / "r.geojson") == shown.regions
-    shown._remove_button.clicks += 1
+    shown._widgets.remove_button.clicks += 1
     assert len(shown.regions) == 0
-    assert shown._region_menu.value is None
-    shown._save_button.clicks += 1
-    assert "saved" in shown._message_pane.object
-    shown._file.value = str(tmp_path / "other.geojson")
+    assert shown._widgets.region_menu.value is None
+    shown._widgets.save_button.clicks += 1
+    assert "saved" in shown._widgets.message.object
+    shown._widgets.file.value = str(tmp_path / "other.geojson")
     (tmp_path / "other.geojson").write_text("{}", encoding="utf-8")
-    shown._save_button.clicks += 1
-    assert "other.geojson" in shown._message_pane.object
+    shown._widgets.save_button.clicks += 1
+    assert "other.geojson" in shown._widgets.message.object
     assert (tmp_path / "other.geojson").read_text(encoding="utf-8") == "{}"
 
 
 def test_bands_and_flags_are_chosen(shown: Any) -> None:
-    band = shown._band.options[-1]
+    band = shown._widgets.band.options[-1]
     shown.take_band(band + 40.0)
-    assert (shown._recipe.value, shown._band.value) == ("one band", band)
-    assert shown._spectra._band.location == band
-    assert f"{band:.1f} nm" in shown._caption_pane.object
-    shown._recipe.value = "true colour"
-    assert not shown._spectra._band.visible
-    shown._picture.view.data = {"along": [-0.5, 47.5], "size": [800, 300]}
+    assert (shown._widgets.recipe.value, shown._widgets.band.value) == ("one band", band)
+    assert shown._shown_band.location == band
+    assert f"{band:.1f} nm" in shown._widgets.caption.object
+    shown._widgets.recipe.value = "true colour"
+    assert not shown._shown_band.visible
+    shown._sources["view"].data = {"along": [-0.5, 47.5], "size": [800, 300]}
     # pixels are square: 6 columns in 300 pixels of the screen, so 16 lines in 800
-    assert (shown._picture.plot.x_range.end - shown._picture.plot.x_range.start) == 16.0
-    assert shown._picture.detail.data["dw"] == [shown._window[1]]
+    assert (shown._plot.x_range.end - shown._plot.x_range.start) == 16.0
+    assert shown._sources["detail"].data["dw"] == [shown._window[1]]
 
 
 def test_the_picture_puts_pixel_centres_on_whole_numbers(shown: Any) -> None:
-    base = shown._picture.base.data
+    base = shown._sources["base"].data
     assert [base[name][0] for name in ("x", "y", "dw", "dh")] == [-0.5, -0.5, 24, 6]
     assert base["image"][0].shape == (6, 24)
     # the first column is on top
-    y_range = shown._picture.plot.y_range
+    y_range = shown._plot.y_range
     assert y_range.start > y_range.end

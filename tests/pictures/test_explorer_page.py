@@ -1,7 +1,5 @@
 """``hyperpaint view`` in Chromium: click, drag, slide, draw, mend, save."""
 
-from __future__ import annotations
-
 import http.client
 import re
 import shutil
@@ -102,8 +100,7 @@ def move_to(page: Any, along: float, across: float) -> tuple[float, float]:
 
 
 def click(page: Any, along: float, across: float, *, is_double: bool = False) -> None:
-    place = move_to(page, along, across)
-    (page.mouse.dblclick if is_double else page.mouse.click)(*place)
+    (page.mouse.dblclick if is_double else page.mouse.click)(*move_to(page, along, across))
     page.wait_for_timeout(500)  # the next click is none of a double click
 
 
@@ -177,10 +174,8 @@ def test_a_line_is_explored_in_a_browser(browser: Any, served: Served) -> None:
 def test_pages_fit_the_screen(browser: Any, served: Served, width: int, colours: str) -> None:
     page = opened(browser, served, width, f"?line=raw_1&colours={colours}")
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    heading = page.get_by_role("heading", name="raw_1")
-    ink = heading.evaluate("one => getComputedStyle(one).color")
-    assert (int(re.findall(r"\d+", ink)[0]) > 128) == (colours == "dark")
-    assert page.problems == []
+    ink = page.get_by_role("heading", name="raw_1").evaluate("one => getComputedStyle(one).color")
+    assert (int(re.findall(r"\d+", ink)[0]) > 128, page.problems) == (colours == "dark", [])
     page.close()
 
 
@@ -260,8 +255,7 @@ def test_it_listens_on_this_machine_alone(served: Served) -> None:
 def test_ctrl_c_ends_it_with_one_line(served: Served) -> None:
     served.process.send_signal(signal.SIGINT)
     text, _ = served.process.communicate(timeout=30)
-    assert text.strip() == "stopped by SIGINT"
-    assert served.process.returncode == 130
+    assert (text.strip(), served.process.returncode) == ("stopped by SIGINT", 130)
 
 
 def test_every_store_and_line_has_a_file_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -293,8 +287,8 @@ def test_every_store_and_line_has_a_file_of_its_own(tmp_path: Path, monkeypatch:
     explorers[0]._state.add([0, 9, 9], [0, 0, 3])
     # a page that is loaded anew
     shown[0]()
-    assert "1 region, not saved" in explorers[1]._message_pane.object
-    explorers[1]._save_button.clicks += 1
+    assert "1 region, not saved" in explorers[1]._widgets.message.object
+    explorers[1]._widgets.save_button.clicks += 1
     assert hp.read_regions("lot-raw_0-regions.geojson").names == ("region 1",)
     assert hp.read_regions("raw_0-regions.geojson").names == ("other",)
 

@@ -1,7 +1,5 @@
 """Nothing is cut off and nothing overlaps: as wide as a screen and as 400 pixels, in light and dark."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -83,8 +81,8 @@ def draw(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("theme", ["default", "dark_background"])
-@pytest.mark.parametrize("width", [None, NARROW])
+# the layout is that of every theme, and the ink that of every width
+@pytest.mark.parametrize(("width", "theme"), [(None, "default"), (NARROW, "dark_background")])
 @pytest.mark.parametrize(
     "draw",
     ["quicklook", "triptych", "pixels", "flags", "layer", "spectra", "spectra of pixels", "library",

@@ -1,7 +1,5 @@
 """Pictures lie as the ground does: triangles keep their sense on the screen, and their lengths."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,12 +1,11 @@
 """The card of a paint: its place, what was left out of it, and the interval of its signature."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_errors
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -38,11 +37,9 @@ def test_a_card_says_what_was_used_and_why(measured: tuple[xr.Dataset, xr.Datase
     assert said.startswith(r"red \$roof  |  roof  |  solid")
     assert "windows end it on both sides; 40 pixels" in said
     # the margin is cut at the edges of the line, and places stay those of the line
-    assert place.get_xlim() == (-0.5, 5.5)
-    assert place.get_ylim() == (-0.5, 33.5)
+    assert (place.get_xlim(), place.get_ylim()) == ((-0.5, 5.5), (-0.5, 33.5))
     named = [entry.get_text() for entry in used.get_legend().get_texts()]
-    assert named[0] == f"used  {library.n.item()} px"
-    assert named[1] == "glint  10 %"
+    assert (named[0], named[1]) == (f"used  {library.n.item()} px", "glint  10 %")
     # what is used keeps its colour, what is left out has that of its flag
     picture = np.asarray(used.images[0].get_array())
     np.testing.assert_allclose(picture[10, 1], np.array([0x4D, 0xE6, 0xCC]) / 255.0)
@@ -67,13 +64,25 @@ def test_the_interval_holds_the_uncertainty_of_the_level(measured: tuple[xr.Data
 
 def test_what_has_no_card_is_refused(measured: tuple[xr.Dataset, xr.Dataset]) -> None:
     line, library = measured
-    with pytest.raises(SchemaError, match=r"'blue'.*paint-unknown"):
-        hp.pictures.paint_card(line, library, "blue")
-    with pytest.raises(SchemaError, match="library-missing"):
-        hp.pictures.paint_card(line, line, "red $roof")
-    with pytest.raises(SchemaError, match="region-empty"):
-        hp.pictures.paint_card(line.isel(cross_track=slice(5, None)), library, "red $roof")
-    with pytest.raises(SchemaError, match="region-coordinates"):
-        hp.pictures.paint_card(line, library.assign_attrs(coordinates_of_regions="map"), "red $roof")
-    with pytest.raises(SchemaError, match="region-missing"):
-        hp.pictures.paint_card(line, library.drop_vars("region"), "red $roof")
+    card = hp.pictures.paint_card
+    cut = line.isel(cross_track=slice(5, None))
+    mapped = library.assign_attrs(coordinates_of_regions="map")
+    expect_errors(
+        (SchemaError, r"'blue'.*paint-unknown", lambda: card(line, library, "blue")),
+        (SchemaError, "library-missing", lambda: card(line, line, "red $roof")),
+        (
+            SchemaError,
+            "region-empty",
+            lambda: card(cut, library, "red $roof"),
+        ),
+        (
+            SchemaError,
+            "region-coordinates",
+            lambda: card(line, mapped, "red $roof"),
+        ),
+        (
+            SchemaError,
+            "region-missing",
+            lambda: card(line, library.drop_vars("region"), "red $roof"),
+        ),
+    )

@@ -1,13 +1,12 @@
 """True colour from spectra, and the figure of a flight line."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_errors
 from support.strategies import flight
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
@@ -121,13 +120,11 @@ def test_the_colours_clash_with_nothing(lazy: bool, tmp_path: Any) -> None:
     assert list(whole.data_vars) == ["true_colour"]
     made.to_netcdf(tmp_path / "picture.nc", engine="h5netcdf")
     np.testing.assert_array_equal(whole["true_colour"].sel(along_track=105, rgb="red"), made.values[5, :, 0])
-    frame = whole.isel(rgb=0).to_dataframe()
-    assert len(frame) == made.size // 3
+    assert len(whole.isel(rgb=0).to_dataframe()) == made.size // 3
 
 
 def test_index_coordinates_of_a_line_stay() -> None:
-    line = flight(lines=20).line.paint.reflectance().assign_coords(along_track=np.arange(7, 27))
-    made = rgb(line)
+    made = rgb(flight(lines=20).line.paint.reflectance().assign_coords(along_track=np.arange(7, 27)))
     assert made["along_track"].values.tolist() == list(range(7, 27))
     assert set(made.dims) == {"along_track", "cross_track", "rgb"}
 
@@ -166,8 +163,7 @@ def test_quicklook_draws_a_picture(tmp_path: Any) -> None:
 
 def test_quicklook_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
-        quicklook(flight().line)
+    expect_errors((MissingExtraError, r"\[viz\].*extra-missing", lambda: quicklook(flight().line)))
 
 
 def test_smile_does_not_tint_the_picture() -> None:
@@ -215,7 +211,7 @@ def test_the_overview_serves_where_few_lines_are_asked_for(no_compute: Any) -> N
     # without a cube it is all there is
     alone = line.drop_vars(["counts", "reflectance"])
     np.testing.assert_array_equal(rgb(alone).values, small.values)
-    with pytest.raises(SchemaError, match="variable-missing"):
-        rgb(alone.drop_vars("overview"))
-    with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
-        rgb(line, lines=0)
+    expect_errors(
+        (SchemaError, "variable-missing", lambda: rgb(alone.drop_vars("overview"))),
+        (SchemaError, r"lines=0.*out-of-range", lambda: rgb(line, lines=0)),
+    )

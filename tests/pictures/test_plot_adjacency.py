@@ -1,7 +1,5 @@
 """A red car reddens a grey one: what is drawn, and whether light says so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,9 @@ from hyperpaint.base.errors import SchemaError
 
 pytest.importorskip("matplotlib")
 
-from hyperpaint.pictures.plot_flags import adjacency_figure
+from support.refusals import expect_errors
+
+from hyperpaint.pictures.plot import adjacency_figure
 
 NM = np.linspace(400.0, 1000.0, 31)
 
@@ -61,8 +61,7 @@ def test_curves_are_the_mean_of_their_pixels(tmp_path: Path) -> None:
 
 
 def test_without_anything_to_compare_with() -> None:
-    figure = adjacency_figure(hood().drop_vars("adjacency"), NEAR, FAR)
-    _, along, _, added = figure.axes
+    _, along, _, added = adjacency_figure(hood().drop_vars("adjacency"), NEAR, FAR).axes
     assert not added.axison
     assert along.get_xlabel() == "distance from the near end [pixel]"
     slanted = adjacency_figure(hood(), NEAR, rectangle("far", (0, 2), (20, 22)), wavelengths=(450, 650))
@@ -73,8 +72,7 @@ def test_bands_and_pixels_that_are_missing() -> None:
     line = hood()
     line["reflectance"][:, 4] = np.nan
     line["reflectance"][3, :, 6] = np.nan
-    figure = adjacency_figure(line, NEAR, FAR)
-    near = figure.axes[2].lines[0].get_ydata()
+    near = adjacency_figure(line, NEAR, FAR).axes[2].lines[0].get_ydata()
     assert np.isnan(near[4])
     assert np.isfinite(np.delete(near, 4)).all()
 
@@ -84,9 +82,20 @@ def test_what_cannot_be_drawn() -> None:
     with pytest.raises(SchemaError) as refused:
         adjacency_figure(line, NEAR, hp.Regions((NEAR, FAR)), without=line.isel(band=slice(5)), width=0)
     assert refused.value.codes == ("grid-mismatch", "value-out-of-range", "region-number")
-    with pytest.raises(SchemaError, match=r"'off'.*region-empty"):
-        adjacency_figure(line, NEAR, rectangle("off", (40, 50), (2, 4)))
-    with pytest.raises(SchemaError, match="region-overlap"):
-        adjacency_figure(line, NEAR, rectangle("same", (4, 8), (2, 4)))
-    with pytest.raises(SchemaError, match="'reflectance' is missing"):
-        adjacency_figure(line.drop_vars("reflectance"), NEAR, FAR)
+    expect_errors(
+        (
+            SchemaError,
+            r"'off'.*region-empty",
+            lambda: adjacency_figure(line, NEAR, rectangle("off", (40, 50), (2, 4))),
+        ),
+        (
+            SchemaError,
+            "region-overlap",
+            lambda: adjacency_figure(line, NEAR, rectangle("same", (4, 8), (2, 4))),
+        ),
+        (
+            SchemaError,
+            "'reflectance' is missing",
+            lambda: adjacency_figure(line.drop_vars("reflectance"), NEAR, FAR),
+        ),
+    )

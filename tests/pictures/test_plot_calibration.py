@@ -1,7 +1,5 @@
 """The figure of a calibration: what is drawn is what was found, and calls that cannot be are refused."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from support.codecs import plain_zarr
-from support.refusals import expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 from hyperpaint import calibrate
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
@@ -185,8 +183,7 @@ def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Data
 
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dataset) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
-        calibration_report(calibration)
+    expect_errors((MissingExtraError, r"\[viz\].*extra-missing", lambda: calibration_report(calibration)))
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Flags and layers on the picture: what lies on the axes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -19,7 +17,7 @@ from support.refusals import refusal
 
 from hyperpaint.base.schema import flag_shares
 from hyperpaint.paints.colours import ciede2000, encode_srgb, lab_of
-from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
+from hyperpaint.pictures.plot import background, draw_outlines, flag_overlay
 
 
 def axes() -> object:
@@ -63,8 +61,7 @@ def test_colours_of_flags_are_told_apart(readers: str) -> None:
     encoded = np.array([to_rgb(flag.colour) for flag in Quality])
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     lab = lab_of(encode_srgb(np.clip(linear @ SEEN_BY[readers].T, 0.0, 1.0)))
-    apart = ciede2000(lab[:, np.newaxis], lab) + 1e3 * np.eye(len(lab))
-    assert apart.min() > 15.0
+    assert (ciede2000(lab[:, np.newaxis], lab) + 1e3 * np.eye(len(lab))).min() > 15.0
 
 
 def test_flagged_pixels_have_the_colour_of_their_rarest_flag(line: xr.Dataset) -> None:
@@ -97,8 +94,7 @@ def test_chosen_flags_alone(line: xr.Dataset) -> None:
 def test_a_picture_of_fewer_lines_loses_no_flag(line: xr.Dataset) -> None:
     made = flag_overlay(line, "glint", lines=10, axes=axes())
     drawn = made.images[1].get_array()[..., 3] > 0
-    assert drawn.shape == (10, 6)
-    assert np.argwhere(drawn).tolist() == [[0, 1], [3, 2]]
+    assert (drawn.shape, np.argwhere(drawn).tolist()) == ((10, 6), [[0, 1], [3, 2]])
     assert made.images[1].get_extent() == [-0.5, 5.5, -0.5, 39.5]
 
 
@@ -109,10 +105,8 @@ def test_layers_are_values_over_the_picture(line: xr.Dataset) -> None:
     assert layer.get_array()[8, 4] == np.float32(0.5)
     assert layer.get_array().mask[0, 0]
     alpha = layer.get_alpha()
-    assert alpha[8, 4] == pytest.approx(0.75)
-    assert alpha[3, 3] == 0
-    labels = [other.get_ylabel() for other in made.figure.axes]
-    assert "glint_fraction [1]" in labels
+    assert (alpha[8, 4], alpha[3, 3]) == (pytest.approx(0.75), 0)
+    assert "glint_fraction [1]" in [other.get_ylabel() for other in made.figure.axes]
     fewer = flag_overlay(line, "shadow", layer="glint_fraction", lines=10, axes=axes())
     assert float(fewer.images[1].get_array()[:, 4].max()) == 0.5
     assert fewer.get_legend() is not None
@@ -165,6 +159,5 @@ def test_outlines_close_and_lie_where_the_region_is() -> None:
     made = Figure().add_subplot()
     draw_outlines(made, [Region("$roof", [(1, 10), (4, 10), (4, 20)])])
     x, y = made.lines[0].get_data()
-    assert x.tolist() == [1, 4, 4, 1]
-    assert y.tolist() == [10, 10, 20, 10]
+    assert (x.tolist(), y.tolist()) == ([1, 4, 4, 1], [10, 10, 20, 10])
     assert made.texts[0].get_text() == r"\$roof"

@@ -1,13 +1,12 @@
 """The picture of panels shows what they measured."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from support.laid_panels import Laid, flown_over
+from support.refusals import expect_errors
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -33,13 +32,11 @@ def test_curves_are_the_factors(tmp_path: Path) -> None:
 
 
 def test_a_line_without_panels_has_no_picture() -> None:
-    with pytest.raises(SchemaError, match="variable-missing"):
-        hp.pictures.panel_figure(flight().line)
+    expect_errors((SchemaError, "variable-missing", lambda: hp.pictures.panel_figure(flight().line)))
 
 
 def test_a_report_has_a_part_for_panels() -> None:
     line = flight(flat=True).line
     scaled = hp.reflectance(line, panel=hp.Panel(slice(3, 8), slice(1, 4), 0.4)).compute()
-    parts = dict(line_section(scaled, lines=20))
-    assert "Panels" in parts["panels"]()
+    assert "Panels" in dict(line_section(scaled, lines=20))["panels"]()
     assert "panels" not in dict(line_section(hp.reflectance(line), lines=20))

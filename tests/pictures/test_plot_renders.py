@@ -1,7 +1,5 @@
 """The collage of chips and renders."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Spectra on axes: the values drawn are those of the cube."""
 
-from __future__ import annotations
-
 import errno
 import sys
 from pathlib import Path
@@ -20,11 +18,11 @@ from hyperpaint.paints.colours import srgb
 pytest.importorskip("matplotlib")
 
 from matplotlib.figure import Figure
-from support.refusals import expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import save_figure
-from hyperpaint.pictures.plot_chain import triptych
+from hyperpaint.pictures.plot import triptych
 from hyperpaint.pictures.plot_spectra import MAX_PAINTS, library_overview, spectrum
 
 LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
@@ -69,8 +67,7 @@ def test_pixels_tell_their_flags_and_uncertainty(line: xr.Dataset) -> None:
     made = spectrum(full, pixels=[(3, 4), (0, 0)], axes=axes())
     assert texts(made) == ["(3, 4): low sun, glint", "(0, 0)"]
     band = made.collections[0].get_paths()[0].vertices
-    values = full.reflectance.values[3, :, 4]
-    assert band[:, 1].max() == pytest.approx(values.max() + 0.05, abs=1e-6)
+    assert band[:, 1].max() == pytest.approx(full.reflectance.values[3, :, 4].max() + 0.05, abs=1e-6)
 
 
 def test_bands_that_are_not_good_are_left_out(line: xr.Dataset) -> None:
@@ -117,10 +114,10 @@ def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset)
     with pytest.raises(SchemaError) as refused:
         spectrum(line, pixels=[(20, 0), (0, -1)], axes=axes())
     assert refused.value.codes == ("pixel-outside",) * 2
-    with pytest.raises(SchemaError, match=r"whole.*type-wrong"):
-        spectrum(line, pixels=(0.5, 1.0))
-    with pytest.raises(SchemaError, match="curve-number"):
-        spectrum(line, pixels=[(0, 0)] * 25)
+    expect_errors(
+        (SchemaError, r"whole.*type-wrong", lambda: spectrum(line, pixels=(0.5, 1.0))),
+        (SchemaError, "curve-number", lambda: spectrum(line, pixels=[(0, 0)] * 25)),
+    )
 
 
 def test_new_axes_are_those_of_pyplot(line: xr.Dataset) -> None:
@@ -135,10 +132,10 @@ def test_without_matplotlib(line: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
-        spectrum(line, pixels=(0, 0))
-    with pytest.raises(MissingExtraError, match=r"\[viz\].*extra-missing"):
-        triptych(line, LEFT)
+    expect_errors(
+        (MissingExtraError, r"\[viz\].*extra-missing", lambda: spectrum(line, pixels=(0, 0))),
+        (MissingExtraError, r"\[viz\].*extra-missing", lambda: triptych(line, LEFT)),
+    )
 
 
 # --- the triptych ------------------------------------------------------------------------------------------
@@ -196,26 +193,23 @@ def test_curves_have_the_colours_of_their_paints(paints: xr.Dataset) -> None:
         np.testing.assert_allclose(curve.get_color(), colour, atol=1e-6)
     assert drawn[0].get_linestyle() == "-" != drawn[1].get_linestyle()
     # white on white has a rim, seen on any ground
-    rim = drawn[2].get_path_effects()[0]._gc["foreground"]
-    assert 0.3 < np.mean(rim) < 0.7
+    assert 0.3 < np.mean(drawn[2].get_path_effects()[0]._gc["foreground"]) < 0.7
 
 
 @pytest.mark.filterwarnings("ignore:.*counts-averaged")
 def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match="region-number"):
-        triptych(line, hp.Regions((LEFT, RIGHT)))
+    expect_errors((SchemaError, "region-number", lambda: triptych(line, hp.Regions((LEFT, RIGHT)))))
     dark = line.assign(saturation_count=((), np.float32(60.0), {"units": "count"}))
-    with pytest.raises(SchemaError, match=r"'left'.*region-empty"):
-        triptych(dark, LEFT)
-    with pytest.raises(SchemaError, match="counts"):
-        triptych(line.drop_vars("counts"), LEFT)
+    expect_errors(
+        (SchemaError, r"'left'.*region-empty", lambda: triptych(dark, LEFT)),
+        (SchemaError, "counts", lambda: triptych(line.drop_vars("counts"), LEFT)),
+    )
 
 
 def test_a_triptych_counts_pixels_that_have_a_value(line: xr.Dataset) -> None:
     # of a column without a gain there are counts, and no reflectance
     gain = line.radiance_gain.copy(data=np.where(np.arange(6) == 1, np.nan, line.radiance_gain.values))
-    holed = line.assign(radiance_gain=gain)
-    figure = triptych(holed, LEFT, exclude=0)
+    figure = triptych(line.assign(radiance_gain=gain), LEFT, exclude=0)
     assert figure.get_suptitle() == "left: 40 of 60 pixels"
 
 
@@ -243,8 +237,7 @@ def test_colours_of_paints() -> None:
         {"wavelength": ("band", nm, {"units": "nm"}), "signature": ["red", "blue", "grey"]},
     )
     red, blue, grey = paint_colours(library)
-    assert red.argmax() == 0
-    assert blue.argmax() == 2
+    assert (red.argmax(), blue.argmax()) == (0, 2)
     assert np.ptp(grey) < 0.02
     # bands without a value: their neighbours stand in
     holed = library.copy(deep=True)
@@ -280,8 +273,7 @@ def test_a_picture_replaces_an_old_one_as_a_whole(tmp_path: Path, monkeypatch: p
 
     with monkeypatch.context() as patched:
         patched.setattr(figure, "savefig", half)
-        with pytest.raises(StoreError, match=r"No space left.* free"):
-            save_figure(figure, path)
+        expect_errors((StoreError, r"No space left.* free", lambda: save_figure(figure, path)))
     assert path.read_bytes() == before
     save_figure(figure, tmp_path / "without_suffix")
     assert sorted(each.name for each in tmp_path.iterdir()) == ["spectra.png", "without_suffix.png"]

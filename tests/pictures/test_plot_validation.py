@@ -1,7 +1,5 @@
 """Pictures of validations show what was compared."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib as mpl
@@ -11,8 +9,8 @@ from support.agreeing_spectra import NM, agreeing, field, library, seen
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.pictures import plot_validation
 from hyperpaint.pictures.figures import check_picture
-from hyperpaint.pictures.plot_validation import MAX_PAIRS
 
 mpl.use("Agg")
 
@@ -21,8 +19,7 @@ def test_curves_are_the_spectra() -> None:
     nm = np.arange(500.0, 901.0)
     paints = library(seen(NM, 6.0), reflectance_sd=np.full(NM.size, 0.01))
     found = hp.validate(paints, field(0.97 * seen(nm, 3.0), nm=nm))
-    figure = hp.pictures.validation_figure(found)
-    upper, lower = figure.axes
+    upper, lower = hp.pictures.validation_figure(found).axes
     spectra = found.spectra[0]
     used = spectra["used"].values
     for line, name in zip(upper.lines, ("signature", "reference"), strict=True):
@@ -46,30 +43,26 @@ def test_instruments_are_drawn_over_one_another() -> None:
     paints, asd = agreeing()
     nm = np.arange(390.0, 1011.0, 1.5)
     svc = field(1.01 * seen(nm, 3.5), nm=nm, fwhm=3.5, instrument="SVC")
-    figure = hp.pictures.validation_figure(hp.validate(paints, [asd, svc]))
-    upper, lower = figure.axes
-    assert len(upper.lines) == 3
-    assert len(lower.lines) == 1 + 2
+    upper, lower = hp.pictures.validation_figure(hp.validate(paints, [asd, svc])).axes
+    assert (len(upper.lines), len(lower.lines)) == (3, 1 + 2)
     assert len({line.get_linestyle() for line in upper.lines}) == 3
 
 
-@pytest.mark.slow
-def test_the_worst_of_many_are_shown(tmp_path: Path) -> None:
-    count = MAX_PAIRS + 3
+def test_the_worst_of_many_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert plot_validation.MAX_PAIRS == 24
+    monkeypatch.setattr(plot_validation, "MAX_PAIRS", 4)
+    count = 7
     names = [f"paint {n}" for n in range(count)]
-    levels = np.linspace(0.9, 1.0, count)
-    paints = library(np.outer(levels, seen(NM, 6.0)), names)
+    paints = library(np.outer(np.linspace(0.9, 1.0, count), seen(NM, 6.0)), names)
     references = library(np.outer(np.ones(count), seen(NM, 6.0)), names)
     figure = hp.pictures.validation_figure(hp.validate(paints, references), tmp_path / "many.png", columns=6)
-    titles = [axes.get_title(loc="left") for axes in figure.axes[::2]]
-    assert titles == names[:MAX_PAIRS]
-    assert f"the {MAX_PAIRS} worst of {count} shown" in figure.get_suptitle()
+    assert [axes.get_title(loc="left") for axes in figure.axes[::2]] == names[:4]
+    assert f"the 4 worst of {count} shown" in figure.get_suptitle()
     assert (tmp_path / "many.png").stat().st_size > 10_000
 
 
 def test_any_name_is_drawn(tmp_path: Path) -> None:
-    name = "$\\frac{_\x1b" + "x" * 90
-    paints = library(seen(NM, 6.0), (name,))
+    paints = library(seen(NM, 6.0), (("$\\frac{_\x1b" + "x" * 90),))
     hp.pictures.validation_figure(hp.validate(paints, paints), tmp_path / "a.png", limit=0.1)
 
 

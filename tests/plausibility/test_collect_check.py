@@ -1,7 +1,5 @@
 """Collects that cannot be true, from the file to the refusal and on."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Right darks of which nothing is said, and wrong ones that are named, as plain arrays."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperpaint.plausibility.line_judging import CubeSample, judge_dark

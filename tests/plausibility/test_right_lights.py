@@ -1,7 +1,5 @@
 """Lights of which nothing is said, and orders of bands that are named, as plain arrays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A thinned round of the campaign of wrong and right collects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

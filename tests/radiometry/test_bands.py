@@ -1,7 +1,5 @@
 """Bands by wavelength, and spectra without their smile."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A line at the size of a screen: means of blocks against plain loops, stored and computed."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.store.layout import storage_chunks
 from hyperpaint.kernels.overviews import mix_bands
-from hyperpaint.pictures.explorer_state import Explored
+from hyperpaint.pictures.exploring import Explored
 from hyperpaint.radiometry.coarse_lines import coarse, coarse_reflectance
 
 

@@ -1,7 +1,5 @@
 """Darks of a real camera at six exposures: what bias and rate of some of them say of the others."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The detector's curve, undone in flight: against plain numpy, and closed on a camera that bends."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Panels that are not what they are taken for; the truth is the simulator's, with faults laid by hand."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 
@@ -130,8 +128,7 @@ def test_a_panel_that_does_not_close_is_applied_and_said() -> None:
     line = flown_over(laid, seed=SEED)
     with pytest.warns(PaintWarning, match=r"median 0\.850.*panel-doubtful"):
         scaled = hp.reflectance(line, panel=laid.panel).compute()
-    own = hp.reflectance(line).reflectance.values
-    expected = own / scaled.panel_factor.values[0][:, None]
+    expected = hp.reflectance(line).reflectance.values / scaled.panel_factor.values[0][:, None]
     np.testing.assert_allclose(scaled.reflectance.values, expected, rtol=1e-6)
     u = scaled.panel_factor_u.values[0] / scaled.panel_factor.values[0]
     np.testing.assert_allclose(u, np.hypot(0.03, 0.05), rtol=0.01)

@@ -1,7 +1,5 @@
 """Real counts of a camera, its light sensor and a known panel: closure is far off, and is caught to be."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import NamedTuple

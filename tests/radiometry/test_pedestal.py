@@ -1,7 +1,5 @@
 """A pedestal that drifts, from elements that see no light: plain numpy, a camera's truth, and chunks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pixels, regions and bands at once: the bits of the lazy cube, what is needed is read, nothing is stale."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import threading

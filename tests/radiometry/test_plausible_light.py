@@ -1,6 +1,6 @@
 """Irradiance that is no daylight, not that of its place and time, or lacks channels."""
 
-from __future__ import annotations
+import warnings
 
 import numpy as np
 import pytest
@@ -8,7 +8,9 @@ import xarray as xr
 from support.strategies import flight
 
 from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.planning import check_light, light_level
 
 
 def _line(factor: float = 1.0, *, position: bool = True, hours: int = 0) -> xr.Dataset:
@@ -74,3 +76,20 @@ def test_a_sample_without_any_channel_is_a_gap_and_no_lost_band() -> None:
     record = line.irradiance.values.copy()
     record[0] = np.nan
     reflectance(line.assign(irradiance=line.irradiance.copy(data=record))).reflectance.compute()
+
+
+@pytest.mark.parametrize(
+    ("zenith", "median", "is_doubtful"),
+    [(60.0, 0.02, False), (60.0, 0.011, True), (60.0, 1.5, False), (60.0, 2.2, True), (83.0, 0.25, False),
+     (83.0, 0.4, True)],
+)  # fmt: skip
+def test_limits_of_the_level(zenith: float, median: float, is_doubtful: bool) -> None:
+    # relative to a clear sky, or for a sun lower than 80 degrees from the zenith in W m-2 nm-1
+    morning = np.datetime64("2024-04-03T06:00", "ns") + np.arange(0, 21600, 20).astype("timedelta64[s]")
+    stamp = morning[[np.abs(solar_position(morning, 0.0, 0.0)[0] - zenith).argmin()]]
+    place, channels = {"latitude": 0.0, "longitude": 0.0}, np.arange(400.0, 1001.0)
+    clear = light_level(place, np.ones((1, channels.size)), channels, stamp).clear if zenith < 80.0 else 1.0
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        check_light(place, np.full((1, channels.size), median * clear), channels, stamp)
+    assert [w.message.code for w in noted] == ["irradiance-level"] * is_doubtful

@@ -1,7 +1,5 @@
 """Counts to reflectance: the equations, darks, panels and tilt, smile, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -28,8 +26,7 @@ def test_worked_example_with_gains_built_by_hand() -> None:
     # the whole chain of the example, from the monochromator on
     etendue, t_obs, t_ref, b_obs, b_ref = 1.8598e-11, 5e-3, 50e-3, 6.0, 2.0
     spacing, peak, flux, area = 600 / 271, 2.0e16, 3.0e-12, np.sqrt(np.pi / (4 * np.log(2)))
-    truth = 0.40 * 1.30 / np.pi
-    counts = t_obs * etendue * truth * peak * area * b_obs
+    counts = t_obs * etendue * (0.40 * 1.30 / np.pi) * peak * area * b_obs
     line_area = t_ref * flux * peak * area * b_obs / spacing
     amplitude = t_ref * flux * peak * b_obs / np.hypot(b_obs, b_ref)
     assert counts == pytest.approx(1966.09, abs=0.005)
@@ -162,8 +159,7 @@ def test_dark_of_every_line_is_between_the_darks_around_it() -> None:
     made = flight()
     line = made.line
     low, high = line.dark_counts.values, line.dark_counts.values + 60
-    seconds = (line.time.values - START) / np.timedelta64(1, "s")
-    part = (seconds - 9.0) / 2.0
+    part = ((line.time.values - START) / np.timedelta64(1, "s") - 9.0) / 2.0
     counts = line.counts.values + 60 * part[:, None, None]
     line["counts"] = line.counts.copy(data=counts.astype(np.float32))
     stamps = START + np.array([11, 9, 300], "timedelta64[s]")  # not in order
@@ -175,13 +171,11 @@ def test_dark_of_every_line_is_between_the_darks_around_it() -> None:
     )
     np.testing.assert_allclose(values(line), made.reflectance, rtol=2e-5)
     # before the first and after the last one, that one is held
-    early = line.isel(dark_time=[0, 2])
-    held = values(early)
+    held = values(line.isel(dark_time=[0, 2]))
     expected = made.reflectance - values(line)
     assert np.isfinite(held).all()
     assert np.abs(expected).max() < 1e-4
-    first_only = line.isel(dark_time=0)
-    np.testing.assert_array_equal(held, values(first_only.drop_vars("dark_time")))
+    np.testing.assert_array_equal(held, values(line.isel(dark_time=0).drop_vars("dark_time")))
 
 
 def test_dark_at_two_exposures_gives_bias_and_rate() -> None:
@@ -190,8 +184,7 @@ def test_dark_at_two_exposures_gives_bias_and_rate() -> None:
     line = made.line
     above = (line.counts - line.dark_counts).transpose(*line.counts.dims).values
     line["counts"] = line.counts.copy(data=(above + bias + rate * 5e-3).astype(np.float32))
-    shape = (2, 12, 6)
-    dark = np.broadcast_to(bias + rate * np.array([2e-3, 10e-3])[:, None, None], shape)
+    dark = np.broadcast_to(bias + rate * np.array([2e-3, 10e-3])[:, None, None], (2, 12, 6))
     line = line.drop_vars("dark_counts").assign_coords(
         dark_time=("dark_time", START + np.array([0, 1], "timedelta64[s]"))
     )
@@ -283,8 +276,7 @@ def test_a_panel_in_the_scene_sets_the_scale() -> None:
     off = made.line.assign(radiance_gain=made.line.radiance_gain * 1.1)
     off["radiance_gain"].attrs = dict(made.line.radiance_gain.attrs)
     np.testing.assert_allclose(values(off), 0.44, rtol=1e-5)
-    panel = Panel(slice(3, 8), slice(1, 4), 0.4)
-    np.testing.assert_allclose(values(off, panel=panel), 0.4, rtol=1e-5)
+    np.testing.assert_allclose(values(off, panel=Panel(slice(3, 8), slice(1, 4), 0.4)), 0.4, rtol=1e-5)
     known = xr.DataArray(
         np.linspace(0.3, 0.5, 12)[::-1],
         dims="wavelength",
@@ -312,8 +304,7 @@ def test_a_panel_without_light_is_refused() -> None:
 def test_smile_without_structure_changes_nothing() -> None:
     made = flight(smile=SHIFT)
     np.testing.assert_allclose(values(made.line), made.reflectance, rtol=1e-5)
-    shift = np.broadcast_to(SHIFT, (12, 6)) + np.linspace(-0.2, 0.2, 12)[:, None]
-    both = flight(smile=shift)
+    both = flight(smile=np.broadcast_to(SHIFT, (12, 6)) + np.linspace(-0.2, 0.2, 12)[:, None])
     np.testing.assert_allclose(values(both.line), both.reflectance, rtol=1e-5)
 
 
@@ -322,10 +313,8 @@ def test_without_light_there_is_no_reflectance(smile: np.ndarray | None) -> None
     line = flight(smile=smile).line
     line["irradiance"].values[:, 120:200] = 0.0  # 520 to 600 nm: water, or a night
     got = values(line)
-    dark = (line.wavelength.values > 528) & (line.wavelength.values < 588)
-    assert np.isnan(got[:, dark]).all()
-    far = (line.wavelength.values < 508) | (line.wavelength.values > 612)
-    assert np.isfinite(got[:, far]).all()
+    assert np.isnan(got[:, (line.wavelength.values > 528) & (line.wavelength.values < 588)]).all()
+    assert np.isfinite(got[:, (line.wavelength.values < 508) | (line.wavelength.values > 612)]).all()
     assert not np.isinf(got).any()
 
 
@@ -459,8 +448,7 @@ def test_radiance_as_a_start_keeps_the_slope_of_the_responsivity() -> None:
     line = flight().line
     slope = np.linspace(1.0, 3.0, line.sizes["band"])[:, None].astype("f4")
     line["radiance_gain"] = line.radiance_gain.copy(data=line.radiance_gain.values * slope)
-    start = radiance(line).drop_vars("counts")
-    np.testing.assert_allclose(values(start), values(line), rtol=1e-6)
+    np.testing.assert_allclose(values(radiance(line).drop_vars("counts")), values(line), rtol=1e-6)
 
 
 def test_panel_units_are_converted() -> None:

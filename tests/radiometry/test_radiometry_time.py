@@ -1,7 +1,5 @@
 """Line and irradiance times: units, order, clocks, and records of their own."""
 
-from __future__ import annotations
-
 import dask.array as da
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Saturated pixels of traced glossy and metallic cars, against counts that no converter clipped."""
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What tasks share: the plan, its values, and chunks of whole lines."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 

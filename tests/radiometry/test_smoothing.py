@@ -1,7 +1,5 @@
 """Smoothing over the bands: what it keeps, what it says, what it refuses."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import dask

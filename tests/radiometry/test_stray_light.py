@@ -1,7 +1,5 @@
 """Light that bands count of others: against plain numpy, over chunks, through a sweep that holds it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tilted surfaces under the sky that the record tells of."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

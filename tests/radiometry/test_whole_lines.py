@@ -1,7 +1,5 @@
 """`hyperpaint.slab`: the bits of the lazy path, in memory, picklable; foreign arrays are refused."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 import types

@@ -1,7 +1,5 @@
 """Whether the sun was free over a car between broken clouds: by the record, and by a shadow beside it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,6 @@
 """The finish of a roof from how its light changes: panels of solid paint and of flakes in closed form."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,9 @@ def models() -> dict[float, SceneModel]:
     seen = np.full((30, NM.size, 30), 0.2)
     cube = ("along_track", "band", "cross_track"), seen.astype(np.float32), {"units": "1"}
     line = xr.Dataset({"reflectance": cube}, {"wavelength": ("band", NM, {"units": "nm"})})
-    return {zenith: hp.surroundings.survey(line, sun_zenith=zenith) for zenith in (25.0, 45.0, 59.0)}
+    return {
+        zenith: hp.surroundings.survey(line, sun_zenith=zenith) for zenith in (15.0, 25.0, 45.0, 59.0, 70.0)
+    }
 
 
 def picture_of(model: SceneModel, zenith: float, flakes: float) -> tuple[Picture, Floats]:
@@ -65,57 +66,67 @@ def test_difference__has_the_flat_share_of_flakes(models: dict[float, SceneModel
 def test_difference__needs_pixels(models: dict[float, SceneModel]) -> None:
     picture, relative = picture_of(models[45.0], 45.0, 0.0)
     assert difference_of(Piece(0, (0, 0), np.ones(relative.shape, bool)), picture, 3.0 * relative) is None
+    for pixels in (55, 65):  # of 60 at least
+        piece = Piece(0, (0, 0), np.arange(relative.size).reshape(relative.shape) % 1600 < pixels)
+        assert (difference_of(piece, picture, np.ones_like(relative)) is None) == (pixels < 60)
 
 
 @pytest.mark.parametrize(
-    ("zenith", "across", "along", "flat_share", "coloured", "expected"),
+    ("expected", "changes"),
     [
+        ("unknown", {}),  # so do flakes look far from their lobe
         (
-            45.0,
-            1.0,
-            1.0,
-            0.0,
-            False,
             "unknown",
-        ),  # so do flakes look far from their lobe
-        (45.0, 4.0, 1.0, 0.0, False, "metallic"),
-        (45.0, 1.0, 8.0, 0.0, False, "metallic"),
-        (45.0, 1.0, 1.0, 0.05, True, "solid"),
-        (45.0, 1.0, 1.0, 0.20, True, "unknown"),
-        (59.0, 1.0, 1.0, 0.05, True, "unknown"),  # far from their lobe flakes add little to what changes
-        (45.0, 1.0, 1.0, 0.50, True, "metallic"),
-        (45.0, 1.6, 1.0, 0.05, True, "unknown"),  # it changes more than a solid paint
-        (25.0, 0.5, 0.5, 0.0, False, "solid"),  # flakes would change by more so near their lobe
-        (25.0, 2.0, 2.0, 0.0, False, "unknown"),
-        (25.0, 1.0, 9.0, 0.0, False, "unknown"),  # the gloss of a rough coat changes as much along a roof
-        (25.0, 8.0, 8.0, 0.0, False, "metallic"),
+            {"across": 2.1},
+        ),  # flakes change by 1.7 times a solid paint, and 0.5, or more across a roof
+        ("metallic", {"across": 2.4}),
+        ("unknown", {"along": 5.3}),  # and by five times along it
+        ("metallic", {"along": 5.8}),
+        ("solid", {"share": 0.10, "low": 0.06}),  # 0.13 of the difference of coloured paint is grey
+        ("unknown", {"share": 0.15, "low": 0.06}),
+        ("unknown", {"share": 0.30, "low": 0.06}),  # a third of that of flakes
+        ("metallic", {"share": 0.36, "low": 0.06}),
+        ("unknown", {"share": 0.10, "low": 0.30}),  # hardly coloured
+        ("unknown", {"share": 0.10, "low": 0.06, "contrast": 0.15}),  # hardly different
+        ("unknown", {"share": 0.05, "low": 0.06, "zenith": 59.0}),  # far from their lobe flakes add little
+        ("unknown", {"share": 0.05, "low": 0.06, "across": 1.6}),  # it changes more than a solid paint
+        ("unknown", {"share": 0.05, "low": 0.06, "along": 3.0}),
+        (
+            "solid",
+            {"zenith": 25.0, "across": 0.9, "along": 0.0},
+        ),  # flakes would change by more near their lobe
+        ("unknown", {"zenith": 25.0, "across": 1.3, "along": 0.0}),
+        ("unknown", {"zenith": 15.0, "across": 0.5, "along": 0.0}),  # a lobe may have its peak on the roof
+        ("unknown", {"zenith": 25.0, "along": 9.0}),  # the gloss of a rough coat changes as much along a roof
+        ("metallic", {"zenith": 25.0, "across": 8.0, "along": 8.0}),
+        ("unknown", {"zenith": 70.0, "across": 9.0}),  # a roof shades itself
+        ("unknown", {"level": 0.055, "across": 9.0}),  # dust and sky dominate
+        ("metallic", {"level": 0.065, "across": 9.0}),
+        ("unknown", {"direct": 0.45, "across": 9.0}),  # the sky is most of the light there is
+        ("metallic", {"direct": 0.55, "across": 9.0}),
     ],
 )
 def test_finish__is_stated_where_there_is_evidence(
-    models: dict[float, SceneModel],
-    zenith: float,
-    across: float,
-    along: float,
-    flat_share: float,
-    coloured: bool,
-    expected: str,
+    models: dict[float, SceneModel], expected: str, changes: dict[str, float]
 ) -> None:
     # Expected: by change with lean over a solid paint's, and by the colour of the change
-    model = models[zenith]
+    case = {
+        "zenith": 45.0,
+        "across": 1.0,
+        "along": 1.0,
+        "share": 0.0,
+        "contrast": 0.3,
+        "level": 0.5,
+        **changes,
+    }
+    model, zenith = models[case["zenith"]], case["zenith"]
+    if "direct" in case:
+        model = replace(model, diffuse_fraction=np.full(24, 1.0 - case["direct"]))
     solid = Picture(model, np.empty(0), {}, zenith).direct_share * change_with_lean(zenith)
-    level = Level(1.0, 0.01, along * solid, across * solid)
-    colour = np.where(model.channel_wavelength > 600.0, 0.5, 0.06) if coloured else np.full(24, 0.3)
-    assert stated(model, zenith, level, (flat_share, 0.3), colour) == expected
-
-
-def test_finish__of_a_dark_roof_or_under_clouds_is_unknown(models: dict[float, SceneModel]) -> None:
-    # Expected: nothing is stated of 0.02, nor where the sky is all the light there is
-    from dataclasses import replace
-
-    level = Level(1.0, 0.01, 9.0, 9.0)
-    assert stated(models[45.0], 45.0, level, None, np.full(24, 0.02)) == "unknown"
-    covered = replace(models[45.0], diffuse_fraction=np.ones_like(models[45.0].diffuse_fraction))
-    assert stated(covered, 45.0, level, None, np.full(24, 0.3)) == "unknown"
+    level = Level(1.0, 0.01, case["along"] * solid, case["across"] * solid)
+    colour = np.where(model.channel_wavelength > 600.0, case["level"], case.get("low", case["level"]))
+    assert stated(model, zenith, level, (case["share"], case["contrast"]), colour) == expected
+    assert stated(model, zenith, level, None, colour) in ("unknown", expected)
 
 
 @pytest.mark.parametrize("zenith", [0.0, 30.0, 60.0, 80.0])

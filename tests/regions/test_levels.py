@@ -1,15 +1,20 @@
 """Levels of crowned roofs against roofs whose shape and paint are known in closed form."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hyperpaint.regions.proposals.cars import Level, Place, level_light, level_place
-from hyperpaint.regions.proposals.footprints import Footprint, Roof, find_roof
+from hyperpaint.regions.proposals.cars import (
+    Footprint,
+    Level,
+    Place,
+    Roof,
+    find_roof,
+    level_light,
+    level_place,
+)
 
 Floats = npt.NDArray[np.float64]
 AXIS = np.array([0.0, 1.0])
@@ -90,17 +95,12 @@ def test_glint__is_left_out() -> None:
     assert level_of(with_glint).brightness == pytest.approx(level_of(seen).brightness, rel=0.005)
 
 
-def test_level__scales_with_brightness() -> None:
+def test_level__scales_with_brightness_and_is_that_of_the_mirror_image() -> None:
     # Expected: three times as bright is three times the level; sd and change with lean stay
     seen = crowned(Sun(50.0, 20.0), 0.4)
     one, other = level_of(seen), level_of(3.0 * seen)
-    assert other.brightness == pytest.approx(3.0 * one.brightness)
-    assert other[1:] == pytest.approx(one[1:])
-
-
-def test_level__of_the_mirror_image_is_the_same() -> None:
+    assert (other.brightness, other[1:]) == (pytest.approx(3.0 * one.brightness), pytest.approx(one[1:]))
     # Expected: a picture flown the other way gives the same level, sd and change with lean
-    seen = crowned(Sun(50.0, 20.0), 0.4)
     mirrored = PLACE._replace(column=seen.shape[1] - 1.0 - PLACE.column)
     assert tuple(level_of(seen[:, ::-1], mirrored)) == pytest.approx(tuple(level_of(seen)))
 
@@ -141,8 +141,7 @@ def roofed(middle: float, half: float, slope: float) -> tuple[Footprint, Roof]:
         60.0,
         False,
     )
-    roof = Roof(inside, (int(middle) + 1.0, 45.0), AXIS, 1.5, 1.7, "", 1.0, True, True, 0.0)
-    return footprint, roof
+    return footprint, Roof(inside, (int(middle) + 1.0, 45.0), AXIS, 1.5, 1.7, "", 1.0, True, True, 0.0)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.03, -0.06])

@@ -1,7 +1,5 @@
 """Regions proposed by rule, on cars drawn by hand."""
 
-from __future__ import annotations
-
 import json
 import logging
 from dataclasses import replace
@@ -19,8 +17,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece, lean_to_sun
-from hyperpaint.regions.proposals.cars import Level, Verdict, judge_level
-from hyperpaint.regions.proposals.footprints import hull_of
+from hyperpaint.regions.proposals.cars import Level, Verdict, hull_of, judge_level
 from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.surroundings.corrections import remove_mirrored_sky
 
@@ -191,9 +188,6 @@ def test_roof__is_taken_where_it_is_level() -> None:
     assert abs(float(np.median(across)) - (30 + 55)) < 2.5
     seen = remove_mirrored_sky(line, sun_zenith=ZENITH)["reflectance"].values[along, :, across]
     assert np.abs(np.median(seen, axis=0) - RED).max() < 0.01
-
-
-def test_roof_beside_a_sunroof__is_taken_at_the_sunroof() -> None:
     # Rationale: a sunroof is the front half of a roof; what is left of it leans backwards
     # Expected: pixels of the half that is nearer to the sunroof
     line = parked(windows=((28, 55), (80, 90)), gain=0.004)
@@ -236,8 +230,7 @@ def test_lobes_of_flakes__are_known_where_they_are_level() -> None:
     # Expected: of brightness that changes by 70 % along a roof a band across its middle, whose level is less
     # sure than 3 %
     line = parked(gain=0.02)
-    beside = {"sun_azimuth": 180.0, "heading": 0.0}
-    (region,) = found = propose(line, **beside)
+    (region,) = found = propose(line, sun_azimuth=180.0, heading=0.0)
     assert region.properties["level_uncertainty"] > 0.03
     along, across = pixels_of(found, line)[0]
     assert abs(float(np.mean(across)) - (30 + 55)) < 1.5
@@ -245,7 +238,7 @@ def test_lobes_of_flakes__are_known_where_they_are_level() -> None:
     assert np.mean(seen) == pytest.approx(np.mean(RED), rel=2.0 * region.properties["level_uncertainty"])
 
 
-def test_flakes__make_levels_uncertain() -> None:
+def test_uncertain_levels__are_of_flakes_haze_and_low_suns() -> None:
     # Rationale: a lean that nothing shows changes the light of flakes more than that of a solid paint
     # Expected: four times the change of a solid paint is of a level less certain, eight times is refused, and
     # the reason names flakes
@@ -258,9 +251,6 @@ def test_flakes__make_levels_uncertain() -> None:
     assert not verdicts[0].objections
     assert not verdicts[1].objections
     assert any("flakes" in text for text in verdicts[2].objections)
-
-
-def test_haze__makes_dark_levels_uncertain() -> None:
     # Rationale: a coat mirrors the zenith, whose brightness a hazy sky does not tell
     # Expected: with twice the diffuse light of a clear sky grey paint of 0.08 is refused for the sky, white
     # paint is not, nor is either under a clear sky; under a covered one both are known to 3 %
@@ -278,27 +268,10 @@ def test_haze__makes_dark_levels_uncertain() -> None:
     assert refused == [("hazy", 0.08)]
     assert "mirrored" in verdicts["hazy", 0.08].objections[0]
     assert verdicts["covered", 0.08].level_sd < 0.03
-
-
-def test_level_that_is_not_known__is_refused() -> None:
     # Rationale: a comparison with NaN is False. Expected: an objection, and no region of a level of NaN.
-    model = hp.surroundings.survey(parked(), sun_zenith=45.0)
     verdict = roof_of(0.3)
     judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level())
     assert verdict.objections
-
-
-def test_options__are_those_of_the_survey_and_the_model_remembers_the_sun() -> None:
-    # Expected: a word that no survey knows is refused; beside a model its own sun is taken
-    line = parked()
-    with pytest.raises(TypeError, match="sun_zenit"):
-        hp.regions.propose_regions(line, sun_zenit=30.0)
-    model = hp.surroundings.survey(line, sun_zenith=ZENITH)
-    beside, own = hp.regions.propose_regions(line, model), propose(line)
-    assert [one.properties for one in beside] == [one.properties for one in own]
-
-
-def test_low_sun__makes_levels_uncertain_and_overcast_does_not() -> None:
     # Rationale: a lean changes the light of a roof by f_dir tan(zenith), and by next to nothing in cloud
     # Expected: under a sun at 80 degrees a roof is refused for its lean, with what to do; under an overcast
     # sky it is proposed, of a level within 2 %
@@ -309,15 +282,24 @@ def test_low_sun__makes_levels_uncertain_and_overcast_does_not() -> None:
     assert region.properties["level_uncertainty"] < 0.02
 
 
-def test_black_paint__is_told_from_its_windows() -> None:
+def test_options__are_those_of_the_survey_and_the_command_needs_no_regions() -> None:
+    # Expected: a word that no survey knows is refused; beside a model its own sun is taken
+    line = parked()
+    with pytest.raises(TypeError, match="sun_zenit"):
+        hp.regions.propose_regions(line, sun_zenit=30.0)
+    model = hp.surroundings.survey(line, sun_zenith=ZENITH)
+    beside, own = hp.regions.propose_regions(line, model), propose(line)
+    assert [one.properties for one in beside] == [one.properties for one in own]
+    # Expected: the option is there, and is not required
+    told = CliRunner().invoke(main, ["signatures", "--help"]).output
+    assert "proposed by rule" in told
+
+
+def test_black_paint_and_vans__are_told_by_windows() -> None:
     # Rationale: a black roof of 0.025 mirrors as much sky as its windows, of 0.012
     # Expected: it is proposed; a car all of whose paint is as dark as its windows is not
     (region,) = propose(parked(paint=np.full(NM.size, 0.025)))
-    assert region.properties["kind"] == "roof"
-    assert len(propose(parked(paint=np.full(NM.size, 0.0125)))) == 0
-
-
-def test_van_without_side_windows__has_a_roof() -> None:
+    assert (region.properties["kind"], len(propose(parked(paint=np.full(NM.size, 0.0125))))) == ("roof", 0)
     # Rationale: behind windscreen and bonnet, no other part is longer than half a car
     # Expected: the rest is proposed as the roof; where the windscreen ends the car there is no bonnet, and it
     # is not
@@ -325,6 +307,12 @@ def test_van_without_side_windows__has_a_roof() -> None:
     assert region.properties["kind"] == "roof"
     assert "all of the car behind" in region.properties["reasons"][0]
     assert len(propose(drawn(rear=False).isel(cross_track=slice(45, None)))) == 0
+    # Rationale: lots are full of white cars. Expected: two regions, one on each car.
+    one = parked()
+    line = xr.concat([one, one.copy(deep=True)], "along_track", coords="minimal", compat="override")
+    found = propose(line)
+    assert len(found) == 2
+    assert sorted(int(np.median(along)) // 80 for along, _ in pixels_of(found, line)) == [0, 1]
 
 
 @pytest.mark.parametrize("windows", [((28, 42),), ((28, 42), (94, 98))])
@@ -334,15 +322,6 @@ def test_black_roof_behind_a_windscreen__is_one(windows: tuple[tuple[int, int], 
     (region,) = propose(parked(paint=np.full(NM.size, 0.03), windows=windows))
     assert region.properties["kind"] == "roof"
     assert len(propose(parked(paint=np.full(NM.size, 0.03), windows=((2, 16),)))) == 0
-
-
-def test_cars_of_one_colour_side_by_side__give_a_region_each() -> None:
-    # Rationale: lots are full of white cars. Expected: two regions, one on each car.
-    one = parked()
-    line = xr.concat([one, one.copy(deep=True)], "along_track", coords="minimal", compat="override")
-    found = propose(line)
-    assert len(found) == 2
-    assert sorted(int(np.median(along)) // 80 for along, _ in pixels_of(found, line)) == [0, 1]
 
 
 @pytest.mark.slow
@@ -369,7 +348,7 @@ def test_proposals__do_not_depend_on_chunks(car: tuple[xr.Dataset, Any]) -> None
     assert lazy.paint.propose_regions(sun_zenith=ZENITH, flightline="raw_0").digest == whole.digest
 
 
-def test_proposals__on_a_crop_have_the_numbers_of_the_line(car: tuple[xr.Dataset, Any]) -> None:
+def test_proposals__go_into_a_file_and_back_and_on_a_crop(car: tuple[xr.Dataset, Any], tmp_path: Any) -> None:
     line, found = car
     numbered = line.assign_coords(
         along_track=np.arange(line.sizes["along_track"]) + 1000,
@@ -379,9 +358,6 @@ def test_proposals__on_a_crop_have_the_numbers_of_the_line(car: tuple[xr.Dataset
     for bare, other in zip(found, moved, strict=True):
         np.testing.assert_array_equal(other.polygon, np.add(bare.polygon, [50, 1000]))
     assert all((region.polygon >= [49, 999]).all() for region in moved.refused)
-
-
-def test_proposals__go_into_a_file_and_back(car: tuple[xr.Dataset, Any], tmp_path: Any) -> None:
     # Rationale: people edit proposals. Expected: GeoJSON as any regions, what is refused stays out of it.
     found = car[1]
     path = hp.write_regions(found, tmp_path / "cars.geojson")
@@ -410,9 +386,3 @@ def test_flags_that_a_region_names__are_those_left_out(car: tuple[xr.Dataset, An
 def test_limits_that_cannot_be__are_refused(car: tuple[xr.Dataset, Any], wrong: dict[str, Any]) -> None:
     with pytest.raises(SchemaError, match="value-out-of-range"):
         propose(car[0], **wrong)
-
-
-def test_command__needs_no_regions() -> None:
-    # Expected: the option is there, and is not required
-    told = CliRunner().invoke(main, ["signatures", "--help"]).output
-    assert "proposed by rule" in told

@@ -1,13 +1,11 @@
 """Regions proposed by rule, on cars whose light is traced."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 import hyperpaint as hp
 from hyperpaint.regions import pixels_of
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.platforms import pushbroom

@@ -1,7 +1,5 @@
 """Regions that would take too long, or cannot be: refused at once, with what to do."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of regions, whoever wrote them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -71,9 +69,16 @@ def test_the_file_is_as_designed(tmp_path: Path) -> None:
     )
     assert regions_from([hood]) == regions_from(hood) == Regions((hood,))
     assert regions_from(Regions((hood,)).__geo_interface__) == Regions((hood,))
-
-
-def test_other_peoples_files(tmp_path: Path) -> None:
+    (folder := tmp_path / "again").mkdir()
+    path = write_regions(Regions((Region("a", SQUARE),)), folder / "r.geojson")
+    write_regions(Regions((Region("a", SQUARE),)), path)
+    with pytest.raises(StoreError, match="overwrite=True"):
+        write_regions(Regions((Region("b", SQUARE),)), path)
+    assert read_regions(path).names == ("a",)
+    assert write_regions(Regions((Region("b", SQUARE),)), path, overwrite=True) == path
+    with pytest.raises(StoreError, match="file-unwritable"):
+        write_regions(Regions(()), path / "in a file" / "r.geojson")
+    assert [each.name for each in folder.iterdir()] == ["r.geojson"]
     ring = [[1, 1, 12.5], [5, 1, 12.5], [5, 5, 12.5]]
     feature = {"type": "Feature", "id": 3, "properties": {"name": "a", "fid": None}}
     several = {"type": "MultiPolygon", "coordinates": [[ring]]}
@@ -90,18 +95,6 @@ def test_other_peoples_files(tmp_path: Path) -> None:
     assert regions_from({**document, "crs": old}).coordinates == "map"
     assert regions_from({**document, "crs": "EPSG:32618"}).crs == "EPSG:32618"
     assert regions_from({**feature, "geometry": {"type": "Polygon", "coordinates": [ring]}}).names == ("a",)
-
-
-def test_a_file_that_holds_something_else_stays(tmp_path: Path) -> None:
-    path = write_regions(Regions((Region("a", SQUARE),)), tmp_path / "r.geojson")
-    write_regions(Regions((Region("a", SQUARE),)), path)
-    with pytest.raises(StoreError, match="overwrite=True"):
-        write_regions(Regions((Region("b", SQUARE),)), path)
-    assert read_regions(path).names == ("a",)
-    assert write_regions(Regions((Region("b", SQUARE),)), path, overwrite=True) == path
-    with pytest.raises(StoreError, match="file-unwritable"):
-        write_regions(Regions(()), path / "in a file" / "r.geojson")
-    assert [each.name for each in tmp_path.iterdir()] == ["r.geojson"]
 
 
 def collection(**changed: Any) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """Regions: which pixels lie in them, exactly."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -112,23 +110,17 @@ def test_points_along_an_edge_lie_on_it(start: Any, step: Any, parts: int) -> No
     ]
 
 
-def test_edges_corners_and_holes() -> None:
+def test_edges_corners_holes_and_crossed_rings() -> None:
     hole = [(2, 2), (4, 2), (4, 4), (2, 4)]
     points = {(1, 1): True, (5, 3): True, (3, 5): True, (0, 3): False, (5.0001, 3): False, (3, 3): False}
     points |= {(2, 3): True, (4, 4): True, (4.5, 3): True}
     assert fast(SQUARE, [hole], list(points)) == list(points.values())
-
-
-def test_concave_and_crossed_rings() -> None:
     horseshoe = [(0, 0), (6, 0), (6, 6), (4, 6), (4, 2), (2, 2), (2, 6), (0, 6)]
     assert fast(horseshoe, [], [(1, 5), (3, 5), (5, 5), (3, 1), (3, 2)]) == [True, False, True, True, True]
     bow = [(0, 0), (4, 4), (4, 0), (0, 4)]
     assert fast(bow, [], [(1, 2), (3, 2), (2, 1), (2, 3), (2, 2)]) == [True, True, False, False, True]
     twice = [*SQUARE, *SQUARE]
     assert fast(twice, [], [(3, 3), (1, 3)]) == [False, True]
-
-
-def test_order_and_start_of_corners_do_not_matter() -> None:
     rng = np.random.default_rng(0)
     polygon = rng.uniform(0, 20, (12, 2))
     y, x = np.mgrid[0:20, 0:20].reshape(2, -1).astype(float)
@@ -137,9 +129,6 @@ def test_order_and_start_of_corners_do_not_matter() -> None:
         np.testing.assert_array_equal(contains(turned, [], x, y), expected)
     shuffled = rng.permutation(x.size)
     np.testing.assert_array_equal(contains(polygon, [], x[shuffled], y[shuffled]), expected[shuffled])
-
-
-def test_missing_places_are_in_no_polygon() -> None:
     assert fast(SQUARE, [], [(np.nan, 3), (3, np.nan), (np.inf, 3), (3, 3)]) == [False, False, False, True]
 
 
@@ -155,13 +144,17 @@ def test_pixels_are_columns_and_lines() -> None:
     along, across = pixels(Region("a", [(2, 5), (4.9, 5), (4.9, 6), (2, 6)]), line())
     assert along.dtype == across.dtype == np.int64
     assert (along.tolist(), across.tolist()) == ([5, 5, 5, 6, 6, 6], [2, 3, 4, 2, 3, 4])
-
-
-def test_a_region_beyond_the_line_keeps_what_is_in_it() -> None:
     along, across = pixels(Region("a", [(-5, -5), (1, -5), (1, 1), (-5, 1)]), line())
     assert sorted(zip(along.tolist(), across.tolist(), strict=True)) == [(0, 0), (0, 1), (1, 0), (1, 1)]
     for far in ([(20, 20), (30, 20), (30, 30)], [(2.1, 3.1), (2.9, 3.1), (2.5, 3.9)]):
         assert pixels(Region("a", far), line())[0].size == 0
+    both = Regions((Region("red car", [(0, 0), (2, 0), (2, 1)]), Region("b", [(2, 0), (5, 0), (5, 3)])))
+    mask = region_mask(both, line())
+    assert (mask.dims, mask.dtype) == (("along_track", "cross_track"), np.int16)
+    assert mask.attrs["flag_meanings"] == "none red_car b"
+    assert mask.values[0, :7].tolist() == [0, 0, 1, 1, 1, 1, -1]
+    with pytest.raises(SchemaError, match=r"cross_track.*dim-missing"):
+        pixels(Region("a", SQUARE), xr.Dataset({"time": ("along_track", [1.0])}))
 
 
 def test_blocks_of_pixels_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,14 +163,6 @@ def test_blocks_of_pixels_change_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(pixels_in_regions, "_BLOCK_PIXELS", 100)
     for axis in (0, 1):
         np.testing.assert_array_equal(pixels(region, line(50, 45))[axis], whole[axis])
-
-
-def test_mask_names_the_regions() -> None:
-    both = Regions((Region("red car", [(0, 0), (2, 0), (2, 1)]), Region("b", [(2, 0), (5, 0), (5, 3)])))
-    mask = region_mask(both, line())
-    assert (mask.dims, mask.dtype) == (("along_track", "cross_track"), np.int16)
-    assert mask.attrs["flag_meanings"] == "none red_car b"
-    assert mask.values[0, :7].tolist() == [0, 0, 1, 1, 1, 1, -1]
 
 
 def turned(lines: int = 12, columns: int = 9) -> tuple[np.ndarray, np.ndarray]:
@@ -231,11 +216,6 @@ def test_degrees_are_not_metres() -> None:
         pixels(region, camera, coordinates="map")
 
 
-def test_a_line_without_pixels_is_refused() -> None:
-    with pytest.raises(SchemaError, match=r"cross_track.*dim-missing"):
-        pixels(Region("a", SQUARE), xr.Dataset({"time": ("along_track", [1.0])}))
-
-
 # --- regions as data ---------------------------------------------------------------------------------------
 
 
@@ -278,26 +258,12 @@ def test_regions_are_a_sequence() -> None:
         (SchemaError, "option-conflict", lambda: Regions((), "sensor", "EPSG:4326")),
         (SchemaError, "choice-unknown", lambda: Regions((), "pixels")),
     )
-
-
-def test_digest_is_of_all_that_is_said() -> None:
     same = {
         Regions((Region("a", SQUARE, properties=p),)).digest for p in ({"x": 1, "y": 2}, {"y": 2, "x": 1})
     }
     assert len(same) == 1
     others = [Region("a", SQUARE, properties={"x": 1, "y": 3}), Region("b", SQUARE), Region("a", SQUARE[1:])]
     assert len({*same, *(Regions((each,)).digest for each in others)}) == 4
-
-
-def test_pixels_of_many_regions_are_those_of_each() -> None:
-    rng = np.random.default_rng(2)
-    many = Regions(tuple(Region(f"r{k}", rng.uniform(0, 12, (5, 2))) for k in range(6)))
-    for found, region in zip(pixels_of(many, line()), many, strict=True):
-        for axis, expected in enumerate(pixels(region, line())):
-            np.testing.assert_array_equal(found[axis], expected)
-
-
-def test_regions_show_their_outlines_in_a_notebook() -> None:
     hole = ((2.0, 2.0), (3.0, 2.0), (3.0, 3.0))
     regions = Regions(
         (
@@ -320,6 +286,14 @@ def test_regions_show_their_outlines_in_a_notebook() -> None:
     many = Regions(tuple(Region(f"r{k}", [(0, 0), (1, 0), (1, 1)]) for k in range(70)))._repr_html_()
     assert "70 regions (sensor), of which 60 are shown" in many
     ElementTree.fromstring(shown)
+
+
+def test_pixels_of_many_regions_are_those_of_each() -> None:
+    rng = np.random.default_rng(2)
+    many = Regions(tuple(Region(f"r{k}", rng.uniform(0, 12, (5, 2))) for k in range(6)))
+    for found, region in zip(pixels_of(many, line()), many, strict=True):
+        for axis, expected in enumerate(pixels(region, line())):
+            np.testing.assert_array_equal(found[axis], expected)
 
 
 def test_regions_of_a_line_outline_the_same_on_its_crop() -> None:

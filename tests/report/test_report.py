@@ -1,25 +1,22 @@
 """The report: strict HTML, nothing from outside, texts that stay texts, and what it shows of a store."""
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Callable
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
-from support.refusals import refusal
+from support.commands import hyperpaint
+from support.refusals import expect_error, expect_errors, expect_words, refusal
 from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.schema import Quality
-from hyperpaint.cli.program import main
 from hyperpaint.report.summaries import page_part, plain_text
 
 pytest.importorskip("matplotlib")
@@ -39,8 +36,7 @@ ATTRIBUTES = {
 
 
 class Strict(HTMLParser):
-    """Parses a page, and fails on anything that is not balanced, not known, or not inside the page."""
-
+    # Parses a page, and fails on anything that is not balanced, not known, or not inside the page
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)
         self.open: list[str] = []
@@ -82,7 +78,7 @@ class Strict(HTMLParser):
 
 
 def parsed(path: Path) -> Strict:
-    """Return a page, parsed strictly."""
+    # Return a page, parsed strictly
     content = path.read_text(encoding="utf-8")
     assert content.startswith("<!DOCTYPE html>")
     found = Strict()
@@ -103,7 +99,7 @@ def words(path: Path) -> str:
 
 @pytest.fixture(scope="module")
 def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store of two flight lines, one of which says hostile things, and of paints."""
+    # A store of two flight lines, one of which says hostile things, and of paints
     store = tmp_path_factory.mktemp("report") / "lot.zarr"
     line = flight(lines=40).line.paint.reflectance().compute()
     quality = np.zeros((40, 6), np.uint16)
@@ -119,7 +115,7 @@ def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def paints(line: xr.Dataset) -> xr.Dataset:
-    """Return a library of two paints, one of which has a hostile name."""
+    # Return a library of two paints, one of which has a hostile name
     name = "<b onload=alert(1)>$x"
     regions = (
         hp.Region(
@@ -133,15 +129,17 @@ def paints(line: xr.Dataset) -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def whole(lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of everything in the store."""
+    # The page of everything in the store
     place = tmp_path_factory.mktemp("page") / "report.html"
     told: list[tuple[int, int]] = []
     done = hp.report.write_report(lot, place, progress=lambda *step: told.append(step))
-    assert done.problems == ()
-    assert done.flightlines == ("flightlines/raw_0", "flightlines/raw_20")
-    assert told == sorted(told)
-    assert told[0] == (0, 3000)
-    assert told[-1] == (3000, 3000)
+    assert (done.problems, done.flightlines, told, told[0], told[-1]) == (
+        (),
+        ("flightlines/raw_0", "flightlines/raw_20"),
+        sorted(told),
+        (0, 3000),
+        (3000, 3000),
+    )
     assert list(place.parent.iterdir()) == [place]
     return place
 
@@ -161,11 +159,9 @@ def test_a_page_of_everything(whole: Path) -> None:
         assert heading in shown, heading
     assert "40 along_track x 12 band x 6 cross_track" in shown
     # of 240 pixels 10 have glint
-    assert "4.167 %" in shown
-    assert "95.83 % of 240 pixels have no flag." in shown
-    assert "red hood" in shown
-    assert "Ours & Co" in shown
-    assert "Paint by paint" in shown
+    expect_words(
+        shown, "4.167 %", "95.83 % of 240 pixels have no flag.", "red hood", "Ours & Co", "Paint by paint"
+    )
     assert "Refused regions raw_0, line 7, column 3 it is a window: <b>" in re.sub(r"\s+", " ", shown)
     # true colour, flags, irradiance, reflectance and its steps of two lines; the layer and two cards of one;
     # the paints and their uncertainty
@@ -176,8 +172,7 @@ def test_how_far_figures_can_be_trusted(tmp_path: Path) -> None:
     line = flight(lines=40).line.paint.reflectance().compute()
     compared = {"alignment_state": "applied", "alignment_shift": 0.125, "alignment_shift_u": 0.003}
     hp.to_store(line.assign_attrs(compared), tmp_path / "lot.zarr", "flightlines/raw_0")
-    calibration = flight().line[["radiance_gain"]]
-    hp.to_store(calibration, tmp_path / "lot.zarr", "calibration")
+    hp.to_store(flight().line[["radiance_gain"]], tmp_path / "lot.zarr", "calibration")
     library = paints(line)
     nm = np.arange(450.0, 751.0)
     dense = np.interp(nm, line.wavelength, library.reflectance[0])
@@ -204,21 +199,28 @@ def test_how_far_figures_can_be_trusted(tmp_path: Path) -> None:
 
 def test_texts_of_a_store_stay_texts(whole: Path) -> None:
     content = whole.read_text(encoding="utf-8")
-    assert "<script" not in content
-    assert "<b " not in content
-    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in content
-    assert "\u202e" not in content
-    assert "\x07" not in content
-    assert "x" * 2001 not in content
-    assert "default-src 'none'" in content
+    expect_words(
+        content,
+        "&lt;script&gt;alert(1)&lt;/script&gt;",
+        "default-src 'none'",
+        without=(
+            "<script",
+            "<b ",
+            "\u202e",
+            "\x07",
+            "x" * 2001,
+        ),
+    )
 
 
 def test_texts_are_escaped_and_cut() -> None:
     assert str(page_part("heading", text="<&\"'>")) == "<h3>&lt;&amp;&#34;&#39;&gt;</h3>"
     ready = page_part("heading", text="<")
     assert plain_text(ready) is ready
-    assert plain_text("a\x00\x1b[31m\ud800b\nc") == "a\ufffd\ufffd[31m\ufffdb\nc"
-    assert len(str(plain_text("x" * 9999))) == 2003
+    assert (plain_text("a\x00\x1b[31m\ud800b\nc"), len(str(plain_text("x" * 9999)))) == (
+        "a\ufffd\ufffd[31m\ufffdb\nc",
+        2003,
+    )
     hostile = page_part("paragraph", text="<i>", kind='"x')
     assert str(hostile) == '<p class="&#34;x">&lt;i&gt;</p>'
 
@@ -232,10 +234,18 @@ def test_one_line_alone(lot: Path, tmp_path: Path) -> None:
     assert done.flightlines == ("flightlines/raw_20",)
     with refusal(SchemaError, "flightline-unknown", "'raw_1'"):
         hp.report.write_report(lot, tmp_path / "none.html", flightlines=["raw_1"])
-    with pytest.raises(SchemaError, match=r"cards=-1.*out-of-range"):
-        hp.report.write_report(lot, tmp_path / "none.html", cards=-1)
-    with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
-        hp.report.write_report(lot, tmp_path / "none.html", max_lines=0)
+    expect_errors(
+        (
+            SchemaError,
+            r"cards=-1.*out-of-range",
+            lambda: hp.report.write_report(lot, tmp_path / "none.html", cards=-1),
+        ),
+        (
+            SchemaError,
+            r"lines=0.*out-of-range",
+            lambda: hp.report.write_report(lot, tmp_path / "none.html", max_lines=0),
+        ),
+    )
     assert not (tmp_path / "none.html").exists()
 
 
@@ -261,8 +271,11 @@ def test_a_library_beside_the_store(lot: Path, tmp_path: Path) -> None:
     assert "paints.zarr" in words(tmp_path / "r.html")
     alone = tmp_path / "line.zarr"
     hp.to_store(flight().line, alone)
-    with pytest.raises(SchemaError, match="library-missing"):
-        hp.report.write_report(lot, tmp_path / "s.html", library=alone)
+    expect_error(
+        SchemaError,
+        "library-missing",
+        lambda: hp.report.write_report(lot, tmp_path / "s.html", library=alone),
+    )
 
 
 def test_what_is_missing_is_left_out(tmp_path: Path) -> None:
@@ -274,8 +287,7 @@ def test_what_is_missing_is_left_out(tmp_path: Path) -> None:
     assert "There is no picture" not in words(tmp_path / "a.html")  # that of radiance is shown
     empty = tmp_path / "c.zarr"
     hp.to_store(xr.Dataset({"a": ("x", np.arange(3.0))}), empty, "other")
-    with pytest.raises(StoreError, match="store-empty"):
-        hp.report.write_report(empty, tmp_path / "c.html")
+    expect_error(StoreError, "store-empty", lambda: hp.report.write_report(empty, tmp_path / "c.html"))
 
 
 def test_damage_is_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> None:
@@ -284,40 +296,21 @@ def test_damage_is_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> Non
     spoiled = tmp_path / "lot.zarr"
     shutil.copytree(lot, spoiled)
     (spoiled / "flightlines/raw_0/reflectance/c/0/0/0").unlink()
-    run = CliRunner().invoke(main, ["report", str(spoiled), "--out", str(tmp_path / "r.html"), "--quiet"])
-    assert run.exit_code == 1, run.output
+    run = hyperpaint("report", spoiled, "--out", tmp_path / "r.html", "--quiet", status=1)
     assert "cannot be read: /flightlines/raw_0" in run.stderr
-    shown = words(tmp_path / "r.html")
-    assert "Irradiance over time" in shown
-    assert "red hood" in shown
+    expect_words(words(tmp_path / "r.html"), "Irradiance over time", "red hood")
 
 
 @pytest.mark.slow
 def test_the_command(lot: Path, tmp_path: Path) -> None:
-    def call(*arguments: Any) -> Any:
-        return CliRunner().invoke(main, ["report", *map(str, arguments)])
-
-    run = call(lot, "--out", tmp_path / "r.html", "--line", "raw_0")
-    assert run.exit_code == 0, run.output
+    call = partial(hyperpaint, "report")
+    run = call(lot, "--out", tmp_path / "r.html", "--line", "raw_0", status=0)
     assert "1 flight line (raw_0)" in run.stdout
     assert run.stderr == ""
-    again = call(lot, "--out", tmp_path / "r.html")
-    assert again.exit_code == 2
+    again = call(lot, "--out", tmp_path / "r.html", status=2)
     assert "pass --overwrite" in again.stderr
     assert call(lot, "--out", tmp_path / "r.html", "--line", "raw_0", "--overwrite").exit_code == 0
     assert call(tmp_path / "nothing.zarr", "--out", tmp_path / "x.html").exit_code == 2
-
-
-def spoil_n(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(n=("signature", ["many", "few"], {"units": "1"}))
-
-
-def spoil_quality(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(quality=("signature", [np.nan, 1.0]))
-
-
-def spoil_n_eff(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(n_eff=(("signature", "band"), np.ones((2, library.sizes["band"])), {"units": "1"}))
 
 
 def spoil_quantile(library: xr.Dataset) -> xr.Dataset:
@@ -325,29 +318,13 @@ def spoil_quantile(library: xr.Dataset) -> xr.Dataset:
     return library.assign_coords(quantile=("quantile", text, {"units": "1"}))
 
 
-def spoil_units(library: xr.Dataset) -> xr.Dataset:
-    return library.assign(sun_zenith=("signature", ["high", "low"], {"units": "radian"}))
-
-
 def spoil_regions(library: xr.Dataset) -> xr.Dataset:
     text = np.full((2, library.sizes["band"]), "{}")
     return library.drop_vars("region").assign(region=(("band", "signature"), text.T))
 
 
-def spoil_flags(line: xr.Dataset) -> xr.Dataset:
-    return line.assign(quality=line["quality"].astype(np.float32))
-
-
 def spoil_lines(line: xr.Dataset) -> xr.Dataset:
     return line.isel(along_track=slice(0, 0))
-
-
-def spoil_times(line: xr.Dataset) -> xr.Dataset:
-    return line.isel(irradiance_time=slice(0, 0))
-
-
-def spoil_clock(line: xr.Dataset) -> xr.Dataset:
-    return line.drop_vars("irradiance_time")
 
 
 def spoil_layer(line: xr.Dataset) -> xr.Dataset:
@@ -355,48 +332,67 @@ def spoil_layer(line: xr.Dataset) -> xr.Dataset:
     return line.assign(glint_fraction=(("along_track", "cross_track"), text))
 
 
-@pytest.mark.parametrize(
-    ("group", "spoil", "named"),
-    [
-        ("signatures", spoil_n, "'n' is"),
-        ("signatures", spoil_quality, "'quality' is float"),
-        ("signatures", spoil_n_eff, "'n_eff'"),
-        ("signatures", spoil_quantile, "'quantile' is"),
-        ("signatures", spoil_units, "'sun_zenith' is"),
-        ("signatures", spoil_regions, "regions"),
-        ("flightlines/raw_0", spoil_flags, "quality is float32"),
-        ("flightlines/raw_0", spoil_lines, "no pixels"),
-        ("flightlines/raw_0", spoil_times, "irradiance_time"),
-        ("flightlines/raw_0", spoil_clock, "irradiance_time"),
-        ("flightlines/raw_0", spoil_layer, "glint_fraction"),
-    ],
-)
-@pytest.mark.slow
-def test_odd_contents_are_named_and_the_rest_is_shown(
-    lot: Path, tmp_path: Path, group: str, spoil: Callable[[xr.Dataset], xr.Dataset], named: str
-) -> None:
-    """Rationale: `to_store` takes any dataset, also one that no step of ours has made.
+#: Group, change of its content, and words of the problem that the page names.
+ODD: list[tuple[str, Callable[[xr.Dataset], xr.Dataset], str]] = [
+    (
+        "signatures",
+        lambda library: library.assign(n=("signature", ["many", "few"], {"units": "1"})),
+        "'n' is",
+    ),
+    (
+        "signatures",
+        lambda library: library.assign(quality=("signature", [np.nan, 1.0])),
+        "'quality' is float",
+    ),
+    (
+        "signatures",
+        lambda library: library.assign(
+            n_eff=(("signature", "band"), np.ones((2, library.sizes["band"])), {"units": "1"})
+        ),
+        "'n_eff'",
+    ),
+    ("signatures", spoil_quantile, "'quantile' is"),
+    (
+        "signatures",
+        lambda library: library.assign(sun_zenith=("signature", ["high", "low"], {"units": "radian"})),
+        "'sun_zenith' is",
+    ),
+    ("signatures", spoil_regions, "regions"),
+    (
+        "flightlines/raw",
+        lambda line: line.assign(quality=line["quality"].astype(np.float32)),
+        "quality is float32",
+    ),
+    ("flightlines/raw", spoil_lines, "no pixels"),
+    ("flightlines/raw", lambda line: line.isel(irradiance_time=slice(0, 0)), "irradiance_time"),
+    ("flightlines/raw", lambda line: line.drop_vars("irradiance_time"), "irradiance_time"),
+    ("flightlines/raw", spoil_layer, "glint_fraction"),
+]
 
-    Expected: the page is there, names what is wrong, and shows what comes after it; exit status 1.
-    """
-    odd = tmp_path / "odd.zarr"
-    held = {name: hp.open_store(lot, name).load() for name in ("flightlines/raw_0", "signatures")}
-    held[group] = spoil(held[group])
-    for name, made in held.items():
-        for variable in made.variables.values():
-            variable.encoding.clear()
-        hp.to_store(made, odd, name)
-    run = CliRunner().invoke(main, ["report", str(odd), "--out", str(tmp_path / "r.html"), "--quiet"])
-    assert run.exit_code == 1, run.output
-    told = [line for line in run.stderr.splitlines() if line.startswith(f"cannot be read: /{group}, ")]
-    assert any(named in line for line in told), run.stderr
+
+@pytest.mark.slow
+def test_odd_contents_are_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> None:
+    # `to_store` takes any dataset, also one that no step of ours has made: the page is there, names all that
+    # is wrong, and shows what comes after it; exit status 1
+    kinds = {"flightlines/raw": "flightlines/raw_0", "signatures": "signatures"}
+    contents = {kind: hp.open_store(lot, name).load() for kind, name in kinds.items()}
+    odd = [(f"{kind}_{number}", kind, spoil, named) for number, (kind, spoil, named) in enumerate(ODD, 1)]
+    for group, kind, spoil, _ in (
+        *odd,
+        *((name, kind, lambda same: same, "") for kind, name in kinds.items()),
+    ):
+        hp.to_store(spoil(contents[kind]).drop_encoding(), tmp_path / "odd.zarr", group)
+    run = hyperpaint("report", tmp_path / "odd.zarr", "--out", tmp_path / "r.html", "--quiet", status=1)
     page = parsed(tmp_path / "r.html")
     shown = " ".join(page.words)
-    assert named in shown
-    assert shown.count("Provenance") == 2
-    assert "red hood" in shown
+    for group, _, _, named in odd:
+        start = f"cannot be read: /{group}, "
+        told = [line for line in run.stderr.splitlines() if line.startswith(start)]
+        assert any(named in line for line in told), run.stderr
+    expect_words(shown, "red hood", *(named for *_, named in odd))
+    assert shown.count("Provenance") == len(ODD) + 2
     # of the paints, at least the spectra; of the line, whatever has nothing to do with what is wrong
-    assert len(page.pictures) >= (1 if spoil is spoil_lines else 3)
+    assert len(page.pictures) >= 3 * len(ODD)
 
 
 def test_a_zipped_store_is_shown(tmp_path: Path) -> None:
@@ -405,5 +401,4 @@ def test_a_zipped_store_is_shown(tmp_path: Path) -> None:
     hp.to_store(flight(lines=16).line, tmp_path / "lot.zarr", "flightlines/raw_0")
     packed = shutil.make_archive(str(tmp_path / "lot"), "zip", tmp_path / "lot.zarr")
     report = hp.report.write_report(packed, tmp_path / "r.html", flags=False, cards=0)
-    assert report.flightlines == ("flightlines/raw_0",)
-    assert report.problems == ()
+    assert (report.flightlines, report.problems) == (("flightlines/raw_0",), ())

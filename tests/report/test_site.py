@@ -1,7 +1,5 @@
 """The page for web servers: what it copies, what it refuses, and in a browser the bits that Python reads."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import functools
@@ -9,19 +7,20 @@ import http.server
 import json
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
+from support.refusals import expect_error, expect_words
 from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, StoreError
 from hyperpaint.base.schema import Quality
-from hyperpaint.cli.program import main
 from hyperpaint.io.store.layout import encode_chunk
 from hyperpaint.report import write_site
 
@@ -31,7 +30,7 @@ DIMS = ("along_track", "band", "cross_track")
 
 
 def cube(lines: int = 70, bands: int = 24, columns: int = 40, first: int = 5) -> xr.Dataset:
-    """A line of three tiles a side and more, with smile, flags, a bad band, samples without a value."""
+    # A line of three tiles a side and more, with smile, flags, a bad band, samples without a value
     rng = np.random.default_rng(1)
     values = rng.uniform(-0.02, 1.4, (lines, bands, columns)).astype(np.float32)
     values[3, :, 7] = np.nan
@@ -82,8 +81,7 @@ def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def page(lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = write_site(lot, tmp_path_factory.mktemp("served") / "page", flags=False)
-    assert done.problems == ()
-    assert set(done.flightlines) == {"flightlines/raw_0", "flightlines/raw #1 % <b>"}
+    assert (done.problems, set(done.flightlines)) == ((), {"flightlines/raw_0", "flightlines/raw #1 % <b>"})
     return done.path
 
 
@@ -93,12 +91,16 @@ def test_the_copy_is_a_store_of_small_tiles_with_the_same_bits(lot: Path, page: 
     for group in ("flightlines/raw_0", "flightlines/raw #1 % <b>"):
         mine, theirs = hp.open_store(lot, group), hp.open_store(copy, group)
         for name in ("reflectance", "quality", "wavelength", "wavelength_shift", "good", "along_track"):
-            assert mine[name].values.tobytes() == theirs[name].values.tobytes()
-            assert mine[name].attrs == theirs[name].attrs
+            assert (mine[name].values.tobytes(), mine[name].attrs) == (
+                theirs[name].values.tobytes(),
+                theirs[name].attrs,
+            )
     plain = xr.open_zarr(copy, group="flightlines/raw_0")
-    assert plain.reflectance.data.chunksize == (16, 24, 16)
-    assert plain.quality.data.chunksize == (70, 40)
-    assert hp.open_store(copy, "flightlines/raw_0").reflectance.data.numblocks == (5, 1, 1)
+    assert (
+        plain.reflectance.data.chunksize,
+        plain.quality.data.chunksize,
+        hp.open_store(copy, "flightlines/raw_0").reflectance.data.numblocks,
+    ) == ((16, 24, 16), (70, 40), (5, 1, 1))
     library = hp.open_store(copy, "signatures")
     assert "member_reflectance" not in library
     assert library.reflectance.values.tobytes() == paints(cube()).reflectance.values.tobytes()
@@ -109,9 +111,11 @@ def test_the_folder_holds_all_and_names_nothing_outside(page: Path) -> None:
     own = {"index.html", "site.css", "site.js", "chart.js", "codecs.js", "zarrita.min.js"}
     assert names == own | {"site.json", "pictures", "store.zarr"}
     html = (page / "index.html").read_text()
-    assert "default-src 'none'; script-src 'self'; style-src 'self';" in html
-    assert "unsafe" not in html
-    assert "%ORIGIN%" not in html
+    expect_words(
+        html,
+        "default-src 'none'; script-src 'self'; style-src 'self';",
+        without=("unsafe", "%ORIGIN%"),
+    )
     for file in own:
         text = (page / file).read_text()
         code = text.partition("*/")[2] if text.startswith("/*!") else text
@@ -124,14 +128,12 @@ def test_the_folder_holds_all_and_names_nothing_outside(page: Path) -> None:
     assert "MIT License" in (page / "zarrita.min.js").read_text()
     assert (page / "zarrita.min.js").stat().st_size < 150_000
     index = json.loads((page / "site.json").read_text())
-    assert index["title"] == HOSTILE
-    assert [entry["first"] for entry in index["lines"]] == [[0, 0], [5, 0]]
+    assert (index["title"], [entry["first"] for entry in index["lines"]]) == (HOSTILE, [[0, 0], [5, 0]])
     assert all((page / entry["picture"]).read_bytes().startswith(b"\x89PNG") for entry in index["lines"])
 
 
 def test_reflectance_is_computed_where_the_store_has_counts_alone(tmp_path: Path) -> None:
-    line = flight(lines=40, position=True).line
-    hp.to_store(line, tmp_path / "raw.zarr", "flightlines/raw_0")
+    hp.to_store(flight(lines=40, position=True).line, tmp_path / "raw.zarr", "flightlines/raw_0")
     with pytest.warns(PaintWarning, match="contradicts every sky"):
         done = write_site(tmp_path / "raw.zarr", tmp_path / "page")
     expected = hp.open_store(tmp_path / "raw.zarr", "flightlines/raw_0").paint.reflectance(keep_bits=12)
@@ -139,12 +141,15 @@ def test_reflectance_is_computed_where_the_store_has_counts_alone(tmp_path: Path
     assert copy.reflectance.values.tobytes() == expected.reflectance.values.tobytes()
     assert "counts" not in copy
     assert "flags_from" in copy.quality.attrs  # looked for on the way
-    with pytest.raises(StoreError, match=r"missing.*store-empty"):
-        write_site(tmp_path / "raw.zarr", tmp_path / "linked", link="../raw.zarr")
+    expect_error(
+        StoreError,
+        r"missing.*store-empty",
+        lambda: write_site(tmp_path / "raw.zarr", tmp_path / "linked", link="../raw.zarr"),
+    )
 
 
 def grid(line: xr.Dataset) -> xr.Dataset:
-    """Return a map with the values of a line."""
+    # Return a map with the values of a line
     values = line.reflectance.values.transpose(0, 2, 1)
     return xr.Dataset(
         {"reflectance": (("y", "x", "band"), values, {"units": "1"})},
@@ -158,16 +163,24 @@ def test_maps_and_a_library_beside_the_store(tmp_path: Path) -> None:
     hp.to_store(orthomap, tmp_path / "map.zarr")
     hp.to_store(paints(line), tmp_path / "paints.zarr")
     done = write_site(tmp_path / "map.zarr", tmp_path / "page", library=tmp_path / "paints.zarr")
-    assert done.problems == ()
-    assert (done.flightlines, done.maps) == ((), ("map.zarr",))
+    assert (done.problems, (done.flightlines, done.maps)) == ((), ((), ("map.zarr",)))
     copy = xr.open_zarr(tmp_path / "page" / "store.zarr", group="map")
-    assert copy.reflectance.data.chunksize == (16, 16, 24)
-    assert copy.reflectance.values.tobytes() == orthomap.reflectance.values.tobytes()
+    assert (copy.reflectance.data.chunksize, copy.reflectance.values.tobytes()) == (
+        (16, 16, 24),
+        orthomap.reflectance.values.tobytes(),
+    )
     index = json.loads((tmp_path / "page" / "site.json").read_text())
-    assert (index["lines"][0]["name"], index["lines"][0]["lies"]) == ("map.zarr", False)
-    assert index["libraries"][0]["group"] == "library"
-    with pytest.raises(SchemaError, match="option-conflict"):
-        write_site(tmp_path / "map.zarr", tmp_path / "b", library=tmp_path / "paints.zarr", link="../a")
+    assert ((index["lines"][0]["name"], index["lines"][0]["lies"]), index["libraries"][0]["group"]) == (
+        ("map.zarr", False),
+        "library",
+    )
+    expect_error(
+        SchemaError,
+        "option-conflict",
+        lambda: write_site(
+            tmp_path / "map.zarr", tmp_path / "b", library=tmp_path / "paints.zarr", link="../a"
+        ),
+    )
 
 
 @pytest.mark.parametrize(
@@ -193,21 +206,15 @@ def test_a_linked_store_is_not_copied(lot: Path, tmp_path: Path, link: str, orig
     ],
 )
 def test_what_is_no_address_is_refused(lot: Path, tmp_path: Path, link: str) -> None:
-    with pytest.raises(SchemaError, match="link-invalid"):
-        write_site(lot, tmp_path / "page", link=link)
+    expect_error(SchemaError, "link-invalid", lambda: write_site(lot, tmp_path / "page", link=link))
     assert not (tmp_path / "page").exists()
 
 
 def test_only_a_site_is_replaced_and_only_when_asked(lot: Path, tmp_path: Path) -> None:
-    def call(*arguments: object) -> Any:
-        options = ["--no-flags", "--line", "raw_0", "--quiet"]
-        return CliRunner().invoke(main, ["site", str(lot), *options, *map(str, arguments)])
-
-    first = call("--out", tmp_path / "page")
-    assert first.exit_code == 0, first.output
+    call = partial(hyperpaint, "site", lot, "--no-flags", "--line", "raw_0", "--quiet")
+    first = call("--out", tmp_path / "page", status=0)
     assert first.stdout.startswith(f"{tmp_path / 'page'}: raw_0, ")
-    again = call("--out", tmp_path / "page")
-    assert again.exit_code == 2
+    again = call("--out", tmp_path / "page", status=2)
     assert "pass --overwrite" in again.stderr
     assert call("--out", tmp_path / "page", "--overwrite").exit_code == 0
     (tmp_path / "page" / ".git").mkdir()
@@ -218,8 +225,9 @@ def test_only_a_site_is_replaced_and_only_when_asked(lot: Path, tmp_path: Path) 
     (tmp_path / "mine" / "site.json").write_text("{}")
     other = call("--out", tmp_path / "mine", "--overwrite")
     assert "holds other files" in other.stderr
-    with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
-        write_site(lot, tmp_path / "new", max_lines=0)
+    expect_error(
+        SchemaError, r"lines=0.*out-of-range", lambda: write_site(lot, tmp_path / "new", max_lines=0)
+    )
 
 
 # --- in a browser ------------------------------------------------------------------------------------------
@@ -243,7 +251,7 @@ def browser() -> Iterator[Any]:
 
 @contextlib.contextmanager
 def serving(folder: Path) -> Iterator[str]:
-    """Serve a folder as `python -m http.server` does; yield its address."""
+    # Serve a folder as `python -m http.server` does; yield its address
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=folder))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
@@ -261,7 +269,7 @@ def served(page: Path) -> Iterator[str]:
 
 @pytest.fixture
 def tab(browser: Any) -> Iterator[Any]:
-    """A page of the browser, in which no script fails and nothing is refused by the policy."""
+    # A page of the browser, in which no script fails and nothing is refused by the policy
     context = browser.new_context(viewport={"width": 1000, "height": 700})
     context.complaints = []
     shown = context.new_page()
@@ -299,10 +307,14 @@ def test_a_click_reads_what_python_reads_bit_for_bit(tab: Any, served: str, page
         for x, y in [*places, *zip(xs.tolist(), ys.tolist(), strict=True)]:
             expected = line.sel(along_track=y, cross_track=x)
             read = tab.evaluate(READ, [name, x, y])
-            assert read["kind"] == "Float32Array"
-            assert read["bits"] == expected.reflectance.values.view(np.uint32).tolist()
-            assert read["nm"] == (expected.wavelength + expected.wavelength_shift).values.tolist()
-            assert read["good"] == expected.good.values.astype(int).tolist()
+            assert (read["kind"], read["bits"]) == (
+                "Float32Array",
+                expected.reflectance.values.view(np.uint32).tolist(),
+            )
+            assert (read["nm"], read["good"]) == (
+                (expected.wavelength + expected.wavelength_shift).values.tolist(),
+                expected.good.values.astype(int).tolist(),
+            )
             assert read["quality"] == int(expected.quality)
 
 
@@ -318,22 +330,22 @@ def test_a_map_copied_or_where_it_is(tab: Any, tmp_path: Path, link: str | None)
         tab.mouse.click(box["x"] + 8.5 / 40 * box["width"], box["y"] + 2.5 / 70 * box["height"])
         assert tab.inner_text("#place") == "column 8, row 2"
         read = tab.evaluate(READ, ["map.zarr", 8, 2])
-        assert read["bits"] == cube().reflectance.values[2, :, 8].view(np.uint32).tolist()
-        assert tab.inner_text("#flagged") == "There are no flags here."
+        assert (read["bits"], tab.inner_text("#flagged")) == (
+            cube().reflectance.values[2, :, 8].view(np.uint32).tolist(),
+            "There are no flags here.",
+        )
 
 
 @pytest.mark.slow
 def test_click_keys_flags_and_address(tab: Any, served: str, page: Path) -> None:
     visit(tab, served + "#line=raw_0")
-    assert tab.title() == HOSTILE
-    assert tab.inner_text("#flagged") == "No pixel is chosen yet."
+    assert (tab.title(), tab.inner_text("#flagged")) == (HOSTILE, "No pixel is chosen yet.")
     box = tab.locator("#stage").bounding_box()
     column, line = 12, 8  # flown to the right: lines run along x
     scale = box["width"] / 70
     tab.mouse.click(box["x"] + (line - 5 + 0.5) * scale, box["y"] + (column + 0.5) * scale)
     tab.wait_for_selector("#chart svg")
-    assert tab.inner_text("#place") == "column 12, line 8"
-    assert tab.inner_text("#flagged") == "Flags: glint"
+    assert (tab.inner_text("#place"), tab.inner_text("#flagged")) == ("column 12, line 8", "Flags: glint")
     assert "kB read in" in tab.inner_text("#status")
     assert "x=12&y=8" in tab.url
     tab.focus("#stage")
@@ -355,11 +367,9 @@ def test_click_keys_flags_and_address(tab: Any, served: str, page: Path) -> None
     tab.get_by_text("shadow").click()
     assert tab.evaluate(counted) == 150
     # what the address says is shown again
-    address = tab.url
-    visit(tab, address)
+    visit(tab, tab.url)
     assert tab.is_checked("#flags")
-    assert tab.locator("#curves li").count() == 2
-    assert tab.inner_text("#place") == "column 21, line 10"
+    assert (tab.locator("#curves li").count(), tab.inner_text("#place")) == (2, "column 21, line 10")
     # a spectrum as a table has every digit
     with tab.expect_download() as download:
         tab.click("#csv")
@@ -376,8 +386,7 @@ def test_names_stay_texts_and_paints_stand_beside(tab: Any, served: str) -> None
     assert tab.locator("#paints .name").all_inner_texts() == ["red hood", HOSTILE, "Lack, grün"]
     tab.get_by_text(HOSTILE).last.click()
     tab.wait_for_function("document.querySelectorAll('#curves li').length === 3")
-    assert tab.locator("#chart .spread").count() == 2
-    assert tab.locator("img").count() == 1
+    assert (tab.locator("#chart .spread").count(), tab.locator("img").count()) == (2, 1)
     assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
     for address in (
         "#line=<img src=x onerror=alert(1)>&x=1e9&y=%00&keep=1,2,x&paint=no&zoom=-4",
@@ -450,5 +459,4 @@ def test_frames_of_our_stores_are_decoded(tab: Any, served: str) -> None:
         each[int(rng.integers(0, len(each) if rng.uniform() < 0.5 else 60))] = int(rng.integers(256))
     sizes = tab.evaluate(tried, [base64.b64encode(each).decode() for each in spoiled])
     assert max(sizes) < 2**30
-    assert -1 in sizes
-    assert 16_000 in sizes
+    expect_words(sizes, -1, 16_000)

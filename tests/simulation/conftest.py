@@ -12,7 +12,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def scheduler_of_lines() -> Iterator[Callable[[int], Any]]:
-    """Return the scheduler for lines of a chunk: threads for 1, two processes for 7, else none."""
+    # Return the scheduler for lines of a chunk: threads for 1, two processes for 7, else none
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(

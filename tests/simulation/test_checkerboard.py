@@ -1,7 +1,5 @@
 """A flight over squares whose corners are known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ from hyperpaint.simulation.settings import PIXEL_ANGLE_RAD
 
 
 def is_bright(board: Any, east: Any, north: Any) -> Any:
-    """Tell which places are on bright squares: those whose numbers differ in being odd."""
+    # Tell which places are on bright squares: those whose numbers differ in being odd
     first, second = np.floor(board.numbers(east, north))
     return (first + second) % 2 == 1
 
@@ -47,8 +45,7 @@ def test_corners_are_where_four_squares_meet() -> None:
 
 
 def test_lines_are_the_same_however_they_are_asked_for() -> None:
-    one = flight()
-    whole, part = one.lines(0, 70), flight().lines(33, 60)
+    whole, part = flight().lines(0, 70), flight().lines(33, 60)
     np.testing.assert_array_equal(whole.counts[33:60], part.counts)
     for name, values in whole.layers.items():
         np.testing.assert_array_equal(values[33:60], part.layers[name])
@@ -56,7 +53,7 @@ def test_lines_are_the_same_however_they_are_asked_for() -> None:
 
 @pytest.mark.slow
 def test_share_is_the_mean_over_pixel_and_exposure() -> None:
-    """Expected: what 40 x 40 x 40 places and moments give, to what 80 of them can; on average, closer."""
+    # Expected: what 40 x 40 x 40 places and moments give, to what 80 of them can; on average, closer
     still = flight(wobble="none", boresight=(0, 0, 0), lever_arm=(0, 0, 0), course=0.0, board_turn=0.0)
     made = still.lines(0, 70).layers
     assert 0.02 < (abs(made["bright_share"] - 0.5) < 0.45).mean() < 0.4
@@ -79,27 +76,24 @@ def test_share_is_the_mean_over_pixel_and_exposure() -> None:
 
 
 def test_ground_is_level() -> None:
-    made = flight().lines(0, 70).layers
-    assert np.abs(made["height"] - 160.0).max() < 1e-6
+    assert np.abs(flight().lines(0, 70).layers["height"] - 160.0).max() < 1e-6
 
 
 def test_files_hold_what_was_flown(tmp_path: Path) -> None:
-    """Expected: both navigation files give the true pose, the truth says how the camera was mounted, and the
-    mean radiance of bright pixels is ten times that of dark ones.
-    """
+    # Expected: both navigation files give the true pose, the truth says how the camera was mounted, and the
+    # mean radiance of bright pixels is ten times that of dark ones
     path = simulate_collect(tmp_path / "board", **SMALL, navigation_rate=200, frame_clock_offset_s=0.004)
     truth = xr.open_zarr(path.parent / "truth.zarr")
-    assert truth.attrs["crs"] == "EPSG:32618"
-    assert truth.attrs["boresight"] == [0.4, -0.6, 0.8]
-    assert truth.attrs["lever_arm"] == [0.05, -0.02, 0.12]
-    assert truth.attrs["frame_clock_offset_s"] == 0.004
+    assert (truth.attrs["crs"], truth.attrs["boresight"]) == ("EPSG:32618", [0.4, -0.6, 0.8])
+    assert (truth.attrs["lever_arm"], truth.attrs["frame_clock_offset_s"]) == ([0.05, -0.02, 0.12], 0.004)
     assert truth.sizes["corner"] > 50
     log = hp.open_navigation(path.parent / "flight" / "imu_gps.txt")
     sbet = hp.open_navigation(path.parent / "flight" / "trajectory.sbet", date="2021-07-20")
     assert log.sizes == sbet.sizes
     assert abs(log["navigation_time"] - sbet["navigation_time"]).max() <= np.timedelta64(1, "us")
-    start = np.datetime64("2021-07-20T17:10:00", "ns")
-    seconds = (log["navigation_time"].values - start) / np.timedelta64(1, "s")
+    seconds = (log["navigation_time"].values - np.datetime64("2021-07-20T17:10:00", "ns")) / np.timedelta64(
+        1, "s"
+    )
     pose = flight().trajectory.pose(seconds)
     np.testing.assert_allclose(np.diff(seconds), 0.005)
     for name, within in (("latitude", 1e-9), ("roll", 1e-6), ("heading", 1e-6), ("altitude", 1e-4)):

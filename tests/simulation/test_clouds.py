@@ -1,15 +1,26 @@
-"""Clouds: amount, colour, where the light comes from, and what a path adds under them."""
+"""Clouds: amount, colour, light and path, and the shadows of broken clouds on scene and spectrometer."""
 
-from __future__ import annotations
+from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
+from support.traced_scenes import FEW_BANDS, SUN, flat_light
 
+import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.simulation.atmosphere import (
+    CIE_OVERCAST_SHARE,
+    BrokenClouds,
+    cloud_factor,
+    cloud_transmittance,
+)
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.sky_models import CIE_OVERCAST_SHARE, cloud_factor, cloud_transmittance
+from hyperpaint.simulation.rendering.materials import Material
+from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.scene import plane
 
 GRID = np.arange(380.0, 1020.0, 2.0)
 CLEAR = Atmosphere.clear(40.0, wavelength=GRID)
@@ -56,8 +67,7 @@ def test_no_clouds_change_nothing() -> None:
 def test_eight_oktas_leave_no_sun_and_a_cie_sky() -> None:
     overcast = CLEAR.clouded(8)
     assert (overcast.sun == 0.0).all()
-    assert overcast.overcast_share == CIE_OVERCAST_SHARE
-    assert overcast.name == "clear, 8 oktas"
+    assert (overcast.overcast_share, overcast.name) == (CIE_OVERCAST_SHARE, "clear, 8 oktas")
     blue, red = np.searchsorted(GRID, [450.0, 700.0])
     assert (
         overcast.irradiance[blue] / overcast.irradiance[red] > CLEAR.irradiance[blue] / CLEAR.irradiance[red]
@@ -70,8 +80,7 @@ def test_the_two_parts_are_the_cie_overcast_sky() -> None:
     level = 2.0 * np.pi * np.mean(cie * cosine)
     assert level == pytest.approx(7.0 * np.pi / 9.0, rel=1e-8)
     share = CIE_OVERCAST_SHARE
-    parts = (1.0 - share) * level / np.pi + share * 1.5 * cosine * level / np.pi
-    assert_allclose(parts, cie, rtol=1e-8)
+    assert_allclose((1.0 - share) * level / np.pi + share * 1.5 * cosine * level / np.pi, cie, rtol=1e-8)
 
 
 def test_a_path_adds_in_proportion_where_the_haze_is_not_known() -> None:
@@ -94,3 +103,71 @@ def test_there_are_no_such_oktas(oktas: float) -> None:
 def test_all_problems_at_once() -> None:
     with pytest.raises(SchemaError, match=r"(?s)oktas.*colour"):
         CLEAR.clouded(9, colour=-1.0)
+
+
+EAST, NORTH = np.meshgrid(np.arange(0.0, 20_000.0, 50.0), np.arange(0.0, 20_000.0, 50.0))
+
+
+@pytest.mark.parametrize("cover", [0.2, 0.5, 0.8])
+def test_as_much_is_in_shadow_as_is_asked_for(cover: float) -> None:
+    direct, diffuse = BrokenClouds(cover=cover, size=300.0, opacity=0.7).factors(EAST, NORTH, 0.0)
+    assert np.mean((1.0 - direct) / 0.7) == pytest.approx(cover, abs=0.05)
+    assert (direct.min(), direct.max()) == (pytest.approx(0.3), 1.0)
+    assert np.ptp(diffuse) == 0.0 < diffuse[0, 0] - 1.0
+
+
+def test_shadows_are_as_large_as_is_asked_for() -> None:
+    for size in (200.0, 800.0):
+        direct, _ = BrokenClouds(size=size, cover=0.5).factors(EAST, NORTH, 0.0)
+        part = direct - direct.mean()
+        shift = round(size / 50.0)
+        # a field with correlation 1/e, cut at its median: 2/pi arcsin(1/e)
+        assert ((part[:, shift:] * part[:, :-shift]).mean() / (part**2).mean()) == pytest.approx(
+            2.0 / np.pi * np.arcsin(np.exp(-1.0)), abs=0.12
+        )
+
+
+def test_shadows_go_with_the_wind() -> None:
+    clouds = BrokenClouds(speed=10.0, heading=60.0)
+    moved = 30.0 * 10.0 * np.array([np.sin(np.radians(60.0)), np.cos(np.radians(60.0))])
+    np.testing.assert_allclose(
+        clouds.factors(EAST + moved[0], NORTH + moved[1], 30.0), clouds.factors(EAST, NORTH, 0.0), atol=1e-9
+    )
+
+
+def relit(clouds: BrokenClouds, chunk_lines: int = 32) -> tuple[xr.Dataset, xr.Dataset]:
+    flown = pushbroom(40, 24, altitude=40.0, ground_sample=2.0, line_spacing=2.0)
+    trace = hp.simulation.trace(
+        plane(400.0, Material("grey", "panel_20", "panel")), flown, [SUN], samples=4, sun_radius=0.0,
+        chunk_lines=chunk_lines,
+    )  # fmt: skip
+    return trace, trace.paint.relight(FEW_BANDS, atmosphere=flat_light(), variation=clouds)
+
+
+@pytest.mark.slow
+def test_the_swath_is_lit_by_its_own_clouds() -> None:
+    clouds = BrokenClouds(size=20.0, speed=5.0, seed=2, station=(3.0, 4.0))
+    trace, made = relit(clouds)
+    assert made.radiance.chunks is not None
+    start = np.datetime64(trace.attrs["time_coverage_start"], "ns")
+    direct, diffuse = clouds.factors(
+        trace.east.values, trace.north.values, ((trace.time.values - start) / np.timedelta64(1, "s"))[:, None]
+    )
+    assert np.ptp(direct[0]) > 0.5  # over one line
+    level = 1.2 * np.cos(np.radians(SUN[0])) * direct + 0.3 * diffuse
+    np.testing.assert_allclose(made.radiance[:, 0] * np.pi, 0.2 * level, rtol=1e-4)
+    np.testing.assert_allclose(made.reflectance, 0.2, rtol=1e-4)
+    there = clouds.factors(*clouds.station, (made.irradiance_time.values - start) / np.timedelta64(1, "s"))
+    np.testing.assert_allclose(
+        made.irradiance[:, 100], 1.2 * np.cos(np.radians(SUN[0])) * there[0] + 0.3 * there[1], rtol=1e-4
+    )
+    _, other = relit(clouds, chunk_lines=7)
+    np.testing.assert_array_equal(made.radiance, other.radiance)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"cover": 1.2}, {"size": 0.0}, {"opacity": -1}, {"station": (np.nan, 0.0)}]
+)
+def test_there_are_no_such_clouds(wrong: dict[str, Any]) -> None:
+    with pytest.raises(SchemaError, match=next(iter(wrong))):
+        BrokenClouds(**wrong)

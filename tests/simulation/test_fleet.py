@@ -1,7 +1,5 @@
 """A fleet in its shares, with age and dust, on ground that is worn."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
@@ -9,8 +7,8 @@ import pytest
 from support.traced_scenes import SUN, flat_light
 
 import hyperpaint as hp
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendered_flight import RenderedFlight
-from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
@@ -59,8 +57,9 @@ def test_a_small_car_park_has_the_shares_too(first: int) -> None:
 def test_paints_look_like_their_colours() -> None:
     levels: dict[str, list[float]] = {}
     for number in range(300):
-        green = float(spectrum_of(f"fleet-{number}")(np.array([550.0]))[0])
-        levels.setdefault(group_of(number), []).append(green)
+        levels.setdefault(group_of(number), []).append(
+            float(spectrum_of(f"fleet-{number}")(np.array([550.0]))[0])
+        )
     assert min(levels["white"]) > 0.45
     assert max(levels["black"]) < 0.15
     assert np.median(levels["black"]) < 0.06
@@ -77,11 +76,10 @@ def test_names_lead_to_paints() -> None:
 
 
 def test_dust_is_a_layer_of_two_fluxes() -> None:
-    """Adding-doubling of a partial cover: light is sent to and fro between dust and paint."""
+    # Adding-doubling of a partial cover: light is sent to and fro between dust and paint
     cover, body = 0.3, np.array([0.02, 0.4, 0.9])
     nm = np.full(3, 600.0)
-    dust = DUST(nm)
-    through, back = (1.0 - cover), cover * dust
+    through, back = (1.0 - cover), cover * DUST(nm)
     series = sum(through * body * (back * body) ** n * through for n in range(40))
     np.testing.assert_allclose(dusty(body, cover, nm), back + series, rtol=1e-12)
 
@@ -93,8 +91,9 @@ def test_the_mean_of_a_population_is_its_spectrum(name: str) -> None:
     assert members.shape[0] >= 20
     assert 0.0 <= members.min() <= members.max() <= 1.0
     np.testing.assert_allclose(members.mean(axis=0), spectrum(NM), rtol=1e-12)
-    colour = members / members.mean(axis=1, keepdims=True)
-    assert (colour.std(axis=0) > 1e-4).any()  # spectra differ in shape, not in level alone
+    assert (
+        (members / members.mean(axis=1, keepdims=True)).std(axis=0) > 1e-4
+    ).any()  # spectra differ in shape, not in level alone
 
 
 def test_a_real_car_park_has_a_fleet_on_worn_ground() -> None:
@@ -115,10 +114,10 @@ def test_asphalt_is_rendered_with_texture_that_averages_out() -> None:
     ground = plane(100.0, Material("asphalt", "worn_asphalt", "asphalt"))
     spreads = []
     for ground_sample in (0.01, 0.10, 0.45):
-        way = pushbroom(64, 64, altitude=12.0, ground_sample=ground_sample)
-        traced = hp.simulation.trace(ground, way, [SUN], samples=1, depth=1)
-        line = traced.paint.relight(TEN_BANDS, atmosphere=flat_light(sky=0.0)).compute()
-        level = line.reflectance.values
+        traced = hp.simulation.trace(
+            ground, pushbroom(64, 64, altitude=12.0, ground_sample=ground_sample), [SUN], samples=1, depth=1
+        )
+        level = traced.paint.relight(TEN_BANDS, atmosphere=flat_light(sky=0.0)).compute().reflectance.values
         spreads.append(float((level.std(axis=(0, 2)) / level.mean(axis=(0, 2))).mean()))
         flat = traced.paint.relight(TEN_BANDS, atmosphere=flat_light(sky=0.0), population=False)
         assert float(flat.reflectance.std(["along_track", "cross_track"]).max()) < 1e-6
@@ -138,5 +137,4 @@ def test_a_simulated_flight_over_a_real_fleet() -> None:
     assert finishes & {"metallic", "pearl"}
     whole = flight.lines(0, 24)
     for start, stop in ((0, 5), (5, 24)):
-        part = flight.lines(start, stop)
-        np.testing.assert_array_equal(part.counts, whole.counts[start:stop])
+        np.testing.assert_array_equal(flight.lines(start, stop).counts, whole.counts[start:stop])

@@ -1,7 +1,5 @@
 """Four spectra of light and air: where they come from, and whether they are plausible."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 from pathlib import Path
@@ -14,9 +12,8 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
-from hyperpaint.simulation.atmosphere import Sky, spectral_grid
+from hyperpaint.simulation.atmosphere import Haze, Sky, relative_air_mass, spectral_grid
 from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
-from hyperpaint.simulation.rendering.sky_models import Haze, relative_air_mass
 
 GRID = np.arange(400.0, 1001.0, 1.0)
 UNITS = {
@@ -63,8 +60,7 @@ class TestAtmosphere:
         made = Atmosphere.clear(50.0, 123.0, wavelength=GRID).clouded(3)
         dataset = made.to_dataset()
         for name, units in UNITS.items():
-            assert dataset[name].attrs["units"] == units
-            assert dataset[name].dtype == np.float64
+            assert (dataset[name].attrs["units"], dataset[name].dtype) == (units, np.float64)
         assert dataset.wavelength.attrs["units"] == "nm"
         back = Atmosphere.from_dataset(dataset)
         for name in ("wavelength", *UNITS):
@@ -87,9 +83,9 @@ class TestClearSky:
         assert_allclose(made.sky, diffuse, rtol=2e-3, atol=1e-4)
 
     def test_sky_itself_is_as_it_was(self) -> None:
-        plain = Sky(25.0).irradiance(GRID)
-        given_mass = Sky(25.0, airmass=1.0 / np.cos(np.radians(25.0))).irradiance(GRID)
-        np.testing.assert_array_equal(plain, given_mass)
+        np.testing.assert_array_equal(
+            Sky(25.0).irradiance(GRID), Sky(25.0, airmass=1.0 / np.cos(np.radians(25.0))).irradiance(GRID)
+        )
 
     @pytest.mark.parametrize(
         ("zenith", "mass"), [(0.0, 1.0), (60.0, 1.9943), (75.0, 3.8131), (85.0, 10.306), (90.0, 37.92)]
@@ -113,8 +109,7 @@ class TestClearSky:
         noon = preset_atmosphere("noon")
         found = total(noon.irradiance, noon.wavelength)
         # SPECTRL2 (see below), from June's distance of the sun to its mean, 69 % of it within 400-1000 nm
-        cosine = np.cos(np.radians(25.0))
-        assert found == pytest.approx(0.69 * (935.0 * cosine + 110.0) * 1.0338, rel=0.03)
+        assert found == pytest.approx(0.69 * (935.0 * np.cos(np.radians(25.0)) + 110.0) * 1.0338, rel=0.03)
         assert 0.05 < total(noon.sky, noon.wavelength) / found < 0.2
 
 
@@ -127,9 +122,8 @@ class TestSpectrl2:
         assert total(made.sky, made.wavelength, 300, 4000) == pytest.approx(diffuse, rel=0.05)
 
     def test_level_irradiance_is_pvlibs_global(self) -> None:
-        spectrum = pytest.importorskip("pvlib.spectrum")
         made = Atmosphere.spectrl2(50.0)
-        reference = spectrum.spectrl2(
+        reference = pytest.importorskip("pvlib.spectrum").spectrl2(
             50.0, 50.0, 0.0, 0.15, 101325.0, relative_air_mass(50.0), 1.5, 0.31, 0.10, dayofyear=172
         )
         inside = (reference["wavelength"] >= 340) & (reference["wavelength"] <= 1100)
@@ -158,8 +152,7 @@ class TestSpectrl2:
 
 @pytest.mark.real_data
 class TestReferenceSpectra:
-    """ASTM G173: direct light at zenith angle 48.19 degrees, aerosol depth 0.084 at 500 nm, ozone 0.344."""
-
+    # ASTM G173: direct light at zenith angle 48.19 degrees, aerosol depth 0.084 at 500 nm, ozone 0.344
     @pytest.fixture
     def reference(self, shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
         table = np.genfromtxt(shared_data / "downwelling" / "ASTMG173.csv", delimiter=",", skip_header=3)
@@ -173,8 +166,9 @@ class TestReferenceSpectra:
         for centre in range(420, 1000, 20):
             if 710 < centre < 730 or 890 < centre < 985:
                 continue  # the water lines are where they please
-            found = total(ours.sun, ours.wavelength, centre - 20, centre + 20)
-            assert found == pytest.approx(total(direct, wavelength, centre - 20, centre + 20), rel=0.2)
+            assert total(ours.sun, ours.wavelength, centre - 20, centre + 20) == pytest.approx(
+                total(direct, wavelength, centre - 20, centre + 20), rel=0.2
+            )
 
     def test_spectrl2(self, reference: tuple[np.ndarray, np.ndarray]) -> None:
         pytest.importorskip("pvlib")
@@ -214,12 +208,12 @@ class TestHaze:
     @given(st.floats(500.0, 300_000.0))
     @settings(max_examples=20)
     def test_at_the_visibility_two_per_cent_of_contrast_are_left(self, visibility: float) -> None:
-        extinction = Haze(visibility).extinction(np.array([550.0]))
-        assert np.exp(-extinction[0] * visibility) == pytest.approx(0.02, rel=1e-3)
+        assert np.exp(-Haze(visibility).extinction(np.array([550.0]))[0] * visibility) == pytest.approx(
+            0.02, rel=1e-3
+        )
 
     def test_loss_over_heights_of_the_prototype(self) -> None:
-        extinction = Haze().extinction(np.array([550.0]))[0]
-        lost = 1.0 - np.exp(-extinction * np.array([15.0, 120.0, 3000.0]))
+        lost = 1.0 - np.exp(-Haze().extinction(np.array([550.0]))[0] * np.array([15.0, 120.0, 3000.0]))
         assert_allclose(lost, [0.0026, 0.020, 0.40], rtol=0.03)
 
     def test_pure_air_scatters_as_the_fourth_power(self) -> None:
@@ -244,8 +238,9 @@ class TestHaze:
         def path(cosine: float) -> float:
             return float(haze.path_radiance(GRID[:1], one, none, np.degrees(np.arccos(cosine)))[0])
 
-        mean = 0.5 * quad(path, -1.0, 1.0)[0]
-        assert mean == pytest.approx(haze.extinction(GRID[:1])[0] / (4.0 * np.pi), rel=1e-6)
+        assert (0.5 * quad(path, -1.0, 1.0)[0]) == pytest.approx(
+            haze.extinction(GRID[:1])[0] / (4.0 * np.pi), rel=1e-6
+        )
 
     def test_the_back_share_is_that_of_its_phase_function(self) -> None:
         haze = Haze(5_000.0, asymmetry=0.65, scattering_albedo=1.0, ground=0.0)

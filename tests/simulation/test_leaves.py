@@ -1,7 +1,5 @@
 """Thin plates that pass light: two streams, two Lambert lobes, and leaves in a car park."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.traced_scenes import FEW_BANDS, flat_light
@@ -21,7 +19,7 @@ PLATE = {"r": (np.array([300.0, 1100.0]), np.full(2, REFLECTED)),
 
 
 def test_two_plates_are_one_upon_another() -> None:
-    """Of diffuse light between them, R = R1 + T1 r t / (1 - r r) and T = T1 t / (1 - r r)."""
+    # Of diffuse light between them, R = R1 + T1 r t / (1 - r r) and T = T1 t / (1 - r r)
     passed = np.array([0.2, 0.7, 0.95])
     top, through = leaf_optics(passed, layers=1.0)
     both, under = leaf_optics(passed, layers=2.0)
@@ -50,7 +48,7 @@ def test_a_leaf_passes_half_of_the_near_infrared_and_no_red() -> None:
 
 
 def plate_over_black(below: str = "k") -> Scene:
-    """Return a plate of 200 m at a height of 2 m over black or other ground."""
+    # Return a plate of 200 m at a height of 2 m over black or other ground
     plate = Material("plate", "r", "leaf", transmittance="t")
     return Scene.join([plane(400.0, Material("ground", below)),
                        plane(200.0, plate, centre=(0.0, 0.0, 2.0), instance="plate")])  # fmt: skip
@@ -58,24 +56,27 @@ def plate_over_black(below: str = "k") -> Scene:
 
 @pytest.mark.slow
 def test_a_plate_reflects_from_above_and_passes_from_below() -> None:
-    flight = pushbroom(4, 4, altitude=20.0, ground_sample=0.5)
     light = flat_light(sky=0.0, direction=(40.0, 150.0))
-    over = hp.simulation.trace(plate_over_black(), flight, [(40.0, 150.0)], samples=4)
+    over = hp.simulation.trace(
+        plate_over_black(), pushbroom(4, 4, altitude=20.0, ground_sample=0.5), [(40.0, 150.0)], samples=4
+    )
     seen = hp.simulation.relight(over, FEW_BANDS, spectra=PLATE, atmosphere=light).reflectance
     np.testing.assert_allclose(seen, REFLECTED, rtol=1e-6)
     # the camera flies below the plate, over white ground that the plate lights
-    white = {**PLATE, "w": (np.array([300.0, 1100.0]), np.ones(2))}
-    below = pushbroom(4, 4, altitude=1.0, ground_sample=0.05)
     scene = plate_over_black("w")
-    traced = hp.simulation.trace(scene, below, [(40.0, 150.0)], samples=4000, depth=3)
-    lit = hp.simulation.relight(traced, FEW_BANDS, spectra=white, atmosphere=light).reflectance
+    traced = hp.simulation.trace(
+        scene, pushbroom(4, 4, altitude=1.0, ground_sample=0.05), [(40.0, 150.0)], samples=4000, depth=3
+    )
+    lit = hp.simulation.relight(
+        traced, FEW_BANDS, spectra={**PLATE, "w": (np.array([300.0, 1100.0]), np.ones(2))}, atmosphere=light
+    ).reflectance
     # three scatterings: ground and plate, no second time
     assert float(lit.mean()) == pytest.approx(PASSED, rel=0.03)
 
 
 @pytest.mark.slow
 def test_a_plate_that_takes_nothing_over_white_ground_gives_all_back() -> None:
-    """Expected: r + t^2 / (1 - r) = 1 with r + t = 1, of light that goes to and fro; over nothing r alone."""
+    # Expected: r + t^2 / (1 - r) = 1 with r + t = 1, of light that goes to and fro; over nothing r alone
     flight = pushbroom(4, 4, altitude=20.0, ground_sample=0.5)
     ones = np.array([300.0, 1100.0]), np.ones(2)
     nothing_lost = {**PLATE, "t": (ones[0], np.full(2, 1.0 - REFLECTED)), "k": ones}

@@ -1,7 +1,5 @@
 """Light from an irradiance series and from tables; what is no table raises FormatError and nothing else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +9,8 @@ from numpy.testing import assert_allclose
 from support.traced_scenes import SERIES_NM as GRID, irradiance_series as series
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
+from hyperpaint.simulation.atmosphere import Haze, built_in_sky
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.sky_models import Haze, built_in_sky
 
 HEADER = "wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]"
 
@@ -45,11 +43,11 @@ class TestSeries:
 
     def test_noise_below_zero_is_cut_and_more_is_refused(self) -> None:
         noisy = series(1)
-        noisy.irradiance[0, :2] = -0.005
+        noisy.irradiance[0, :2] = -0.009
         with pytest.warns(PaintWarning, match="2 of 121.*irradiance-negative"):
             made = Atmosphere.from_irradiance(noisy, sun_zenith=60.0)
         assert (made.irradiance[:2] == 0.0).all()
-        noisy.irradiance[0, 0] = -0.5
+        noisy.irradiance[0, 0] = -0.011
         with pytest.raises(SchemaError, match=r"sky.*value-out-of-range"):
             Atmosphere.from_irradiance(noisy, sun_zenith=60.0)
         noisy.irradiance[0, 0] = np.nan
@@ -71,8 +69,9 @@ class TestTable:
         assert (made.name, made.sun_azimuth) == ("modtran", 90.0)
 
     def test_haze_where_the_table_says_nothing(self, tmp_path: Path) -> None:
-        path = self.write(tmp_path, f"{HEADER}\n400,1,0.5\n500,2,0.25\n")
-        made = Atmosphere.from_table(path, sun_zenith=30.0, haze=Haze())
+        made = Atmosphere.from_table(
+            self.write(tmp_path, f"{HEADER}\n400,1,0.5\n500,2,0.25\n"), sun_zenith=30.0, haze=Haze()
+        )
         assert_allclose(made.extinction, Haze().extinction(made.wavelength))
 
     def test_five_columns_in_other_units_and_order(self, tmp_path: Path) -> None:
@@ -121,9 +120,8 @@ class TestTable:
             Atmosphere.from_table(self.write(tmp_path, text), sun_zenith=30.0)
 
     def test_problems_are_listed_together_but_not_without_end(self, tmp_path: Path) -> None:
-        path = self.write(tmp_path, f"{HEADER}\n" + "x\n" * 10_000)
         with pytest.raises(FormatError) as caught:
-            Atmosphere.from_table(path, sun_zenith=30.0)
+            Atmosphere.from_table(self.write(tmp_path, f"{HEADER}\n" + "x\n" * 10_000), sun_zenith=30.0)
         assert str(caught.value).count("line ") == 10
 
     def test_a_file_too_large(self, tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 Mitsuba runs in a process of its own: its variant is global, and where it gives up it takes the process along.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import pickle
 import subprocess
@@ -18,7 +16,7 @@ import pytest
 from oracles.mitsuba_scenes import FrameCamera
 
 import hyperpaint as hp
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
@@ -48,7 +46,7 @@ numpy.savez("images.npz", **images)
 
 
 def light(sun: float = 1.0, zenith: float = 50.0) -> Atmosphere:
-    """Return light without air, of spectra so smooth that means over a band cannot differ."""
+    # Return light without air, of spectra so smooth that means over a band cannot differ
     wavelength = np.linspace(400.0, 900.0, 51)
     slope = (wavelength - 400.0) / 500.0
     none = np.zeros_like(wavelength)
@@ -56,10 +54,8 @@ def light(sun: float = 1.0, zenith: float = 50.0) -> Atmosphere:
 
 
 def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int, depth: int) -> np.ndarray:
-    """Return radiance (strip, column, band) of a frame.
-
-    Every strip of rows is the view of a camera that stands still for some lines of other random numbers.
-    """
+    # Return radiance (strip, column, band) of a frame
+    # Every strip of rows is the view of a camera that stands still for some lines of other random numbers
     half = np.tan(np.radians(camera.field_of_view / 2))
     across = np.linspace(-half, half, camera.columns + 1)
     along = np.linspace(half, -half, STRIPS + 1) * camera.rows / camera.columns
@@ -91,7 +87,7 @@ ABOVE = FrameCamera((0.0, 5.0, 15.0), (0.0, 5.0, 0.0), field_of_view=50.0, rows=
 
 
 def car_park_with(coat: Coat | None) -> Scene:
-    """Return a car park with another coat on its paints and panes, and none elsewhere."""
+    # Return a car park with another coat on its paints and panes, and none elsewhere
     # Mitsuba's sky is below the horizon as well: the ground goes on until none of it is seen
     country = plane(2e4, GROUND, centre=(0.0, 0.0, -0.02), instance="country")
     park = Scene.join([car_park(length=10.0, width=16.0, neighbours=(), seed=1), country])
@@ -103,7 +99,8 @@ def car_park_with(coat: Coat | None) -> Scene:
 
 
 #: By name: how to make scene and light, camera, samples of ours and of Mitsuba, bounces. Our plane
-#: has no noise. Mitsuba's mirrors never show the sun, which is a point: smooth coats see the sky alone.
+#: has no noise; the samples of the others leave less than 0.1 % in a mean. Mitsuba's mirrors never show the
+#: sun, which is a point: smooth coats see the sky alone.
 SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int, int, int]] = {
     "plane": (
         lambda: (plane(200.0, GREY), light()),
@@ -112,16 +109,16 @@ SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int
         2048,
         4,
     ),
-    "adjacency": (lambda: (ADJACENCY, light()), BESIDE, 1024, 4096, 4),
+    "adjacency": (lambda: (ADJACENCY, light()), BESIDE, 256, 1024, 4),
     "lambert park": (lambda: (car_park_with(None), light()), ABOVE, 1024, 4096, 4),
-    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 4096, 4096, 4),
-    "one bounce": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 4096, 4096, 1),
+    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 1024, 2048, 4),
+    "one bounce": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 1024, 2048, 1),
 }
 
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return every scene by both renderers, ours first, shape (strip, column, band)."""
+    # Return every scene by both renderers, ours first, shape (strip, column, band)
     folder = tmp_path_factory.mktemp("mitsuba")
     made = {name: make() for name, (make, *_) in SCENES.items()}
     jobs = {}
@@ -163,7 +160,6 @@ def test_pixels_agree(images: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
     # shadow and reddening lie where they should: rows and columns agree too, and neither is turned about
     for axis in (0, 1):
         np.testing.assert_allclose(ours.mean(axis=axis), theirs.mean(axis=axis), rtol=0.04)
-        flipped = np.flip(theirs.mean(axis=axis), axis=0)
-        assert np.abs(ours.mean(axis=axis) / flipped - 1.0).max() > 0.2
+        assert np.abs(ours.mean(axis=axis) / np.flip(theirs.mean(axis=axis), axis=0) - 1.0).max() > 0.2
     ours, theirs = images["lambert park"]
     assert abs(np.median(ours / theirs) - 1.0) < 0.002

@@ -1,7 +1,5 @@
 """What is said of a scene to Mitsuba; none of it needs Mitsuba."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +20,7 @@ GREY = Material("grey", "panel_20", "panel")
 
 
 class Transform:
-    """As much of Mitsuba's transform as is used: it remembers what it was asked for."""
-
+    # As much of Mitsuba's transform as is used: it remembers what it was asked for
     def look_at(self, **asked: Any) -> dict[str, Any]:
         return asked
 
@@ -42,12 +39,10 @@ def numbers(text: str) -> np.ndarray:
 def test_keys_of_a_plane(tmp_path: Path) -> None:
     described = to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[450.0, 650.0], depth=3, samples=7)
     assert set(described) == {"type", "integrator", "sensor", "sun", "sky", "grey", "mesh of grey"}
-    assert described["integrator"]["max_depth"] == 4
-    assert described["sensor"]["sampler"]["sample_count"] == 7
+    assert (described["integrator"]["max_depth"], described["sensor"]["sampler"]["sample_count"]) == (4, 7)
     assert described["mesh of grey"]["surface"] == {"type": "ref", "id": "grey"}
-    surface = described["grey"]["surface"]
     assert described["grey"]["type"] == "twosided"
-    np.testing.assert_allclose(numbers(surface["reflectance"]["values"]), 0.2)
+    np.testing.assert_allclose(numbers(described["grey"]["surface"]["reflectance"]["values"]), 0.2)
 
 
 def test_the_sun_shines_from_where_it_stands(tmp_path: Path) -> None:
@@ -56,8 +51,7 @@ def test_the_sun_shines_from_where_it_stands(tmp_path: Path) -> None:
     wavelength, values = (numbers(described["sky"]["radiance"][key]) for key in ("wavelengths", "values"))
     assert wavelength[0] <= 550.0 - 12.0
     assert wavelength[-1] >= 550.0 + 12.0
-    known = np.interp(wavelength, NOON.wavelength, NOON.sky) / np.pi
-    np.testing.assert_allclose(values, known, rtol=1e-6)
+    np.testing.assert_allclose(values, np.interp(wavelength, NOON.wavelength, NOON.sky) / np.pi, rtol=1e-6)
 
 
 def test_light_that_is_not_there_is_left_out(tmp_path: Path) -> None:
@@ -88,8 +82,9 @@ def test_what_lies_under_a_coat_is_its_base(tmp_path: Path) -> None:
         surface = described[name]["surface"]
         assert surface["type"] == kind
         assert surface["nonlinear"]
-        albedo = numbers(surface["diffuse_reflectance"]["values"])
-        np.testing.assert_allclose(albedo, base_albedo(0.2, 1.4), rtol=1e-6)
+        np.testing.assert_allclose(
+            numbers(surface["diffuse_reflectance"]["values"]), base_albedo(0.2, 1.4), rtol=1e-6
+        )
     assert described["rough"]["surface"]["alpha"] == 0.1
 
 
@@ -98,8 +93,7 @@ def test_flakes_become_metal_beside_the_base(tmp_path: Path) -> None:
     with pytest.warns(PaintWarning, match="flakes-as-metal"):
         described = to_mitsuba(plane(4.0, paint), NOON, tmp_path, wavelength=[550.0])
     surface = described["silver"]["surface"]
-    assert surface["weight"] == 0.4
-    assert surface["flakes"]["alpha"] == 0.3
+    assert (surface["weight"], surface["flakes"]["alpha"]) == (0.4, 0.3)
 
 
 def test_paints_and_spectra_are_those_of_relight(tmp_path: Path) -> None:
@@ -118,8 +112,7 @@ def test_meshes_hold_the_triangles_with_a_normal_at_every_corner(tmp_path: Path)
         ("grey", lower.vertices[lower.faces].reshape(-1, 3), np.tile([0.0, 0.0, 1.0], (6, 1))),
         ("red", corners, tilted),
     ):
-        content = Path(described[f"mesh of {name}"]["filename"]).read_bytes()
-        header, body = content.split(b"end_header\n", 1)
+        header, body = Path(described[f"mesh of {name}"]["filename"]).read_bytes().split(b"end_header\n", 1)
         assert f"element vertex {len(points)}\n".encode() in header
         table = np.frombuffer(body, "<f4", 6 * len(points)).reshape(-1, 6)
         np.testing.assert_allclose(table, np.hstack([points, normals]), atol=1e-6)

@@ -1,7 +1,5 @@
 """Point spread, keystone, stray light and pedestal of the simulated camera, against loops in plain numpy."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import tracemalloc
@@ -40,21 +38,21 @@ SMALL: dict[str, Any] = {
 
 
 def mirrored(place: int, size: int) -> int:
-    """Return a place outside as its mirror image in the edge, however far out it is."""
+    # Return a place outside as its mirror image in the edge, however far out it is
     while not 0 <= place < size:
         place = -1 - place if place < 0 else 2 * size - 1 - place
     return place
 
 
 def gaussian(fwhm: float) -> Floats:
-    """Return exp(-t) I_n(t) by its integral over an angle, the generating function of Bessel functions."""
+    # Return exp(-t) I_n(t) by its integral over an angle, the generating function of Bessel functions
     t = fwhm**2 / (8.0 * np.log(2.0))
     angle = (np.arange(4000) + 0.5) * np.pi / 4000
     return np.array([np.mean(np.exp(t * (np.cos(angle) - 1)) * np.cos(n * angle)) for n in range(-12, 13)])
 
 
 def slow_image(scene: Floats, kernel: Floats, shifts: Floats, stray: Floats) -> Floats:
-    """Return the image of a scene (line, band, column), place by place."""
+    # Return the image of a scene (line, band, column), place by place
     lines, _, columns = scene.shape
     half = [size // 2 for size in kernel.shape]
     blurred = np.zeros_like(scene)
@@ -70,8 +68,9 @@ def slow_image(scene: Floats, kernel: Floats, shifts: Floats, stray: Floats) -> 
 
 
 def images(optics: Optics, scene: Floats) -> Floats:
-    rows = range(len(scene))
-    return np.stack([optics.image([scene[row] for row in optics.rows_of(y, len(scene))]) for y in rows])
+    return np.stack(
+        [optics.image([scene[row] for row in optics.rows_of(y, len(scene))]) for y in range(len(scene))]
+    )
 
 
 # --- the operators -----------------------------------------------------------------------------------------
@@ -80,10 +79,11 @@ def images(optics: Optics, scene: Floats) -> Floats:
 @pytest.mark.parametrize("fwhm", [0.0, 0.3, 1.0, 2.5, 9.0])
 def test_a_point_spread_keeps_energy_and_variance(fwhm: float) -> None:
     weights = point_spread(fwhm)
-    place = np.arange(len(weights)) - len(weights) // 2
     assert weights.sum() == pytest.approx(1.0, abs=1e-14)
     np.testing.assert_array_equal(weights, weights[::-1])
-    assert (weights * place**2).sum() == pytest.approx(fwhm**2 / (8 * np.log(2)), rel=1e-6, abs=1e-15)
+    assert (weights * (np.arange(len(weights)) - len(weights) // 2) ** 2).sum() == pytest.approx(
+        fwhm**2 / (8 * np.log(2)), rel=1e-6, abs=1e-15
+    )
 
 
 def test_a_point_spread_is_that_of_its_integral() -> None:
@@ -115,8 +115,7 @@ def test_images_against_loops(given: dict[str, Any]) -> None:
     else:
         kernel = np.asarray(KERNEL)
     shifts = settings.keystone_columns * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-    stray = stray_light_wings(NM, settings.stray_light)
-    expected = slow_image(scene, kernel / kernel.sum(), shifts, stray)
+    expected = slow_image(scene, kernel / kernel.sum(), shifts, stray_light_wings(NM, settings.stray_light))
     np.testing.assert_allclose(images(Optics(settings, NM), scene), expected, rtol=1e-6)
 
 
@@ -169,8 +168,9 @@ def test_counts_are_those_of_the_blurred_scene() -> None:
     plain, blurred = simulate_line(**SMALL), simulate_line(**SMALL, **EVERYTHING)
     factor = Camera.of(SimulationSettings(**SMALL)).imager.element_factor
     optics = Optics(OpticsSettings(**EVERYTHING), plain.wavelength.values)
-    expected = images(optics, signal_of(plain) / factor) * factor
-    np.testing.assert_allclose(signal_of(blurred), expected, rtol=2e-6, atol=2e-3)
+    np.testing.assert_allclose(
+        signal_of(blurred), images(optics, signal_of(plain) / factor) * factor, rtol=2e-6, atol=2e-3
+    )
     # the truth is the scene, whatever the optics make of it
     for name in ("true_radiance", "true_reflectance", "surface"):
         np.testing.assert_array_equal(blurred[name], plain[name])
@@ -258,8 +258,9 @@ def test_counts_of_a_render_do_not_depend_on_chunks(noise: bool) -> None:
         factor = camera.imager.element_factor
         scale = 5e-3 * camera.etendue * camera.response_area / factor
         expected = images(camera.optics, values.astype(np.float64) * scale) * factor
-        dark = camera.detector(5e-3).dark
-        np.testing.assert_array_equal(whole, np.rint(np.clip(expected + dark + 3.0, 0, 4095)))
+        np.testing.assert_array_equal(
+            whole, np.rint(np.clip(expected + camera.detector(5e-3).dark + 3.0, 0, 4095))
+        )
 
 
 def test_the_example_shows_the_optics(tmp_path: Path) -> None:
@@ -287,11 +288,11 @@ def test_a_sweep_sees_the_keystone_of_its_beam() -> None:
     }  # fmt: skip
     sweep = simulate_sweep(**lab, keystone_columns=1.5)
     signal = (sweep.counts - sweep.dark_counts).values.astype(np.float64)
-    column = np.arange(61)
     band = signal.sum(axis=2).argmax(axis=1)
     lines = signal[np.arange(3), band]
-    centre = lines @ column / lines.sum(axis=1)
-    np.testing.assert_allclose(centre - 30, sweep.true_keystone.values[band], atol=1e-4)
+    np.testing.assert_allclose(
+        (lines @ np.arange(61) / lines.sum(axis=1)) - 30, sweep.true_keystone.values[band], atol=1e-4
+    )
     assert "true_keystone" not in simulate_sweep(**lab)
 
 

@@ -1,7 +1,5 @@
 """Regions of a simulated collect: they lie on their paint, and close the chain without a drawing."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import tempfile
@@ -29,7 +27,7 @@ def run(*words: object) -> Result:
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A rendered collect of two cubes, in the middle of which frames were dropped."""
+    # A rendered collect of two cubes, in the middle of which frames were dropped
     folder = tmp_path_factory.mktemp("rendered")
     return simulate_collect(
         folder, lines=200, bands=6, columns=240, samples=6, seed=3, cubes=2, dropped=DROPPED, fleet="solid"
@@ -37,7 +35,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def boxes(folder: Path) -> dict[str, tuple[str, tuple[slice, slice]]]:
-    """Return flight line and pixels of every region, edges included."""
+    # Return flight line and pixels of every region, edges included
     made = {}
     for region in hp.read_regions(folder / "regions.geojson"):
         (left, first), (right, last) = region.polygon.min(axis=0), region.polygon.max(axis=0)
@@ -50,7 +48,7 @@ def boxes(folder: Path) -> dict[str, tuple[str, tuple[slice, slice]]]:
 
 
 def truth_of(folder: Path, dropped: list[int]) -> dict[str, xr.Dataset]:
-    """Return the truth of each flight line, without the frames that were never recorded."""
+    # Return the truth of each flight line, without the frames that were never recorded
     known = xr.open_zarr(folder / "truth.zarr").drop_vars(["radiance", "reflectance"]).load()
     frames = np.setdiff1d(np.arange(known.sizes["along_track"]), dropped)
     starts = [int(path.stem.removeprefix("raw_")) for path in folder.glob("flight/raw_*.hdr")]
@@ -69,8 +67,7 @@ def test_regions_lie_on_their_paint(rendered: Path) -> None:
     for name, (flightline, (along, across)) in found.items():
         shown = lines[flightline].isel(along_track=along, cross_track=across)
         assert min(shown.sizes["along_track"], shown.sizes["cross_track"]) >= 4
-        names = shown["paint_id"].attrs["flag_meanings"].split()
-        assert (shown["paint_id"] == names.index(name)).all()
+        assert (shown["paint_id"] == shown["paint_id"].attrs["flag_meanings"].split().index(name)).all()
         assert len(np.unique(shown["car_id"])) == 1
         assert (shown["purity"] == 1).all()
         assert (shown["shadow"] == 0).all()
@@ -78,16 +75,14 @@ def test_regions_lie_on_their_paint(rendered: Path) -> None:
         # roofs, bonnets and boots, nearly level as a whole
         assert float(shown["up"].min()) > 0.5
         flat = shown["up"].values
-        metres = 16 / 240 * np.array([flat.shape[0] - 1, flat.shape[1] - 1])
         rise = [np.ptp(flat.mean(axis=1)), np.ptp(flat.mean(axis=0))]
-        assert (rise < 0.1 * metres).all()
+        assert (rise < 0.1 * (16 / 240 * np.array([flat.shape[0] - 1, flat.shape[1] - 1]))).all()
 
 
 def test_regions_say_what_is_known(rendered: Path) -> None:
     for region in hp.read_regions(rendered / "regions.geojson"):
         assert (rendered / "svc" / f"{region.properties['reference']}.sig").is_file()
-        assert region.properties["reference"] == region.name
-        assert region.properties["finish"] == "solid"
+        assert (region.properties["reference"], region.properties["finish"]) == (region.name, "solid")
         assert region.properties["colour"]
 
 
@@ -98,8 +93,9 @@ def test_simulate_process_signatures_validate_without_a_drawing(tmp_path: Path) 
     assert run("simulate", tmp_path / "sim", *size).exit_code == 0
     assert run("process", tmp_path / "sim" / "collect.toml", "--out", tmp_path / "lot.zarr").exit_code == 0
     regions = tmp_path / "sim" / "regions.geojson"
-    words = ("--regions", regions, "--out", tmp_path / "paints.zarr")
-    done = run("signatures", tmp_path / "lot.zarr", *words)
+    done = run(
+        "signatures", tmp_path / "lot.zarr", *(("--regions", regions, "--out", tmp_path / "paints.zarr"))
+    )
     assert done.exit_code == 0, done.output
     done = run("validate", tmp_path / "paints.zarr", "--require-all")
     assert done.exit_code == 0, done.output
@@ -143,8 +139,9 @@ def test_squares_of_a_checkerboard(tmp_path: Path) -> None:
     found = boxes(folder)
     assert set(found) == {"panel_05", "panel_50"}
     for name, (_, (along, across)) in found.items():
-        share = known["bright_share"].isel(along_track=along, cross_track=across)
-        assert (share == (name == "panel_50")).all()
+        assert (
+            known["bright_share"].isel(along_track=along, cross_track=across) == (name == "panel_50")
+        ).all()
 
 
 def test_no_region_where_pixels_are_too_coarse(tmp_path: Path) -> None:
@@ -153,14 +150,13 @@ def test_no_region_where_pixels_are_too_coarse(tmp_path: Path) -> None:
 
 
 class _Painted(PlanFlight):
-    """A flight that sees what it is told."""
-
+    # A flight that sees what it is told
     def clean_paint(self, lines: Lines) -> np.ndarray[Any, np.dtype[np.int32]]:
         return lines.surface.astype(np.int32)
 
 
 def _found(label: Any, up: Any = None) -> list[dict[str, Any]]:
-    """Return the regions of a picture of labels."""
+    # Return the regions of a picture of labels
     label = np.asarray(label, np.int16)
     flight = _Painted(SimulationSettings(lines=label.shape[0], bands=2, columns=label.shape[1], scene="plan"))
     none = np.empty((0,), np.float32)
@@ -178,7 +174,7 @@ def _found(label: Any, up: Any = None) -> list[dict[str, Any]]:
 
 
 def test_the_largest_rectangle_is_that_of_all_rectangles() -> None:
-    """Against a search of all of them, on pictures of blots."""
+    # Against a search of all of them, on pictures of blots
     rng = np.random.default_rng(5)
     for _ in range(4):
         label = np.full((26, 30), -1)
@@ -211,11 +207,8 @@ def test_a_step_in_height_or_another_car_ends_a_rectangle() -> None:
     same = np.zeros((12, 20), int)
     (whole,) = _found(same)
     assert whole["geometry"]["coordinates"] == [[[1, 1], [18, 1], [18, 10], [1, 10], [1, 1]]]
-    step = np.where(np.arange(20) < 7, 0.0, 1.0) * np.ones((12, 1))
-    (part,) = _found(same, step)
+    (part,) = _found(same, np.where(np.arange(20) < 7, 0.0, 1.0) * np.ones((12, 1)))
     assert part["geometry"]["coordinates"] == [[[8, 1], [18, 1], [18, 10], [8, 10], [8, 1]]]
-    other_car = same + np.where(np.arange(20) < 7, 0, len(PlanFlight.paints))
-    assert _found(other_car) == [part]
-    across = np.where(np.arange(12)[:, None] < 5, 0.0, 1.0) * np.ones((1, 20))
-    (below,) = _found(same, across)
+    assert _found(same + np.where(np.arange(20) < 7, 0, len(PlanFlight.paints))) == [part]
+    (below,) = _found(same, np.where(np.arange(12)[:, None] < 5, 0.0, 1.0) * np.ones((1, 20)))
     assert below["geometry"]["coordinates"][0][:2] == [[1, 6], [18, 6]]

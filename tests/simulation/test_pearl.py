@@ -1,13 +1,11 @@
 """Pearl: flakes whose interference colour changes with the angle between light and view."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
@@ -41,8 +39,9 @@ def part(view: tuple[float, float, float], light: tuple[float, float, float]) ->
 
 def relit(traced: xr.Dataset, light: Atmosphere, face: float, turned: float) -> float:
     levels = {"body": 0.0, "face": face, "right angle": turned}
-    spectra = {name: (ENDS, [level] * 2) for name, level in levels.items()}
-    line = hp.simulation.relight(traced, BANDS, atmosphere=light, spectra=spectra)
+    line = hp.simulation.relight(
+        traced, BANDS, atmosphere=light, spectra={name: (ENDS, [level] * 2) for name, level in levels.items()}
+    )
     return float(line.reflectance.mean())
 
 
@@ -60,10 +59,8 @@ def traced(light: Atmosphere, paint: Material = PEARL, samples: int = 16, size: 
 
 @pytest.mark.parametrize("thickness", [180.0, 300.0, 420.0])
 def test_two_spectra_make_those_of_the_film_at_every_angle(thickness: float) -> None:
-    """Snell's angle in titanium dioxide on mica, and the phase of the film at it.
-
-    A straight line between two spectra is worst at the violet end of the thickest film.
-    """
+    # Snell's angle in titanium dioxide on mica, and the phase of the film at it
+    # A straight line between two spectra is worst at the violet end of the thickest film
     nm, depth = np.arange(400.0, 1001.0, 5.0), 0.4
     pigments = Pigments(0.0, (), (thickness, depth))
     face, turned = pigments.flakes(nm) / aluminium(nm), pigments.flakes(nm, turned=True) / aluminium(nm)
@@ -87,7 +84,7 @@ def test_light_and_view_may_change_places() -> None:
 
 @pytest.mark.parametrize("light", [lit(1.0, 0.0), lit(0.0, 1.0)])
 def test_no_light_is_lost_by_turning(light: Atmosphere) -> None:
-    """Flakes of two equal spectra are flakes of one, path by path."""
+    # Flakes of two equal spectra are flakes of one, path by path
     metal = Material("metal", "body", "paint", COAT, Flakes(SHARE, LOBE, "face"))
     assert relit(traced(light), light, 0.7, 0.7) == pytest.approx(
         relit(traced(light, metal), light, 0.7, 0.0), rel=1e-5
@@ -130,8 +127,9 @@ def test_a_pearl_is_repainted() -> None:
         next(name for name in names if paint_spec(name).finish == finish) for finish in ("pearl", "metallic")
     )
     park = car_park(length=10.0, width=16.0, neighbours=(), paints=[pearl])
-    flight = pushbroom(8, 16, altitude=30.0, ground_sample=0.5, centre=(0.0, 5.0))
-    lines = hp.simulation.trace(park, flight, ["noon"], samples=8).compute()
+    lines = hp.simulation.trace(
+        park, pushbroom(8, 16, altitude=30.0, ground_sample=0.5, centre=(0.0, 5.0)), ["noon"], samples=8
+    ).compute()
     car = next(one.name for one in park.instances if one.kind == "car")
     for paint in (metal, pearl, (ENDS, [0.5, 0.5])):
         again = hp.simulation.relight(lines, BANDS, paints={car: paint}, truth=False).radiance

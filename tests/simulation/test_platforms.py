@@ -1,7 +1,5 @@
 """Platforms: where rays start and look, how drones move, and the ellipsoid, against scipy and PROJ."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -32,7 +30,7 @@ ANGLE = st.floats(-80.0, 80.0)
 
 
 def ground_of(platform: Platform, along: float, across: float, moment: int = 0) -> np.ndarray:
-    """Return where the ray (along, across, 1) of every line meets z = 0."""
+    # Return where the ray (along, across, 1) of every line meets z = 0
     direction = platform.rotation[:, moment] @ np.array([along, across, 1.0])
     origin = platform.origin[:, moment]
     return origin - direction * (origin[:, 2:] / direction[:, 2:])
@@ -94,8 +92,9 @@ def test_poses_between_samples_are_on_the_great_arc() -> None:
     )
     slerp = Slerp(time, Rotation.from_euler("ZYX", angles[:, ::-1], degrees=True))
     for moment, shift in enumerate((-0.01, 0.01)):
-        expected = NED_TO_ENU @ slerp(at + shift).as_matrix()
-        np.testing.assert_allclose(flight.rotation[:, moment], expected, atol=1e-9)
+        np.testing.assert_allclose(
+            flight.rotation[:, moment], NED_TO_ENU @ slerp(at + shift).as_matrix(), atol=1e-9
+        )
         np.testing.assert_allclose(flight.origin[:, moment, 0], np.interp(at + shift, time, [0, 1, 2]))
     assert flight.time.tolist() == [0, 250_000_000, 670_000_000]
 
@@ -188,14 +187,14 @@ def test_platforms_of_wrong_arrays_are_refused() -> None:
     given = {
         name: getattr(good, name) for name in ("origin", "rotation", "column_edges", "along_edges", "time")
     }
-    with pytest.raises(SchemaError, match=r"origin.*dims-wrong"):
-        Platform(**(given | {"origin": np.zeros((3, 3))}))
-    with pytest.raises(SchemaError, match="rotation-invalid"):
-        Platform(**(given | {"rotation": -good.rotation}))
-    with pytest.raises(SchemaError, match="edges-invalid"):
-        Platform(**(given | {"column_edges": good.column_edges[::-1]}))
-    with pytest.raises(SchemaError, match="type-wrong"):
-        Platform(**(given | {"time": good.time.astype(float)}))
+    for name, wrong, text in (
+        ("origin", np.zeros((3, 3)), r"origin.*dims-wrong"),
+        ("rotation", -good.rotation, "rotation-invalid"),
+        ("column_edges", good.column_edges[::-1], "edges-invalid"),
+        ("time", good.time.astype(float), "type-wrong"),
+    ):
+        with pytest.raises(SchemaError, match=text):
+            Platform(**(given | {name: wrong}))
 
 
 # --- the motion of a drone ----------------------------------------------------------------------------------
@@ -204,8 +203,9 @@ SECONDS = np.arange(0.0, 600.0, 0.01)
 
 
 def flown(**effects: object) -> Trajectory:
-    settings = SimulationSettings.of({"scene": "checkerboard", **effects})
-    return Trajectory.of(settings, LocalFrame(*ORIGIN), 1.14, 15.24)
+    return Trajectory.of(
+        SimulationSettings.of({"scene": "checkerboard", **effects}), LocalFrame(*ORIGIN), 1.14, 15.24
+    )
 
 
 @pytest.mark.parametrize(
@@ -215,13 +215,12 @@ def flown(**effects: object) -> Trajectory:
 def test_wobble_is_that_of_drones(
     wobble: str, tilt: float, heading: float, fastest: tuple[float, float, float]
 ) -> None:
-    """Expected: spreads and highest rates [degree, degree s-1] of ``georeference_reliability.md`` 1.2."""
+    # Expected: spreads and highest rates [degree, degree s-1] of ``georeference_reliability.md`` 1.2
     path = flown(wobble=wobble, seed=3)
     pose = path.pose(SECONDS)
     yaw = (pose["heading"] + 180.0) % 360.0 - 180.0
     assert pose["roll"].std() == pytest.approx(tilt, rel=0.1)
-    assert pose["pitch"].std() == pytest.approx(tilt, rel=0.1)
-    assert yaw.std() == pytest.approx(heading, rel=0.1)
+    assert (pose["pitch"].std(), yaw.std()) == (pytest.approx(tilt, rel=0.1), pytest.approx(heading, rel=0.1))
     for angle, most in zip((pose["roll"], pose["pitch"], yaw), fastest, strict=True):
         assert np.abs(np.gradient(angle, 0.01)).max() == pytest.approx(most, rel=0.35)
     # which crosses north, and is written from 0 to 360
@@ -247,12 +246,11 @@ def test_without_wobble_it_flies_straight() -> None:
     azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(
         pose["longitude"][0], pose["latitude"][0], pose["longitude"][-1], pose["latitude"][-1]
     )
-    assert azimuth == pytest.approx(63.0, abs=1e-3)
-    assert distance == pytest.approx(1.14 * SECONDS[-1], rel=1e-4)
+    assert (azimuth, distance) == (pytest.approx(63.0, abs=1e-3), pytest.approx(1.14 * SECONDS[-1], rel=1e-4))
 
 
 def test_camera_is_where_pose_and_mounting_put_it() -> None:
-    """Expected: by scipy's rotations and PROJ's geodesy, lever arm and boresight as rotations."""
+    # Expected: by scipy's rotations and PROJ's geodesy, lever arm and boresight as rotations
     path = flown(
         wobble="rough", course=300.0, boresight=(0.4, -0.6, 0.8), lever_arm=(0.05, -0.02, 0.12), seed=5
     )
@@ -331,16 +329,18 @@ def test_local_frame_is_that_of_proj() -> None:
         "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84 "
         "+step +proj=topocentric +ellps=WGS84 +lon_0=-77.6749 +lat_0=43.0845 +h_0=160"
     )
-    expected = np.stack(pipeline.transform(longitude, latitude, height), axis=-1)
     made = frame.local(latitude, longitude, height)
-    np.testing.assert_allclose(made, expected, atol=1e-7, rtol=0)
-    back = frame.geodetic(made)
-    for value, wanted, within in zip(back, (latitude, longitude, height), (1e-11, 1e-11, 1e-7), strict=True):
+    np.testing.assert_allclose(
+        made, np.stack(pipeline.transform(longitude, latitude, height), axis=-1), atol=1e-7, rtol=0
+    )
+    for value, wanted, within in zip(
+        frame.geodetic(made), (latitude, longitude, height), (1e-11, 1e-11, 1e-7), strict=True
+    ):
         np.testing.assert_allclose(value, wanted, atol=within, rtol=0)
 
 
 def test_directions_are_those_of_small_steps() -> None:
-    """Expected: a metre north, east and down of a place, by its coordinates, is a column of the rotation."""
+    # Expected: a metre north, east and down of a place, by its coordinates, is a column of the rotation
     here = geocentric(43.0, -77.0, 160.0)
     turned = north_east_down(43.0, -77.0)
     step = 1e-6

@@ -1,7 +1,5 @@
 """Files of field spectrometers beside a simulated collect: what real ones look like, and what they hold."""
 
-from __future__ import annotations
-
 import datetime as dt
 import re
 import tomllib
@@ -15,7 +13,7 @@ import hyperpaint as hp
 from hyperpaint.simulation import SimulationSettings, simulate_collect
 from hyperpaint.simulation.flight import PlanFlight
 from hyperpaint.simulation.instruments import SVC_DETECTORS, svc_wavelengths
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, reflectance
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, reflectance
 
 #: What a line of the header may look like. `test_the_pattern_is_that_of_real_files` holds it to real files.
 PAIR = r"-?[\d.]+, ?-?[\d.]+"
@@ -61,7 +59,7 @@ ROW = re.compile(r"\d{3,4}\.\d  -?\d+\.\d\d  -?\d+\.\d\d  -?\d+\.\d\d")
 
 
 def svc(path: Path) -> tuple[dict[str, str], np.ndarray]:
-    """Read a file of an HR-1024i strictly: keys in their order, then rows of four numbers (row, 4)."""
+    # Read a file of an HR-1024i strictly: keys in their order, then rows of four numbers (row, 4)
     first, *lines = path.read_bytes().decode("ascii").replace("\r\n", "\n").removesuffix("\n").split("\n")
     assert first == "/*** Spectra Vista SIG Data ***/"
     keys: dict[str, str] = {}
@@ -81,9 +79,10 @@ def svc(path: Path) -> tuple[dict[str, str], np.ndarray]:
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small collect with its spectrometers' files."""
-    folder = tmp_path_factory.mktemp("references")
-    return simulate_collect(folder, scene="plan", lines=4, bands=4, columns=4, utc_offset_h=5.5).parent
+    # A small collect with its spectrometers' files
+    return simulate_collect(
+        tmp_path_factory.mktemp("references"), scene="plan", lines=4, bands=4, columns=4, utc_offset_h=5.5
+    ).parent
 
 
 @pytest.mark.real_data
@@ -97,8 +96,7 @@ def test_the_pattern_is_that_of_real_files(shared_data: Path) -> None:
         )
         if "Preserve" in keys["factors"] and "Remove" not in keys["factors"]:
             # three detectors of the sizes that are simulated, within what differs from unit to unit
-            joins = np.flatnonzero(np.diff(rows[:, 0]) < 0) + 1
-            assert joins.tolist() == [512, 768]
+            assert (np.flatnonzero(np.diff(rows[:, 0]) < 0) + 1).tolist() == [512, 768]
             np.testing.assert_allclose(rows[:, 0], svc_wavelengths(), atol=20)
 
 
@@ -107,37 +105,36 @@ def test_svc_files_hold_the_paints(collect: Path) -> None:
     assert [path.stem for path in files] == sorted(CAR_PAINTS)
     for path in files:
         keys, rows = svc(path)
-        assert keys["name"] == path.name
-        assert len(rows) == 1024
+        assert (keys["name"], len(rows)) == (path.name, 1024)
         np.testing.assert_array_equal(rows[:, 0], svc_wavelengths())
         np.testing.assert_allclose(rows[:, 3], 100 * rows[:, 2] / rows[:, 1], atol=0.0051)
         # what a detector's resolution takes from the paints' edges, most at the sun's G band, 430 nm
-        true = reflectance([path.stem], rows[:, 0])[0]
-        np.testing.assert_allclose(rows[:, 2] / rows[:, 1], true, atol=0.0045)
+        np.testing.assert_allclose(
+            rows[:, 2] / rows[:, 1], reflectance([path.stem], rows[:, 0])[0], atol=0.0045
+        )
 
 
 def test_svc_counts_radiance_in_units_of_the_instrument(collect: Path) -> None:
-    """1e-10 W cm-2 sr-1 nm-1: a white panel at noon, by hand from the light that the flight has."""
+    # 1e-10 W cm-2 sr-1 nm-1: a white panel at noon, by hand from the light that the flight has
     _, rows = svc(collect / "svc" / "grey.sig")
     flight = PlanFlight(SimulationSettings(lines=4, bands=4, columns=4))
     for nm in (550.2, 870.0):
         row = int(np.abs(rows[:512, 0] - nm).argmin())
         weight = np.exp(-4 * np.log(2) * ((flight.grid - rows[row, 0]) / SVC_DETECTORS[0].fwhm) ** 2)
-        light = (flight.sky.sum(axis=0) * weight).sum() / weight.sum()
-        assert rows[row, 1] * 1e-10 * 1e4 == pytest.approx(light / np.pi, rel=1e-3)
+        assert rows[row, 1] * 1e-10 * 1e4 == pytest.approx(
+            ((flight.sky.sum(axis=0) * weight).sum() / weight.sum()) / np.pi, rel=1e-3
+        )
 
 
 def test_svc_clocks_and_places(collect: Path) -> None:
-    """Local time of the instrument's clock, UTC of its GPS, the panel first, all before the flight."""
+    # Local time of the instrument's clock, UTC of its GPS, the panel first, all before the flight
     keys, _ = svc(collect / "svc" / "red.sig")
     panel, target = (dt.datetime.strptime(text, "%m/%d/%Y %I:%M:%S %p") for text in keys["time"].split(", "))
     assert dt.timedelta(0) < target - panel < dt.timedelta(minutes=1)
-    gps = [text.strip() for text in keys["gpstime"].split(",")]
     utc = [local - dt.timedelta(hours=5.5) for local in (panel, target)]
-    assert gps == [f"{moment:%H%M%S}.000" for moment in utc]
+    assert [text.strip() for text in keys["gpstime"].split(",")] == [f"{moment:%H%M%S}.000" for moment in utc]
     assert utc[1] < dt.datetime(2021, 7, 20, 17, 10)
-    assert keys["latitude"].split()[0] == "4305.0700N"
-    assert keys["longitude"].split()[0] == "07740.4940W"
+    assert (keys["latitude"].split()[0], keys["longitude"].split()[0]) == ("4305.0700N", "07740.4940W")
 
 
 @pytest.mark.parametrize(
@@ -149,7 +146,7 @@ def test_svc_clocks_and_places(collect: Path) -> None:
     ],
 )
 def test_svc_hours_are_those_of_a_clock_face(tmp_path: Path, moment: str, shown: str) -> None:
-    """The panel of the first paint is seen 59 minutes before the flight."""
+    # The panel of the first paint is seen 59 minutes before the flight
     simulate_collect(
         tmp_path, scene="plan", lines=4, bands=4, columns=4, start_time=moment, utc_offset_h=0.0, truth=False
     )
@@ -164,8 +161,9 @@ def test_asd_files_hold_the_paints(collect: Path) -> None:
     assert set(made.data_vars) == {"reflectance"}
     wavelength = made["wavelength"].values
     for index, path in enumerate(made["source"].values.tolist()):
-        true = reflectance([Path(path).stem], wavelength)[0]
-        np.testing.assert_allclose(made["reflectance"].values[index], true, atol=0.004)
+        np.testing.assert_allclose(
+            made["reflectance"].values[index], reflectance([Path(path).stem], wavelength)[0], atol=0.004
+        )
     seconds = (np.datetime64("2021-07-20T17:10:00") - made["time"].values) / np.timedelta64(1, "s")
     assert (seconds > 0).all()
     assert (seconds < 7200).all()
@@ -173,8 +171,7 @@ def test_asd_files_hold_the_paints(collect: Path) -> None:
 
 @pytest.mark.real_data
 def test_asd_headers_say_what_those_of_reflectance_do(collect: Path, shared_data: Path) -> None:
-    """Data type, fore optic, ordinate and reference flag, as in a file of the same version."""
-
+    # Data type, fore optic, ordinate and reference flag, as in a file of the same version
     def told(path: Path) -> dict[str, Any]:
         raw = path.read_bytes()
         channels = int.from_bytes(raw[204:206], "little")
@@ -186,8 +183,9 @@ def test_asd_headers_say_what_those_of_reflectance_do(collect: Path, shared_data
             "reference": raw[484 + 8 * channels :][:2],
         }
 
-    real = told(shared_data / "asd_binary" / "v7sample00003.asd")
-    assert told(collect / "asd_reflectance" / "red.asd") == real
+    assert told(collect / "asd_reflectance" / "red.asd") == told(
+        shared_data / "asd_binary" / "v7sample00003.asd"
+    )
 
 
 def test_collect_toml_names_the_references(collect: Path) -> None:

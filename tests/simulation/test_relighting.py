@@ -1,6 +1,4 @@
-"""Relighting: against theory, against a sum by hand, against tracing again, and through the whole chain."""
-
-from __future__ import annotations
+"""Relighting: against theory, a sum by hand, another trace, and through the whole chain; what is refused."""
 
 import dataclasses
 from collections.abc import Callable
@@ -11,6 +9,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import refusal
 from support.traced_scenes import (
     FEW_BANDS,
     LOW_SUN,
@@ -23,10 +22,10 @@ from support.traced_scenes import (
 )
 
 import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import VARIABLES
-from hyperpaint.simulation.camera import smile
+from hyperpaint.simulation.camera import BandSet, smile
 from hyperpaint.simulation.rendering import tracing as tracing_module
-from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
 from hyperpaint.simulation.rendering.painting import factor_spectra
@@ -58,7 +57,7 @@ def panel(spectrum: str = "panel_20", coat: Coat | None = None) -> Any:
 
 @pytest.mark.parametrize("sun", [SUN, LOW_SUN])
 def test_a_lambert_plane(sun: tuple[float, float]) -> None:
-    """L = rho (E_sun cos + E_sky) / pi in every pixel and every one of 272 bands."""
+    # L = rho (E_sun cos + E_sky) / pi in every pixel and every one of 272 bands
     scene, platform = panel(), flight(8, 12, wobble=2.0)
     trace = hp.simulation.trace(scene, platform, [SUN, LOW_SUN], samples=16, sun_radius=0.0)
     made = trace.paint.relight(atmosphere=flat_light(1.2, 0.3, sun))
@@ -72,7 +71,7 @@ def test_a_lambert_plane(sun: tuple[float, float]) -> None:
 
 
 def test_a_lambert_plane_under_lines() -> None:
-    """The same where light and paint have spectra: reflectance is their irradiance-weighted mean."""
+    # The same where light and paint have spectra: reflectance is their irradiance-weighted mean
     light = dataclasses.replace(line_light(), molecular=None, aureole=None)  # met evenly, not by chance
     made = (
         hp.simulation.trace(panel("red"), flight(2, 3), [SUN], samples=4, sun_radius=0.0)
@@ -82,8 +81,7 @@ def test_a_lambert_plane_under_lines() -> None:
     grid = light.wavelength
     expected = []
     for centre in made.wavelength.values:
-        response = np.exp(-4 * np.log(2) * ((grid - centre) / 6.0) ** 2)
-        lit = response * light.irradiance
+        lit = np.exp(-4 * np.log(2) * ((grid - centre) / 6.0) ** 2) * light.irradiance
         expected.append((lit * spectrum_of("red")(grid)).sum() / lit.sum())
     np.testing.assert_allclose(
         made.reflectance, np.broadcast_to(np.array(expected)[:, None], (2, 272, 3)), rtol=1e-4
@@ -91,7 +89,7 @@ def test_a_lambert_plane_under_lines() -> None:
 
 
 def test_an_overcast_plane() -> None:
-    """Both skies give a level surface the same light; the overcast one is met by chance."""
+    # Both skies give a level surface the same light; the overcast one is met by chance
     trace = hp.simulation.trace(panel(), flight(16, 16), [SUN], samples=64, overcast=True)
     made = trace.paint.relight(FEW_BANDS, atmosphere=flat_light(0.0, 1.0, overcast_share=0.6))
     assert float(made.radiance.mean()) == pytest.approx(0.2 / np.pi, rel=2e-3)
@@ -100,7 +98,7 @@ def test_an_overcast_plane() -> None:
 
 @pytest.mark.parametrize("level", [0.05, 0.5])
 def test_a_coated_plane_reads_as_an_integrating_sphere_reads_it(level: float) -> None:
-    """Under a uniform sky, seen from above: diffuse light in, near normal out, the mirror image with it."""
+    # Under a uniform sky, seen from above: diffuse light in, near normal out, the mirror image with it
     trace = hp.simulation.trace(panel("panel_50", Coat()), flight(12, 12), [SUN], samples=256)
     nm = np.array([380.0, 1050.0])
     made = trace.paint.relight(
@@ -127,10 +125,11 @@ def test_air_takes_and_adds(traced: xr.Dataset) -> None:
         # what is said of the surfaces is said of the surfaces
         for name in ("reflectance", *SHARES):
             np.testing.assert_array_equal(made[name], surface[name])
-    sun = np.interp(550.0, clear.wavelength, clear.sun)
     made = traced.paint.relight(FEW_BANDS, atmosphere=hazy).radiance.values[0, 1, 0]
     left = surface.radiance.values[0, 1, 0] * np.exp(-2e-3 * distance[0, 0, 0])
-    assert made - left == pytest.approx(1e-5 * sun * distance[0, 0, 0], rel=0.02)
+    assert made - left == pytest.approx(
+        1e-5 * np.interp(550.0, clear.wavelength, clear.sun) * distance[0, 0, 0], rel=0.02
+    )
 
 
 # --- oracles
@@ -144,12 +143,12 @@ def test_a_sum_by_hand(traced: xr.Dataset, share: float, bent: bool) -> None:
     light = dataclasses.replace(light, overcast_share=share, **clear)
     # the second sun has number 3; by hand only source 2 is known
     only = hp.simulation.trace(two_cars(), flight(), [LOW_SUN], **SAMPLES).compute()
-    shift = smile(16, 1.2) if bent else None
-    bands = BandSet(FEW_BANDS.wavelength, FEW_BANDS.fwhm, "gaussian", shift)
+    bands = BandSet(FEW_BANDS.wavelength, FEW_BANDS.fwhm, "gaussian", smile(16, 1.2) if bent else None)
     made = only.paint.relight(bands, atmosphere=light).radiance.values
     for line, column in ((0, 0), (9, 5), (12, 11), (14, 15)):
-        by_hand = radiance_by_hand(only, line, column, light, bands)
-        np.testing.assert_allclose(made[line, :, column], by_hand, rtol=1e-4)
+        np.testing.assert_allclose(
+            made[line, :, column], radiance_by_hand(only, line, column, light, bands), rtol=1e-4
+        )
 
 
 def test_a_sun_more_changes_nothing() -> None:
@@ -164,7 +163,7 @@ def test_a_sun_more_changes_nothing() -> None:
 
 
 def test_other_paints_are_another_scene(traced: xr.Dataset) -> None:
-    """Relit with swapped paints, the scene is the one that was painted so before it was traced."""
+    # Relit with swapped paints, the scene is the one that was painted so before it was traced
     swapped = tracing(two_cars("green")).paint.relight(MANY_BANDS, atmosphere=line_light()).compute()
     for paints in (
         {"car_0": "green"},
@@ -184,7 +183,7 @@ def test_other_paints_are_another_scene(traced: xr.Dataset) -> None:
 
 @pytest.mark.parametrize("new", ["silver", "brown", "white"])
 def test_a_repainted_metallic_car_has_the_flakes_of_its_new_paint(new: str) -> None:
-    """Sun alone, seen once: no chance is in it. The lobes are those of a plane painted so from the start."""
+    # Sun alone, seen once: no chance is in it. The lobes are those of a plane painted so from the start.
     spec, light = paint_spec(new), flat_light(sky=0.0)
     old = Material("lacquer", "blue", "paint", Coat(), Flakes(0.2))
     images = []
@@ -195,10 +194,8 @@ def test_a_repainted_metallic_car_has_the_flakes_of_its_new_paint(new: str) -> N
 
 
 def test_a_measured_spectrum_leaves_no_flakes() -> None:
-    material = Material("lacquer", "blue", "paint", Coat(), Flakes(0.2))
-    record = SceneRecord.of(plane(4.0, material))
-    made = factor_spectra(record, FEW_BANDS, {"lacquer": spectrum_of("red")})
-    assert made.scales == (1.25, 0.0)
+    record = SceneRecord.of(plane(4.0, Material("lacquer", "blue", "paint", Coat(), Flakes(0.2))))
+    assert factor_spectra(record, FEW_BANDS, {"lacquer": spectrum_of("red")}).scales == (1.25, 0.0)
 
 
 def test_spectra_may_be_given_in_any_form(traced: xr.Dataset) -> None:
@@ -229,18 +226,20 @@ def test_spectra_may_be_given_in_any_form(traced: xr.Dataset) -> None:
 
 def test_columns_with_a_smile_see_what_shifted_bands_see(traced: xr.Dataset) -> None:
     shift = smile(16, 1.0)
-    bent = BandSet(MANY_BANDS.wavelength, MANY_BANDS.fwhm, "gaussian", shift)
-    made = traced.paint.relight(bent, atmosphere=line_light()).compute()
+    made = traced.paint.relight(
+        BandSet(MANY_BANDS.wavelength, MANY_BANDS.fwhm, "gaussian", shift), atmosphere=line_light()
+    ).compute()
     np.testing.assert_array_equal(made.wavelength_shift, shift)
     for column in (0, 3, 8, 15):
-        straight = BandSet(MANY_BANDS.wavelength + shift[column], MANY_BANDS.fwhm)
-        other = traced.paint.relight(straight, atmosphere=line_light())
+        other = traced.paint.relight(
+            BandSet(MANY_BANDS.wavelength + shift[column], MANY_BANDS.fwhm), atmosphere=line_light()
+        )
         for name in ("radiance", "reflectance"):
             np.testing.assert_allclose(made[name][..., column], other[name][..., column], rtol=1e-4)
 
 
 def test_light_that_varies(traced: xr.Dataset) -> None:
-    """Direct and diffuse light go their own ways; reflectance only follows where both do the same."""
+    # Direct and diffuse light go their own ways; reflectance only follows where both do the same
     rng = np.random.default_rng(2)
     variation = rng.uniform(0.2, 1.2, (2, 24))
     light = line_light()
@@ -265,8 +264,7 @@ def test_shares_of_light(traced: xr.Dataset) -> None:
     assert ((others >= 0) & (others <= 1 + 1e-6)).all()
     assert (made.glint_share <= made.sun_share + 1e-6).all()
     assert (made.mirrored_sky_share <= made.sky_share + 1e-6).all()
-    painted = (made.paint_id >= 0) & (made.purity == 1)
-    on_top = painted & (made.up > 1.19)
+    on_top = ((made.paint_id >= 0) & (made.purity == 1)) & (made.up > 1.19)
     assert made.mirrored_sky_share.values[on_top].mean() > 0.01  # a coat mirrors the sky
     matt = (made.purity == 1) & (made.surface_class == 0)
     assert not made.mirrored_sky_share.values[matt.values].any()
@@ -291,18 +289,17 @@ def test_shadow_is_that_of_the_sun_that_shines(traced: xr.Dataset) -> None:
 
 
 def test_variables_are_those_of_the_table_before_and_after(traced: xr.Dataset, no_compute: Any) -> None:
-    variation = np.ones((2, 24))
     with no_compute():
         lazy = traced.chunk({"along_track": 7}).paint.relight(atmosphere=line_light())
-        varied = traced.chunk({"along_track": 7}).paint.relight(atmosphere=line_light(), variation=variation)
+        varied = traced.chunk({"along_track": 7}).paint.relight(
+            atmosphere=line_light(), variation=np.ones((2, 24))
+        )
     assert lazy.radiance.chunksizes == {"along_track": (7, 7, 7, 3), "band": (272,), "cross_track": (16,)}
-    whole = lazy.compute()
-    for made in (lazy, whole, varied):
+    for made in (lazy, lazy.compute(), varied):
         for name, array in made.variables.items():
             row = VARIABLES[str(name)]
             assert array.dims in (row.dims, *row.alternatives), name
-            assert array.dtype == row.dtype, name
-            assert array.attrs.get("units", "") == row.units, name
+            assert (array.dtype, array.attrs.get("units", "")) == (row.dtype, row.units), name
     for name in ("radiance", "reflectance", "shadow", *SHARES):
         assert lazy[name].chunks is not None, name
     assert set(lazy.data_vars) - set(
@@ -393,13 +390,111 @@ def test_radiance_alone_costs_no_truth(traced: xr.Dataset, monkeypatch: pytest.M
 
 @pytest.mark.parametrize("varies", [False, True])
 def test_a_relit_scene_is_a_flight_line(varies: bool) -> None:
-    """Radiance and the record of the spectrometer give back the reflectance of the surfaces."""
+    # Radiance and the record of the spectrometer give back the reflectance of the surfaces
     lines = 24
-    platform = pushbroom(lines, 6, altitude=12.0, frame_period=0.5)
     seconds = np.arange(lines) / lines
     variation = np.stack([1.0 - 0.3 * seconds, 1.0 + 0.2 * seconds]) if varies else None
-    trace = hp.simulation.trace(two_cars(), platform, [SUN], samples=4)
+    trace = hp.simulation.trace(
+        two_cars(), pushbroom(lines, 6, altitude=12.0, frame_period=0.5), [SUN], samples=4
+    )
     made = trace.paint.relight(atmosphere=line_light(), variation=variation)
     found = made.drop_vars("reflectance").paint.reflectance().compute()
     np.testing.assert_allclose(found.reflectance, made.reflectance, rtol=1e-3)
     assert not found.quality.values.any()
+
+
+def test_a_sun_that_was_not_traced(traced: xr.Dataset) -> None:
+    with pytest.raises(SchemaError, match="sun-not-traced"):
+        traced.paint.relight(atmosphere=flat_light(direction=(40.02, 150.0)))
+    traced.paint.relight(atmosphere=flat_light(direction=(40.009, 150.0)))
+    traced.paint.relight(atmosphere=flat_light(0.0, direction=(10.0, 0.0)))  # no sun, no direction
+    with pytest.raises(SchemaError, match="sky-not-traced"):
+        hp.simulation.trace(two_cars(), flight(), [SUN]).paint.relight(
+            atmosphere=flat_light(overcast_share=0.5)
+        )
+
+
+def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
+    nm = np.array([380.0, 1050.0])
+    with pytest.raises(SchemaError) as caught:
+        traced.paint.relight(
+            paints={
+                "car_9": "red",
+                "car_0": (nm, np.array([0.5, 1.2])),
+                "car_1": (np.array([450.0, 1050.0]), np.array([0.5, 0.5])),
+                "brick": "no such spectrum",
+                "asphalt": (nm, np.array([-0.1, np.nan])),
+            },
+            atmosphere=line_light(),
+        )
+    message = str(caught.value)
+    for found in (
+        "paints['car_9']",
+        "'car_0' ranges from 0.5 to 1.2",
+        "'car_1' covers 450.0 to 1050.0 nm",
+        "'no such spectrum'",
+        "'asphalt' is not finite",
+    ):
+        assert found in message
+    assert message.count("\n") == 5
+
+
+def test_reflectances_may_be_clipped(traced: xr.Dataset) -> None:
+    nm = np.array([380.0, 1050.0])
+    high, limited = (nm, np.array([1.3, -0.2])), (nm, np.array([1.3, -0.2]))
+    with pytest.raises(SchemaError, match="value-out-of-range"):
+        traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light())
+    made = traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light(), clip=True)
+    by_hand = lambda grid: np.interp(grid, *limited).clip(0.0, 1.0)  # noqa: E731
+    other = traced.paint.relight(FEW_BANDS, paints={"asphalt": by_hand}, atmosphere=line_light())
+    xr.testing.assert_allclose(made.radiance, other.radiance, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        ({"variation": np.ones((24, 2))}, "dims-wrong"),
+        ({"variation": -np.ones((2, 24))}, "variation.*value-out-of-range"),
+        (
+            {"bands": BandSet(np.array([500.0]), np.array(6.0), "gaussian", np.zeros(3) + 0.1)},
+            "3 columns.*length-mismatch",
+        ),
+        ({"bands": BandSet(np.array([500.0, 1091.1]), np.array(6.0))}, "atmosphere-coverage"),
+        ({"atmosphere": "midnight"}, "choice-unknown"),
+        ({"atmosphere": 3}, "atmosphere.*type-wrong"),
+        ({"spectra": [1, 2]}, "spectra.*type-wrong"),
+        ({"paints": {"car_0": "red", "nothing": "red"}}, "'nothing'"),
+    ],
+)
+def test_arguments_that_cannot_be(traced: xr.Dataset, arguments: dict[str, Any], found: str) -> None:
+    with pytest.raises(SchemaError, match=found):
+        hp.simulation.relight(traced, **{"atmosphere": flat_light(), **arguments})
+
+
+def test_light_covers_the_wings_of_the_bands(traced: xr.Dataset) -> None:
+    # One and a half widths before 1100 nm, where the light ends; a little further is refused above
+    bands = BandSet(np.array([500.0, 1090.9]), np.array(6.0))
+    assert hp.simulation.relight(traced, bands, atmosphere=flat_light()).radiance.shape[1] == 2
+
+
+def test_an_untraced_dataset() -> None:
+    with pytest.raises(SchemaError, match="metadata-missing"):
+        xr.Dataset().paint.relight()
+    with pytest.raises(SchemaError, match="transport_path"):
+        tracing().drop_vars("transport_path").paint.relight()
+
+
+def test_an_instance_of_many_materials_has_no_one_paint() -> None:
+    stripes = [Material(f"stripe {n}", "panel_20", "panel") for n in range(2)]
+    scene = plane(4.0, stripes[0], instance="chart")
+    joined = type(scene).join([scene, plane(4.0, stripes[1], centre=(4.0, 0, 0), instance="other")])
+    both = dataclasses.replace(joined, face_instance=np.zeros_like(joined.face_instance))
+    with pytest.raises(SchemaError, match="paint-target-ambiguous"):
+        hp.simulation.trace(both, flight(1, 1), [SUN]).paint.relight(
+            paints={"chart": "red"}, atmosphere=flat_light()
+        )
+    shared = dataclasses.replace(joined, face_material=np.zeros_like(joined.face_material))
+    with refusal(SchemaError, "paint-target-shared", "'other'"):
+        hp.simulation.trace(shared, flight(1, 1), [SUN]).paint.relight(
+            paints={"chart": "red"}, atmosphere=flat_light()
+        )

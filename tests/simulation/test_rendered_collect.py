@@ -1,7 +1,5 @@
 """Collects flown over a rendered car park: what their files and their truth hold."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path
@@ -16,8 +14,8 @@ from click.testing import CliRunner
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
-from hyperpaint.simulation.paint_spectra import MATERIALS
 from hyperpaint.simulation.rendered_flight import RenderedFlight
+from hyperpaint.simulation.rendering.scene_spectra import MATERIALS
 
 SMALL: dict[str, Any] = {
     "scene": "rendered",
@@ -32,7 +30,7 @@ SMALL: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small rendered collect of two cubes with dropped frames."""
+    # A small rendered collect of two cubes with dropped frames
     return simulate_collect(tmp_path_factory.mktemp("rendered"), **SMALL, cubes=2, dropped=[30, 31]).parent
 
 
@@ -43,7 +41,7 @@ def truth(collect: Path) -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def line() -> xr.Dataset:
-    """A line without noise, with the irradiance that every element saw itself, in light that stands still."""
+    # A line without noise, with the irradiance that every element saw itself, in light that stands still
     return simulate_line(**SMALL, matched=True, noise=False, quantise=False, drift_per_minute=0.0)
 
 
@@ -80,8 +78,7 @@ def test_layers_of_truth(truth: xr.Dataset) -> None:
         "glint": np.bool_, "saturated": np.bool_,
     }  # fmt: skip
     for name, dtype in expected.items():
-        assert truth[name].dims == ("along_track", "cross_track"), name
-        assert truth[name].dtype == dtype, name
+        assert (truth[name].dims, truth[name].dtype) == (("along_track", "cross_track"), dtype), name
     for name in ("purity", "shadow"):
         assert truth[name].attrs["units"] == "1"
         assert 0.0 <= float(truth[name].min()) < float(truth[name].max()) <= 1.0
@@ -98,11 +95,10 @@ def test_layers_of_truth(truth: xr.Dataset) -> None:
 
 
 def test_surfaces_are_named_as_their_spectra(truth: xr.Dataset) -> None:
-    surfaces = truth["surface"].attrs["flag_meanings"].split()
     paints = truth["paint_id"].attrs["flag_meanings"].split()
     kinds = truth["surface_class"].attrs["flag_meanings"].split()
     painted = truth["paint_id"].values >= 0
-    surface = np.array(surfaces)[truth["surface"].values]
+    surface = np.array(truth["surface"].attrs["flag_meanings"].split())[truth["surface"].values]
     assert (surface[painted] == np.array(paints)[truth["paint_id"].values[painted]]).all()
     assert (np.array(kinds)[truth["surface_class"].values[painted]] == "paint").all()
     assert (surface[~painted & (truth["surface_class"].values == kinds.index("asphalt"))] != "paint").all()
@@ -110,11 +106,9 @@ def test_surfaces_are_named_as_their_spectra(truth: xr.Dataset) -> None:
 
 
 def test_pixels_lie_where_the_navigation_file_says(collect: Path, truth: xr.Dataset) -> None:
-    """Rationale: the wobble is in the pixels, so that georeferencing can be judged by where they really are.
-
-    Expected: rays from the logged position and attitude, cut with the height of the pixel, hit it; in the
-    mean over pixels within a tenth of one, and each to what the mean of four samples spreads.
-    """
+    # Rationale: the wobble is in the pixels, so that georeferencing can be judged by where they really are
+    # Expected: rays from the logged position and attitude, cut with the height of the pixel, hit it; in the
+    # mean over pixels within a tenth of one, and each to what the mean of four samples spreads
     rows = [line.split("\t") for line in (collect / "flight" / "imu_gps.txt").read_text().splitlines()[1:]]
     log = np.array([row[:7] for row in rows], dtype=np.float64)
     frames = [
@@ -125,8 +119,7 @@ def test_pixels_lie_where_the_navigation_file_says(collect: Path, truth: xr.Data
     local = "+proj=aeqd +lat_0=43.0845 +lon_0=-77.6749 +ellps=WGS84"
     from_map = pyproj.Transformer.from_crs(truth.attrs["crs"], local, always_xy=True)
     camera = pyproj.Transformer.from_crs("EPSG:4326", local, always_xy=True).transform(lon, lat)
-    angle = 7.4e-6 / 12e-3
-    tangent = (np.arange(40) - 19.5) * angle
+    tangent = (np.arange(40) - 19.5) * (7.4e-6 / 12e-3)
     errors = []
     for n, line in enumerate(frame):
         r, p, h = np.radians([roll[n], pitch[n], yaw[n]])
@@ -161,14 +154,13 @@ def test_counts_are_what_radiance_gain_and_noise_make(collect: Path, truth: xr.D
     wanted = truth["radiance"].values[recorded] * 5e-3 / calibration["radiance_gain"].values
     usable = counts < 4095
     z = ((counts - dark - wanted) / np.sqrt(wanted / 20 + 0.25 + 1 / 12 + 0.34 / 64))[usable]
-    assert z.mean() == pytest.approx(0.0, abs=0.06)
-    assert z.std() == pytest.approx(1.0, abs=0.03)
+    assert (z.mean(), z.std()) == (pytest.approx(0.0, abs=0.06), pytest.approx(1.0, abs=0.03))
     np.testing.assert_array_equal((~usable).any(axis=1), truth["saturated"].values[recorded])
     assert usable.mean() > 0.99
 
 
 def test_closure_of_float_counts(line: xr.Dataset) -> None:
-    """Counts lead to the truth, and pi L / E with the light that each element saw is its reflectance."""
+    # Counts lead to the truth, and pi L / E with the light that each element saw is its reflectance
     radiance = (line["counts"] - line["dark_counts"]) * line["radiance_gain"] / line["exposure_time"]
     np.testing.assert_allclose(radiance, line["true_radiance"], rtol=2e-5, atol=5e-9)  # beside 110 of dark
     light = line["matched_irradiance"].values[0]
@@ -176,7 +168,7 @@ def test_closure_of_float_counts(line: xr.Dataset) -> None:
 
 
 def test_sunlit_level_ground_reflects_what_its_spectrum_says() -> None:
-    """Panels lie open in the aisle: neighbours take a few per cent of the sky, and the sun is theirs."""
+    # Panels lie open in the aisle: neighbours take a few per cent of the sky, and the sun is theirs
     line = simulate_line(**{**SMALL, "columns": 160}, noise=False, quantise=False)
     names = line["surface"].attrs["flag_meanings"].split()
     lit = (line["true_shadow"].values == 0) & (line["true_purity"].values == 1)
@@ -192,19 +184,20 @@ def test_sunlit_level_ground_reflects_what_its_spectrum_says() -> None:
 
 
 def test_shadow_is_skylight_only(line: xr.Dataset) -> None:
-    """In full shadow the light is blue: less is lost where the sky is bright."""
-    names = line["surface"].attrs["flag_meanings"].split()
-    asphalt = (line["surface"].values == names.index("asphalt")) & (line["true_purity"].values == 1)
+    # In full shadow the light is blue: less is lost where the sky is bright
+    asphalt = (line["surface"].values == line["surface"].attrs["flag_meanings"].split().index("asphalt")) & (
+        line["true_purity"].values == 1
+    )
     seen = line["true_reflectance"].transpose(..., "band").values
-    dark = seen[asphalt & (line["true_shadow"].values == 1)].mean(axis=0)
-    lit = seen[asphalt & (line["true_shadow"].values == 0)].mean(axis=0)
-    ratio = dark / lit
+    ratio = seen[asphalt & (line["true_shadow"].values == 1)].mean(axis=0) / seen[
+        asphalt & (line["true_shadow"].values == 0)
+    ].mean(axis=0)
     assert (ratio < 0.35).all()
     assert ratio[1] > 1.5 * ratio[-1]
 
 
 def test_sky_and_sun_keep_their_own_course_in_time() -> None:
-    """A cloud that takes all of the sun leaves shadows as they were but for the light that it scatters."""
+    # A cloud that takes all of the sun leaves shadows as they were but for the light that it scatters
     size = {**SMALL, "noise": False, "quantise": False, "drift_per_minute": 0.0, "coat": False}
     clear, cloudy = (simulate_line(**size, cloud=cloud) for cloud in (None, (0.6, 0.001, -1.0)))
     ratio = (cloudy["true_radiance"] / clear["true_radiance"]).transpose(..., "band").values
@@ -248,8 +241,9 @@ def test_skies(sky: str, line: xr.Dataset) -> None:
 
 
 def test_neighbours_can_be_left_out() -> None:
-    made = simulate_line(**SMALL, neighbours=False)
-    assert not {"leaf", "brick", "bark"} & set(made["surface"].attrs["flag_meanings"].split())
+    assert not {"leaf", "brick", "bark"} & set(
+        simulate_line(**SMALL, neighbours=False)["surface"].attrs["flag_meanings"].split()
+    )
 
 
 def test_more_samples_are_less_noise() -> None:
@@ -283,8 +277,7 @@ def test_a_flight_too_long_to_render_is_refused(tmp_path: Path) -> None:
 def test_memory_is_used_again_without_a_trace() -> None:
     flight = RenderedFlight(SimulationSettings(**SMALL))
     fresh = flight.lines(32, 50).radiance.copy()
-    memory = flight.lines(0, 32)
-    np.testing.assert_array_equal(flight.lines(32, 50, into=memory).radiance, fresh)
+    np.testing.assert_array_equal(flight.lines(32, 50, into=flight.lines(0, 32)).radiance, fresh)
 
 
 def test_command_line(tmp_path: Path) -> None:

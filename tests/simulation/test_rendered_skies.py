@@ -1,7 +1,5 @@
 """Directional skies in the renderer against sums over the sky: level ground, slopes, a mirror."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -18,7 +16,7 @@ from hyperpaint.light.sky_functions import (
     relative_radiance,
     zenith_radiance,
 )
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
@@ -30,7 +28,7 @@ NM = np.array([400.0, 450.0, 550.0, 850.0, 900.0])
 
 
 def dome(count: int = 400) -> np.ndarray:
-    """Return directions spread evenly over the whole sphere (direction, 3)."""
+    # Return directions spread evenly over the whole sphere (direction, 3)
     number = np.arange(2 * count * count) + 0.5
     up = 1.0 - number / (count * count)
     angle = np.pi * (1.0 + np.sqrt(5.0)) * number
@@ -42,7 +40,7 @@ DOME = dome()
 
 
 def sky_light(direction: tuple[float, float], **shares: float) -> Atmosphere:
-    """Return skylight of 1 alone, spread over directions by shares that are even over wavelengths."""
+    # Return skylight of 1 alone, spread over directions by shares that are even over wavelengths
     spread: Any = {
         name: np.full(NM.shape, value) if name != "overcast_share" else value
         for name, value in shares.items()
@@ -52,7 +50,7 @@ def sky_light(direction: tuple[float, float], **shares: float) -> Atmosphere:
 
 
 def slope(tilt: float, azimuth: float) -> tuple[Scene, np.ndarray]:
-    """Return a Lambert panel of 0.5 that leans towards an azimuth [degree], and its normal."""
+    # Return a Lambert panel of 0.5 that leans towards an azimuth [degree], and its normal
     normal = sun_vectors([(tilt, azimuth)])[0]
     aside = np.cross(normal, [0.3, 0.2, 1.0])
     aside /= np.linalg.norm(aside)
@@ -77,39 +75,39 @@ def seen(scene: Scene, light: Atmosphere, samples: int = 1024, **more: Any) -> x
 @pytest.mark.parametrize(("tilt", "turn"), [(0.0, 0.0), (35.0, 0.0), (35.0, 180.0), (60.0, 90.0)])
 @pytest.mark.parametrize("name", ["molecular", "aureole"])
 def test_a_function_on_slopes(name: str, tilt: float, turn: float, sun: tuple[float, float]) -> None:
-    """The irradiance of a panel is the sum of the function over what it sees of the sky."""
+    # The irradiance of a panel is the sum of the function over what it sees of the sky
     scene, normal = slope(tilt, sun[1] + turn)
     made = seen(scene, sky_light(sun, **{name: 1.0}))
     shape = function_shapes(sun[0])[["molecular", "aureole"].index(name)]
     above = DOME[:, 2] > 0.0
     value = np.zeros(len(DOME))
     value[above] = relative_radiance(shape, DOME[above, 2], DOME[above] @ sun_vectors([sun])[0])
-    expected = 0.5 * 4.0 * np.mean(value * np.maximum(DOME @ normal, 0.0))
     # the noise of a quarter of a million paths
-    assert float(made.radiance.mean()) * np.pi == pytest.approx(expected, rel=0.015)
+    assert float(made.radiance.mean()) * np.pi == pytest.approx(
+        0.5 * 4.0 * np.mean(value * np.maximum(DOME @ normal, 0.0)), rel=0.015
+    )
 
 
 @pytest.mark.parametrize("tilt", [0.0, 30.0, 60.0])
 def test_an_overcast_sky_on_slopes(tilt: float) -> None:
-    """CIE's sky on a slope, (1 + cos) / 2 for its uniform part, and nothing from below the horizon."""
+    # CIE's sky on a slope, (1 + cos) / 2 for its uniform part, and nothing from below the horizon
     scene, normal = slope(tilt, 100.0)
-    level = DOME[:, 2] > 0.0
-    expected = 0.5 * 4.0 * np.mean(1.5 * DOME[:, 2] * level * np.maximum(DOME @ normal, 0.0))
-    made = seen(scene, sky_light((40.0, 180.0), overcast_share=1.0), samples=4096)
-    assert float(made.radiance.mean()) * np.pi == pytest.approx(expected, rel=1e-3)
+    expected = 0.5 * 4.0 * np.mean(1.5 * DOME[:, 2] * (DOME[:, 2] > 0.0) * np.maximum(DOME @ normal, 0.0))
+    assert float(
+        seen(scene, sky_light((40.0, 180.0), overcast_share=1.0), samples=4096).radiance.mean()
+    ) * np.pi == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("sun", [(25.0, 180.0), (60.0, 90.0), (82.0, 265.0)])
 def test_a_bonnet_mirrors_the_zenith(sun: tuple[float, float]) -> None:
-    """A level black roof with a smooth coat, seen from above, under the sky alone."""
+    # A level black roof with a smooth coat, seen from above, under the sky alone
     light = Atmosphere.clear(*sun, haze=None, wavelength=np.arange(380.0, 951.0))
     light = dataclasses.replace(light, sun=0.0 * light.sun)
-    black = {"panel_50": ([300.0, 1100.0], [0.0, 0.0])}
     scene = plane(50.0, Material("roof", "panel_50", "paint", Coat(roughness=0.01)))
     trace = hp.simulation.trace(
         scene, pushbroom(8, 8, altitude=200.0, ground_sample=0.1), [light], samples=512
     )
-    made = trace.paint.relight(BANDS, atmosphere=light, paints=black)
+    made = trace.paint.relight(BANDS, atmosphere=light, paints={"panel_50": ([300.0, 1100.0], [0.0, 0.0])})
     mirrored = made.reflectance.mean(("along_track", "cross_track")).values
     np.testing.assert_allclose(mirrored, 0.04 * zenith_radiance(BANDS.wavelength, sun[0]), rtol=0.02)
 
@@ -129,8 +127,7 @@ def test_presets_have_the_sky_of_their_sun() -> None:
 
 def test_the_sky_is_written_and_read() -> None:
     light = Atmosphere.clear(50.0, wavelength=np.arange(380.0, 1000.0))
-    again = Atmosphere.from_dataset(light.to_dataset())
-    np.testing.assert_array_equal(again.molecular, light.molecular)
+    np.testing.assert_array_equal(Atmosphere.from_dataset(light.to_dataset()).molecular, light.molecular)
     old = Atmosphere.from_dataset(light.to_dataset().drop_vars(["molecular", "aureole"]))
     np.testing.assert_array_equal(old.uniform, 1.0)
     with pytest.raises(SchemaError, match="shares-too-large"):
@@ -149,7 +146,7 @@ def test_what_was_not_traced_is_said() -> None:
 
 
 def test_a_shadow_has_a_penumbra() -> None:
-    """The edge of a wall's shadow is as wide as the sun's disc throws it."""
+    # The edge of a wall's shadow is as wide as the sun's disc throws it
     from hyperpaint.simulation.rendering.scene import box
 
     wall = box((40.0, 0.2, 10.0), Material("wall", "brick", "wall"), centre=(0.0, 0.0, 0.0))

@@ -1,7 +1,5 @@
 """Rendered scenes against closed forms, from scene to reflectance; and scenes that nobody should render."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance, measured_factor
 from hyperpaint.simulation.rendering.platforms import Platform, matrices
@@ -23,10 +21,9 @@ GREY = Material("grey", "panel_20", "panel")
 
 
 def light(sun: float, sky: float, zenith: float, azimuth: float) -> Atmosphere:
-    """Return light of the same irradiance at all wavelengths, without air."""
-    wavelength = np.array([300.0, 1100.0])
+    # Return light of the same irradiance at all wavelengths, without air
     none = np.zeros(2)
-    return Atmosphere(wavelength, none + sun, none + sky, none, none, zenith, azimuth)
+    return Atmosphere(np.array([300.0, 1100.0]), none + sun, none + sky, none, none, zenith, azimuth)
 
 
 def looking(
@@ -38,7 +35,7 @@ def looking(
     ifov: float = 1e-4,
     distance: float = 10.0,
 ) -> Platform:
-    """Return a camera that stands still north of a point, and sees it from a zenith angle [degree]."""
+    # Return a camera that stands still north of a point, and sees it from a zenith angle [degree]
     angle = np.radians(zenith)
     place = np.array(at) + distance * np.array([0.0, np.sin(angle), np.cos(angle)])
     turned = matrices(0.0, -zenith, 0.0)  # nose down: the view goes back to the south
@@ -55,28 +52,25 @@ def looking(
 def seen(
     scene: Scene, platform: Platform, sky: Atmosphere, spectra: Any = None, **options: Any
 ) -> xr.Dataset:
-    """Return what four bands see of a scene."""
+    # Return what four bands see of a scene
     traced = hp.simulation.trace(scene, platform, [sky], **{"sun_radius": 0.0, **options})
     return hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=spectra).compute()
 
 
 def view_factor(distance: float, height: float, half_width: float) -> float:
-    """Return the part of the diffuse light of a level spot that goes to a wall, edge to edge with its foot.
-
-    J. R. Howell, A catalog of radiation heat transfer configuration factors, B-4, for both halves.
-    """
+    # Return the part of the diffuse light of a level spot that goes to a wall, edge to edge with its foot
+    # J. R. Howell, A catalog of radiation heat transfer configuration factors, B-4, for both halves.
     slant = np.hypot(distance, height)
-    near = np.arctan(half_width / distance)
-    far = distance / slant * np.arctan(half_width / slant)
-    return float((near - far) / np.pi)
+    return float(
+        (np.arctan(half_width / distance) - (distance / slant * np.arctan(half_width / slant))) / np.pi
+    )
 
 
 def test_a_grey_panel_beside_a_red_wall_is_reddened_as_the_view_factor_says() -> None:
     # the panel is so small that the wall does not see it
     wall = box((0.1, 4.0, 1.0), Material("wall", "brick", "wall"), centre=(0.35, 0.0, 0.0), instance="wall")
     scene = Scene.join([plane(0.03, GREY, instance="panel"), wall], "adjacency")
-    sky = light(1.0, 0.25, 50.0, 270.0)
-    line = seen(scene, looking(lines=5, columns=4), sky, samples=16_000, depth=3)
+    line = seen(scene, looking(lines=5, columns=4), light(1.0, 0.25, 50.0, 270.0), samples=16_000, depth=3)
     share = view_factor(0.30, 1.0, 2.0)
     assert share == pytest.approx(0.3529, abs=1e-4)
     level, upright = np.cos(np.radians(50.0)), np.sin(np.radians(50.0))
@@ -113,7 +107,6 @@ def test_the_glint_of_a_flat_coat_is_that_of_its_formula() -> None:
 @pytest.mark.parametrize("zenith", [0.0, 60.0])
 def test_a_furnace_takes_no_more_than_the_paint(roughness: float, zenith: float) -> None:
     # nearly white: a base that reflects everything reads 1.015 near normal, more than a spectrum may have
-    factor = float(measured_factor(1.0))
     line = seen(
         plane(500.0, Material("paint", "bright", "paint", Coat(1.5, roughness))),
         looking(zenith=zenith, lines=4, columns=4),
@@ -121,7 +114,9 @@ def test_a_furnace_takes_no_more_than_the_paint(roughness: float, zenith: float)
         {"bright": ([300.0, 1100.0], [1.0, 1.0])},
         samples=8192,
     )
-    absorbed = (1.0 - float(fresnel_reflectance(np.cos(np.radians(zenith))))) * (1.0 - factor)
+    absorbed = (1.0 - float(fresnel_reflectance(np.cos(np.radians(zenith))))) * (
+        1.0 - float(measured_factor(1.0))
+    )
     np.testing.assert_allclose(line.reflectance.mean(), 1.0 - absorbed, atol=0.005)
 
 
@@ -150,8 +145,9 @@ def test_an_open_mesh_is_seen_from_both_sides() -> None:
     corners = [[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [0.0, 9.0, 0.0]]
     sky = light(1.0, 0.3, 40.0, 200.0)
     for face in ([0, 1, 2], [0, 2, 1]):
-        line = seen(triangles(corners, [face]), looking(), sky, samples=8)
-        np.testing.assert_allclose(line.reflectance, 0.2, rtol=1e-5)
+        np.testing.assert_allclose(
+            seen(triangles(corners, [face]), looking(), sky, samples=8).reflectance, 0.2, rtol=1e-5
+        )
 
 
 def test_triangles_without_area_are_dropped_and_change_nothing() -> None:
@@ -181,8 +177,9 @@ def test_vertices_that_are_nowhere_are_refused_by_number() -> None:
 
 
 def test_in_a_scene_of_nothing_there_is_no_radiance() -> None:
-    nothing = triangles(np.zeros((0, 3)), np.zeros((0, 3), int))
-    line = seen(nothing, looking(), light(1.0, 0.3, 40.0, 200.0), samples=4)
+    line = seen(
+        triangles(np.zeros((0, 3)), np.zeros((0, 3), int)), looking(), light(1.0, 0.3, 40.0, 200.0), samples=4
+    )
     assert line.material.values.tolist() == [[-1]]
     assert np.isnan(line.radiance).all()
     assert np.isnan(line.reflectance).all()
@@ -192,12 +189,12 @@ def test_in_a_scene_of_nothing_there_is_no_radiance() -> None:
 def test_a_million_triangles_look_like_two(record_property: Any) -> None:
     side = np.linspace(-20.0, 20.0, 708)
     east, north = np.meshgrid(side, side, indexing="ij")
-    vertices = np.stack([east, north, np.zeros_like(east)], axis=-1).reshape(-1, 3)
-    first = (np.arange(707)[:, None] * 708 + np.arange(707)).reshape(-1, 1)
     corners = np.array([[0, 708, 709], [0, 709, 1]])
-    faces = (first[:, None] + corners).reshape(-1, 3)
+    faces = ((np.arange(707)[:, None] * 708 + np.arange(707)).reshape(-1, 1)[:, None] + corners).reshape(
+        -1, 3
+    )
     sky, above = light(1.0, 0.3, 40.0, 200.0), looking(lines=4, columns=64, ifov=0.02)
-    scene = triangles(vertices, faces)
+    scene = triangles(np.stack([east, north, np.zeros_like(east)], axis=-1).reshape(-1, 3), faces)
     assert len(scene.faces) > 990_000
     line = seen(scene, above, sky, samples=16)
     np.testing.assert_allclose(

@@ -1,7 +1,5 @@
 """Arguments that the modules of scenes, paints and light refuse, each by its code and words."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,10 +9,18 @@ import pytest
 from support.traced_scenes import irradiance_series
 
 from hyperpaint.base.errors import FormatError, PaintError, SchemaError, UnitsError
-from hyperpaint.simulation.rendering.appearance import coat_of_gloss, flakes_of_flop
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
-from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material, base_albedo
+from hyperpaint.simulation.rendering.materials import (
+    KINDS,
+    Coat,
+    Flakes,
+    Material,
+    base_albedo,
+    coat_of_gloss,
+    flakes_of_flop,
+)
+from hyperpaint.simulation.rendering.platforms import platform_from_poses
 from hyperpaint.simulation.rendering.scene import Scene, box, plane
 from hyperpaint.simulation.rendering.scene_spectra import generate_paint, paint_spec, spectrum_of
 
@@ -87,6 +93,7 @@ REFUSED: list[tuple[type[PaintError], str, Callable[..., Any], tuple[Any, ...], 
     (SchemaError, "name-duplicate", Scene.join, ([plane(1.0, GREY), plane(1.0, OTHER, instance="b")],), {}),
     (SchemaError, "box.*name-duplicate", Scene.join, ([box((1, 1, 1), GREY)] * 2,), {}),
     (SchemaError, "fleet='rusty'", car_park, (), {"fleet": "rusty"}),
+    (SchemaError, "time is not an array", platform_from_poses, (["a", "b"], *[[0] * 2] * 6), {"columns": 2}),
     # light
     *((SchemaError, "wavelength", of_grid, (grid,), {}) for grid in NO_GRIDS),
     *((SchemaError, "wavelength", Atmosphere.clear, (30.0,), {"wavelength": grid}) for grid in NO_GRIDS),

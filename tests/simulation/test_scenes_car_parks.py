@@ -1,14 +1,19 @@
 """Car parks: cars, their parts, the ground without overlaps, and the same cars whatever the length."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.refusals import refusal
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES, car_body
-from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS, car_park, paved, strips_across, worn
+from hyperpaint.simulation.rendering.car_parks import (
+    CAR_TYPES,
+    NEIGHBOURS,
+    car_body,
+    car_park,
+    paved,
+    strips_across,
+    worn,
+)
 from hyperpaint.simulation.rendering.materials import Coat
 from hyperpaint.simulation.rendering.scene import PARTS, Mesh, Scene
 from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, spectrum_of
@@ -17,9 +22,10 @@ BARE = {"neighbours": (), "islands": False, "leaves": 10}
 
 
 def faces_of(scene: Scene, name: str) -> np.ndarray:
-    """Return the corners of the triangles of an instance, shape (face, 3, 3)."""
-    number = [one.name for one in scene.instances].index(name)
-    return scene.vertices[scene.faces[scene.face_instance == number]]
+    # Return the corners of the triangles of an instance, shape (face, 3, 3)
+    return scene.vertices[
+        scene.faces[scene.face_instance == [one.name for one in scene.instances].index(name)]
+    ]
 
 
 def crossed(mesh: Mesh) -> np.ndarray:
@@ -79,16 +85,16 @@ def test_shading_normals_are_unit_and_on_the_side_of_their_triangles(kind: str) 
     assert (np.isclose(length, 1.0) | (length == 0.0)).all()
     flat = crossed(body)
     flat /= np.linalg.norm(flat, axis=1, keepdims=True)
-    cosine = (body.normals[body.faces] * flat[:, None]).sum(axis=2)
-    smooth = length[body.faces] > 0
-    assert cosine[smooth].min() > np.cos(np.radians(45.0))
+    assert (body.normals[body.faces] * flat[:, None]).sum(axis=2)[length[body.faces] > 0].min() > np.cos(
+        np.radians(45.0)
+    )
 
 
 def test_the_body_is_the_same_on_both_sides() -> None:
     body = car_body("sedan", np.random.default_rng(6))
-    left = {tuple(point) for point in (body.vertices * (-1, 1, 1)).round(6) + 0.0}
-    right = {tuple(point) for point in body.vertices.round(6) + 0.0}
-    assert left == right
+    assert ({tuple(point) for point in (body.vertices * (-1, 1, 1)).round(6) + 0.0}) == (
+        {tuple(point) for point in body.vertices.round(6) + 0.0}
+    )
 
 
 def test_a_longer_park_holds_the_cars_of_the_shorter() -> None:
@@ -138,8 +144,9 @@ def test_occupancy_is_the_share_of_bays_taken() -> None:
     bays = 4 * 20
     for share in (0.0, 0.5, 1.0):
         park = car_park(length=50.0, occupancy=share, types=["hatchback"], **BARE)
-        taken = sum(one.kind == "car" for one in park.instances)
-        assert taken == pytest.approx(share * bays, abs=4 * (share * (1 - share) * bays) ** 0.5)
+        assert sum(one.kind == "car" for one in park.instances) == pytest.approx(
+            share * bays, abs=4 * (share * (1 - share) * bays) ** 0.5
+        )
 
 
 def test_coat_and_flakes_are_as_asked() -> None:
@@ -158,11 +165,11 @@ def test_cars_stand_in_their_bays_and_not_in_one_another() -> None:
     boxes = []
     for one in park.instances:
         if one.kind == "car":
-            place = int(one.name.removeprefix("car_"))
             low, high = (faces_of(park, one.name).reshape(-1, 3)[:, :2] for _ in range(2))
             low, high = low.min(axis=0), high.max(axis=0)
-            north = (place // 4 + 0.5) * 2.5
-            assert abs(0.5 * (low[1] + high[1]) - north) < 0.35
+            assert (
+                abs(0.5 * (low[1] + high[1]) - ((int(one.name.removeprefix("car_")) // 4 + 0.5) * 2.5)) < 0.35
+            )
             boxes.append((low, high))
     low, high = (np.array(corner) for corner in zip(*boxes, strict=True))
     apart = (low[:, None] > high[None]).any(axis=2) | (low[None] > high[:, None]).any(axis=2)
@@ -181,7 +188,7 @@ def test_panels_lie_where_they_did_in_the_plan_view() -> None:
 
 
 def count_over(mesh: Mesh, x: float, y: float, low: float, high: float) -> int:
-    """Return how many triangles between two heights lie over a point."""
+    # Return how many triangles between two heights lie over a point
     corners = mesh.vertices[mesh.faces]
     level = (corners[..., 2] >= low).all(axis=1) & (corners[..., 2] <= high).all(axis=1)
     a, b, c = (corners[level, corner, :2] for corner in range(3))
@@ -202,16 +209,14 @@ def test_the_ground_covers_everything_once(length: float, width: float) -> None:
         (-0.5 * width - 11.9, -11.9), (0.5 * width + 11.9, length + 11.9), (400, 2)
     )
     for x, y in points:
-        lawn = count_over(ground, x, y, 0.09, 0.11)
-        assert lawn <= 1, (x, y)
+        assert count_over(ground, x, y, 0.09, 0.11) <= 1, (x, y)
         if not count_over(ground, x, y, 0.003, 0.2):  # no arrow, lawn or kerb
             assert count_over(ground, x, y, -1e-9, 1e-9) == 1, (x, y)
         assert count_over(ground, x, y, -0.06, -0.04) == 1  # the sheet beneath
 
 
 def test_what_lies_on_the_asphalt_does_not_lie_in_it() -> None:
-    layout = strips_across(60.0, 32.0, None, margin=12.0, line_width=0.12, islands=True)
-    for mesh in worn(layout, 3):
+    for mesh in worn(strips_across(60.0, 32.0, None, margin=12.0, line_width=0.12, islands=True), 3):
         assert mesh.vertices[:, 2].min() >= 0.003
 
 

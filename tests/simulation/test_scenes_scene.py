@@ -1,7 +1,5 @@
 """Scenes: what is checked when one is made, joining, moving, and the order of factors."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -51,8 +49,7 @@ def test_arrays_have_the_dtypes_of_the_contract() -> None:
         np.float64,
     )
     assert (scene.face_material.dtype, scene.face_instance.dtype) == (np.int32, np.int32)
-    assert scene.face_part.dtype == np.int8
-    assert scene.normals.shape == (3, 3)
+    assert (scene.face_part.dtype, scene.normals.shape) == (np.int8, (3, 3))
     assert not scene.normals.any()
 
 
@@ -113,24 +110,21 @@ def test_triangles_without_area_are_dropped_with_their_labels() -> None:
                 materials=(GREY, RED),
             )
         )
-    assert scene.faces.tolist() == [[0, 2, 1]]
-    assert scene.face_material.tolist() == [1]
+    assert (scene.faces.tolist(), scene.face_material.tolist()) == ([[0, 2, 1]], [1])
     assert scene.face_part.tolist() == [3]
 
 
 @given(st.floats(1e-6, 1e6), st.floats(-1e3, 1e3))
 @settings(max_examples=25)
 def test_size_does_not_decide_what_has_area(scale: float, shift: float) -> None:
-    vertices = scale * np.array(TRIANGLE) + scale * shift
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert len(Scene(**whole(vertices=vertices)).faces) == 1
+        assert len(Scene(**whole(vertices=scale * np.array(TRIANGLE) + scale * shift)).faces) == 1
 
 
 def test_no_triangles_are_a_scene() -> None:
     empty = Scene.join([])
-    assert empty.vertices.shape == (0, 3)
-    assert empty.faces.shape == (0, 3)
+    assert (empty.vertices.shape, empty.faces.shape) == ((0, 3), (0, 3))
     assert np.isnan(empty.bounds).all()
     assert empty.area.shape == (0,)
 
@@ -138,10 +132,10 @@ def test_no_triangles_are_a_scene() -> None:
 def test_joining_merges_equal_materials_and_keeps_what_each_triangle_is() -> None:
     parts = [plane(2.0, GREY), box((1, 1, 1), RED, instance="one"), box((1, 1, 1), GREY, instance="two")]
     scene = Scene.join(parts, "lot")
-    assert scene.name == "lot"
-    assert scene.materials == (GREY, RED)
-    names = [scene.instances[number].name for number in scene.face_instance]
-    assert names == ["ground"] * 2 + ["one"] * 12 + ["two"] * 12
+    assert (scene.name, scene.materials) == ("lot", (GREY, RED))
+    assert [scene.instances[number].name for number in scene.face_instance] == ["ground"] * 2 + [
+        "one"
+    ] * 12 + ["two"] * 12
     assert scene.face_material.tolist() == [0] * 2 + [1] * 12 + [0] * 12
     np.testing.assert_array_equal(
         scene.vertices[scene.faces], np.concatenate([part.vertices[part.faces] for part in parts])
@@ -167,7 +161,7 @@ def test_moving_turns_clockwise_about_the_vertical() -> None:
 
 
 def outward(scene: Scene) -> np.ndarray:
-    """Return how far the face normals point away from the middle of a convex body."""
+    # Return how far the face normals point away from the middle of a convex body
     corners = scene.vertices[scene.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return (normal * (corners.mean(axis=1) - scene.vertices.mean(axis=0))).sum(axis=1)
@@ -188,8 +182,7 @@ def test_smooth_normals_of_a_tube_are_radial_and_its_ends_stay_sharp() -> None:
     np.testing.assert_allclose(np.linalg.norm(pipe.normals, axis=1), 1.0)
     flat = np.abs(pipe.normals[:, 2]) > 0.5
     np.testing.assert_allclose(np.abs(pipe.normals[flat, 2]), 1.0)
-    radial = pipe.vertices[~flat, :2] / 0.5
-    np.testing.assert_allclose(pipe.normals[~flat, :2], radial, atol=2e-3)
+    np.testing.assert_allclose(pipe.normals[~flat, :2], pipe.vertices[~flat, :2] / 0.5, atol=2e-3)
 
 
 def test_smoothing_keeps_triangles_where_they_are() -> None:

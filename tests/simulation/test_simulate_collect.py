@@ -1,7 +1,5 @@
 """The files of a simulated collect, read back with code of the test's own, and the effect of every switch."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import struct
@@ -18,7 +16,7 @@ from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.camera import convolve_gaussian
 from hyperpaint.simulation.flight import PlanFlight
-from hyperpaint.simulation.paint_spectra import MATERIALS
+from hyperpaint.simulation.rendering.scene_spectra import MATERIALS
 
 SMALL: dict[str, Any] = {"scene": "plan", "lines": 70, "bands": 12, "columns": 10, "seed": 7}
 SECOND = np.timedelta64(1, "s")
@@ -26,13 +24,13 @@ SECOND = np.timedelta64(1, "s")
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A collect of three cubes with dropped frames and bad elements."""
+    # A collect of three cubes with dropped frames and bad elements
     folder = tmp_path_factory.mktemp("simulated")
     return simulate_collect(folder, **SMALL, cubes=3, dropped=[30, 31, 44], bad_elements=3, glint=0.05).parent
 
 
 def header(path: Path) -> tuple[dict[str, str], dict[str, str]]:
-    """Read an ENVI header that holds nothing surprising: keys, and keys of the comment lines."""
+    # Read an ENVI header that holds nothing surprising: keys, and keys of the comment lines
     text = path.read_text()
     assert text.startswith("ENVI\n")
     comments = dict(
@@ -73,8 +71,9 @@ def test_headers_say_what_headwall_says(collect: Path) -> None:
     }
     assert expected.items() <= keys.items()
     assert keys["wavelength units"] == "nm"
-    wavelength = np.array(keys["wavelength"].split(","), dtype=float)
-    np.testing.assert_allclose(wavelength, np.linspace(399.356, 1001.42, 12), atol=5e-4)
+    np.testing.assert_allclose(
+        np.array(keys["wavelength"].split(","), dtype=float), np.linspace(399.356, 1001.42, 12), atol=5e-4
+    )
     assert comments["Exposure (ms)"] == "5.0"
     assert "\n," in (collect / "flight" / "raw_0.hdr").read_text()
     settings = dict(
@@ -86,20 +85,20 @@ def test_headers_say_what_headwall_says(collect: Path) -> None:
 def test_cubes_hold_the_recorded_frames(collect: Path) -> None:
     numbers = [int(path.stem[4:]) for path in sorted((collect / "flight").glob("raw_*.hdr"))]
     assert sorted(numbers) == [0, 23, 46]
-    whole = xr.open_zarr(collect / "truth.zarr").load()
     frames = []
     for number in sorted(numbers):
         rows = table(collect / "flight" / f"frameIndex_{number}.txt")
         frames += [int(row["Frame#"]) for row in rows]
         assert len(rows) == len(cube(collect / "flight" / f"raw_{number}"))
     assert sorted(set(range(70)) - set(frames)) == [30, 31, 44]
-    np.testing.assert_array_equal(np.flatnonzero(whole["no_data"]), [30, 31, 44])
+    np.testing.assert_array_equal(
+        np.flatnonzero(xr.open_zarr(collect / "truth.zarr").load()["no_data"]), [30, 31, 44]
+    )
 
 
 def test_frame_stamps_lead_to_the_middle_of_each_exposure(collect: Path) -> None:
     rows = table(collect / "flight" / "imu_gps.txt")
-    names = "Roll Pitch Yaw Lat Lon Alt Timestamp Gps_UTC_Date&Time Status Heading"
-    assert " ".join(rows[0]) == names
+    assert " ".join(rows[0]) == "Roll Pitch Yaw Lat Lon Alt Timestamp Gps_UTC_Date&Time Status Heading"
     stamps = np.array([int(row["Timestamp"]) for row in rows])
     assert set(np.diff(stamps)) == {10_000}
     utc = np.array(
@@ -112,13 +111,12 @@ def test_frame_stamps_lead_to_the_middle_of_each_exposure(collect: Path) -> None
         for row in table(collect / "flight" / f"frameIndex_{number}.txt"):
             middle = np.datetime64(int(row["Timestamp"]) + min(offset) - 2500, "us")
             assert middle == truth["time"].values[int(row["Frame#"])]
-    roll = np.array([float(row["Roll"]) for row in rows])
-    assert 0 < np.abs(roll).max() < 1
+    assert 0 < np.abs(np.array([float(row["Roll"]) for row in rows])).max() < 1
     assert stamps[0] < int(table(collect / "flight" / "frameIndex_0.txt")[0]["Timestamp"])
 
 
 def asd(path: Path) -> dict[str, Any]:
-    """Read an ASD binary of version 7 with 726 channels, to its last byte."""
+    # Read an ASD binary of version 7 with 726 channels, to its last byte
     raw = path.read_bytes()
     n = struct.unpack_from("<H", raw, 204)[0]
     assert raw[:3] == b"as7"
@@ -152,9 +150,7 @@ def asd(path: Path) -> dict[str, Any]:
 
 def test_spectrometer_files_hold_irradiance_and_local_time(collect: Path) -> None:
     files = [asd(path) for path in sorted((collect / "asd").glob("*.asd"))]
-    assert files[0]["type"] == 4
-    assert files[0]["first"] == (350.0, 1.0)
-    assert files[0]["splice"] == (1075.0, -1.0)
+    assert (files[0]["type"], files[0]["first"], files[0]["splice"]) == (4, (350.0, 1.0), (1075.0, -1.0))
     assert set(files[0]["blocks"]) == {1, 2, 3}
     length = files[0]["integration"] * files[0]["averages"][2] / 1000
     flight = PlanFlight(SimulationSettings(**SMALL))
@@ -195,7 +191,7 @@ def test_collect_toml_names_files_that_exist(collect: Path) -> None:
 
 
 def test_truth_and_calibration_recover_each_other(collect: Path) -> None:
-    """Counts, dark, gain and truth close within the noise; dead elements have no gain."""
+    # Counts, dark, gain and truth close within the noise; dead elements have no gain
     truth = xr.open_zarr(collect / "truth.zarr").load()
     assert truth["reflectance"].dims == ("along_track", "band", "cross_track")
     assert truth["reflectance"].shape == (70, 12, 10)
@@ -207,21 +203,18 @@ def test_truth_and_calibration_recover_each_other(collect: Path) -> None:
     assert truth["time"].values[1] - truth["time"].values[0] == np.timedelta64(7, "ms")
     calibration = xr.open_zarr(collect / "calibration.zarr").load()
     gain = calibration["radiance_gain"]
-    assert gain.dtype == np.float32
-    assert gain.attrs["units"] == "W m-2 sr-1 nm-1 s count-1"
-    assert int(np.isnan(gain).sum()) == 3
-    assert calibration["wavelength_shift"].values[5] == 0.0
+    assert (gain.dtype, gain.attrs["units"]) == (np.float32, "W m-2 sr-1 nm-1 s count-1")
+    assert (int(np.isnan(gain).sum()), calibration["wavelength_shift"].values[5]) == (3, 0.0)
     assert calibration.attrs["srf_shape"] == "gaussian"
     dark = cube(collect / "dark" / "raw_0").astype(float)
     assert dark.shape == (64, 12, 10)
     assert dark.std(axis=0).mean() == pytest.approx(np.hypot(0.5, np.sqrt(1 / 12)), rel=0.1)
     recorded = ~truth["no_data"].values
     counts = np.concatenate([cube(collect / "flight" / f"raw_{n}") for n in (0, 23, 46)]).astype(float)
-    signal = counts - dark.mean(axis=0)
     wanted = truth["radiance"].values[recorded] * 5e-3 / gain.values
-    usable = (counts < 4095) & np.isfinite(wanted)
-    spread = np.sqrt(wanted / 20 + 0.25 + 1 / 12 + 0.34 / 64)
-    z = ((signal - wanted) / spread)[usable]
+    z = (((counts - dark.mean(axis=0)) - wanted) / np.sqrt(wanted / 20 + 0.25 + 1 / 12 + 0.34 / 64))[
+        (counts < 4095) & np.isfinite(wanted)
+    ]
     assert z.mean() == pytest.approx(0.0, abs=0.06)  # 8,000 samples, dark shared by a column
     assert z.std() == pytest.approx(1.0, abs=0.03)
     saturated = (counts == 4095).any(axis=1)
@@ -290,19 +283,20 @@ def test_radiance_is_the_weighted_irradiance_over_pi() -> None:
     line = simulate_line(
         lines=60, bands=30, columns=32, noise=False, quantise=False, matched=True, drift_per_minute=0.0
     )
-    panel = (line["surface"] == list(MATERIALS).index("panel_50")).values
     matched = np.broadcast_to(line["matched_irradiance"].values[0], line["true_radiance"].shape)
-    ratio = (line["true_radiance"].values * np.pi / matched).transpose(0, 2, 1)[panel]
+    ratio = (line["true_radiance"].values * np.pi / matched).transpose(0, 2, 1)[
+        (line["surface"] == list(MATERIALS).index("panel_50")).values
+    ]
     np.testing.assert_allclose(ratio, 0.5, rtol=3e-7)
     flight = PlanFlight(SimulationSettings(lines=60, bands=30, columns=32, texture=0.0))
     grid, imager = flight.grid, flight.imager
-    green = MATERIALS["green"](grid)
-    by_hand = imager.integrals((green * flight.sky.sum(axis=0))[None], grid)[0]
+    by_hand = imager.integrals((MATERIALS["green"](grid) * flight.sky.sum(axis=0))[None], grid)[0]
     by_hand /= imager.integrals(flight.sky.sum(axis=0)[None], grid)[0]
     made = flight.lines(0, 1)  # seen at t = 0, where both factors are one
     index = list(MATERIALS).index("green")
-    column = slice(index * 32, (index + 1) * 32)
-    table = flight._reflected[:, :, column].sum(axis=0) / flight.incident.sum(axis=0)
+    table = flight._reflected[:, :, slice(index * 32, (index + 1) * 32)].sum(axis=0) / flight.incident.sum(
+        axis=0
+    )
     np.testing.assert_allclose(table, by_hand, rtol=1e-12)
     assert made.counts.dtype == np.float32
 
@@ -311,13 +305,13 @@ def test_closure_of_float_counts() -> None:
     line = simulate_line(
         lines=40, bands=25, columns=9, noise=False, quantise=False, matched=True, drift_per_minute=0.5
     )
-    assert line["counts"].dtype == np.float32
-    assert line["dark_counts"].dtype == np.float32
+    assert (line["counts"].dtype, line["dark_counts"].dtype) == (np.float32, np.float32)
     radiance = (line["counts"] - line["dark_counts"]) * line["radiance_gain"] / line["exposure_time"]
     np.testing.assert_allclose(radiance, line["true_radiance"], rtol=1e-5)
     # linear in time between the samples, as the light drifts
-    at = line["matched_irradiance"].interp(irradiance_time=line["time"])
-    recovered = (np.pi * radiance / at).transpose(*line["counts"].dims)
+    recovered = (
+        np.pi * radiance / line["matched_irradiance"].interp(irradiance_time=line["time"])
+    ).transpose(*line["counts"].dims)
     np.testing.assert_allclose(recovered, line["true_reflectance"], rtol=1e-5)
 
 
@@ -344,7 +338,7 @@ OFF: dict[str, Any] = {
 
 
 def difference(name: str, **change: Any) -> float:
-    """Largest relative change of a variable when one effect is switched on."""
+    # Largest relative change of a variable when one effect is switched on
     without, with_it = simulate_line(**PLAIN, **OFF), simulate_line(**{**PLAIN, **OFF, **change})
     return float(np.nanmax(np.abs(with_it[name].values / without[name].values - 1)))
 
@@ -376,8 +370,9 @@ def test_each_effect_moves_what_it_should_and_nothing_else(
 ) -> None:
     assert difference(still, **change) == 0.0
     if moved == "matched_time":
-        with_it = simulate_line(**{**PLAIN, **OFF, **change})
-        fraction = with_it["irradiance_time"].values.astype(np.int64) % 10**9
+        fraction = (
+            simulate_line(**{**PLAIN, **OFF, **change})["irradiance_time"].values.astype(np.int64) % 10**9
+        )
         assert set(fraction) == {500_000_000 - 340_000_000}
     else:
         assert difference(moved, **change) > 1e-4

@@ -1,7 +1,5 @@
 """Products of spectra over bands: against a dense sum, and the same whoever asks first."""
 
-from __future__ import annotations
-
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -9,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from support.refusals import refusal
+from support.refusals import expect_refusals, refusal
 from support.traced_scenes import seen_by
+from support.transport_scenes import code as code_of
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.camera import Camera, nominal_responsivity
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, reflectance
+from hyperpaint.simulation.camera import BandResponses, BandSet, Camera, cell_means, nominal_responsivity
 from hyperpaint.simulation.rendering import relighting
-from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet, cell_means
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.relighting import ProductTable
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, reflectance
 from hyperpaint.simulation.settings import SimulationSettings
 from hyperpaint.simulation.transport.path_codes import (
     PathCodes,
@@ -42,7 +40,11 @@ def paints(grid: np.ndarray) -> np.ndarray:
 def some_codes(number: int = 400, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     made = [
-        CODES.code(int(rng.choice([0, 2])), rng.integers(0, len(NAMES), rng.integers(0, 5)).tolist())
+        code_of(
+            int(rng.choice([0, 2])),
+            *rng.integers(0, len(NAMES), rng.integers(0, 5)),
+            digit_bits=CODES.digit_bits,
+        )
         for _ in range(number)
     ]
     return np.unique(made)
@@ -57,7 +59,7 @@ def product(code: int, grid: np.ndarray = GRID) -> np.ndarray:
 
 
 def at_columns(table: ProductTable, codes: np.ndarray) -> np.ndarray:
-    """Return the products of paths as every column sees them, (path, band, cross_track)."""
+    # Return the products of paths as every column sees them, (path, band, cross_track)
     return table.to_columns(table.rows(codes).astype(np.float64).swapaxes(0, 1))
 
 
@@ -70,23 +72,21 @@ def at_columns(table: ProductTable, codes: np.ndarray) -> np.ndarray:
 def test_codes_say_what_went_in(factors: int, source: int, flags: Any, data: st.DataObject) -> None:
     codes = PathCodes.of(factors, 4)
     met = data.draw(st.lists(st.integers(0, factors - 1), max_size=4))
-    code = codes.code(source, met, mirror=flags[0], indirect=flags[1])
+    code = code_of(source, *met, mirror=flags[0], indirect=flags[1], digit_bits=codes.digit_bits)
     assert 0 <= code < 2**63
-    assert code == codes.code(source, met[::-1], mirror=flags[0], indirect=flags[1])
     as_array = np.array([code])
     found = codes.factors(as_array)[0]
-    assert sorted(found[found >= 0].tolist()) == sorted(met)
-    assert source_of(as_array)[0] == source
+    assert (sorted(found[found >= 0].tolist()), source_of(as_array)[0]) == (sorted(met), source)
     assert is_direct(as_array)[0] == (source >= 2)
     assert (is_mirrored(as_array)[0], is_indirect(as_array)[0]) == flags
 
 
 def test_codes_that_do_not_fit_are_refused() -> None:
     assert PathCodes.of(2**14 - 1, 4).digit_bits == 14
-    with refusal(SchemaError, "path-code-too-long", "depth=3"):
-        PathCodes.of(2**14, 4)
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        PathCodes.of(3, 0)
+    expect_refusals(
+        (SchemaError, "path-code-too-long", "depth=3", lambda: PathCodes.of(2**14, 4)),
+        (SchemaError, "value-out-of-range", lambda: PathCodes.of(3, 0)),
+    )
 
 
 @pytest.mark.parametrize(
@@ -98,13 +98,11 @@ def test_codes_that_do_not_fit_are_refused() -> None:
     ],
 )
 def test_products_are_dense_integrals(shape: str, fwhm: float, responsivity: Any) -> None:
-    """Sharp lines and steep edges; the sum itself is no better than some 1e-5."""
+    # Sharp lines and steep edges; the sum itself is no better than some 1e-5
     bands = BandSet(np.linspace(399.356, 1001.42, 272), np.array(fwhm), shape, None, responsivity)
-    table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
     codes = some_codes()[::97]
-    rows = table.rows(codes)
-    assert rows.dtype == np.float32
-    assert rows.shape == (1, codes.size, 272)
+    rows = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints).rows(codes)
+    assert (rows.dtype, rows.shape) == (np.float32, (1, codes.size, 272))
     grid = np.arange(350.0, 1050.0, 0.05 if fwhm > 3.0 else 0.01)
     for row, code in zip(rows[0], codes.tolist(), strict=True):
         np.testing.assert_allclose(row, seen_by(bands, grid, product(code, grid)), rtol=1e-4)
@@ -127,15 +125,14 @@ def test_the_slope_of_the_responsivity_counts() -> None:
 
 def test_columns_see_their_own_wavelengths() -> None:
     shift = 1.5 * np.linspace(-1.0, 1.0, 9) ** 2
-    centres = np.linspace(399.356, 1001.42, 272)
-    bands = BandSet(centres, np.array(6.0), "gaussian", shift)
-    table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
+    bands = BandSet(np.linspace(399.356, 1001.42, 272), np.array(6.0), "gaussian", shift)
     codes = some_codes()[::61]
-    seen = at_columns(table, codes)
+    seen = at_columns(ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints), codes)
     for column in (0, 1, 4, 7):
         for place, code in enumerate(codes.tolist()):
-            expected = seen_by(bands, GRID, product(code), shift[column])
-            np.testing.assert_allclose(seen[place, :, column], expected, rtol=1e-4)
+            np.testing.assert_allclose(
+                seen[place, :, column], seen_by(bands, GRID, product(code), shift[column]), rtol=1e-4
+            )
 
 
 @pytest.mark.parametrize("shift", [None, np.linspace(-0.6, 0.7, 5)], ids=["no smile", "smile"])
@@ -161,10 +158,10 @@ def test_an_imager_integrates_without_norm() -> None:
     table = ProductTable(BandSet.of(camera.imager), CODES, LIGHT.wavelength, SOURCES, paints, normalise=False)
     codes = some_codes()[::97]
     grid = np.arange(340.0, 1080.0, 0.05)
-    spectra = np.stack([np.interp(grid, GRID, product(code)) for code in codes.tolist()])
-    expected = camera.imager.integrals(spectra, grid)
-    seen = at_columns(table, codes) * camera.imager.element_factor
-    np.testing.assert_allclose(seen, expected, rtol=1e-4)
+    expected = camera.imager.integrals(
+        np.stack([np.interp(grid, GRID, product(code)) for code in codes.tolist()]), grid
+    )
+    np.testing.assert_allclose(at_columns(table, codes) * camera.imager.element_factor, expected, rtol=1e-4)
 
 
 def test_a_source_without_light_gives_nothing() -> None:
@@ -206,8 +203,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(relighting, "_MAX_CACHE_BYTES", 100 * 272 * 4)
     small = pickle.loads(pickle.dumps(table))
     for start in range(0, codes.size, 30):
-        part = codes[start : start + 30]
-        np.testing.assert_array_equal(small.rows(part), rows[:, start : start + 30])
+        np.testing.assert_array_equal(small.rows(codes[start : start + 30]), rows[:, start : start + 30])
     assert 0 < small._products.nbytes <= 100 * 272 * 4
 
 
@@ -217,7 +213,7 @@ def test_codes_of_another_scene_are_refused() -> None:
     )
     assert table.rows(np.empty(0, np.int64)).shape == (1, 0, 272)
     with pytest.raises(SchemaError, match="path-code-unknown"):
-        table.rows(np.array([table.codes.code(0, (2,))]))
+        table.rows(np.array([code_of(0, 2, digit_bits=CODES.digit_bits)]))
 
 
 def test_means_over_cells_keep_the_integral() -> None:
@@ -226,11 +222,12 @@ def test_means_over_cells_keep_the_integral() -> None:
     spectrum = rng.uniform(0.0, 2.0, 300)
     for step in (0.05, 0.7, 5.0):
         grid = np.arange(380.0, 520.0, step)
-        made = cell_means(wavelength, spectrum, grid)
         inside = np.diff(
             np.concatenate([grid - step / 2, grid[-1:] + step / 2]).clip(wavelength[0], wavelength[-1])
         )
-        assert (made * inside).sum() == pytest.approx(np.trapezoid(spectrum, wavelength), rel=1e-12)
+        assert (cell_means(wavelength, spectrum, grid) * inside).sum() == pytest.approx(
+            np.trapezoid(spectrum, wavelength), rel=1e-12
+        )
 
 
 def test_bands_that_cannot_be_are_all_named() -> None:

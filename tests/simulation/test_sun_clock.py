@@ -1,7 +1,5 @@
 """A simulated flight's clock: its sun stands where the scene is lit from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +37,7 @@ def direction(zenith: float, azimuth: float) -> np.ndarray:
 
 
 def apart(zenith: float, azimuth: float, moment: np.datetime64) -> float:
-    """Return the angle between a direction and the sun of the chain's own ephemeris [degree]."""
+    # Return the angle between a direction and the sun of the chain's own ephemeris [degree]
     seen, at = solar_position(np.array([moment]), np.array([PLACE[0]]), np.array([PLACE[1]]))
     cosine = direction(zenith, azimuth) @ direction(float(seen[0]), float(at[0]))
     return float(np.degrees(np.arccos(min(cosine, 1.0))))
@@ -59,8 +57,7 @@ def test_the_clock_has_the_sun_of_the_scene(zenith: float, azimuth: float) -> No
     ("zenith", "azimuth"), [(75.0, 170.0), (24.0, 90.0), (24.0, 5.0), (24.0, 350.0), (20.0, 300.0)]
 )
 def test_where_the_sun_never_stands_there_its_zenith_angle_is_right(zenith: float, azimuth: float) -> None:
-    moment = when_sun_stands(zenith, azimuth, *PLACE)
-    seen, at = sun_at(moment, *PLACE)
+    seen, at = sun_at(when_sun_stands(zenith, azimuth, *PLACE), *PLACE)
     assert float(seen) == pytest.approx(zenith, abs=1.0)
     # in the morning for a light from the east, in the afternoon for one from the west
     assert (float(at) > 180.0) == (azimuth > 180.0)
@@ -68,8 +65,7 @@ def test_where_the_sun_never_stands_there_its_zenith_angle_is_right(zenith: floa
 
 def test_the_usual_clock_stays_where_its_sun_is_as_good() -> None:
     assert when_sun_stands(25.0, 178.0, *PLACE) == DEFAULT_START
-    assert when_sun_stands(22.0, 178.0, *PLACE) == DEFAULT_START
-    assert SimulationSettings().start == DEFAULT_START
+    assert when_sun_stands(22.0, 178.0, *PLACE) == SimulationSettings().start == DEFAULT_START
 
 
 def test_a_sun_that_never_stands_there_is_refused_with_all_else_that_is_wrong(tmp_path: Path) -> None:
@@ -80,17 +76,17 @@ def test_a_sun_that_never_stands_there_is_refused_with_all_else_that_is_wrong(tm
     assert "sun_zenith=12" in str(caught.value.problems[1])
     assert "start_time=" in str(caught.value)
     assert not (tmp_path / "new").exists()
-    given = SimulationSettings(sun_zenith=12, start_time="2021-06-21T17:10:00")
-    assert given.start == np.datetime64("2021-06-21T17:10:00")
+    assert SimulationSettings(sun_zenith=12, start_time="2021-06-21T17:10:00").start == np.datetime64(
+        "2021-06-21T17:10:00"
+    )
 
 
 def test_an_overcast_sky_asks_for_no_time() -> None:
-    """Rationale: nothing under a closed cloud shows where its sun stands.
-
-    Expected: the sun's own time where it has one, the usual one where it has none; a given one in any case.
-    """
-    low = SimulationSettings(sky="overcast", sun_zenith=60.0)
-    assert low.start == SimulationSettings(sun_zenith=60.0).start
+    # Rationale: nothing under a closed cloud shows where its sun stands
+    # Expected: the sun's own time where it has one, the usual one where it has none; a given one in any case
+    assert (
+        SimulationSettings(sky="overcast", sun_zenith=60.0).start == SimulationSettings(sun_zenith=60.0).start
+    )
     assert SimulationSettings(sky="overcast", sun_zenith=5.0).start == DEFAULT_START
     given = SimulationSettings(sky="overcast", sun_zenith=60.0, start_time="2021-06-21T12:00:00")
     assert given.start == np.datetime64("2021-06-21T12:00:00")

@@ -1,7 +1,5 @@
 """Tracing as labelled, lazy arrays: the same bits whatever the chunks, nothing done until it is asked for."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import pickle
@@ -48,25 +46,21 @@ def test_slots_grow_with_sources_and_samples() -> None:
     assert one == TraceSettings([SUN], samples=256).slot_count / 2 == 96
     assert TraceSettings([SUN], clear=False).slot_count == one / 2
     assert TraceSettings([SUN, LOW_SUN], overcast=True).slot_count == 2 * one
-    assert TraceSettings([SUN], samples=1).slot_count == 16
-    assert TraceSettings([SUN], slots=5).slot_count == 5
+    assert (TraceSettings([SUN], samples=1).slot_count, TraceSettings([SUN], slots=5).slot_count) == (16, 5)
 
 
 def test_variables_are_those_of_the_table_before_and_after(whole: xr.Dataset, no_compute: Any) -> None:
     with no_compute():
         lazy = traced(7)
-    assert dict(lazy.sizes) == DIMS
-    assert set(lazy.data_vars) == set(tracing._LAYOUT)
+    assert (dict(lazy.sizes), set(lazy.data_vars)) == (DIMS, set(tracing._LAYOUT))
     for made in (lazy, whole):
         for name, array in made.variables.items():
             row = VARIABLES[str(name)]
-            assert array.dims == row.dims, name
-            assert array.dtype == row.dtype, name
+            assert (array.dims, array.dtype) == (row.dims, row.dtype), name
             assert array.attrs.get("units", "") == row.units, name
     for name in lazy.data_vars:
         assert lazy[name].chunks is not None, name
-        assert lazy[name].chunksizes["along_track"] == (7, 7, 7, 3)
-        assert lazy[name].shape == whole[name].shape
+        assert (lazy[name].chunksizes["along_track"], lazy[name].shape) == ((7, 7, 7, 3), whole[name].shape)
     assert set(whole.coords) == {"time", "sun_zenith", "sun_azimuth"}
 
 
@@ -84,8 +78,7 @@ def test_another_seed_another_draw(whole: xr.Dataset) -> None:
 
 
 def test_a_block_is_what_the_dataset_holds(whole: xr.Dataset) -> None:
-    settings = TraceSettings([SUN, LOW_SUN], **SETTINGS)
-    prepared = tracing.prepare_scene(two_cars(), settings)
+    prepared = tracing.prepare_scene(two_cars(), TraceSettings([SUN, LOW_SUN], **SETTINGS))
     block = tracing.trace_block(prepared, flight(), 5, 9)
     np.testing.assert_array_equal(block.weight, whole.transport_weight.values[5:9])
     np.testing.assert_array_equal(block.code, whole.transport_path.values[5:9])
@@ -132,12 +125,11 @@ def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) ->
     assert clock.perf_counter() - begin < 5.0  # a third of a second on an idle machine
     assert made.transport_weight.data.npartitions == 3125
     # the scene is in the graph once, and a task knows no lines but its own
-    values = dict(made.transport_weight.data.__dask_graph__())
-    assert sum("prepare" in str(key) for key in values) == 1
+    assert sum("prepare" in str(key) for key in dict(made.transport_weight.data.__dask_graph__())) == 1
 
 
 def test_a_car_park_is_sent_without_a_warning() -> None:
-    """Of a graph of 10 MB dask says that it is large."""
+    # Of a graph of 10 MB dask says that it is large
     made = hp.simulation.trace(car_park(), flight(), [SUN]).transport_weight.data
     assert len(pickle.dumps(dict(made.__dask_graph__()))) < 8e6
     assert made.name == hp.simulation.trace(car_park(), flight(), [SUN]).transport_weight.data.name
@@ -146,8 +138,7 @@ def test_a_car_park_is_sent_without_a_warning() -> None:
 def test_labels_say_what_is_seen(whole: xr.Dataset) -> None:
     scene = two_cars()
     record, settings = SceneRecord.from_attrs(whole.attrs)
-    assert record == SceneRecord.of(scene)
-    assert settings == TraceSettings([SUN, LOW_SUN], **SETTINGS)
+    assert (record, settings) == (SceneRecord.of(scene), TraceSettings([SUN, LOW_SUN], **SETTINGS))
     names = [instance["name"] for instance in json.loads(whole.attrs["instances"])]
     assert names == [instance.name for instance in scene.instances]
     cars = {names[number] for number in np.unique(whole.car_id) if number >= 0}
@@ -168,8 +159,7 @@ def test_the_sky_has_no_labels() -> None:
     made = hp.simulation.trace(
         plane(1.0), pushbroom(3, 9, altitude=10.0, ground_sample=1.0), [SUN], samples=2
     ).compute()
-    beside = made.instance.values[:, 0]
-    assert (beside == -1).all()
+    assert (made.instance.values[:, 0] == -1).all()
     for name in ("material", "surface_class", "paint_id", "car_id"):
         assert (made[name].values[:, 0] == -1).all(), name
     assert set(np.unique(made.transport_path.values[:, :, 0])) == {-1, 0}  # the sky itself, and empty slots

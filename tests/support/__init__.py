@@ -1,7 +1,5 @@
 """What tests share: builders of small inputs, and the programs that watch over the house."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]

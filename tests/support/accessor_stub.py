@@ -4,8 +4,6 @@
 holds the file against what this makes of the functions.
 """
 
-from __future__ import annotations
-
 import ast
 import builtins
 import importlib
@@ -66,7 +64,7 @@ class PaintArrayAccessor:
 
 
 def stub() -> str:
-    """Return the text of the stub."""
+    # Return the text of the stub
     imports = {
         "xr": "import xarray as xr",
         "Mapping": "from collections.abc import Mapping",
@@ -89,7 +87,7 @@ def stub() -> str:
 
 
 def _method(name: str, function: Any, imports: dict[str, str]) -> str:
-    """Return a method's lines, and add what its annotations need to the imports."""
+    # Return a method's lines, and add what its annotations need to the imports
     (node,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
     assert isinstance(node, ast.FunctionDef)
     arguments = node.args
@@ -127,7 +125,7 @@ def _annotations(node: ast.FunctionDef) -> list[ast.expr]:
 
 
 def _import(name: str, module_name: str, imports: dict[str, str]) -> None:
-    """Add the import that brings a name of a module's annotations."""
+    # Add the import that brings a name of a module's annotations
     if name in imports or hasattr(builtins, name):
         return
     module = importlib.import_module(module_name)
@@ -151,7 +149,7 @@ def _import(name: str, module_name: str, imports: dict[str, str]) -> None:
 
 
 def formatted(text: str) -> str:
-    """Return the text as ruff leaves it."""
+    # Return the text as ruff leaves it
     for command in (["check", "-q", "--select", "I", "--fix"], ["format", "-q"]):
         done = subprocess.run(
             [sys.executable, "-m", "ruff", *command, "--stdin-filename", str(STUB), "-"],
@@ -162,7 +160,7 @@ def formatted(text: str) -> str:
 
 
 def main() -> int:
-    """Write the stub."""
+    # Write the stub
     STUB.write_text(formatted(stub()), encoding="utf-8")
     return 0
 

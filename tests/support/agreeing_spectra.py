@@ -1,7 +1,5 @@
 """Paint libraries and spectrometer datasets of spectra that are known at any wavelength."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,12 +12,12 @@ NM = np.linspace(410.0, 990.0, 117)
 
 
 def smooth(nm: Any) -> Any:
-    """Return a reflectance that has an edge and a slope."""
+    # Return a reflectance that has an edge and a slope
     return 0.1 + 0.3 / (1.0 + np.exp(-(np.asarray(nm) - 620.0) / 15.0)) + 1e-4 * (np.asarray(nm) - 700.0)
 
 
 def seen(nm: Any, fwhm: float, spectrum: Any = smooth) -> Any:
-    """Return a spectrum as channels of a Gaussian shape see it, integrated the plain way."""
+    # Return a spectrum as channels of a Gaussian shape see it, integrated the plain way
     made = []
     for centre in np.atleast_1d(nm):
         grid = np.linspace(centre - 3.0 * fwhm, centre + 3.0 * fwhm, 2001)
@@ -31,7 +29,7 @@ def seen(nm: Any, fwhm: float, spectrum: Any = smooth) -> Any:
 def library(
     spectra: Any, names: Sequence[str] = ("hood",), nm: Any = NM, fwhm: float | None = 6.0, **more: Any
 ) -> xr.Dataset:
-    """Return a paint library."""
+    # Return a paint library
     values = np.atleast_2d(np.asarray(spectra, np.float32))
     made = xr.Dataset(
         {"reflectance": (("signature", "band"), values, {"units": "1"})},
@@ -47,7 +45,7 @@ def library(
 def field(
     spectra: Any, names: Sequence[str] = ("hood",), nm: Any = None, fwhm: float | None = 3.0, **attrs: Any
 ) -> xr.Dataset:
-    """Return spectra of a field spectrometer."""
+    # Return spectra of a field spectrometer
     nm = np.arange(380.0, 1021.0) if nm is None else np.asarray(nm, float)
     made = xr.Dataset(
         {"reflectance": (("spectrum", "wavelength"), np.atleast_2d(spectra), {"units": "1"})},
@@ -60,11 +58,11 @@ def field(
 
 
 def agreeing() -> tuple[xr.Dataset, xr.Dataset]:
-    """Return one paint as two instruments see it."""
+    # Return one paint as two instruments see it
     nm = np.arange(380.0, 1021.0)
     return library(seen(NM, 6.0)), field(seen(nm, 3.0))
 
 
 def value_of(found: hp.validation.Validation, name: str, part: str = "all", pair: int = 0) -> float:
-    """Return one statistic of one pair."""
+    # Return one statistic of one pair
     return float(found.statistics[name].isel(pair=pair).sel(part=part))

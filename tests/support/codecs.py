@@ -1,7 +1,5 @@
 """Zarr stores of other programs, in codecs that hyperpaint reads."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +8,7 @@ from zarr.codecs import BloscCodec
 
 
 def plain_zarr(dataset: xr.Dataset, path: Path | str, group: str | None = None) -> None:
-    """Write a dataset with plain xarray, compressed with blosc."""
+    # Write a dataset with plain xarray, compressed with blosc
     encoding: dict[Any, dict[str, Any]] = {
         name: {"compressors": [BloscCodec()]} for name in dataset.variables
     }

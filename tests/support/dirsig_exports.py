@@ -1,7 +1,5 @@
 """A library to export for DIRSIG, and a parser of what is written that shares nothing with the package."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ NM = np.linspace(399.356, 1001.42, BANDS)
 
 
 def strict_ems(path: Path) -> tuple[list[float], np.ndarray, np.ndarray]:
-    """Return weights, micrometres (wavelength,) and emissivity (curve, wavelength); fail on anything odd."""
+    # Return weights, micrometres (wavelength,) and emissivity (curve, wavelength); fail on anything odd
     raw = path.read_bytes()
     assert raw.endswith(b"\n")
     assert b"\r" not in raw

@@ -1,7 +1,5 @@
 """Small ENVI cubes, written by plain numpy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +25,7 @@ FROM_LBS = {"bil": (0, 1, 2), "bip": (0, 2, 1), "bsq": (1, 0, 2)}
 def write_cube(
     path: Path, cube: np.ndarray, *lines: str, interleave: str = "bil", order: str = "<", offset: int = 0
 ) -> Path:
-    """Write a (line, band, sample) cube and its header by plain numpy, and return the header's path."""
+    # Write a (line, band, sample) cube and its header by plain numpy, and return the header's path
     stored = cube.astype(cube.dtype.newbyteorder(order)).transpose(FROM_LBS[interleave])
     path.write_bytes(b"\xee" * offset + stored.tobytes())
     header = path.parent / (path.name + ".hdr")
@@ -41,7 +39,7 @@ def write_cube(
 
 
 def toy(dtype: str = "f4") -> np.ndarray:
-    """Return the cube of test_image: 1 + sample + 4 line + 20 band."""
+    # Return the cube of test_image: 1 + sample + 4 line + 20 band
     i, k, j = np.meshgrid(np.arange(5), np.arange(20), np.arange(4), indexing="ij")
     made: np.ndarray = (1 + j + 4 * i + 20 * k).astype(dtype)
     return made

@@ -6,8 +6,6 @@
 A mark is ``<!-- figures: LINES COMMAND -->``, its end ``<!-- end -->``; nothing outside of marks is changed.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import shlex
@@ -21,7 +19,7 @@ _BLOCK = re.compile(r"(<!-- figures: (\d+) (.+?) -->\n)(.*?)(<!-- end -->)", re.
 
 
 def measured(command: str, count: int) -> str:
-    """Return the last lines of what a command prints, as rows of a table or as text."""
+    # Return the last lines of what a command prints, as rows of a table or as text
     words = shlex.split(command)
     words[0] = sys.executable if words[0] == "python" else words[0]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -35,7 +33,7 @@ def measured(command: str, count: int) -> str:
 
 
 def main() -> int:
-    """Run the commands one after another, and write the page after each."""
+    # Run the commands one after another, and write the page after each
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("wanted", nargs="?", default="", help="part of a command")
     wanted = parser.parse_args().wanted

@@ -3,8 +3,6 @@
 A flat earth: metres to the east, north and up. The body looks forward, right, down.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,8 +22,7 @@ _TO_MAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 @dataclass(frozen=True)
 class Flown:
-    """Where the pixels of a line lie on the ground (line, column), and the pose of every line."""
-
+    # Where the pixels of a line lie on the ground (line, column), and the pose of every line
     east: np.ndarray
     north: np.ndarray
     up: np.ndarray
@@ -34,7 +31,7 @@ class Flown:
 
 
 def hills(east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """Return the height of smooth ground [m]."""
+    # Return the height of smooth ground [m]
     return 0.3 * np.sin((east - EAST) / 1.3) * np.cos((north - NORTH) / 0.9)
 
 
@@ -47,7 +44,7 @@ def fly(
     ground: Any = None,
     seed: int = 0,
 ) -> Flown:
-    """Return a line flown over level ground, or over that whose height ``ground(east, north)`` returns."""
+    # Return a line flown over level ground, or over that whose height ``ground(east, north)`` returns
     rng = np.random.default_rng(seed)
     time = np.arange(lines) * PERIOD
     spread = WOBBLES[wobble]
@@ -81,7 +78,7 @@ def _swings(time: np.ndarray, spread: float, rng: np.random.Generator) -> np.nda
 
 
 def located(flown: Flown, *, chunk: int | None = 32, **variables: Any) -> xr.Dataset:
-    """Return a located line: places of its pixels, line times, and more variables."""
+    # Return a located line: places of its pixels, line times, and more variables
     dims = ("along_track", "cross_track")
     start = np.datetime64("2021-07-20T17:10:00", "ns")
     lines = len(flown.east)
@@ -97,7 +94,7 @@ def located(flown: Flown, *, chunk: int | None = 32, **variables: Any) -> xr.Dat
 
 
 def nearest_by_distance(flown: Flown, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distance from places to the nearest pixel [m], and its position in the raveled line."""
+    # Return the distance from places to the nearest pixel [m], and its position in the raveled line
     from scipy.spatial import cKDTree
 
     offset = np.array([EAST, NORTH])

@@ -3,8 +3,6 @@
 Nothing of the package is used but its convention; hits are found by bisection on PROJ's own geodetic heights.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -28,7 +26,7 @@ Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
 def flown(
     lines: int = 40, columns: int = 5, *, seed: int = 0, wobble: float = 3.0, **fixed: Any
 ) -> xr.Dataset:
-    """Return a line that flies north at 1.14 m/s and wobbles, at 15.24 m unless ``fixed`` says else."""
+    # Return a line that flies north at 1.14 m/s and wobbles, at 15.24 m unless ``fixed`` says else
     rng = np.random.default_rng(seed)
     seconds = np.arange(lines) * 0.007
     wave = [np.sin(2 * np.pi * (rng.uniform(0.5, 2) * seconds + rng.uniform())) for _ in range(3)]
@@ -50,7 +48,7 @@ def flown(
 
 
 def recorded(line: xr.Dataset) -> xr.Dataset:
-    """Return the poses of a line as a navigation record."""
+    # Return the poses of a line as a navigation record
     names = ["latitude", "longitude", "altitude", "roll", "pitch", "heading"]
     record = line[names].reset_coords(drop=False).drop_vars("time", errors="ignore")
     record = record.rename_dims(along_track="navigation_time")
@@ -71,7 +69,7 @@ def exact_places(
     farthest: float = 100.0,
     crs: str = UTM,
 ) -> dict[str, np.ndarray]:
-    """Return where rays meet a surface, of directions (column, 2): tangents forward and to the right."""
+    # Return where rays meet a surface, of directions (column, 2): tangents forward and to the right
     lat, lon, alt, roll, pitch, heading = (
         line[n].values for n in ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
     )

@@ -10,8 +10,6 @@ Values, dims, dtypes and units make the checksum of a variable, the bytes that o
 that of a report or attribute, so that a rewritten sentence is told apart from a number that moved.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json
@@ -38,7 +36,7 @@ _RUN = re.compile(
 
 
 def journey(folder: Path) -> list[list[str]]:
-    """Return the commands, in their order; every later one reads what an earlier one wrote."""
+    # Return the commands, in their order; every later one reads what an earlier one wrote
     sim, lab = folder / "sim", folder / "swept"
     store, paints = folder / "lot.zarr", folder / "paints.zarr"
     regions = ["--regions", str(sim / "regions.geojson"), "--keep", "mixed_edge"]
@@ -62,7 +60,7 @@ def journey(folder: Path) -> list[list[str]]:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """Run the journey in an empty folder, and return the checksum of everything that it left or said."""
+    # Run the journey in an empty folder, and return the checksum of everything that it left or said
     sums: dict[str, str] = {}
     for command in journey(folder):
         done = subprocess.run(
@@ -91,7 +89,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def _rendered(folder: Path, example: str) -> dict[str, str]:
-    """Render the example scene small, and return the checksum of what was said."""
+    # Render the example scene small, and return the checksum of what was said
     scene = folder / "scene.toml"
     small = re.sub(r"(?m)^(lines|columns|bands)( *= *)\d+", r"\g<1>\g<2>24", example)
     scene.write_text(small, encoding="utf-8")
@@ -133,7 +131,7 @@ def _store(path: Path, folder: Path) -> dict[str, str]:
 
 
 def _settled(attrs: dict[str, object]) -> dict[str, object]:
-    """Return attributes without those that name a run or a version of the code."""
+    # Return attributes without those that name a run or a version of the code
     return {
         key: value for key, value in attrs.items() if not re.search("inputs|created|history|version", key)
     }
@@ -168,7 +166,7 @@ def _sum(raw: bytes) -> str:
 
 
 def compare(before: dict[str, str], after: dict[str, str]) -> list[str]:
-    """Return a line for every checksum that is missing, new or different."""
+    # Return a line for every checksum that is missing, new or different
     return [
         f"{name}: {before.get(name, 'absent')} -> {after.get(name, 'absent')}"
         for name in sorted({*before, *after})
@@ -177,7 +175,7 @@ def compare(before: dict[str, str], after: dict[str, str]) -> list[str]:
 
 
 def main() -> int:
-    """Record checksums in a file, or compare with those in it; 1 where any differ."""
+    # Record checksums in a file, or compare with those in it; 1 where any differ
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("action", choices=("record", "compare"))
     parser.add_argument("file", type=Path)

@@ -1,7 +1,5 @@
 """A flight in the files of a Headwall camera, written here by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ ELEMENT = ("band", "cross_track")
 def write_cube(
     folder: Path, name: str, counts: np.ndarray[Any, Any], comments: str = "", **keys: str
 ) -> Path:
-    """Write a bil cube as Headwall does: the wavelengths led by commas, the comments last."""
+    # Write a bil cube as Headwall does: the wavelengths led by commas, the comments last
     folder.mkdir(exist_ok=True)
     codes = {"uint8": 1, "int16": 2, "float32": 4, "uint16": 12}
     counts.tofile(folder / name)
@@ -69,8 +67,7 @@ def make_calibration(**changes: Any) -> xr.Dataset:
 
 
 def make_irradiance(start_s: float = -100.0, stop_s: float = 100.0, every_s: float = 2.0) -> xr.Dataset:
-    seconds = np.arange(start_s, stop_s, every_s)
-    times = T0 + (seconds * 1e9).astype("timedelta64[ns]")
+    times = T0 + (np.arange(start_s, stop_s, every_s) * 1e9).astype("timedelta64[ns]")
     wavelength = np.arange(400.0, 801.0, 100.0)
     values = np.ones((times.size, wavelength.size), np.float32)
     return xr.Dataset(

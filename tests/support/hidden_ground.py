@@ -3,8 +3,6 @@
 Nothing of the package is used. A flat earth: metres to the east, north and up.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +19,7 @@ CARS = np.array(
 
 @dataclass(frozen=True)
 class Seen:
-    """Where the rays of a line end (line, column), and on what."""
-
+    # Where the rays of a line end (line, column), and on what
     east: np.ndarray
     north: np.ndarray
     up: np.ndarray
@@ -31,7 +28,7 @@ class Seen:
 
 
 def _first_hit(origin: np.ndarray, ray: np.ndarray) -> np.ndarray:
-    """Return how far rays (..., 3) go until they meet a box or the ground, in lengths of the ray."""
+    # Return how far rays (..., 3) go until they meet a box or the ground, in lengths of the ray
     way = -origin[..., 2] / ray[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         for west, south, east, north, top in CARS:
@@ -44,7 +41,7 @@ def _first_hit(origin: np.ndarray, ray: np.ndarray) -> np.ndarray:
 
 
 def fly_over_cars() -> Seen:
-    """Return what a line to the north over the middle of the scene sees."""
+    # Return what a line to the north over the middle of the scene sees
     along = np.arange(LINES) * SPACING
     look = (np.arange(COLUMNS) - (COLUMNS - 1) / 2) * SPACING / HEIGHT
     middle = COLUMNS * SPACING / 2
@@ -57,7 +54,7 @@ def fly_over_cars() -> Seen:
 
 
 def surface(east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """Return the height of what stands at places [m]."""
+    # Return the height of what stands at places [m]
     x, y = east - EAST, north - NORTH
     height = np.zeros(np.broadcast(x, y).shape)
     for west, south, right, top, up in CARS:
@@ -66,7 +63,7 @@ def surface(east: np.ndarray, north: np.ndarray) -> np.ndarray:
 
 
 def is_hidden(east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """Return whether the camera, as it flies past places, sees something else in front of them."""
+    # Return whether the camera, as it flies past places, sees something else in front of them
     point = np.stack([east - EAST, north - NORTH, surface(east, north)], axis=-1)
     origin = np.stack(
         [np.full(east.shape, COLUMNS * SPACING / 2), point[..., 1], np.full(east.shape, HEIGHT)], axis=-1
@@ -77,7 +74,7 @@ def is_hidden(east: np.ndarray, north: np.ndarray) -> np.ndarray:
 
 
 def located(seen: Seen, **variables: Any) -> xr.Dataset:
-    """Return the line as it is when it was located on a model of the surface."""
+    # Return the line as it is when it was located on a model of the surface
     dims, crs = ("along_track", "cross_track"), {"units": "m", "crs": MAP}
     line = xr.Dataset(variables).assign_coords(
         east=(dims, seen.east, crs), north=(dims, seen.north, crs),

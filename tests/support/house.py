@@ -33,8 +33,7 @@ Names = list[str]
 
 @dataclass(frozen=True)
 class Promise:
-    """A count, and what it may be at the most; sizes are printed without a limit."""
-
+    # A count, and what it may be at the most; sizes are printed without a limit
     name: str
     limit: int | None
     members: Names
@@ -47,7 +46,7 @@ class Promise:
 
 @functools.cache
 def modules() -> dict[str, Path]:
-    """Return every module of the package by its dotted name inside it."""
+    # Return every module of the package by its dotted name inside it
     return {
         ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
         for path in sorted(PACKAGE.rglob("*.py"))
@@ -60,7 +59,7 @@ def tree_of(path: Path) -> ast.Module:
 
 
 def module_of(target: str) -> str:
-    """Return the longest part of a dotted name that is a module, without the package's name."""
+    # Return the longest part of a dotted name that is a module, without the package's name
     parts = target.split(".")[1:]
     while parts:
         path = PACKAGE.joinpath(*parts)
@@ -74,7 +73,7 @@ def module_of(target: str) -> str:
 
 @functools.cache
 def imports(name: str) -> dict[str, frozenset[str]]:
-    """Return what a module imports: ``inside`` the package, ``outside``, and inside at its ``top`` only."""
+    # Return what a module imports: ``inside`` the package, ``outside``, and inside at its ``top`` only
     here = ["hyperpaint", *name.split(".")][:-1]
     sets: dict[str, set[str]] = {"inside": set(), "outside": set(), "top": set()}
     nodes: list[tuple[ast.AST, bool]] = [(tree_of(modules()[name]), False)]
@@ -105,12 +104,12 @@ def _targets(node: ast.Import | ast.ImportFrom, here: list[str]) -> list[str]:
 
 
 def room_of(name: str) -> str:
-    """Return the room a module is in, or the module at the top of the package."""
+    # Return the room a module is in, or the module at the top of the package
     return name.split(".")[0]
 
 
 def arrows() -> dict[tuple[str, str], Names]:
-    """Return who imports whom among rooms, with the imports that make each arrow."""
+    # Return who imports whom among rooms, with the imports that make each arrow
     pairs: dict[tuple[str, str], Names] = defaultdict(list)
     for name in modules():
         for target in imports(name)["inside"]:
@@ -120,7 +119,7 @@ def arrows() -> dict[tuple[str, str], Names]:
 
 
 def circles() -> Names:
-    """Return the groups of files that import one another, lazily or not (Tarjan)."""
+    # Return the groups of files that import one another, lazily or not (Tarjan)
     edges = {
         name: {target for target in imports(name)["inside"] if not target.endswith("__init__")}
         for name in modules()
@@ -152,7 +151,7 @@ def circles() -> Names:
 
 
 def stems_used_twice() -> Names:
-    """Return file names that several rooms have; a kernel may be named as what it is the loop of."""
+    # Return file names that several rooms have; a kernel may be named as what it is the loop of
     places: dict[str, Names] = defaultdict(list)
     for name in modules():
         stem = name.rpartition(".")[2]
@@ -162,7 +161,7 @@ def stems_used_twice() -> Names:
 
 
 def long_signatures() -> Names:
-    """Return functions that take more than eight positional arguments."""
+    # Return functions that take more than eight positional arguments
     long = []
     for name, path in modules().items():
         for node in ast.walk(tree_of(path)):
@@ -174,7 +173,7 @@ def long_signatures() -> Names:
 
 
 def uncalled() -> Names:
-    """Return functions and classes that no other line of the package, and no public name, refers to."""
+    # Return functions and classes that no other line of the package, and no public name, refers to
     uses: Counter[str] = Counter()
     definitions: dict[str, Names] = defaultdict(list)
     for name, path in modules().items():
@@ -189,8 +188,7 @@ def uncalled() -> Names:
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
                 # entry points, lazy names, names of methods looked up by text; not __all__
                 uses[node.value] += 1
-        exported = _exported(tree)
-        uses.subtract(exported)
+        uses.subtract(_exported(tree))
         for owner in ast.walk(tree):
             for node in getattr(owner, "body", ()) if isinstance(owner, ast.Module | ast.ClassDef) else ():
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
@@ -208,7 +206,7 @@ def uncalled() -> Names:
 
 
 def _is_plain(node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) -> bool:
-    """Tell whether decorators leave a definition to be called by its name."""
+    # Tell whether decorators leave a definition to be called by its name
     plain = {"dataclass", "kernel", "borrowing_kernel", "property", "classmethod", "staticmethod", "cache"}
     texts = {
         re.split(r"[.(]", ast.unparse(item).replace("functools.", ""))[0] for item in node.decorator_list
@@ -224,7 +222,7 @@ def _exported(tree: ast.Module) -> Names:
 
 
 def public_names() -> set[str]:
-    """Return the names of the package's top and of the rooms that a user reaches from there."""
+    # Return the names of the package's top and of the rooms that a user reaches from there
     names = set(_exported(tree_of(PACKAGE / "__init__.py")))
     for path in PACKAGE.glob("*/__init__.py"):
         names.update(_exported(tree_of(path)))
@@ -236,7 +234,7 @@ def public_names() -> set[str]:
 
 
 def riddles() -> Names:
-    """Return every place where a variable or argument has a name that says nothing of its content."""
+    # Return every place where a variable or argument has a name that says nothing of its content
     places = []
     for name, path in modules().items():
         for node in ast.walk(tree_of(path)):
@@ -253,7 +251,7 @@ def riddles() -> Names:
 
 
 def bare_refusals() -> Names:
-    """Return messages that say "cannot be" and nothing after it; docstrings are no messages."""
+    # Return messages that say "cannot be" and nothing after it; docstrings are no messages
     bare = re.compile(r"cannot be(?! [a-z])|cannot be (had|told|so)\b")
     places = []
     for name, path in modules().items():
@@ -281,7 +279,7 @@ ERRORS = {
 
 
 def faults_without_code() -> Names:
-    """Return the calls that build an error, a problem or a warning without its code."""
+    # Return the calls that build an error, a problem or a warning without its code
     places = []
     for name, path in modules().items():
         for node in ast.walk(tree_of(path)):
@@ -297,7 +295,7 @@ def faults_without_code() -> Names:
 
 
 def top_names() -> Names:
-    """Return the names that ``hp.<Tab>`` shows, without those of rooms."""
+    # Return the names that ``hp.<Tab>`` shows, without those of rooms
     stub = PACKAGE / "__init__.pyi"
     names = public_names() if not stub.is_file() else set()
     if stub.is_file():
@@ -311,7 +309,7 @@ def top_names() -> Names:
 
 
 def promises() -> list[Promise]:
-    """Return all counts."""
+    # Return all counts
     sys.path.insert(0, str(ROOT / "tests"))
     from support.rooms import ALONE, ROOMS
 
@@ -344,7 +342,7 @@ def promises() -> list[Promise]:
 
 
 def main() -> int:
-    """Print every count beside its limit; 1 where one is over."""
+    # Print every count beside its limit; 1 where one is over
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--list", metavar="NAME", help="show what a count is made of")
     parser.add_argument("--under", metavar="PREFIX", default="", help="only members that begin with this")

@@ -3,8 +3,6 @@
 Keys come from the facts, flags from `Quality`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,7 +16,7 @@ BEGIN, END = "<!-- generated: tests/support/key_tables.py -->", "<!-- end of gen
 
 
 def key_table(facts: Facts) -> str:
-    """Return a Markdown table of keys: key, accepted values, default, meaning with unit."""
+    # Return a Markdown table of keys: key, accepted values, default, meaning with unit
     rows = ["| key | accepted | default | meaning |", "| --- | --- | --- | --- |"]
     for key, one in facts.items():
         default = "needed" if one.needed else "" if one.default is None else f"`{toml_text(one.default)}`"
@@ -28,7 +26,7 @@ def key_table(facts: Facts) -> str:
 
 
 def key_tables(schema: Mapping[str, Facts], lists: tuple[str, ...]) -> list[str]:
-    """Return a headed table of every section of a TOML file; ``lists``: sections that may be repeated."""
+    # Return a headed table of every section of a TOML file; ``lists``: sections that may be repeated
     return [
         f"### {f'[[{name}]]' if name in lists else f'[{name}]'}\n\n{key_table(facts)}"
         for name, facts in schema.items()
@@ -37,7 +35,7 @@ def key_tables(schema: Mapping[str, Facts], lists: tuple[str, ...]) -> list[str]
 
 
 def flag_table() -> str:
-    """Return a Markdown table of the flags."""
+    # Return a Markdown table of the flags
     rows = ["| bit | name | set from | condition | reflectance |", "| --- | --- | --- | --- | --- |"]
     for flag in Quality:
         name = str(flag.name).lower()
@@ -53,7 +51,7 @@ PAGES = {
 
 
 def with_tables(page: str) -> str:
-    """Return a page with its tables between the markers."""
+    # Return a page with its tables between the markers
     before, rest = (DOCS / page).read_text(encoding="utf-8").split(BEGIN)
     return "\n\n".join([before + BEGIN, *PAGES[page], END + rest.split(END)[1]])
 

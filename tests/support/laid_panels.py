@@ -1,7 +1,5 @@
 """Simulated flights over a panel with known faults: light on it by two cosines, nothing of the chain."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +14,7 @@ from hyperpaint.simulation.stores import line_dataset
 
 @dataclass(frozen=True)
 class Laid:
-    """A panel in a scene of the plan, and what is wrong with it."""
-
+    # A panel in a scene of the plan, and what is wrong with it
     lines: tuple[int, int] = (6, 26)
     columns: tuple[int, int] = (4, 24)
     seed: int = 0  # of its texture
@@ -39,14 +36,14 @@ class Laid:
 
     @property
     def pattern(self) -> np.ndarray:
-        """Brightness of its pixels (line, column), of mean 1 but for chance."""
+        # Brightness of its pixels (line, column), of mean 1 but for chance
         shape = np.ptp(self.lines), np.ptp(self.columns)
         rng = np.random.default_rng([self.seed, *shape])
         ramp = np.linspace(-0.5, 0.5, shape[1]) * self.slope
         return (1.0 + ramp) * (1.0 + self.texture * rng.standard_normal(shape))
 
     def first(self, share: float) -> np.ndarray:
-        """Return the first of its pixels line by line (line, column)."""
+        # Return the first of its pixels line by line (line, column)
         shape = self.pattern.shape
         return (np.arange(shape[0] * shape[1]) < round(share * shape[0] * shape[1])).reshape(shape)
 
@@ -82,7 +79,7 @@ class _OverPanels(PlanFlight):
 
 
 def flown_over(*laid: Laid, seed: int, lines: int = 32, saturated: float = 0.0, **effects: Any) -> xr.Dataset:
-    """Return a line over panels; of the first the share ``saturated`` of pixels is, by a lower converter."""
+    # Return a line over panels; of the first the share ``saturated`` of pixels is, by a lower converter
     usual = {"lines": lines, "columns": 28, "bands": 68, "bit_depth": 14, "electrons_per_count": 5.0}
     settings = SimulationSettings.of({**usual, "seed": seed, **effects})
     flight = _OverPanels(settings)

@@ -1,7 +1,5 @@
 """Light sensors that lean under the skies of the CIE: plain numpy, but for the spectra of beam and sky."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +16,7 @@ CIE = {"clear": (-1.0, -0.32, 10.0, -3.0, 0.45), "overcast": (4.0, -0.7, 0.0, -1
 
 
 class Leaning(NamedTuple):
-    """What a sensor read, how it stood, and what a level one would have read."""
-
+    # What a sensor read, how it stood, and what a level one would have read
     record: xr.Dataset
     attitude: xr.Dataset
     level: np.ndarray  # (sample, channel)
@@ -27,7 +24,7 @@ class Leaning(NamedTuple):
 
 
 def share_of_sky(normal: np.ndarray, sun: np.ndarray, kind: str) -> np.ndarray:
-    """Return diffuse light on planes (plane, 3) over that on level ground."""
+    # Return diffuse light on planes (plane, 3) over that on level ground
     a, b, c, d, e = CIE[kind]
     cosine, azimuth = np.meshgrid(
         (np.arange(60) + 0.5) / 60, (np.arange(120) + 0.5) / 60 * np.pi, indexing="ij"
@@ -50,7 +47,7 @@ def leaning(
     samples: int = 40,
     noise: float = 0.002,
 ) -> Leaning:
-    """Return a record of a sensor that leans at random, by up to ``most`` [degree], once a second."""
+    # Return a record of a sensor that leans at random, by up to ``most`` [degree], once a second
     rng = np.random.default_rng(seed)
     day = np.datetime64("2024-06-21T05:00", "ns") + np.arange(0, 25200, 10) * np.timedelta64(1, "s")
     start = day[np.abs(solar_position(day, LATITUDE, LONGITUDE)[0] - zenith).argmin()]

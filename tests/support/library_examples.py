@@ -1,7 +1,5 @@
 """A paint library with everything that a library may hold, and hard names."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 
@@ -12,7 +10,7 @@ NAMES = ["red, matt", "Grün", "Grün", 'a/b "x" | c {d}', ""]
 
 
 def make_library(members: int = 4, bands: int = 7, seed: int = 1) -> xr.Dataset:
-    """Return five paints with members, quantiles, times, flags; wavelengths fall once; some are NaN."""
+    # Return five paints with members, quantiles, times, flags; wavelengths fall once; some are NaN
     rng = np.random.default_rng(seed)
     paints = len(NAMES)
 
@@ -56,7 +54,7 @@ def make_library(members: int = 4, bands: int = 7, seed: int = 1) -> xr.Dataset:
 
 
 def declared_library(bands: int = 24) -> xr.Dataset:
-    """Return three paints that say all that the specification of a library asks for."""
+    # Return three paints that say all that the specification of a library asks for
     rng = np.random.default_rng(3)
     spectra = rng.uniform(0.1, 0.6, (3, bands)).astype(np.float32)
     one = {"units": "1"}

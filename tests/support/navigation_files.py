@@ -1,7 +1,5 @@
 """Navigation files written here by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ CSV_ROWS = (
 
 
 def write_sbet(path: Path, seconds: Any, **columns: Any) -> Path:
-    """Write 17 columns of float64: time, place [rad, m], velocity, attitude [rad], wander, and the rest."""
+    # Write 17 columns of float64: time, place [rad, m], velocity, attitude [rad], wander, and the rest
     records = np.zeros((len(seconds), 17), "<f8")
     records[:, 0] = seconds
     places = {"latitude": 1, "longitude": 2, "altitude": 3, "roll": 7, "pitch": 8, "heading": 9, "wander": 10}

@@ -3,8 +3,6 @@
 Nothing of the chain makes them: what it states is judged against how its means really scatter.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -25,7 +23,7 @@ _ELEMENT = ("band", "cross_track")
 
 
 def true_reflectance(nm: Any) -> Any:
-    """Return a red edge: bands at its foot and on its shoulder have other errors."""
+    # Return a red edge: bands at its foot and on its shoulder have other errors
     return 0.05 + 0.4 / (1.0 + np.exp(-(np.asarray(nm) - 545.0) / 8.0))
 
 
@@ -47,11 +45,9 @@ def noisy_collect(
     masked: int = 0,
     dark_times: int = 1,
 ) -> xr.Dataset:
-    """Return a collect whose errors are drawn anew; ``smile`` is the shift at the last column [nm].
-
-    ``darks`` frames are averaged in each of ``dark_times`` dark references, before and after the line;
-    ``masked`` columns see no light, and the pedestal of every line is another one.
-    """
+    # Return a collect whose errors are drawn anew; ``smile`` is the shift at the last column [nm]
+    # ``darks`` frames are averaged in each of ``dark_times`` dark references, before and after the line;
+    # ``masked`` columns see no light, and the pedestal of every line is another one
     u = COMMON if common else {}
     error = {name: rng.normal(0.0, size) for name, size in u.items()}
     shift = smile * (np.arange(columns) / max(columns - 1, 1)) ** 2

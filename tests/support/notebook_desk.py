@@ -1,7 +1,5 @@
 """What lies on a user's desk: a line, a store, a library and a collect, for what people do in a notebook."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +15,7 @@ LINES, BANDS, COLUMNS = 48, 20, 12
 
 
 def laid_out(folder: Path) -> SimpleNamespace:
-    """Return what lies on a user's desk: a line in memory and in a store, a library, a collect."""
+    # Return what lies on a user's desk: a line in memory and in a store, a library, a collect
     line = simulate_line(lines=LINES, bands=BANDS, columns=COLUMNS).paint.reflectance().compute()
     store = hp.to_store(line, folder / "lot.zarr", "flightlines/raw_0")
     hp.to_store(line.isel(along_track=slice(0, 32)), store, "flightlines/raw_1")

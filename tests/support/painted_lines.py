@@ -1,7 +1,5 @@
 """Lines of reflectance and of counts with regions on them, and what equal libraries are."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -29,7 +27,7 @@ SPECTRA = ("reflectance", "reflectance_sd", "reflectance_quantiles", "member_ref
 
 
 def made(lines: int = 40, bands: int = 12, columns: int = 16, seed: int = 0) -> xr.Dataset:
-    """Return a line of reflectance with outliers, missing samples and flags."""
+    # Return a line of reflectance with outliers, missing samples and flags
     rng = np.random.default_rng(seed)
     base = 0.3 + 0.1 * np.sin(np.arange(bands) / 3)
     values = base[:, None] * (1 + 0.05 * rng.standard_normal((lines, 1, columns)))
@@ -61,7 +59,7 @@ RAW = Regions((Region("a", [(0, 0), (20, 0), (20, 39), (0, 30)]), Region("b", [(
 
 
 def raw(**more: Any) -> xr.Dataset:
-    """Return a line of counts with smile, noise that is known, and errors of the gain that are."""
+    # Return a line of counts with smile, noise that is known, and errors of the gain that are
     line = simulate_line(lines=40, bands=24, columns=24, smile_nm=1.5, seed=3, **more)
     gain_u = {"radiance_gain_u_systematic": ((), np.float32(0.04), {"units": "1"})}
     return line.drop_vars([name for name in line if str(name).startswith("true_")]).assign(gain_u)

@@ -1,7 +1,5 @@
 """A mosaic by a loop over cells and lines: what `hyperpaint.geometry.mosaic` must equal bit for bit."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ NO_DATA = 1024 | 2048
 
 
 def better(rule: str, new: Any, old: Any) -> bool:
-    """Tell whether a pixel is better than another; each is zenith, quality and time."""
+    # Tell whether a pixel is better than another; each is zenith, quality and time
     (zenith, quality, time), (zenith0, quality0, time0) = new, old
     if bool(quality & NO_DATA) != bool(quality0 & NO_DATA):
         return not quality & NO_DATA
@@ -23,7 +21,7 @@ def better(rule: str, new: Any, old: Any) -> bool:
 
 
 def plain_mosaic(maps: dict[str, xr.Dataset], rule: str, names: list[str]) -> dict[str, np.ndarray]:
-    """Return the variables of computed maps with north up, and ``flightline``, over all of them."""
+    # Return the variables of computed maps with north up, and ``flightline``, over all of them
     some = next(iter(maps.values()))
     gsd = float(some.spatial_ref.attrs["GeoTransform"].split()[1])
     corners = {}

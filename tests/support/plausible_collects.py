@@ -4,8 +4,6 @@ Scenes that the simulator lacks (snow, water, dusk) come from a forward model of
 by smooth fields, times daylight, over the gain, plus the dark and noise.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable
@@ -28,14 +26,14 @@ def header_of(cube: Path) -> dict[str, str]:
 
 
 def read(cube: Path) -> Array:
-    """Return the counts of a bil cube (line, band, column)."""
+    # Return the counts of a bil cube (line, band, column)
     fields = header_of(cube)
     shape = tuple(int(fields[key]) for key in ("lines", "bands", "samples"))
     return np.fromfile(cube, "<u2").reshape(shape)
 
 
 def write(cube: Path, counts: Array, **fields: Any) -> None:
-    """Write counts, and what the header says anew."""
+    # Write counts, and what the header says anew
     np.ascontiguousarray(np.clip(np.rint(counts), 0, 65535), "<u2").tofile(cube)
     header = cube.with_name(f"{cube.name}.hdr")
     text = header.read_text()
@@ -73,7 +71,7 @@ SCENES: dict[str, tuple[tuple[str, ...], float]] = {
 
 
 def repaint(folder: Path, scene: str, rng: np.random.Generator, sharp: bool = False) -> None:
-    """Let the camera of a simulated collect fly over another scene."""
+    # Let the camera of a simulated collect fly over another scene
     names, level = SCENES[scene]
     calibration = xr.open_zarr(folder / "calibration.zarr").load()
     nm, gain = calibration["wavelength"].values, calibration["radiance_gain"].values.astype(float)
@@ -108,7 +106,7 @@ def _field(rng: np.random.Generator, lines: int, columns: int, along: bool) -> A
 
 
 def reordered(folder: Path, interleave: str) -> None:
-    """Write the cubes in another interleave, and say so."""
+    # Write the cubes in another interleave, and say so
     axes = {"bip": (0, 2, 1), "bsq": (1, 0, 2)}[interleave]
     for header in (folder / "flight").glob("raw_*.hdr"):
         cube = header.with_suffix("")
@@ -162,7 +160,7 @@ RECIPES: dict[str, Recipe] = {
 
 
 def right_collect(folder: Path, recipe: str, seed: int) -> Path:
-    """Simulate a collect of a kind that can be true, in any interleave."""
+    # Simulate a collect of a kind that can be true, in any interleave
     rng = np.random.default_rng([seed, list(RECIPES).index(recipe)])
     with np.errstate(invalid="ignore"):  # an SVC sees nothing in a low sun's band of water
         path = simulate_collect(folder, **_size(rng, **RECIPES[recipe](rng)))
@@ -195,8 +193,7 @@ def over_range(folder: Path, strength: int) -> None:
 
 def dark_zeros(folder: Path, strength: int) -> None:
     def zeros(counts: Array) -> Array:
-        part = (..., (..., slice(None, None, 2)), (slice(None, None, 2),))[strength]
-        counts[part] = 0
+        counts[(..., (..., slice(None, None, 2)), (slice(None, None, 2),))[strength]] = 0
         return counts
 
     _change(folder / "dark/raw_0", zeros)
@@ -390,8 +387,7 @@ def navigation_nan(folder: Path, strength: int) -> None:
 
 def flagged(folder: Path, strength: int) -> None:
     def clipped(counts: Array) -> Array:
-        bright = counts.shape[2] * (30, 50, 90)[strength] // 100
-        counts[:, :, :bright] = 4095
+        counts[:, :, : (counts.shape[2] * (30, 50, 90)[strength] // 100)] = 4095
         return counts
 
     _change(_cube(folder), clipped)
@@ -423,7 +419,7 @@ FAULTS: dict[str, tuple[Callable[[Path, int], None], tuple[str, ...]]] = {
 
 
 def wrong_collect(folder: Path, fault: str, strength: int, seed: int) -> Path:
-    """Simulate a collect with one fault."""
+    # Simulate a collect with one fault
     rng = np.random.default_rng([seed, list(FAULTS).index(fault), strength])
     size = {"lines": int(rng.integers(140, 220)), "bands": int(rng.integers(60, 140))}
     path = simulate_collect(

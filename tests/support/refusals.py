@@ -1,9 +1,7 @@
 """Refusals of the package, matched by their code and by the words that the test is about."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -12,11 +10,12 @@ import pytest
 from hyperpaint.base.errors import PaintError
 
 E = TypeVar("E", bound=PaintError)
+F = TypeVar("F", bound=BaseException)
 
 
 @contextmanager
 def refusal(kind: type[E], code: str, *told: str) -> Iterator[pytest.ExceptionInfo[E]]:
-    """Expect an error of one code whose message has these words, such as keys and numbers, in this order."""
+    # Expect an error of one code whose message has these words, such as keys and numbers, in this order
     with pytest.raises(kind) as caught:
         yield caught
     error = caught.value
@@ -26,7 +25,28 @@ def refusal(kind: type[E], code: str, *told: str) -> Iterator[pytest.ExceptionIn
 
 
 def expect_refusals(*rows: tuple[Any, ...]) -> None:
-    """Expect the error of every row: class, code, words of its message, and the call that raises it."""
+    # Expect the error of every row: class, code, words of its message, and the call that raises it
     for kind, code, *told, call in rows:
         with refusal(kind, code, *told):
             call()
+
+
+def expect_words(text: Any, *words: Any, without: tuple[Any, ...] = ()) -> None:
+    """Expect all of some words, or keys, in a text or container, and none of those ``without``."""
+    absent = [word for word in words if word not in text]
+    present = [word for word in without if word in text]
+    assert not absent, f"expected {absent} in: {text}"
+    assert not present, f"expected no {present} in: {text}"
+
+
+def expect_error(kind: type[F], match: str | None, call: Callable[[], Any]) -> F:
+    """Return the error of a call, of one class, whose message matches a pattern."""
+    with pytest.raises(kind, match=match) as caught:
+        call()
+    return caught.value
+
+
+def expect_errors(*rows: tuple[type[BaseException], str, Callable[[], Any]]) -> None:
+    """Expect the error of every row: class, pattern of its message, and the call that raises it."""
+    for row in rows:
+        expect_error(*row)

@@ -1,7 +1,5 @@
 """The order of the rooms: one row a room."""
 
-from __future__ import annotations
-
 #: From the ground up: a room imports rooms below it.
 ROOMS = (
     "base",

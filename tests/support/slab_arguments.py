@@ -1,7 +1,5 @@
 """Arguments of the slab kernel from a plain mapping, what plain numpy makes of them, and its rounding."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -35,7 +33,7 @@ NO_DATA = 2048
 def problem(
     dtype: Any, *, smile: int = 0, darks: int = 1, own_limit: bool = False, seed: int = 0
 ) -> dict[str, Any]:
-    """Return arguments of a slab that meets every case: saturated, bad, under the dark, without data."""
+    # Return arguments of a slab that meets every case: saturated, bad, under the dark, without data
     rng = np.random.default_rng(seed)
     lines, bands, columns = 7, 9, 13
     counts = rng.uniform(60, 4095, (lines, bands, columns)).astype(dtype)
@@ -77,7 +75,7 @@ def problem(
 
 
 def oracle(p: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Return reflectance in float64, and quality, one sample after the other."""
+    # Return reflectance in float64, and quality, one sample after the other
     shape = p["counts"].shape
     made, quality = np.full(shape, np.nan), np.zeros((shape[0], shape[2]), int)
     limit = np.broadcast_to(p["limit"], shape[1:]).astype(float)
@@ -112,7 +110,7 @@ def oracle(p: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
 def calibrate(
     p: dict[str, Any], out: SlabOutputs, cleared_bits: int = 0, terms: ErrorTerms | None = None
 ) -> None:
-    """Run the kernel as a task does."""
+    # Run the kernel as a task does
     own = len(p["dark"]) > 1
     calibration = Calibration(
         p["dark"],
@@ -134,5 +132,5 @@ def calibrate(
 
 
 def round_values(values: np.ndarray, cleared_bits: int) -> None:
-    """Round in place."""
+    # Round in place
     round_row(values.ravel(), rounding(cleared_bits))

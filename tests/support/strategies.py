@@ -4,8 +4,6 @@ Flights are plain numpy, float64, one line an equation: nothing of the package m
 attributes, so that a fault there cannot hide here.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -25,8 +23,7 @@ SHIFT = np.linspace(-1.4, 1.2, 6) ** 2
 
 @dataclass
 class Flight:
-    """A flight line and what it was made from."""
-
+    # A flight line and what it was made from
     line: xr.Dataset
     reflectance: np.ndarray  # (along_track, band, cross_track), float64
     radiance: np.ndarray
@@ -34,7 +31,7 @@ class Flight:
 
 
 def labelled(variables: dict[str, Any], attrs: dict[str, Any] | None = None) -> xr.Dataset:
-    """Return (dims, values) by name as a Dataset with the attributes of the table."""
+    # Return (dims, values) by name as a Dataset with the attributes of the table
     made = {name: xr.Variable(*value, schema.VARIABLES[name].attrs) for name, value in variables.items()}
     coords = {name: made.pop(name) for name in list(made) if schema.VARIABLES[name].coordinate}
     return xr.Dataset(made, coords, attrs or {})
@@ -55,11 +52,9 @@ def flight(
     position: bool = False,
     flat: bool = False,
 ) -> Flight:
-    """Return a flight under light that is flat over wavelength and linear in time.
-
-    Such light reaches every band unchanged, so that reflectance follows from counts without any spectral
-    matching. ``drift`` is its change [W m-2 nm-1 s-1].
-    """
+    # Return a flight under light that is flat over wavelength and linear in time
+    # Such light reaches every band unchanged, so that reflectance follows from counts without any spectral
+    # matching. ``drift`` is its change [W m-2 nm-1 s-1].
     rng = np.random.default_rng(seed)
     rho = np.full((lines, bands, columns), 0.4) if flat else rng.uniform(0.03, 0.9, (lines, bands, columns))
     seconds = 10.0 + 0.007 * np.arange(lines)
@@ -105,7 +100,7 @@ def flight(
 
 
 def stored(line: xr.Dataset, path: Any, chunk: int = 8) -> xr.Dataset:
-    """Write a flight line to a plain Zarr store, and open it as any user would: everything is lazy."""
+    # Write a flight line to a plain Zarr store, and open it as any user would: everything is lazy
     cubes = [name for name in ("counts", "radiance") if name in line]
     whole = line.chunk(dict.fromkeys(line.dims, -1))
     whole.assign({name: line[name].variable.chunk({"along_track": chunk}) for name in cubes}).to_zarr(
@@ -115,26 +110,26 @@ def stored(line: xr.Dataset, path: Any, chunk: int = 8) -> xr.Dataset:
 
 
 def values(line: xr.Dataset, **options: Any) -> np.ndarray:
-    """Return the computed reflectance of a line."""
+    # Return the computed reflectance of a line
     return reflectance(line, **options)["reflectance"].values
 
 
 def assert_same(first: xr.Dataset, second: xr.Dataset) -> None:
-    """Assert that two calibrated lines have the same bits."""
+    # Assert that two calibrated lines have the same bits
     for name in ("reflectance", "quality", "irradiance_age"):
         assert first[name].values.tobytes() == second[name].values.tobytes(), name
 
 
 @st.composite
 def chunkings(draw: st.DrawFn, size: int) -> tuple[int, ...]:
-    """Return chunk sizes that add up to ``size``."""
+    # Return chunk sizes that add up to ``size``
     cuts = draw(st.sets(st.integers(1, max(size - 1, 1)), max_size=min(size - 1, 4))) if size > 1 else set()
     edges = [0, *sorted(cuts), size]
     return tuple(b - a for a, b in pairwise(edges))
 
 
 def with_noise(line: xr.Dataset, k: float = 20.0, **known: Any) -> xr.Dataset:
-    """Return a line whose noise is known, and what else is given by name."""
+    # Return a line whose noise is known, and what else is given by name
     made = line.copy()
     made["electrons_per_count"] = ((), np.float32(k), {"units": "electron count-1"})
     units = {"wavelength_u": "nm", "dark_counts_u_systematic": "count", "dark_counts_u_random": "count"}

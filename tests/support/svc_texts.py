@@ -1,10 +1,6 @@
 """A writer of ``.sig`` files in any dialect, independent of the package's readers and simulator."""
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["GRID", "PANEL", "SURFACE", "german", "svc_text"]
 
 # three short detectors that overlap twice
 GRID = np.concatenate(
@@ -27,7 +23,7 @@ def svc_text(
     end="\r\n",
     **keys,
 ):
-    """Return a file; ``keys`` replace lines of the header: ``_`` is a blank there, None leaves one out."""
+    # Return a file; ``keys`` replace lines of the header: ``_`` is a blank there, None leaves one out
     header = {
         "name": "paint.sig",
         "instrument": "HI: 1152050 (HR-test)",
@@ -54,7 +50,7 @@ def svc_text(
 
 
 def german(text):
-    """Return a file as a PC in Germany saves it: decimal commas, also inside lists."""
+    # Return a file as a PC in Germany saves it: decimal commas, also inside lists
     lines, table = [], False
     for line in text.splitlines():
         key = line.partition("=")[0]

@@ -1,12 +1,8 @@
 """Collects of many flight lines that are processed in a tenth of a second each."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
-
-__all__ = ["tiny_collect"]
 
 _HEADER = """ENVI
 samples = 3
@@ -24,7 +20,7 @@ fwhm = { 5, 5, 5, 5 }
 
 
 def tiny_collect(folder: Path, lines: int) -> Path:
-    """Write cubes of radiance with a ``collect.toml``, as small as they can be; return that."""
+    # Write cubes of radiance with a ``collect.toml``, as small as they can be; return that
     folder.mkdir()
     text = '[collect]\nname = "lot"\n[camera]\nexposure_time_ms = 5.0\nradiance_units = "uW cm-2 sr-1 nm-1"\n'
     for number in range(lines):

@@ -1,13 +1,11 @@
 """Small scenes to trace, light that is easy to compute with, and a slow oracle of relighting."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.simulation.rendering.camera_bands import BandSet, line_shape
+from hyperpaint.simulation.camera import BandSet, line_shape
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, measured_factor
 from hyperpaint.simulation.rendering.platforms import Platform, pushbroom
@@ -21,7 +19,7 @@ FEW_BANDS = BandSet(np.array([420.0, 550.0, 687.0, 762.0, 940.0]), np.array(6.0)
 
 
 def two_cars(left: str = "red", right: str = "blue") -> Scene:
-    """Return two painted blocks on asphalt beside a brick wall: coats, flakes, shadows, neighbours."""
+    # Return two painted blocks on asphalt beside a brick wall: coats, flakes, shadows, neighbours
     paints = [
         Material(f"paint of car_{number}", name, "paint", Coat(), flakes)
         for number, name, flakes in ((0, left, None), (1, right, Flakes(0.2)))
@@ -45,26 +43,26 @@ def two_cars(left: str = "red", right: str = "blue") -> Scene:
 
 
 def flight(lines: int = 24, columns: int = 16, **more: Any) -> Platform:
-    """Return a flight whose swath holds both cars."""
+    # Return a flight whose swath holds both cars
     return pushbroom(lines, columns, altitude=12.0, ground_sample=0.45, line_spacing=0.3, **more)
 
 
 def flat_light(
     sun: float = 1.2, sky: float = 0.3, direction: tuple[float, float] = SUN, **more: Any
 ) -> Atmosphere:
-    """Return light that is the same at all wavelengths, without air."""
+    # Return light that is the same at all wavelengths, without air
     grid = np.array([300.0, 500.0, 1100.0])
     zero = np.zeros(3)
     return Atmosphere(grid, zero + sun, zero + sky, zero, zero, *direction, name="flat", **more)
 
 
 def line_light(direction: tuple[float, float] = SUN, **more: Any) -> Atmosphere:
-    """Return the simulator's sky with all its lines, without air."""
+    # Return the simulator's sky with all its lines, without air
     return Atmosphere.clear(*direction, haze=None, **more)
 
 
 def factors_of(record: SceneRecord, grid: np.ndarray) -> np.ndarray:
-    """Return all factors of a scene on a grid, by their definition."""
+    # Return all factors of a scene on a grid, by their definition
     made = []
     for factor in record.factors:
         material = record.materials[factor.material]
@@ -80,7 +78,7 @@ def factors_of(record: SceneRecord, grid: np.ndarray) -> np.ndarray:
 def radiance_by_hand(
     traced: xr.Dataset, line: int, column: int, light: Atmosphere, bands: BandSet, factors: Any = None
 ) -> np.ndarray:
-    """Return the radiance of a pixel by a sum over its paths on a grid of 0.05 nm, before any air."""
+    # Return the radiance of a pixel by a sum over its paths on a grid of 0.05 nm, before any air
     record, settings = SceneRecord.from_attrs(traced.attrs)
     grid = np.arange(350.0, 1050.0, 0.05)
     spectra = factors_of(record, grid) if factors is None else factors(grid)
@@ -112,7 +110,7 @@ def radiance_by_hand(
 
 
 def seen_by(bands: BandSet, grid: np.ndarray, spectrum: np.ndarray, shift: float = 0.0) -> np.ndarray:
-    """Return what bands see of a spectrum: a plain sum over the whole grid for each band."""
+    # Return what bands see of a spectrum: a plain sum over the whole grid for each band
     made = []
     for centre, fwhm, spacing in zip(bands.wavelength, bands.fwhm, bands.spacing, strict=True):
         response = line_shape(
@@ -128,7 +126,7 @@ SERIES_NM = np.arange(400.0, 1001.0, 5.0)
 
 
 def irradiance_series(samples: int = 3, units: str = "W m-2 nm-1") -> xr.Dataset:
-    """Return an irradiance series every 10 s, of levels 1, 2, ..."""
+    # Return an irradiance series every 10 s, of levels 1, 2, ..
     level = (1.0 + np.arange(samples))[:, None] * np.ones(SERIES_NM.size)
     times = np.datetime64("2020-06-21T17:00:00", "ns") + 10_000_000_000 * np.arange(samples)
     return xr.Dataset(

@@ -1,7 +1,5 @@
 """Small scenes and cameras for the tests of light transport, made without the package's own scenes."""
 
-from __future__ import annotations
-
 import functools
 
 import numba
@@ -18,7 +16,7 @@ QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def joined(*parts: tuple[np.ndarray, np.ndarray, int]) -> Geometry:
-    """Return geometry of (corners, faces, material) parts; the instance is the number of the part."""
+    # Return geometry of (corners, faces, material) parts; the instance is the number of the part
     vertices, faces, material, instance, count = [], [], [], [], 0
     for number, (corners, sides, label) in enumerate(parts):
         vertices.append(corners)
@@ -30,7 +28,7 @@ def joined(*parts: tuple[np.ndarray, np.ndarray, int]) -> Geometry:
 
 
 def rectangle(origin: list[float], first: list[float], second: list[float]) -> np.ndarray:
-    """Return the four corners of a rectangle."""
+    # Return the four corners of a rectangle
     o, a, b = (np.array(part, float) for part in (origin, first, second))
     return np.array([o, o + a, o + a + b, o + b])
 
@@ -40,7 +38,7 @@ def ground(half: float = 500.0, z: float = 0.0) -> np.ndarray:
 
 
 def box(x: float, y: float, half: float, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a closed box that stands on the ground."""
+    # Return a closed box that stands on the ground
     corners = np.array(
         [[x + i * half, y + j * half, k * height] for k in (0, 1) for j in (-1, 1) for i in (-1, 1)]
     )
@@ -49,7 +47,7 @@ def box(x: float, y: float, half: float, height: float) -> tuple[np.ndarray, np.
 
 
 def materials(*coats: tuple[float, float] | None, flakes: float = 0.0, flake_alpha: float = 0.35) -> Surfaces:
-    """Return surfaces: None for Lambert, else index and alpha of the coat; factors in the same order."""
+    # Return surfaces: None for Lambert, else index and alpha of the coat; factors in the same order
     return Surfaces(*(part.copy() for part in _materials(coats, flakes, flake_alpha)))
 
 
@@ -63,7 +61,7 @@ def _materials(coats: tuple[tuple[float, float] | None, ...], flakes: float, fla
 
 
 def sun(zenith: float, azimuth: float = 90.0) -> np.ndarray:
-    """Return the unit vector towards a sun [degrees, clockwise from north]."""
+    # Return the unit vector towards a sun [degrees, clockwise from north]
     z, a = np.radians([zenith, azimuth])
     return np.array([np.sin(z) * np.sin(a), np.sin(z) * np.cos(a), np.cos(z)])
 
@@ -76,7 +74,7 @@ DOWN = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # forward north, right ea
 
 
 def nadir(lines: int, columns: int, *, width: float, height: float = 20.0) -> Rays:
-    """Return a pushbroom camera that flies north above the middle of the scene, square pixels."""
+    # Return a pushbroom camera that flies north above the middle of the scene, square pixels
     pixel = width / columns
     origin = np.zeros((lines, 2, 3))
     origin[:, :, 1] = (np.arange(lines)[:, None] - lines / 2 + [0, 1]) * pixel
@@ -86,7 +84,7 @@ def nadir(lines: int, columns: int, *, width: float, height: float = 20.0) -> Ra
 
 
 def staring(point: list[float], towards_camera: np.ndarray, columns: int, distance: float = 10.0) -> Rays:
-    """Return one line of pixels that all see one point, from one direction."""
+    # Return one line of pixels that all see one point, from one direction
     down = -towards_camera
     forward = np.cross(down, [0.3, 0.5, -0.7])
     forward /= np.linalg.norm(forward)
@@ -118,12 +116,12 @@ def traced(
 def code(
     source: int, *factors: int, mirror: bool = False, indirect: bool = False, digit_bits: int = 4
 ) -> int:
-    """Return the code of a path, written as the contract words it."""
+    # Return the code of a path, written as the contract words it
     digits = sorted((factor + 1 for factor in factors), reverse=True)
     found = sum(digit << (7 + digit_bits * place) for place, digit in enumerate(digits))
     return found + source + 32 * mirror + 64 * indirect
 
 
 def weight_of(block: Block, wanted: int) -> np.ndarray:
-    """Return the weight of one code, (line, column)."""
+    # Return the weight of one code, (line, column)
     return np.where(block.code == wanted, block.weight.astype(float), 0).sum(axis=1)

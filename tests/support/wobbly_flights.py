@@ -4,8 +4,6 @@ Attitudes are sums of sines; the ground is a function of east and north, with ed
 exposure is a mean over its duration. Rotations are those of scipy, positions those of PROJ.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,8 +20,7 @@ WOBBLES = {"calm": (0.15, 0.15, 1.1), "rough": (0.42, 0.42, 3.1), "none": (0.0, 
 
 @dataclass
 class Flight:
-    """What was flown: pass it on with changes to fly something else."""
-
+    # What was flown: pass it on with changes to fly something else
     seed: int = 0
     wobble: str = "calm"
     lines: int = 1200
@@ -59,16 +56,16 @@ class Flight:
 
     @property
     def spacing(self) -> float:
-        """Tangent between columns."""
+        # Tangent between columns
         return self.gsd / self.above
 
     def attitude(self, t: np.ndarray) -> np.ndarray:
-        """Return true roll, pitch, heading (n, 3) [degree] at seconds of the navigation's clock."""
+        # Return true roll, pitch, heading (n, 3) [degree] at seconds of the navigation's clock
         made = [(w * np.sin(2 * np.pi * f * t[:, None] + p)).sum(axis=1) for f, w, p in self.turns]
         return np.stack([made[0], self.pitch + made[1], self.heading + self.crab + made[2]], axis=1)
 
     def places(self, t: np.ndarray) -> np.ndarray:
-        """Return east, north, up (n, 3) of the navigation's reference point [m]."""
+        # Return east, north, up (n, 3) of the navigation's reference point [m]
         way = (self.gsd / self.period) * t
         course = np.radians(self.heading)
         drift = 0.02 * np.sin(0.7 * t)
@@ -82,7 +79,7 @@ class Flight:
         )
 
     def topocentric(self) -> pyproj.Transformer:
-        """Return what turns longitude, latitude, height into east, north, up."""
+        # Return what turns longitude, latitude, height into east, north, up
         return pyproj.Transformer.from_pipeline(
             "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84 "
             f"+step +proj=topocentric +ellps=WGS84 +lon_0={self.longitude} +lat_0={self.latitude} "
@@ -90,7 +87,7 @@ class Flight:
         )
 
     def rays(self, t: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the projection centre (n, 3) and directions (n, column, 3), east, north, up."""
+        # Return the projection centre (n, 3) and directions (n, column, 3), east, north, up
         body = Rotation.from_euler("ZYX", self.attitude(t)[:, ::-1], degrees=True)
         whole = body * Rotation.from_euler("ZYX", self.boresight[::-1], degrees=True)
         to_map = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1.0]])
@@ -100,13 +97,13 @@ class Flight:
         return self.places(t) + body.apply(self.lever_arm) @ to_map.T, directions
 
     def hits(self, t: np.ndarray, column: np.ndarray, height: float = 0.0) -> np.ndarray:
-        """Return east and north (n, column, 2) of what is seen on level ground."""
+        # Return east and north (n, column, 2) of what is seen on level ground
         centre, d = self.rays(t, column)
         s = (height - centre[:, 2])[:, None] / d[..., 2]
         return centre[:, None, :2] + s[..., None] * d[..., :2]
 
     def ground_at(self, places: np.ndarray) -> np.ndarray:
-        """Return brightness of the ground."""
+        # Return brightness of the ground
         rng = np.random.default_rng([self.seed, 5])
         grain = self.gsd
         made = np.zeros(places.shape[:-1])
@@ -123,11 +120,11 @@ class Flight:
         return np.exp(0.25 * np.tanh(0.8 * made) + 0.4 * stripe)
 
     def seconds(self) -> np.ndarray:
-        """Return mid exposures on the navigation's clock."""
+        # Return mid exposures on the navigation's clock
         return 1.0 + self.period * np.arange(self.lines)
 
     def image(self) -> np.ndarray:
-        """Return what the camera records (line, column), 1000 counts or so."""
+        # Return what the camera records (line, column), 1000 counts or so
         rng = np.random.default_rng([self.seed, 7])
         made = np.zeros((self.lines, self.columns))
         column = np.arange(self.columns, dtype=float)
@@ -137,7 +134,7 @@ class Flight:
         return 1000.0 * gain * made * (1.0 + self.noise * rng.standard_normal(made.shape))
 
     def line(self, *, image: bool = True) -> xr.Dataset:
-        """Return the flight line; its clock is `clock_offset` behind that of the navigation."""
+        # Return the flight line; its clock is `clock_offset` behind that of the navigation
         time = START + np.round((self.seconds() - self.clock_offset) * 1e9).astype("timedelta64[ns]")
         made = xr.Dataset(coords={"time": ("along_track", time), "cross_track": np.arange(self.columns)})
         made["exposure_time"] = xr.DataArray(self.exposure, attrs={"units": "s"})
@@ -147,7 +144,7 @@ class Flight:
         return made
 
     def navigation(self) -> xr.Dataset:
-        """Return the record, in canonical form and without a word on what it means."""
+        # Return the record, in canonical form and without a word on what it means
         rng = np.random.default_rng([self.seed, 3])
         t = np.arange(0.0, 2.0 + self.period * self.lines, 1.0 / self.rate)
         lon, lat, height = self.topocentric().transform(*self.places(t).T, direction="INVERSE")

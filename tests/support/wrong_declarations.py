@@ -1,7 +1,5 @@
 """Twelve ways to misunderstand a navigation record, each as the record that is then read wrongly."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -57,7 +55,7 @@ RECORDS: dict[str, tuple[str, Callable[[xr.Dataset], xr.Dataset]]] = {
 
 
 def cases(flight: Flight) -> dict[str, tuple[str, Callable[[], Made]]]:
-    """Return the twelve: the name of what is wrong, and what makes line, record and declaration."""
+    # Return the twelve: the name of what is wrong, and what makes line, record and declaration
     line, nav = flight.line(), flight.navigation()
     made: dict[str, Any] = {
         name: (field, lambda change=change: (line, change(nav), DECLARED))
@@ -75,12 +73,12 @@ def cases(flight: Flight) -> dict[str, tuple[str, Callable[[], Made]]]:
 
 
 def right(flight: Flight) -> Made:
-    """Return a line and a record that mean what is declared."""
+    # Return a line and a record that mean what is declared
     return flight.line(), flight.navigation(), DECLARED
 
 
 def flown(seed: int, **changes: Any) -> Flight:
-    """Return one of many flights: other courses, winds, mountings, places."""
+    # Return one of many flights: other courses, winds, mountings, places
     rng = np.random.default_rng([seed, 99])
     made = Flight(
         seed=seed,

@@ -1,7 +1,5 @@
 """Judges what is said of inputs that are something else than they are taken for."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -11,22 +9,19 @@ import numpy as np
 
 from hyperpaint.base.errors import PaintError
 
-__all__ = ["NM", "Case", "objection", "remarks", "sunlight", "table"]
-
 NM = np.arange(400.0, 1001.0, 2.0)
 """Wavelengths of small spectra [nm]."""
 
 
 class Case(NamedTuple):
-    """An input that is not what it is taken for, and words that must be in what is said of it."""
-
+    # An input that is not what it is taken for, and words that must be in what is said of it
     name: str
     opened: Callable[[Path], Any]
     words: str  # regular expression
 
 
 def objection(opened: Callable[[Path], Any], folder: Path) -> str:
-    """Return how an input is refused or warned of; empty where it passes in silence."""
+    # Return how an input is refused or warned of; empty where it passes in silence
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -37,7 +32,7 @@ def objection(opened: Callable[[Path], Any], folder: Path) -> str:
 
 
 def remarks(opened: Callable[[Path], Any], folder: Path) -> list[str]:
-    """Return every warning of an input that is right; its errors are raised."""
+    # Return every warning of an input that is right; its errors are raised
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         opened(folder)
@@ -45,13 +40,13 @@ def remarks(opened: Callable[[Path], Any], folder: Path) -> list[str]:
 
 
 def sunlight(nm: Any = NM) -> Any:
-    """Return something like global irradiance [W m-2 nm-1]: a smooth sun with the oxygen band at 760 nm."""
+    # Return something like global irradiance [W m-2 nm-1]: a smooth sun with the oxygen band at 760 nm
     band = 1.0 - 0.6 * np.exp(-0.5 * ((nm - 761.0) / 2.5) ** 2)
     return 1.5 * np.exp(-(((nm - 520.0) / 420.0) ** 2)) * band
 
 
 def table(path: Path, *columns: Any, heading: str = "", separator: str = ",") -> Path:
-    """Write columns of numbers as text below a heading."""
+    # Write columns of numbers as text below a heading
     rows = (separator.join(f"{value:.7g}" for value in row) for row in zip(*columns, strict=True))
     path.write_text("\n".join([*([heading] if heading else []), *rows]) + "\n")
     return path

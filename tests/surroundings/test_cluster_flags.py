@@ -1,7 +1,5 @@
 """The same flags on a cluster of processes as on threads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.analytic_scenes import as_line, bonnet, smooth_edge, wavelengths

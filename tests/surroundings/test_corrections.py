@@ -1,7 +1,5 @@
 """Corrections that are offered, against light computed by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -28,7 +26,7 @@ def line(values: Any) -> xr.Dataset:
     return made.chunk(along_track=2)
 
 
-def test_black_paint_without_its_blue_sky_is_black() -> None:
+def test_black_paint_and_tilted_panels() -> None:
     seen = line(0.03 + 0.04 * SKY)
     assert float(seen.reflectance.max() / seen.reflectance.min()) > 1.3
     made = hp.surroundings.remove_mirrored_sky(seen, sun_zenith=35.0, sky="uniform")
@@ -37,16 +35,10 @@ def test_black_paint_without_its_blue_sky_is_black() -> None:
     assert made.reflectance.dtype == np.float32
     assert "0.04" in made.reflectance.attrs["mirrored_sky_removed"]
     assert "mirrored_sky_removed" not in seen.reflectance.attrs
-
-
-def test_a_tilted_panel_under_half_a_sky() -> None:
     light = 1.2 * (1 - SKY) + 0.6 * SKY + 0.4 * 0.2
     made = hp.surroundings.correct_light(line(0.3 * light), **PART, sun_zenith=35.0, sky="uniform")
     np.testing.assert_allclose(made.reflectance.values, 0.3, rtol=1e-5)
     assert made.reflectance.dims == ("along_track", "band", "cross_track")
-
-
-def test_the_light_of_every_pixel() -> None:
     direct = xr.DataArray(np.linspace(0.9, 1.1, 12).reshape(4, 3), dims=("along_track", "cross_track"))
     light = direct * (1 - xr.DataArray(SKY, dims="band")) + xr.DataArray(SKY, dims="band")
     seen = line(np.ones(NM.size))
@@ -55,7 +47,7 @@ def test_the_light_of_every_pixel() -> None:
     np.testing.assert_allclose(made.reflectance.values, 0.5, rtol=1e-5)
 
 
-def test_nothing_is_corrected_twice_or_out_of_range() -> None:
+def test_nothing_is_corrected_twice_or_in_another_order() -> None:
     once = hp.surroundings.remove_mirrored_sky(line(np.ones(NM.size)), sun_zenith=35.0)
     expect_refusals(
         (SchemaError, "corrected-before", lambda: hp.surroundings.remove_mirrored_sky(once, sun_zenith=35.0)),
@@ -77,6 +69,15 @@ def test_nothing_is_corrected_twice_or_out_of_range() -> None:
             ),
         ),
     )
+    seen = line(np.full(NM.size, 0.3))
+    lit = hp.surroundings.correct_light(seen, direct=0.9, sun_zenith=35.0)
+    with pytest.raises(SchemaError, match=r"0\.9.*corrected-before"):
+        hp.surroundings.remove_mirrored_sky(lit, sun_zenith=35.0)
+    both = hp.surroundings.correct_light(
+        hp.surroundings.remove_mirrored_sky(seen, sun_zenith=35.0), direct=0.9, sun_zenith=35.0
+    )
+    assert {"mirrored_sky_removed", "light_corrected"} <= set(both.reflectance.attrs)
+    assert "sun zenith 35 degree" in both.reflectance.attrs["mirrored_sky_removed"]
 
 
 def test_uncertainties_are_divided_by_the_same_light() -> None:
@@ -93,7 +94,7 @@ def test_uncertainties_are_divided_by_the_same_light() -> None:
         np.testing.assert_allclose(made[name].values, array.values / light, rtol=1e-5)
 
 
-def test_where_there_is_no_light_nothing_is_known() -> None:
+def test_light_is_of_the_pixels_of_the_line() -> None:
     # warnings are errors here
     direct = xr.DataArray(np.array([1.0, 0.0, -2.0, np.nan]), dims="along_track")
     options = {"sky_view_factor": 0.0, "sun_zenith": 35.0, "neighbour_reflectance": 0.0}
@@ -101,18 +102,14 @@ def test_where_there_is_no_light_nothing_is_known() -> None:
     made = hp.surroundings.correct_light(grey, direct=direct, **options).reflectance.values
     assert np.isfinite(made[0]).all()
     assert np.isnan(made[1:]).all()
-
-
-def test_the_sky_is_removed_before_the_light_is_corrected() -> None:
-    seen = line(np.full(NM.size, 0.3))
-    lit = hp.surroundings.correct_light(seen, direct=0.9, sun_zenith=35.0)
-    with pytest.raises(SchemaError, match=r"0\.9.*corrected-before"):
-        hp.surroundings.remove_mirrored_sky(lit, sun_zenith=35.0)
-    both = hp.surroundings.correct_light(
-        hp.surroundings.remove_mirrored_sky(seen, sun_zenith=35.0), direct=0.9, sun_zenith=35.0
-    )
-    assert {"mirrored_sky_removed", "light_corrected"} <= set(both.reflectance.attrs)
-    assert "sun zenith 35 degree" in both.reflectance.attrs["mirrored_sky_removed"]
+    numbered = line(0.3 + 0.0 * NM).assign_coords(along_track=np.arange(4))
+    direct = xr.DataArray(np.full(4, 0.9), dims="along_track", coords={"along_track": np.arange(4)})
+    crop, correct_light = numbered.isel(along_track=slice(1, 3)), hp.surroundings.correct_light
+    alike = correct_light(crop, direct=direct.isel(along_track=slice(1, 3)), sun_zenith=30.0)
+    assert alike.sizes["along_track"] == 2
+    # xarray would cut both to the lines that they have in common
+    with pytest.raises(SchemaError, match="grid-mismatch"):
+        correct_light(crop, direct=direct, sun_zenith=30.0)
 
 
 def test_a_tilted_panel_is_corrected_in_one_order_only() -> None:
@@ -166,14 +163,3 @@ def test_a_library_corrected_is_that_of_a_line_corrected() -> None:
         for library in (early, late):
             with pytest.raises(SchemaError, match="corrected-before"):
                 correct(library)
-
-
-def test_light_of_other_lines_is_refused() -> None:
-    numbered = line(0.3 + 0.0 * NM).assign_coords(along_track=np.arange(4))
-    direct = xr.DataArray(np.full(4, 0.9), dims="along_track", coords={"along_track": np.arange(4)})
-    crop, correct_light = numbered.isel(along_track=slice(1, 3)), hp.surroundings.correct_light
-    alike = correct_light(crop, direct=direct.isel(along_track=slice(1, 3)), sun_zenith=30.0)
-    assert alike.sizes["along_track"] == 2
-    # xarray would cut both to the lines that they have in common
-    with pytest.raises(SchemaError, match="grid-mismatch"):
-        correct_light(crop, direct=direct, sun_zenith=30.0)

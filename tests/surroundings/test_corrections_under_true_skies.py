@@ -1,7 +1,5 @@
 """Corrections of mirrored sky and of light against foreign skies: a Monte Carlo, and CIE's."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -32,8 +30,7 @@ def truth(nm: float, sun: float) -> SkyRadiance:
 def diffuse_share(nm: float, sun: float) -> float:
     # Return diffuse over global light of the Monte Carlo's air
     air, cosine = Air(), np.cos(np.radians(sun))
-    depth = rayleigh_depth(nm) + air.aerosol * (nm / 500.0) ** -air.angstrom
-    direct = cosine * np.exp(-depth / cosine)
+    direct = cosine * np.exp(-(rayleigh_depth(nm) + air.aerosol * (nm / 500.0) ** -air.angstrom) / cosine)
     diffuse = truth(nm, sun).diffuse
     return float(diffuse / (diffuse + direct))
 

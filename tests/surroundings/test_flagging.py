@@ -1,7 +1,5 @@
 """Lines that nobody has flagged are flagged before signatures and reports; others keep their flags."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -220,8 +218,7 @@ def test_the_report_shows_what_is_found(lot: Path, tmp_path: Path, surveys: list
     assert "were detected for this page" in page
     assert ">glint<" in page
     assert "Mirror image of the sun" in page  # the layer
-    assert len(surveys) == 1
-    assert told == sorted(told)
+    assert (len(surveys), told) == (1, sorted(told))
     assert len(told) > 2  # of the survey, too
     assert {path: path.read_bytes() for path in lot.rglob("*") if path.is_file()} == before
     plain = run("report", lot, "--out", tmp_path / "b.html", "--no-flags")
@@ -247,8 +244,7 @@ def test_the_origin_of_flags_outlives_reflectance(tmp_path: Path) -> None:
     collect = hp.simulate_collect(
         tmp_path / "raw", lines=32, bands=24, columns=16, scene="plan", truth=False, cubes=1
     )
-    store = hp.process(collect, tmp_path / "lot.zarr")
-    line = hp.open_store(store, "flightlines/raw_0")
+    line = hp.open_store(hp.process(collect, tmp_path / "lot.zarr"), "flightlines/raw_0")
     flagged = line.paint.reflectance().paint.flag().compute()
     hp.to_store(flagged, tmp_path / "flagged.zarr", "flightlines/raw_0")
     again = hp.open_store(tmp_path / "flagged.zarr", "flightlines/raw_0").paint.reflectance()

@@ -1,7 +1,5 @@
 """Flags on scenes built from geometry, never from the division that flags make."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -73,8 +71,7 @@ def test_the_image_of_the_sun_in_a_bonnet(body: Any, zenith: float) -> None:
 
 @pytest.mark.parametrize("plane", [0.1, 0.25])
 def test_a_red_wall_reddens_a_grey_plane(plane: float) -> None:
-    grey = np.full(NM.size, plane)
-    cube, added, masks = wall_beside_plane(NM, grey, RED, height=0.7, pixel=0.05)
+    cube, added, masks = wall_beside_plane(NM, np.full(NM.size, plane), RED, height=0.7, pixel=0.05)
     line = hp.surroundings.flag(as_line(cube, NM, snr=100.0, seed=102), sun_zenith=35.0).compute()
     near = masks["plane"].values & ~has(line, Quality.MIXED_EDGE) & (added > 0.015) & (added < 0.025)
     assert near.sum() > 100
@@ -135,8 +132,7 @@ def test_flags_are_lazy_and_keep_their_types(line: xr.Dataset, no_compute: Calla
         wanted = np.int32 if name == "adjacency_segment" else np.float32
         assert flagged[name].dtype == flagged[name].compute().dtype == wanted
     assert flagged.quality.dtype == flagged.quality.compute().dtype == np.uint16
-    assert flagged.glint_fraction.attrs["units"] == "1"
-    assert flagged.glint_fraction.attrs["threshold"] == 0.04
+    assert (flagged.glint_fraction.attrs["units"], flagged.glint_fraction.attrs["threshold"]) == ("1", 0.04)
 
 
 @pytest.mark.parametrize("lines", [1, 13, 32, 64, 160])
@@ -147,7 +143,7 @@ def test_the_same_flags_for_any_chunks(line: xr.Dataset, lines: int) -> None:
         np.testing.assert_array_equal(first[name].values, other[name].values)
 
 
-def test_bits_that_were_set_stay(line: xr.Dataset) -> None:
+def test_bits_that_were_set_stay_and_missing_pixels_have_none(line: xr.Dataset) -> None:
     before = xr.DataArray(np.full((160, 96), 10, np.uint16), dims=("along_track", "cross_track"))
     for given in (before, before.chunk(along_track=40)):
         flagged = hp.surroundings.flag(line.assign(quality=given), sun_zenith=30.0)
@@ -155,31 +151,24 @@ def test_bits_that_were_set_stay(line: xr.Dataset) -> None:
         assert has(flagged.compute(), Quality.GLINT).any()
         smooth = hp.radiometry.smooth(flagged, "box", 5)
         np.testing.assert_array_equal(smooth.quality.values, flagged.quality.values)
-
-
-def test_thresholds_are_the_users(line: xr.Dataset) -> None:
-    model = hp.surroundings.survey(line, sun_zenith=30.0)
-    found = [
-        has(hp.surroundings.flag(line, model, glint=limit).compute(), Quality.GLINT).sum()
-        for limit in (0.04, 1.0, 99.0)
-    ]
-    assert found[0] > found[1] > found[2] == 0
-
-
-def test_a_model_of_another_line_is_refused(line: xr.Dataset) -> None:
-    model = hp.surroundings.survey(line, sun_zenith=30.0)
-    with pytest.raises(SchemaError, match=r"(?s)160, 96.*bands-diff"):
-        hp.surroundings.flag(line.isel(along_track=slice(10), band=slice(20)), model)
-    with pytest.raises(SchemaError, match="option-conflict"):
-        hp.surroundings.flag(line, model, reach=5)
-    with pytest.raises(SchemaError, match=r"(?s)glint=-1.*shadow=nan"):
-        hp.surroundings.flag(line, model, glint=-1, shadow=float("nan"))
-
-
-def test_missing_pixels_have_no_flags(line: xr.Dataset) -> None:
     seen = line.reflectance.where(line.reflectance.cross_track != 40).astype(np.float32)
     flagged = hp.surroundings.flag(
         line.assign(reflectance=seen.assign_attrs(units="1")), sun_zenith=30.0
     ).compute()
     assert not flagged.quality.values[:, 40].any()
     assert np.isnan(flagged.glint_fraction.values[:, 40]).all()
+
+
+def test_thresholds_are_the_users_and_models_of_the_line(line: xr.Dataset) -> None:
+    model = hp.surroundings.survey(line, sun_zenith=30.0)
+    found = [
+        has(hp.surroundings.flag(line, model, glint=limit).compute(), Quality.GLINT).sum()
+        for limit in (0.04, 1.0, 99.0)
+    ]
+    assert found[0] > found[1] > found[2] == 0
+    with pytest.raises(SchemaError, match=r"(?s)160, 96.*bands-diff"):
+        hp.surroundings.flag(line.isel(along_track=slice(10), band=slice(20)), model)
+    with pytest.raises(SchemaError, match="option-conflict"):
+        hp.surroundings.flag(line, model, reach=5)
+    with pytest.raises(SchemaError, match=r"(?s)glint=-1.*shadow=nan"):
+        hp.surroundings.flag(line, model, glint=-1, shadow=float("nan"))

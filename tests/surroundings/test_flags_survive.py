@@ -1,7 +1,5 @@
 """Flags that are set once are set in everything that is made afterwards."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Where the diffuse fraction of a line is from, and what sky that is."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -73,9 +71,6 @@ def test_broken_skies_are_in_between_by_their_share() -> None:
     assert NM[3] == 540.0
     for word in ("broken", "contradictory"):
         np.testing.assert_allclose(taken(recorded(0.6, word)), expected, rtol=1e-4)
-
-
-def test_contradictory_lines_are_warned_of() -> None:
     with pytest.warns(PaintWarning, match="sky-contradictory"):
         hp.surroundings.survey(recorded(0.6, "contradictory"), sun_zenith=40.0)
 
@@ -100,11 +95,6 @@ def test_a_line_with_a_record_alone() -> None:
     assert own is not None
     np.testing.assert_array_equal(whole.fraction, own.diffuse_fraction)
     assert whole.mean().states == ("clear",)
-
-
-def test_a_sun_that_is_said_goes_before_the_clock() -> None:
-    line = simulate_line(lines=32, bands=40, columns=24)
-    own = split_of_lines(line)
     assert own is not None
     stored = line.assign(own.data_vars)
     # the light is that of 22.6 degrees; with a sun at 75 it is no sky's, and near the clock's it is kept
@@ -114,12 +104,26 @@ def test_a_sun_that_is_said_goes_before_the_clock() -> None:
 
 
 def test_words_that_are_none() -> None:
+    body = flat()
+    body["reflectance"].attrs["mirror_reflection"] = "excluded"
+    corner = hp.Region("corner", [(0, 0), (4, 0), (4, 4), (0, 4)])
     expect_refusals(
         (SchemaError, "choice-unknown", lambda: split_of(flat(), "guess", 30.0)),
         (
             SchemaError,
             "choice-unknown",
             lambda: hp.surroundings.remove_mirrored_sky(flat(), diffuse="shadow", sun_zenith=30.0),
+        ),
+        (
+            SchemaError,
+            "choice-unknown",
+            "'model', 'pvlib' or",
+            lambda: hp.extract_signatures(body, corner, coat=True, diffuse="shadow", sun_zenith=30.0),
+        ),
+        (
+            SchemaError,
+            "choice-unknown",
+            lambda: hp.surroundings.correct_coat(body, diffuse="shadow", sun_zenith=30.0),
         ),
     )
 
@@ -144,6 +148,9 @@ def test_without_a_word_the_sky_is_told_by_the_fraction() -> None:
     clear = recorded(0.3, "clear")
     with pytest.raises(SchemaError, match="sun-unknown"):
         split_of(clear, None, None).mean().mirrored()
+    line = flat().assign(diffuse_fraction=(("irradiance_time", "band"), np.full((3, NM.size), 0.3)))
+    with pytest.raises(SchemaError, match="dims-wrong"):
+        taken(line)
 
 
 def test_a_word_of_few_lines_is_none_of_the_flight() -> None:
@@ -152,12 +159,6 @@ def test_a_word_of_few_lines_is_none_of_the_flight() -> None:
         state = line.sky_state.values.copy()
         state[:count] = SKY_STATES.index("broken")
         assert split_of(line.assign(sky_state=("along_track", state)), None, 40.0).mean().states == words
-
-
-def test_a_split_of_the_records_samples_is_refused() -> None:
-    line = flat().assign(diffuse_fraction=(("irradiance_time", "band"), np.full((3, NM.size), 0.3)))
-    with pytest.raises(SchemaError, match="dims-wrong"):
-        taken(line)
 
 
 def test_a_dead_channel_of_the_record_costs_itself_alone() -> None:

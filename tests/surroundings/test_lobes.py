@@ -1,7 +1,5 @@
 """Mirror images of the sun as spots: told from flakes' broad lobe, from stains of light and from edges."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -51,18 +49,15 @@ def test_the_spot_is_glint_and_the_flakes_around_it_are_not(paint: Any, flakes: 
     assert (found & ~true).sum() <= 0.1 * found.sum()
 
 
-def test_flakes_alone_are_no_glint() -> None:
+def test_flakes_and_red_spots_are_no_glint() -> None:
     cube, _ = panel(SILVER, 0.6, 0.0)
     assert not flagged(cube).any()
-
-
-def test_a_red_spot_is_no_mirror_image_of_the_sun() -> None:
     cube, _ = panel(SILVER, 0.0, 0.0)
     cube[39:42, 51:54] += 2.0 * RED  # a lamp's glass
     assert not flagged(cube).any()
 
 
-def test_saturated_pixels_of_a_spot_are_glint() -> None:
+def test_saturated_pixels_and_models_of_before() -> None:
     cube, true = panel(SILVER, 0.3, 60.0, 1.0)
     bits = np.zeros(true.shape, np.uint16)
     saturated = cube.max(axis=2) > 2.0
@@ -78,9 +73,6 @@ def test_saturated_pixels_of_a_spot_are_glint() -> None:
     bits[:] = 0
     bits[20:60, 20:80] = int(Quality.SATURATED)
     assert not flagged(cube, quality=bits).any()
-
-
-def test_models_of_before_find_glint_wherever_it_fits() -> None:
     cube, _ = panel(RED, 0.0, 20.0)
     line = as_line(cube, NM, snr=100.0)
     model = hp.surroundings.survey(line, sun_zenith=ZENITH)

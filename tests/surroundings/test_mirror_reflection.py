@@ -1,7 +1,5 @@
 """The attribute that says whether reflectance holds what a clear coat mirrors, from pixel to simulator."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -38,16 +36,10 @@ def test_signatures_say_it(line: xr.Dataset, regions: hp.Regions, tmp_path: Path
     assert made.attrs["mirror_reflection"] == "excluded"
     with pytest.raises(SchemaError, match="coat-counted-twice"):
         hp.write_dirsig(seen, tmp_path / "twice", specular=0.02)
-
-
-def test_one_line_that_holds_it_decides(line: xr.Dataset) -> None:
     lines = {"a": line, "b": hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0, diffuse="model")}
     corners = [(0, 0), (0, 31), (0.4, 31), (0.4, 0)]
     both = hp.Regions(tuple(hp.Region(f"grass {name}", corners, flightline=name) for name in lines))
     assert told(hp.extract_signatures(lines, both)) == "included"
-
-
-def test_mixtures_of_signatures_keep_it(line: xr.Dataset, regions: hp.Regions) -> None:
     body = hp.surroundings.remove_mirrored_sky(hp.extract_signatures(line, regions), sun_zenith=40.0)
     darker = hp.paints.shade_paints(body, [2.0])
     assert told(darker) == "excluded"

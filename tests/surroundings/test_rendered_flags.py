@@ -1,7 +1,5 @@
 """Flags on a ray-traced car park, whose renderer knows nothing of them: what is reached so far."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -62,12 +60,10 @@ def test_shadows_on_the_ground_and_glint_on_coloured_paint(traced: tuple[xr.Data
     # shade on asphalt beside concrete in the sun is known as asphalt: the border is an edge, and not counted
     assert (true & ground).sum() > 350
     level = scene.reflectance.values
-    colour = np.ptp(level[:, 20:], axis=1) / level.mean(axis=1)
-    paint = counted & (kind == "paint") & (colour > 0.5)
+    paint = counted & (kind == "paint") & ((np.ptp(level[:, 20:], axis=1) / level.mean(axis=1)) > 0.5)
     share = scene.glint_share.values * scene.radiance.mean("band").values
     direct = 1.0 - diffuse_fraction(scene.wavelength.values, ZENITH)
-    irradiance = np.pi * scene.radiance.values / level
-    white = np.nanmedian(irradiance, axis=(0, 2)) / np.pi
+    white = np.nanmedian(np.pi * scene.radiance.values / level, axis=(0, 2)) / np.pi
     glint = share / (direct * white).mean()
     # what matters: over 4 % of the paint's own level; of what adds half as much again, little is missed
     mirrored = scene.glint_share.values / (1.0 - scene.glint_share.values)

@@ -1,7 +1,5 @@
 """What a survey keeps in files, or counts line by line, has the bits of what it kept and sorted in memory."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 
@@ -82,6 +80,5 @@ def test_samples_are_every_so_many_chosen_pixels_in_line_order() -> None:
     for segment, places in enumerate(samples):
         here = (number == segment).ravel()
         of = np.flatnonzero(here & chosen.ravel()) if segment != 4 else np.flatnonzero(here)
-        step = max(1, -(-of.size // SEGMENTS.max_sample_px))
-        np.testing.assert_array_equal(places, of[::step])
+        np.testing.assert_array_equal(places, of[:: max(1, -(-of.size // SEGMENTS.max_sample_px))])
     assert samples[2].size < (number == 2).sum()

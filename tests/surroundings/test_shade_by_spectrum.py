@@ -1,7 +1,5 @@
 """Shadows of what is not in the picture: by spectrum and level; under no sun; and with a wrong heading."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -1,17 +1,22 @@
 """Cast shadows among segments: told from dark glass and black paint by what lies around them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.optimize
 from support.analytic_scenes import smooth_edge
 
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.full_light import Light, senders_of, solve
 from hyperpaint.surroundings.light_split import mirrored_radiances
 from hyperpaint.surroundings.model import LIT, SHADED
-from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
+from hyperpaint.surroundings.segments import (
+    Light,
+    Segments,
+    distance_to,
+    edge_distance,
+    senders_of,
+    solve,
+    touching,
+)
 from hyperpaint.surroundings.surveying import match_shade, of_shadows, shaded_pixels
 
 NM = np.linspace(412.0, 988.0, 24)
@@ -45,8 +50,7 @@ def matched(
 
 @pytest.mark.parametrize("parts", [2, 3])
 def test_the_amounts_are_those_of_non_negative_least_squares(parts: int) -> None:
-    rng = np.random.default_rng(3)
-    body, sender, seen = rng.uniform(0.02, 0.6, (3, 40, 24))
+    body, sender, seen = np.random.default_rng(3).uniform(0.02, 0.6, (3, 40, 24))
     amount, misfit = solve(seen, body, sender if parts == 3 else None, LIGHT)
     for row in range(40):
         sigma = 0.05 * seen[row] + 0.0005
@@ -68,12 +72,17 @@ def test_glass_of_the_spectrum_of_a_shadow_is_none_where_its_car_surrounds_it(
     assert matched(number, [ASPHALT, RED, dark, dark], side) == [2]
 
 
-def test_what_is_dark_on_the_side_of_the_sun_is_a_black_car() -> None:
+def test_a_black_car_and_an_enclosed_shadow() -> None:
     number = np.zeros((60, 60), int)
     number[10:30, 10:50] = 1
     number[30:40, 10:50] = 2
     black = shadow_of(ASPHALT, 0.015, 0.7)
     assert matched(number, [ASPHALT, black, shadow_of(ASPHALT, 0.005, 0.75)]) == [2]
+    number = np.zeros((40, 40), int)
+    number[12:24, 12:24] = 1
+    assert matched(number, [ASPHALT, shadow_of(ASPHALT, 0.01, 0.85)]) == [1]
+    # an oil stain is darker in the light of the sun as well as in that of the sky
+    assert matched(number, [ASPHALT, 0.4 * ASPHALT]) == []
 
 
 def test_a_red_car_reddens_the_shadow_beside_it() -> None:
@@ -88,15 +97,7 @@ def test_a_red_car_reddens_the_shadow_beside_it() -> None:
     assert matched(number, spectra) == [2, 4]
 
 
-def test_a_shadow_with_light_all_around_needs_nothing_beside_it() -> None:
-    number = np.zeros((40, 40), int)
-    number[12:24, 12:24] = 1
-    assert matched(number, [ASPHALT, shadow_of(ASPHALT, 0.01, 0.85)]) == [1]
-    # an oil stain is darker in the light of the sun as well as in that of the sky
-    assert matched(number, [ASPHALT, 0.4 * ASPHALT]) == []
-
-
-def test_single_pixels_of_the_ground_lack_the_sun_or_are_only_dark() -> None:
+def test_single_pixels_of_shadows_lack_the_sun() -> None:
     number = np.zeros((5, 6), np.int32)
     number[:, 3:] = 1
     number[4, 5] = -1
@@ -108,28 +109,6 @@ def test_single_pixels_of_the_ground_lack_the_sun_or_are_only_dark() -> None:
     seen[3, 1] = np.nan
     found = shaded_pixels(seen, number, np.array([True, False]), np.stack([ASPHALT, RED]), LIGHT)
     assert np.argwhere(found).tolist() == [[1, 1]]
-
-
-def test_no_material_is_mixed_where_parts_of_one_car_meet() -> None:
-    number = np.repeat(np.arange(3), 6)[None].repeat(9, axis=0).astype(np.int32)
-    sure = np.ones(number.shape, bool)
-    sure[4, 6] = False
-    segments = Segments(number, sure, np.bincount(number.ravel()).astype(np.int64))
-    body = np.arange(3, dtype=np.int32)
-    distance = edge_distance(segments, body, np.array([0, 0, 2], np.int32))
-    assert distance.dtype == np.uint8
-    assert (distance[0].tolist()[:12], distance[4, 6]) == ([12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1], 0)
-    assert edge_distance(segments, body, body)[0, 5:7].tolist() == [1, 1]
-
-
-def test_distances_are_counted_from_what_is_chosen() -> None:
-    chosen = np.zeros((4, 7), bool)
-    assert (distance_to(chosen) == 255).all()
-    chosen[2, 1] = True
-    assert distance_to(chosen)[2].tolist() == [1, 0, 1, 2, 3, 4, 5]
-
-
-def test_dark_pixels_of_a_texture_are_no_shadows_and_a_post_is_one() -> None:
     dark = np.zeros((40, 60), bool)
     dark[10:20, 10:30] = True  # a car's shadow
     shaded = np.zeros_like(dark)
@@ -142,6 +121,22 @@ def test_dark_pixels_of_a_texture_are_no_shadows_and_a_post_is_one() -> None:
     assert found[5:35, 50].all()
     assert found.sum() == 32 + 30
     assert not of_shadows(dark, np.zeros_like(dark))[~dark].any()
+
+
+def test_no_material_is_mixed_where_parts_of_one_car_meet() -> None:
+    number = np.repeat(np.arange(3), 6)[None].repeat(9, axis=0).astype(np.int32)
+    sure = np.ones(number.shape, bool)
+    sure[4, 6] = False
+    segments = Segments(number, sure, np.bincount(number.ravel()).astype(np.int64))
+    body = np.arange(3, dtype=np.int32)
+    distance = edge_distance(segments, body, np.array([0, 0, 2], np.int32))
+    assert distance.dtype == np.uint8
+    assert (distance[0].tolist()[:12], distance[4, 6]) == ([12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1], 0)
+    assert edge_distance(segments, body, body)[0, 5:7].tolist() == [1, 1]
+    chosen = np.zeros((4, 7), bool)
+    assert (distance_to(chosen) == 255).all()
+    chosen[2, 1] = True
+    assert distance_to(chosen)[2].tolist() == [1, 0, 1, 2, 3, 4, 5]
 
 
 LOW_SUN = 65.0
@@ -181,8 +176,7 @@ def test_the_side_of_a_bright_thing_without_sun_is_in_shadow(
     number = np.zeros((60, 60), int)
     number[20:30, 20:40] = 2
     number[30:36, 20:40] = 1  # away from the sun, between roof and ground
-    side = white * (direct * LIGHT.direct + sky * LIGHT.diffuse)
-    light_of_side = np.stack([ASPHALT, side, white])
+    light_of_side = np.stack([ASPHALT, (white * (direct * LIGHT.direct + sky * LIGHT.diffuse)), white])
     numbers = number.astype(np.int32)
     size = np.bincount(number.ravel()).astype(np.int64)
     matches, ground = match_shade(numbers, light_of_side, size, touching(numbers, 3), LIGHT, AWAY)

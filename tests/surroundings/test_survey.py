@@ -1,7 +1,5 @@
 """What a survey finds, and that it is the same whatever the chunks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +13,9 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.full_light import Light, Matches
 from hyperpaint.surroundings.light_split import measured_fraction, mirrored_radiances, shadow_side_of
 from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
-from hyperpaint.surroundings.segments import divide, touching
+from hyperpaint.surroundings.segments import Light, Matches, divide, touching
 from hyperpaint.surroundings.surveying import (
     channel_noise,
     channel_numbers,
@@ -44,7 +41,9 @@ def model(shadow_line: xr.Dataset) -> SceneModel:
     return hp.surroundings.survey(shadow_line, sun_zenith=40.0)
 
 
-def test_a_shadow_is_matched_to_the_ground_around_it(model: SceneModel) -> None:
+def test_a_shadow_is_matched_to_the_ground_around_it(
+    model: SceneModel, tmp_path: Any, shadow_line: xr.Dataset
+) -> None:
     shaded = np.flatnonzero(model.state == SHADED)
     assert shaded.size >= 1
     lit = model.body[shaded]
@@ -52,9 +51,14 @@ def test_a_shadow_is_matched_to_the_ground_around_it(model: SceneModel) -> None:
     expected = np.bincount(model.channel, ASPHALT) / np.bincount(model.channel)
     np.testing.assert_allclose(model.reference[lit[0]], expected, rtol=0.01)
     assert (model.shade_distance[model.segment == shaded[0]] == 0).all()
+    hp.to_store(model.to_dataset(), tmp_path / "model.zarr", group="scene")
+    stored = xr.open_zarr(tmp_path / "model.zarr", group="scene")
+    np.testing.assert_array_equal(SceneModel.from_dataset(stored).reference, model.reference)
+    flagged = [hp.surroundings.flag(shadow_line, one).quality.values for one in (model, stored)]
+    np.testing.assert_array_equal(*flagged)
 
 
-def test_the_light_of_the_sky_is_measured_in_the_shadow(shadow_line: xr.Dataset) -> None:
+def test_the_light_of_the_sky_is_measured_in_a_shadow(shadow_line: xr.Dataset) -> None:
     found = hp.surroundings.survey(shadow_line, sun_zenith=40.0, diffuse="shadow").diffuse_fraction
     true = np.bincount(
         hp.surroundings.survey(shadow_line, sun_zenith=40.0).channel, diffuse_fraction(NM, 40.0)
@@ -64,9 +68,6 @@ def test_the_light_of_the_sky_is_measured_in_the_shadow(shadow_line: xr.Dataset)
     assert ratio.min() > 0.7
     assert ratio.max() < 1.01
     assert np.ptp(ratio) < 0.02
-
-
-def test_without_a_shadow_the_split_cannot_be_measured() -> None:
     plane = as_line(np.broadcast_to(ASPHALT, (32, 32, NM.size)).copy(), NM)
     with pytest.raises(SchemaError, match="shadow-missing"):
         hp.surroundings.survey(plane, sun_zenith=30.0, diffuse="shadow")
@@ -78,16 +79,7 @@ def test_the_same_bits_for_any_chunks(shadow_line: xr.Dataset, model: SceneModel
     xr.testing.assert_identical(other.to_dataset(), model.to_dataset())
 
 
-def test_a_model_can_be_stored(model: SceneModel, tmp_path: Any, shadow_line: xr.Dataset) -> None:
-    hp.to_store(model.to_dataset(), tmp_path / "model.zarr", group="scene")
-    stored = xr.open_zarr(tmp_path / "model.zarr", group="scene")
-    again = SceneModel.from_dataset(stored)
-    np.testing.assert_array_equal(again.reference, model.reference)
-    flagged = [hp.surroundings.flag(shadow_line, one).quality.values for one in (model, stored)]
-    np.testing.assert_array_equal(*flagged)
-
-
-def test_what_is_no_model_is_refused_with_all_that_is_wrong(model: SceneModel) -> None:
+def test_what_is_no_model_is_refused_before_anything_is_looked_up(model: SceneModel) -> None:
     broken = model.to_dataset().drop_vars(["segment", "body"])
     with pytest.raises(SchemaError, match=r"(?s)segment.*body"):
         SceneModel.from_dataset(broken)
@@ -95,9 +87,6 @@ def test_what_is_no_model_is_refused_with_all_that_is_wrong(model: SceneModel) -
     points["body"] = points["body"] + 1000
     with pytest.raises(SchemaError, match="segment-unknown"):
         SceneModel.from_dataset(points)
-
-
-def test_a_damaged_model_is_refused_before_anything_is_looked_up(model: SceneModel) -> None:
     stored = model.to_dataset()
     damaged = stored.isel(cell_along=slice(3))
     damaged["band_channel"] = damaged.band_channel + 10
@@ -116,7 +105,7 @@ def test_a_damaged_model_is_refused_before_anything_is_looked_up(model: SceneMod
             SceneModel.from_dataset(stored.assign(band_channel=("band", numbers)))
 
 
-def test_channels_that_most_pixels_lack_are_left_out() -> None:
+def test_channels_are_even_runs_of_good_bands_that_most_pixels_have() -> None:
     channels = np.ones((4, 5, 3), np.float32)
     channels[..., 1] = np.nan
     channels[0, 0] = np.nan
@@ -124,9 +113,13 @@ def test_channels_that_most_pixels_lack_are_left_out() -> None:
     assert (left.shape, numbers.tolist()) == ((4, 5, 2), [0, 0, -1, -1, 1])
     channels[:] = np.nan
     assert without_unknown(channels, np.arange(3))[0].shape == (4, 5, 3)
-
-
-def test_a_grey_with_a_missing_channel_is_grey() -> None:
+    good = np.ones(272, bool)
+    good[100:110] = False
+    numbers = channel_numbers(np.linspace(400.0, 1000.0, 272), good)
+    assert (numbers[100:110] == -1).all()
+    counts = np.bincount(numbers[good])
+    assert counts.size == 24
+    assert set(counts) <= {10, 11}
     diffuse = diffuse_fraction(NM, 40.0)
     spectrum = np.stack([np.full(NM.size, 0.4), RED])
     whole = coloured(spectrum, Light.under(diffuse))
@@ -151,6 +144,14 @@ def test_a_line_that_cannot_be_surveyed_says_why(shadow_line: xr.Dataset) -> Non
     assert (flagged.quality.values & 128).any()
     with pytest.raises(SchemaError, match="sun-unknown"):
         hp.surroundings.survey(shadow_line, diffuse="shadow")
+    expect_refusals(
+        (SchemaError, "sun-unknown", lambda: hp.surroundings.survey(shadow_line)),
+        (
+            SchemaError,
+            "choice-unknown",
+            lambda: hp.surroundings.survey(shadow_line, diffuse="guess", sun_zenith=30.0),
+        ),
+    )
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])
@@ -162,7 +163,9 @@ def test_scenes_of_nothing_have_no_flags(value: float) -> None:
     assert hp.surroundings.survey(as_line(cube, NM), sun_zenith=40.0).segments == (2 if value == 0 else 1)
 
 
-def test_progress_is_told(shadow_line: xr.Dataset, capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_is_told_and_missing_pixels_belong_to_nothing(
+    shadow_line: xr.Dataset, capsys: pytest.CaptureFixture[str]
+) -> None:
     told: list[tuple[int, int]] = []
     hp.surroundings.survey(
         shadow_line, sun_zenith=40.0, progress=lambda done, total: told.append((done, total))
@@ -170,20 +173,6 @@ def test_progress_is_told(shadow_line: xr.Dataset, capsys: pytest.CaptureFixture
     assert told[-1] == (160, 160)
     hp.surroundings.survey(shadow_line, sun_zenith=40.0, progress=True)
     assert "160/160 lines" in capsys.readouterr().err
-
-
-def test_a_survey_without_the_sun_says_what_is_missing(shadow_line: xr.Dataset) -> None:
-    expect_refusals(
-        (SchemaError, "sun-unknown", lambda: hp.surroundings.survey(shadow_line)),
-        (
-            SchemaError,
-            "choice-unknown",
-            lambda: hp.surroundings.survey(shadow_line, diffuse="guess", sun_zenith=30.0),
-        ),
-    )
-
-
-def test_missing_pixels_belong_to_nothing(shadow_line: xr.Dataset) -> None:
     holes = shadow_line.reflectance.where(shadow_line.reflectance.along_track != 5).astype(np.float32)
     holes.attrs = shadow_line.reflectance.attrs
     found = hp.surroundings.survey(shadow_line.assign(reflectance=holes), sun_zenith=40.0)
@@ -203,16 +192,6 @@ def test_segments_split_where_materials_meet() -> None:
     assert pairs.sides.tolist() == [[0, 0, 24, 0], [0, 0, 0, 24]]
 
 
-def test_channels_are_even_runs_of_good_bands() -> None:
-    good = np.ones(272, bool)
-    good[100:110] = False
-    numbers = channel_numbers(np.linspace(400.0, 1000.0, 272), good)
-    assert (numbers[100:110] == -1).all()
-    counts = np.bincount(numbers[good])
-    assert counts.size == 24
-    assert set(counts) <= {10, 11}
-
-
 def test_a_measured_split_must_fit() -> None:
     expect_refusals(
         (SchemaError, "length-mismatch", lambda: measured_fraction(np.ones(3), NM)),
@@ -220,9 +199,6 @@ def test_a_measured_split_must_fit() -> None:
     )
     given = xr.DataArray([0.4, 0.1], {"wavelength": ("w", [400.0, 1000.0])}, "w")
     np.testing.assert_allclose(measured_fraction(given, NM), np.linspace(0.4, 0.1, NM.size))
-
-
-def test_the_side_of_shadows_from_sun_and_heading() -> None:
     nothing = xr.Dataset()
     # flying north, sun in the south: shadows ahead; sun in the east: to the left
     np.testing.assert_allclose(shadow_side_of(nothing, 180.0, 0.0), [1.0, 0.0], atol=1e-12)

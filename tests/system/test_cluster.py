@@ -1,7 +1,5 @@
 """What a cluster adds: workers that die, tasks that fail, a scheduler that goes; and the same for threads."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno
@@ -25,6 +23,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support import ROOT
+from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
@@ -135,8 +134,9 @@ def test_error_of_the_data_keeps_its_class_and_gets_a_note(tmp_path: Path) -> No
 def test_error_of_what_arrays_share_names_all_of_them(tmp_path: Path) -> None:
     line = line_with(raising, error=OSError("gone"), at=1)
     line["radiance"] = line["counts"] * np.float32(2.0)
-    with pytest.raises(StoreError, match="63 of radiance: OSError"):
-        hp.to_store(line, tmp_path / "lot.zarr", GROUP)
+    expect_error(
+        StoreError, "63 of radiance: OSError", lambda: hp.to_store(line, tmp_path / "lot.zarr", GROUP)
+    )
 
 
 def test_error_of_what_all_blocks_share_names_the_group(tmp_path: Path) -> None:
@@ -146,8 +146,9 @@ def test_error_of_what_all_blocks_share_names_the_group(tmp_path: Path) -> None:
     line = line_with(whole)
     shared = da.from_delayed(dask.delayed(fail)(), (1, 1, 1), "uint16", meta=np.empty((0, 0, 0), "uint16"))
     line["counts"] = line["counts"].copy(data=line["counts"].data + shared)
-    with pytest.raises(StoreError, match=f"/{GROUP}: OSError: gone"):
-        hp.to_store(line, tmp_path / "lot.zarr", GROUP)
+    expect_error(
+        StoreError, f"/{GROUP}: OSError: gone", lambda: hp.to_store(line, tmp_path / "lot.zarr", GROUP)
+    )
 
 
 def test_map_geometry_is_named_by_its_own_dims(tmp_path: Path) -> None:
@@ -158,8 +159,7 @@ def test_map_geometry_is_named_by_its_own_dims(tmp_path: Path) -> None:
     cube = da.map_blocks(raising, cube, error=OSError("gone"), at=1, dtype="float32", meta=cube._meta)
     grid = xr.Dataset({"reflectance": (dims, cube)})
     expected = rf"/map, y {chunk[0]} to {min(2 * chunk[0], 600) - 1} of reflectance: OSError: gone"
-    with pytest.raises(StoreError, match=expected):
-        hp.to_store(grid, tmp_path / "lot.zarr", "map")
+    expect_error(StoreError, expected, lambda: hp.to_store(grid, tmp_path / "lot.zarr", "map"))
 
 
 def test_the_causes_that_pass_are_mendable() -> None:
@@ -233,9 +233,12 @@ def test_what_fails_for_good_names_the_block(client: Any, tmp_path: Path) -> Non
     path = tmp_path / "lot.zarr"
     missing = FileNotFoundError(errno.ENOENT, "No such file", "/data/raw_0")
     expected = rf"cannot store /{GROUP}, lines 96 to 127 of counts: .*/data/raw_0.*every worker.*run again"
-    with pytest.raises(StoreError, match=expected) as caught:
-        hp.to_store(line_with(raising, error=missing, at=3), path, GROUP, source_token="line")
-    assert isinstance(caught.value.__cause__, FileNotFoundError)
+    caught = expect_error(
+        StoreError,
+        expected,
+        lambda: hp.to_store(line_with(raising, error=missing, at=3), path, GROUP, source_token="line"),
+    )
+    assert isinstance(caught.__cause__, FileNotFoundError)
     # the traceback is still held here: the cluster must not remember the failed tasks for its sake
     assert not path.exists()
     check_again(path)
@@ -243,9 +246,8 @@ def test_what_fails_for_good_names_the_block(client: Any, tmp_path: Path) -> Non
 
 def test_error_of_the_data_passes_through_a_cluster(client: Any, tmp_path: Path) -> None:
     line = line_with(raising, error=FormatError("raw_0: cut short"), at=0)
-    with pytest.raises(FormatError, match="cut short") as caught:
-        hp.to_store(line, tmp_path / "lot.zarr", GROUP)
-    assert any(f"/{GROUP}, lines 0 to 31 of counts" in note for note in caught.value.__notes__)
+    caught = expect_error(FormatError, "cut short", lambda: hp.to_store(line, tmp_path / "lot.zarr", GROUP))
+    assert any(f"/{GROUP}, lines 0 to 31 of counts" in note for note in caught.__notes__)
     assert os.listdir(tmp_path) == []
 
 
@@ -264,8 +266,11 @@ def test_task_whose_workers_die_is_named(tmp_path: Path) -> None:
     with cluster() as client:
         client.cluster.scheduler.allowed_failures = 1
         expected = rf"cannot store /{GROUP}, lines \d+ to \d+ of counts: 2 workers died.*run again"
-        with pytest.raises(StoreError, match=expected):
-            hp.to_store(line_with(dying, at=1), path, GROUP, source_token="line")
+        expect_error(
+            StoreError,
+            expected,
+            lambda: hp.to_store(line_with(dying, at=1), path, GROUP, source_token="line"),
+        )
         assert not path.exists()
         check_again(path)
 
@@ -296,8 +301,11 @@ def test_scheduler_that_is_lost(tmp_path: Path) -> None:
         line = line_with(slow)
         with distributed.Client(process.stdout.readline().strip()) as client:
             client.run_on_scheduler(_end_soon)
-            with pytest.raises(StoreError, match=rf"/{GROUP}, lines .* of counts"):
-                hp.to_store(line, path, GROUP, source_token="line")
+            expect_error(
+                StoreError,
+                rf"/{GROUP}, lines .* of counts",
+                lambda: hp.to_store(line, path, GROUP, source_token="line"),
+            )
     finally:
         process.kill()
         process.communicate()

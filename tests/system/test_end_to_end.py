@@ -1,7 +1,5 @@
 """The whole chain against a simulator that shares no code with it: files in, known reflectance out."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The same bits under threads, processes, a LocalCluster, cubed, Ray and `hp.slab` in a pool."""
 
-from __future__ import annotations
-
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path

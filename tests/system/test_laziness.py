@@ -1,7 +1,5 @@
 """The same bits whatever the chunks, nothing read before it is asked for; dtypes and attributes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import dask
@@ -21,8 +19,7 @@ from hyperpaint.radiometry.panels import Panel
 def hard_line() -> xr.Dataset:
     # Every branch at once: smile, two darks, saturation, bad elements, a dropped frame, a gap
     line = flight(lines=40, bands=12, columns=6, dtype=np.uint16, smile=SHIFT, position=True, drift=0.01).line
-    rng = np.random.default_rng(4)
-    line["counts"].values[rng.random((40, 12, 6)) < 0.01] = 4095
+    line["counts"].values[np.random.default_rng(4).random((40, 12, 6)) < 0.01] = 4095
     line["radiance_gain"].values[3, 4] = np.nan
     stamps = line.time.values.copy() + np.arange(40) * np.timedelta64(300_000_000, "ns")
     stamps[11] = np.datetime64("NaT", "ns")
@@ -114,14 +111,18 @@ def test_nothing_is_read_while_building(tmp_path: Any, hard_line: xr.Dataset, no
         for name, array in (("reflectance", made), ("radiance", calibrated)):
             assert array[name].dtype == np.float32
             assert array[name].chunks is not None
-            assert array.quality.dtype == np.uint16
-            assert array[name].dims == ("along_track", "band", "cross_track")
-            assert array.quality.dims == ("along_track", "cross_track")
+            assert (array.quality.dtype, array[name].dims, array.quality.dims) == (
+                np.uint16,
+                ("along_track", "band", "cross_track"),
+                ("along_track", "cross_track"),
+            )
         assert made.irradiance_age.dtype == np.float32
         smoothed = made.paint.smooth()
     for name in ("reflectance", "quality", "irradiance_age"):
-        assert made[name].compute().dtype == made[name].dtype
-        assert made[name].compute().shape == made[name].shape
+        assert (made[name].compute().dtype, made[name].compute().shape) == (
+            made[name].dtype,
+            made[name].shape,
+        )
     assert smoothed.reflectance.compute().dtype == np.float32
     assert_same(reflectance(hard_line), reflectance(line))
 
@@ -179,8 +180,7 @@ def test_attributes_are_replaced(keep: Any) -> None:
     assert made.reflectance.attrs["units"] == "1"
     assert made.reflectance.attrs["long_name"]
     assert "comment" not in made.reflectance.attrs
-    assert bright.radiance.attrs["units"] == "W m-2 sr-1 nm-1"
-    assert made.irradiance_age.attrs["units"] == "s"
+    assert (bright.radiance.attrs["units"], made.irradiance_age.attrs["units"]) == ("W m-2 sr-1 nm-1", "s")
     assert made.quality.attrs["flag_meanings"].startswith("saturated below_dark")
     assert made.attrs["name"] == "raw_0"
     assert set(line.variables) < set(made.variables)

@@ -3,8 +3,6 @@
 Pillay et al., Sensors 2020, 20, 3812; in every laboratory's data thin and thick burnt umber are exchanged.
 """
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

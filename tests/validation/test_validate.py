@@ -1,7 +1,5 @@
 """Signatures against references: common bands, pairs, parts, tolerance, and what is said of them."""
 
-from __future__ import annotations
-
 import html.parser
 import warnings
 from typing import Any
@@ -10,12 +8,12 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
-from support.refusals import expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.simulation import simulate_line
-from hyperpaint.validation.dataset_spectra import join_detectors
+from hyperpaint.validation.validating import join_detectors
 
 # --- common bands ------------------------------------------------------------------------------------------
 
@@ -69,8 +67,7 @@ def test_a_factor_moves_scale_alone() -> None:
 
 def test_a_coarser_reference_is_not_sharpened() -> None:
     at = np.arange(430.0, 960.0, 15.0)
-    coarse = library(seen(at, 20.0), nm=at, fwhm=20.0)
-    found = hp.validate(agreeing()[0], coarse)
+    found = hp.validate(agreeing()[0], library(seen(at, 20.0), nm=at, fwhm=20.0))
     assert found.spectra[0].sizes["band"] == at.size
     assert value_of(found, "rmse") < 5e-5
     assert any("resampled to the reference's bands" in note for note in found.notes[0])
@@ -149,11 +146,9 @@ def test_units_are_converted_and_wanted() -> None:
     )
     assert value_of(hp.validate(signatures, percent, reference_fwhm=3.0), "rmse") < 1e-5
     bare = references.assign(reflectance=references["reflectance"].assign_attrs(units="sr-1"))
-    with pytest.raises(SchemaError, match=r"reference 1:.*'sr-1'"):
-        hp.validate(signatures, bare)
+    expect_errors((SchemaError, r"reference 1:.*'sr-1'", lambda: hp.validate(signatures, bare)))
     del references["reflectance"].attrs["units"]
-    with pytest.raises(SchemaError, match="units-missing"):
-        hp.validate(signatures, references)
+    expect_errors((SchemaError, "units-missing", lambda: hp.validate(signatures, references)))
 
 
 # --- wavelengths that are wrong ----------------------------------------------------------------------------
@@ -163,13 +158,11 @@ def test_units_are_converted_and_wanted() -> None:
 def test_a_shift_of_wavelength_shows_in_the_oxygen_residual() -> None:
     line = simulate_line(lines=8, columns=3, smile_nm=0.0, noise=False)
     region = hp.Regions((hp.Region("hood", [(0, 0), (2, 0), (2, 7), (0, 7)]),))
-    nm = np.arange(380.0, 1021.0)
-    flat = field(np.full(nm.size, 0.3))
+    flat = field(np.full(np.arange(380.0, 1021.0).size, 0.3))
     depths = []
     for shift in (0.0, 0.5):
         moved = line.assign_coords(wavelength=line.wavelength + shift)
-        paints = hp.extract_signatures(moved, region)
-        found = hp.validate(paints, flat, tolerance=1.0)
+        found = hp.validate(hp.extract_signatures(moved, region), flat, tolerance=1.0)
         depths.append(found.statistics["oxygen_residual"].item())
         assert found.statistics["reference_oxygen_residual"].item() == pytest.approx(0.0, abs=1e-9)
         assert depths[-1] == pytest.approx(float(hp.alignment.oxygen_residual(moved).mean()), abs=2e-3)
@@ -293,8 +286,7 @@ def test_instruments_are_compared_with_each_other() -> None:
     assert between is not None
     assert between.statistics["instrument"].values.tolist() == ["ASD against SVC"]
     assert between.statistics["signature"].values.tolist() == ["hood"]
-    inside = (nm >= 400) & (nm < 700)
-    expected = np.sqrt((((1.0 - 1.03) * seen(nm, 3.5)[inside]) ** 2).mean())
+    expected = np.sqrt((((1.0 - 1.03) * seen(nm, 3.5)[((nm >= 400) & (nm < 700))]) ** 2).mean())
     assert value_of(between, "rmse", "VIS") == pytest.approx(expected, rel=2e-3)
     assert value_of(between, "scale") == pytest.approx(1 / 1.03, rel=1e-4)
     assert between.passed
@@ -326,8 +318,7 @@ def test_seventy_percent_too_high_never_passes(level: float, error: float) -> No
 @pytest.mark.parametrize("level", [0.02, 0.1, 0.8])
 def test_the_limit_is_a_share_of_the_level_and_a_floor(level: float) -> None:
     # Expected: 0.005 + 5 %, just inside passes and just outside fails; other shares as they are said
-    nm = np.arange(380.0, 1021.0)
-    truth = field(np.full(nm.size, level))
+    truth = field(np.full(np.arange(380.0, 1021.0).size, level))
     for tolerance, limit in ((None, 0.005 + 0.05 * level), ({"relative": 0.1, "floor": 0.0}, 0.1 * level)):
         for share, passes in ((0.99, True), (1.01, False), (-0.99, True), (-1.01, False)):
             found = hp.validate(library(np.full(NM.size, level + share * limit)), truth, tolerance=tolerance)
@@ -388,8 +379,9 @@ def test_mirrored_sky_on_one_side_only_warns() -> None:
     signatures, references = agreeing()
     body = signatures.assign(reflectance=signatures["reflectance"].assign_attrs(mirror_reflection="excluded"))
     whole = references.assign_attrs(mirror_reflection="included")
-    with pytest.warns(PaintWarning, match="mirrored-sky-differs"):
+    with pytest.warns(PaintWarning, match="mirrored-sky-differs") as noted:
         hp.validate(body, whole)
+    assert noted[0].filename == __file__  # the line of the caller
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         hp.validate(body, references)
@@ -442,8 +434,7 @@ def test_tolerance_of_several_statistics() -> None:
 
 
 def test_texts_are_only_texts() -> None:
-    name = "<b>\x1b[31m$x$\n" + "long " * 20
-    paints = library(smooth(NM), (name,))
+    paints = library(smooth(NM), (("<b>\x1b[31m$x$\n" + "long " * 20),))
     found = hp.validate(paints, paints.assign_attrs(instrument="<i>"))
     assert "\x1b" not in found.table()
     assert max(map(len, found.table().splitlines()[:4])) < 250
@@ -466,5 +457,4 @@ def test_dtypes_and_units() -> None:
 def test_units_error_of_signatures() -> None:
     signatures, references = agreeing()
     signatures["reflectance"].attrs["units"] = "furlong"
-    with pytest.raises((SchemaError, UnitsError), match="furlong"):
-        hp.validate(signatures, references)
+    expect_errors(((SchemaError, UnitsError), "furlong", lambda: hp.validate(signatures, references)))

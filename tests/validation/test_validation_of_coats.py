@@ -1,7 +1,5 @@
 """The body under a coat against readings of its outside: converted where they say how, named where not."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

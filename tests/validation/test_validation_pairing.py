@@ -1,7 +1,5 @@
 """Which readings belong together: of one name, one folder and one instrument."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -52,8 +50,7 @@ def test_full_names_go_before_short_ones() -> None:
     assert found.statistics["reference"].values.tolist() == ["red"]
     assert found.unpaired_references == ("other/red.sig (ASD)",)
     # each instrument for itself
-    svc = field(LEVEL, ["svc/red.sig"], instrument="SVC")
-    both = hp.validate(red(), [field(LEVEL, ["red"]), svc])
+    both = hp.validate(red(), [field(LEVEL, ["red"]), field(LEVEL, ["svc/red.sig"], instrument="SVC")])
     assert both.statistics["reference"].values.tolist() == ["red", "svc/red.sig"]
 
 

@@ -1,7 +1,5 @@
 """Real spectra: a field spectrometer at the bands of a real camera, and what its software does to files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +30,7 @@ def test_field_spectra_at_the_bands_of_a_real_camera(shared_data: Path) -> None:
     centre, fwhm = _bands(folder)
     here = (centre > 400) & (centre < 980)
     centre, fwhm = centre[here], fwhm[here]
-    missing = np.sqrt(fwhm**2 - 3.0**2)
-    weight = np.exp(-4 * np.log(2) * ((at - centre[:, None]) / missing[:, None]) ** 2)
+    weight = np.exp(-4 * np.log(2) * ((at - centre[:, None]) / np.sqrt(fwhm**2 - 3.0**2)[:, None]) ** 2)
     expected = weight @ lawn["reflectance"].values[0] / weight.sum(axis=1)
     paints = library(expected, ("BeckmanLawn",), nm=centre, fwhm=None).assign_coords(
         fwhm=("band", fwhm, {"units": "nm"})

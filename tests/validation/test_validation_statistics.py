@@ -1,7 +1,5 @@
 """Statistics of agreement: against plain numpy, and what no data can change."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hyperpaint.validation.comparing import statistics_of, uncertainty_of
+from hyperpaint.validation.validating import statistics_of, uncertainty_of
 from hyperpaint.validation.validation_result import STATISTICS
 
 SPECTRA = arrays(np.float64, 12, elements=st.floats(0.01, 1.0))

@@ -1,7 +1,5 @@
 """What the uncertainties of a comparison are made of, and what is said where some are not known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.agreeing_spectra import NM, field, library, seen, value_of

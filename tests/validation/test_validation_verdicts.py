@@ -1,7 +1,5 @@
 """What must not pass: what was not compared, and what has no reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
@@ -51,8 +49,7 @@ def test_few_of_many_bands_pass_nothing_yet_can_fail() -> None:
     assert "not judged" in most.table()
     # what is outside fails, judged or not
     nm = np.arange(380.0, 800.0)
-    step = np.where(nm > 720, 0.2, 0.0)
-    outside = hp.validate(signatures, field(seen(nm, 3.0) + step, nm=nm))
+    outside = hp.validate(signatures, field(seen(nm, 3.0) + np.where(nm > 720, 0.2, 0.0), nm=nm))
     assert outside.statistics["judged"].sel(part="NIR").item() is False
     assert outside.statistics["passes"].sel(part="NIR").item() is False
     assert outside.statistics["passes"].sel(part="VIS").item() is True
@@ -62,8 +59,7 @@ def test_a_reference_that_is_asked_for_must_be_there() -> None:
     paints = library([smooth(NM)] * 2, ("red", "blue")).assign_coords(
         reference=("signature", np.array(["", "blu.sig"], object))
     )
-    references = library([smooth(NM)] * 2, ("red", "blue"))
-    found = hp.validate(paints, references)
+    found = hp.validate(paints, library([smooth(NM)] * 2, ("red", "blue")))
     assert found.missing == ("blue (no reference 'blu.sig')",)
     assert found.statistics["passes"].all()
     assert not found.passed

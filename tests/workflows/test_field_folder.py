@@ -1,28 +1,37 @@
 """`find_field_files` and its ``collect.toml``: what is found is named, what no file says is marked."""
 
-from __future__ import annotations
-
+import json
 import os
 import re
 import shutil
 import tomllib
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import xarray as xr
+from support.commands import hyperpaint
+from support.refusals import expect_error, expect_refusals, expect_words
 
 import hyperpaint as hp
+from hyperpaint.io.files.publishing import publish_file
+from hyperpaint.io.maps.geotiff import read_geotiff_header
+from hyperpaint.workflows import field_day
+from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day
 from hyperpaint.workflows.field_folder import (
     _surveyed_heights,
     find_field_files,
     unknown_keys,
     write_collect_toml,
 )
+from hyperpaint.workflows.products import Record
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a small simulated collect: two cubes, clocks that agree."""
+    # Folder of a small simulated collect: two cubes, clocks that agree
     folder = tmp_path_factory.mktemp("collect")
     hp.simulate_collect(
         folder, scene="plan", lines=40, bands=12, columns=10, cubes=2, seed=5, clock_offset_s=0.0
@@ -32,7 +41,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(simulated: Path, tmp_path: Path) -> Path:
-    """A copy of it without what hyperpaint wrote about it."""
+    # A copy of it without what hyperpaint wrote about it
     copied = tmp_path / "flight_day"
     shutil.copytree(simulated, copied, ignore=shutil.ignore_patterns("collect.toml", "truth.zarr"))
     return copied
@@ -46,9 +55,11 @@ def test_everything_of_a_collect_is_found(folder: Path) -> None:
         "frameIndex_20.txt",
     ]
     assert {str(cube.navigation and cube.navigation.name) for cube in found.cubes} == {"imu_gps.txt"}
-    assert [path.parent.name for path in found.darks] == ["dark"]
-    assert found.calibration == folder / "calibration.zarr"
-    assert [path.name for path, _ in found.irradiance] == ["asd"]
+    assert (
+        [path.parent.name for path in found.darks],
+        found.calibration,
+        [path.name for path, _ in found.irradiance],
+    ) == (["dark"], folder / "calibration.zarr", ["asd"])
     assert {(instrument, path.name) for instrument, path, _ in found.references} <= {
         ("asd", "asd_reflectance"),
         ("svc", "svc"),
@@ -82,9 +93,11 @@ def test_what_lies_elsewhere_is_named(folder: Path, tmp_path: Path) -> None:
     )
     path = write_collect_toml(found)
     written = tomllib.loads(path.read_text(encoding="utf-8"))
-    assert written["irradiance"]["files"] == "../asd/*.asd"
-    assert written["dark"]["cubes"] == ["../dark/raw_0.hdr"]
-    assert written["calibration"]["path"] == "../calibration.zarr"
+    assert (written["irradiance"]["files"], written["dark"]["cubes"], written["calibration"]["path"]) == (
+        "../asd/*.asd",
+        ["../dark/raw_0.hdr"],
+        "../calibration.zarr",
+    )
     assert set(hp.open_collect(path).children) >= {"flightlines", "irradiance", "calibration"}
 
 
@@ -93,10 +106,9 @@ def test_what_no_file_says_is_marked_and_refused_by_name(folder: Path) -> None:
         shutil.rmtree(folder / name)
     path = write_collect_toml(find_field_files(folder))
     assert [line.partition(" =")[0] for line in unknown_keys(path)] == ["path", "cubes", "files"]
-    with pytest.raises(hp.errors.CollectError) as caught:
-        hp.open_collect(path)
+    caught = expect_error(hp.errors.CollectError, None, lambda: hp.open_collect(path))
     for key in ("[calibration] path", "[dark] cubes", "[irradiance] files"):
-        assert f"{key} is still '?'" in str(caught.value)
+        assert f"{key} is still '?'" in str(caught)
 
 
 def test_a_record_that_misses_the_flight_asks_for_its_clock(tmp_path: Path) -> None:
@@ -109,59 +121,61 @@ def test_a_record_that_misses_the_flight_asks_for_its_clock(tmp_path: Path) -> N
     assert any(line.startswith("clock_offset_s") for line in unknown_keys(write_collect_toml(found)))
 
 
-def test_cubes_that_are_not_raw_are_said(folder: Path) -> None:
-    header = folder / "flight" / "raw_0.hdr"
-    text = header.read_text(encoding="utf-8")
+def test_files_without_a_use_are_said(folder: Path, tmp_path: Path) -> None:
+    # a cube of floats, two calibrations, a survey of a slope, binned pixels
+    text = (folder / "flight" / "raw_0.hdr").read_text(encoding="utf-8")
     (folder / "flight" / "raw_0_rd.hdr").write_text(text.replace("data type = 12", "data type = 4"))
     shutil.copy(folder / "flight" / "raw_0", folder / "flight" / "raw_0_rd")
-    found = find_field_files(folder)
-    assert len(found.cubes) == 2
-    assert any("raw_0_rd.hdr is not used" in note for note in found.notes)
-
-
-def test_two_calibrations_are_not_chosen_between(folder: Path) -> None:
     shutil.copytree(folder / "calibration.zarr", folder / "older.zarr")
+    (folder / "survey.csv").write_text("name,ellipsoidal_height_m\nA,100.0\nB,103.5\n")
+    for header in (folder / "flight").glob("*.hdr"):
+        header.write_text(header.read_text() + ";Row binning = 2\n")
     found = find_field_files(folder)
-    assert found.calibration is None
-    assert any("several calibrations" in note for note in found.notes)
+    assert (len(found.cubes), found.calibration, found.survey) == (2, None, None)
+    notes = ("raw_0_rd.hdr is not used", "several calibrations", "heights differ by 3.50 m")
+    expect_words("\n".join(found.notes), *notes)
+    assert {cube.lens for cube in found.cubes} == {None}
+    assert "fov_deg" not in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))["geometry"]
+    # heights that do not say what they are above, and a calibration that does not open
+    (folder / "survey.csv").write_text("name,height_m\nA,100.0\nB,100.5\n")
+    os.mkfifo(tmp_path / "camera.zarr")
+    found = find_field_files(folder, calibration=tmp_path / "camera.zarr")
+    assert (found.calibration, found.survey) == (None, None)
+    assert any(re.match(r".*camera\.zarr is not used: .* a pipe", note) for note in found.notes)
+    assert any("height-column-missing" in note for note in found.notes)
+    path = write_collect_toml(found, overwrite=True)
+    assert "geometry" in tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def test_a_folder_without_a_flight_is_one_error(tmp_path: Path) -> None:
-    with pytest.raises(hp.errors.CollectError, match="cube-missing"):
-        find_field_files(tmp_path)
-    with pytest.raises(hp.errors.CollectError, match="folder-not-found"):
-        find_field_files(tmp_path / "absent")
-
-
-def test_a_collect_that_is_there_stays(folder: Path) -> None:
-    found = find_field_files(folder)
-    path = write_collect_toml(found)
-    with pytest.raises(hp.StoreError, match="exists"):
-        write_collect_toml(found)
-    assert write_collect_toml(found, overwrite=True) == path
+    expect_refusals(
+        (hp.errors.CollectError, "cube-missing", lambda: find_field_files(tmp_path)),
+        (hp.errors.CollectError, "folder-not-found", lambda: find_field_files(tmp_path / "absent")),
+    )
 
 
 def test_the_ground_and_the_lens_are_those_of_the_simulator(simulated: Path, folder: Path) -> None:
-    written = tomllib.loads(write_collect_toml(find_field_files(folder)).read_text(encoding="utf-8"))
+    found = find_field_files(folder)
+    path = write_collect_toml(found)
+    written = tomllib.loads(path.read_text(encoding="utf-8"))
     truth = tomllib.loads((simulated / "collect.toml").read_text(encoding="utf-8"))
     assert written["geometry"]["ground"] == pytest.approx(truth["geometry"]["ground"], abs=1e-3)
     assert written["geometry"]["fov_deg"] == pytest.approx(truth["geometry"]["fov_deg"], rel=1e-5)
-
-
-def test_heights_that_do_not_say_what_they_are_above_are_not_used(folder: Path) -> None:
-    survey = folder / "survey.csv"
-    survey.write_text(survey.read_text().replace("ellipsoidal_height_m", "height_m"))
-    found = find_field_files(folder)
-    assert found.survey is None
-    assert any("height-column-missing" in note for note in found.notes)
-    assert "geometry" in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))
-
-
-def test_a_survey_of_a_slope_is_no_height_of_the_ground(folder: Path) -> None:
-    (folder / "survey.csv").write_text("name,ellipsoidal_height_m\nA,100.0\nB,103.5\n")
-    found = find_field_files(folder)
-    assert found.survey is None
-    assert any("heights differ by 3.50 m" in note for note in found.notes)
+    assert "id" not in written["flightlines"][0]  # one flight needs none
+    # a collect that exists stays, and what is no TOML is not written over
+    expect_error(hp.StoreError, "exists", lambda: write_collect_toml(found))
+    assert write_collect_toml(found, overwrite=True) == path
+    for place in (
+        folder / "flight/settings.txt",
+        folder / "flight/raw_0",
+        folder / "calibration.zarr/zarr.json",
+    ):
+        before = place.read_bytes()
+        expect_error(hp.StoreError, "file-foreign", partial(write_collect_toml, found, place, overwrite=True))
+        assert place.read_bytes() == before
+    # a processed store is no calibration to choose
+    hp.process(path, folder / "products" / "lot.zarr")
+    assert find_field_files(folder).calibration == folder / "calibration.zarr"
 
 
 @pytest.mark.parametrize(
@@ -188,37 +202,7 @@ def test_a_survey_in_other_units_or_of_endless_cells_is_refused(
     tmp_path: Path, text: str, problem: str
 ) -> None:
     (tmp_path / "survey.csv").write_text(text)
-    with pytest.raises(hp.errors.FormatError, match=problem):
-        _surveyed_heights(tmp_path / "survey.csv")
-
-
-def test_binned_pixels_leave_the_field_of_view_open(folder: Path) -> None:
-    for header in (folder / "flight").glob("*.hdr"):
-        header.write_text(header.read_text() + ";Row binning = 2\n")
-    found = find_field_files(folder)
-    assert {cube.lens for cube in found.cubes} == {None}
-    assert "fov_deg" not in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))["geometry"]
-
-
-def test_what_is_no_toml_is_not_written_over(folder: Path) -> None:
-    for name in ("flight/settings.txt", "flight/raw_0", "calibration.zarr/zarr.json"):
-        before = (folder / name).read_bytes()
-        with pytest.raises(hp.StoreError, match="file-foreign"):
-            write_collect_toml(find_field_files(folder), folder / name, overwrite=True)
-        assert (folder / name).read_bytes() == before
-
-
-def test_a_calibration_that_does_not_open_is_said(folder: Path, tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "camera.zarr")
-    found = find_field_files(folder, calibration=tmp_path / "camera.zarr")
-    assert found.calibration is None
-    assert any(re.match(r".*camera\.zarr is not used: .* a pipe", note) for note in found.notes)
-
-
-def test_a_processed_store_is_no_calibration_to_choose(folder: Path) -> None:
-    path = write_collect_toml(find_field_files(folder))
-    hp.process(path, folder / "products" / "lot.zarr")
-    assert find_field_files(folder).calibration == folder / "calibration.zarr"
+    expect_error(hp.errors.FormatError, problem, lambda: _surveyed_heights(tmp_path / "survey.csv"))
 
 
 def test_two_flights_whose_cubes_have_the_same_names_open(folder: Path) -> None:
@@ -235,6 +219,343 @@ def test_two_flights_whose_cubes_have_the_same_names_open(folder: Path) -> None:
     assert [table["id"] for table in tables] == ["flight_raw_0", "flight_raw_20", "second_flight"]
 
 
-def test_one_flight_needs_no_id(folder: Path) -> None:
-    path = write_collect_toml(find_field_files(folder))
-    assert "id" not in tomllib.loads(path.read_text(encoding="utf-8"))["flightlines"][0]
+# --- `run_field_day`: two commands from a folder to products; what is there already is left alone ---
+
+
+@pytest.fixture(scope="module")
+def folder_day(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    # Folder of a simulated flight with its regions of paint and the height of its ground
+    folder_day = tmp_path_factory.mktemp("day")
+    hp.simulate_collect(
+        folder_day, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4, fleet="solid"
+    )
+    (folder_day / "collect.toml").rename(folder_day / "author.toml")
+    return folder_day
+
+
+@pytest.fixture(scope="module")
+def day(folder_day: Path) -> FieldDay:
+    hyperpaint("init", folder_day, status=0)
+    return run_field_day(folder_day / "collect.toml", skip=["report"])
+
+
+def write_level_dem(path: Path, located: xr.Dataset, height: float) -> None:
+    # Write a raster of one height around a located line
+    rasterio = pytest.importorskip("rasterio")
+    west, north = float(located["east"].min()) - 50.0, float(located["north"].max()) + 50.0
+    size = int(max(np.ptp(located[name].values) for name in ("east", "north"))) + 100
+    profile = {"driver": "GTiff", "width": size, "height": size, "count": 1, "dtype": "float32"}
+    transform = rasterio.Affine(1.0, 0.0, west, 0.0, -1.0, north)
+    with rasterio.open(path, "w", crs=located["east"].attrs["crs"], transform=transform, **profile) as dem:
+        dem.write(np.full((size, size), height, np.float32), 1)
+
+
+@pytest.mark.slow
+def test_every_step_is_done(day: FieldDay) -> None:
+    assert [outcome.step for outcome in day.outcomes] == list(STEPS)
+    states = {outcome.step: outcome.state for outcome in day.outcomes}
+    assert states.pop("report") == states.pop("mosaic") == "left out"
+    assert set(states.values()) == {"done"}, str(day)
+    for outcome in day.outcomes:
+        assert all(path.exists() for path in outcome.paths)
+
+
+@pytest.mark.slow
+def test_pixels_lie_where_the_simulator_saw_them(folder_day: Path) -> None:
+    # Ground, lens and mounting are those of the table [geometry]: nothing is passed to locate
+    line = hp.open_collect(folder_day / "author.toml")["flightlines/raw_0"].to_dataset()
+    truth = xr.open_zarr(folder_day / "truth.zarr")
+    flat = abs(truth["height"] - line.attrs["ground"]).values < 0.02  # pavement, not cars
+    located = line.paint.locate(crs=truth.attrs["crs"])
+    pixel = float(abs(np.diff(truth["east"].values[0])).mean())
+    assert flat.mean() > 0.3
+    for axis in ("east", "north"):
+        miss = (located[axis].values - truth[axis].values)[flat]
+        # the truth is the mean place of a few random rays a pixel
+        assert abs(np.median(miss)) < 0.01 * pixel
+        assert np.percentile(abs(miss), 95) < 0.5 * pixel
+
+
+@pytest.mark.slow
+def test_angles_of_a_file_are_those_of_the_field_of_view(folder_day: Path) -> None:
+    angles = (
+        hp.open_collect(folder_day / "author.toml")["flightlines/raw_0"].to_dataset()["look_across"].values
+    )
+    text = re.sub(
+        r"fov_deg = \S+", 'look_angle = "angles.txt"', (folder_day / "author.toml").read_text("utf-8")
+    )
+    other = folder_day / "angles.toml"
+    other.write_text(text, encoding="utf-8")
+    (folder_day / "angles.txt").write_text("\n".join(map(repr, angles.tolist())), encoding="utf-8")
+    read = hp.open_collect(other)["flightlines/raw_0"].to_dataset()
+    assert (read["look_across"].values == angles).all()
+    assert read["look_across"].attrs["units"] == "degree"
+    for wrong, said in (("1 2 3", "3 numbers"), ("left", "words")):
+        (folder_day / "angles.txt").write_text(wrong, encoding="utf-8")
+        with pytest.raises(hp.PaintError, match=rf"{said}, .*length-mismatch"):
+            hp.open_collect(other)
+    for name in ("angles.toml", "angles.txt"):
+        (folder_day / name).unlink()
+
+
+@pytest.mark.slow
+def test_a_second_run_does_nothing(day: FieldDay, folder_day: Path) -> None:
+    times = {path: path.stat().st_mtime_ns for path in sorted(day.out.rglob("*")) if path.is_file()}
+    again = run_field_day(folder_day / "collect.toml", skip=["report"])
+    assert {outcome.state for outcome in again.outcomes} == {"unchanged", "left out"}
+    assert {path: path.stat().st_mtime_ns for path in sorted(day.out.rglob("*")) if path.is_file()} == times
+    assert again.passed == day.passed
+
+
+@pytest.mark.slow
+def test_products_are_known_by_content(day: FieldDay, folder_day: Path) -> None:
+    table = day.out / "agreement.csv"
+    text, status = table.read_bytes(), table.stat()
+    states = []
+    for content, times in ((text, (1, 1)), (text.swapcase(), (status.st_atime_ns, status.st_mtime_ns))):
+        table.write_bytes(content)
+        os.utime(table, ns=times)
+        again = run_field_day(folder_day / "collect.toml", skip=["report"])
+        states += [each.state for each in again.outcomes if each.step == "validate"]
+    table.write_bytes(text)
+    assert states == ["unchanged", "failed"]
+
+
+@pytest.mark.slow
+def test_a_step_is_done_again_after_its_product_or_the_form_of_its_record_was_lost(
+    day: FieldDay, folder_day: Path
+) -> None:
+    # Sizes and times, which earlier versions recorded, are no reason to refuse
+    (day.out / "agreement.csv").unlink()
+    record = json.loads((day.out / RECORD).read_text())
+    record["dirsig"]["products"] = {"dirsig": "0" * 64}
+    (day.out / RECORD).write_text(json.dumps(record))
+    again = run_field_day(folder_day / "collect.toml", skip=["report"])
+    states = {outcome.step: outcome.state for outcome in again.outcomes}
+    assert states["validate"] == states["dirsig"] == "done"
+    assert states["signatures"] == states["map"] == "unchanged"
+
+
+@pytest.mark.slow
+def test_a_new_product_is_one_declaration(
+    day: FieldDay, folder_day: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The engine decides whether it is current, protects files of other programs, and reports it
+    shutil.copytree(folder_day, tmp_path / "new")
+
+    def count_paints(run: FieldDayRun) -> str:
+        publish_file(run.out / "count.txt", str(hp.open_library(run.library).sizes).encode(), overwrite=True)
+        return "counted"
+
+    monkeypatch.setitem(field_day.STEPS, "count", Step("count.txt", count_paints, ("library",), ("library",)))
+    states, others = [], [name for name in STEPS if name not in ("process", "count")]
+    for content in (None, None, "of another program"):
+        if content is not None:
+            (tmp_path / "new" / "products" / "count.txt").write_text(content)
+        count = run_field_day(tmp_path / "new", skip=others).outcomes[-1]
+        states.append((count.step, count.state))
+    assert states == [("count", "done"), ("count", "unchanged"), ("count", "failed")]
+    assert run_field_day(tmp_path / "new", skip=others, overwrite=True).outcomes[-1].text == "counted"
+
+
+@pytest.mark.slow
+def test_what_a_collect_does_not_have_is_said(day: FieldDay, folder_day: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "bare"
+    shutil.copytree(folder_day, copied, ignore=shutil.ignore_patterns("products", "svc", "asd_reflectance"))
+    text = (copied / "collect.toml").read_text(encoding="utf-8").replace("ground = ", "# ground = ")
+    (copied / "collect.toml").write_text(text.partition("\n[[references]]")[0], encoding="utf-8")
+    bare = run_field_day(copied / "collect.toml", skip=["dirsig", "report"])
+    said = {outcome.step: outcome.text for outcome in bare.outcomes if outcome.state == "left out"}
+    assert "[[references]]" in said["validate"]
+    assert "[geometry] ground" in said["map"]
+    assert bare.passed is None
+
+
+@pytest.mark.slow
+def test_lines_make_one_map(folder_day: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "two"
+    shutil.copytree(folder_day, copied, ignore=shutil.ignore_patterns("products"))
+    text = (copied / "author.toml").read_text(encoding="utf-8")
+    (table,) = re.findall(r"\[\[flightlines\]\]\n(?:[^\[\n].*\n?)+", text[text.index("[[flightlines]]") :])
+    again = re.sub(r'id = "\w+"', 'id = "again"', table)
+    assert again != table
+    (copied / "collect.toml").write_text(text.replace(table, f"{table}\n{again}\n"), encoding="utf-8")
+    day = run_field_day(copied, skip=["signatures", "validate", "dirsig", "report"])
+    said = {outcome.step: outcome for outcome in day.outcomes}
+    assert said["mosaic"].state == "done", str(day)
+    assert "again, raw_0" in said["mosaic"].text or "raw_0, again" in said["mosaic"].text
+    one, both = (read_geotiff_header(day.out / f"{name}.tif") for name in ("raw_0", "mosaic"))
+    assert one.shape == pytest.approx(both.shape, rel=0.1)  # cells of a mosaic are of the mean spacing
+    assert (one.bands, one.dtype) == (both.bands, both.dtype)
+
+
+@pytest.mark.slow
+def test_steps_have_names(tmp_path: Path) -> None:
+    expect_error(
+        hp.SchemaError,
+        "step-required",
+        lambda: run_field_day(tmp_path / "collect.toml", skip=["process", "albedo"]),
+    )
+
+
+@pytest.mark.slow
+def test_a_spoilt_record_and_a_kill_only_cost_time(
+    day: FieldDay, folder_day: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copied = tmp_path / "spoilt"
+    shutil.copytree(folder_day, copied)
+    record = copied / "products" / "steps.json"
+    kept = json.loads(record.read_text())
+    skip = ["signatures", "map", "dirsig", "report"]
+    record.write_text("[1, 2")
+    write = Record.write
+
+    def killed(record: Record, entries: dict[str, Any]) -> None:
+        write(record, entries)
+        if entries.get("validate", {}).get("inputs"):
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Record, "write", killed)
+        expect_error(KeyboardInterrupt, None, lambda: run_field_day(copied, skip=skip))
+    again = run_field_day(copied, skip=skip)
+    assert {one.step: one.state for one in again.outcomes}["validate"] == "unchanged"
+    assert again.passed == day.passed is not None
+    assert json.loads(record.read_text())["validate"]["inputs"] == kept["validate"]["inputs"]
+
+
+@pytest.mark.slow
+def test_products_of_another_library_are_made_again(day: FieldDay, folder_day: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "other"
+    shutil.copytree(folder_day, copied)
+    library = copied / "products" / "paints.zarr"
+    first = hp.open_library(library).load()
+    shutil.rmtree(library)
+    hp.write_library(first.isel(signature=slice(0, 3)), library)
+    skip = ["map", "mosaic", "report"]
+    again = run_field_day(copied, skip=skip)
+    states = {outcome.step: outcome for outcome in again.outcomes}
+    assert states["signatures"].state == "failed"
+    assert "paints.zarr: written or changed by another program" in states["signatures"].text
+    assert hp.open_library(library).sizes["signature"] == 3  # it is the user's
+    used = run_field_day(copied, skip=["signatures", *skip])
+    assert {one.step: one.text for one in used.outcomes}["dirsig"].endswith("3 materials")
+    mended = run_field_day(copied, skip=skip, overwrite=True)
+    states = {outcome.step: outcome for outcome in mended.outcomes}
+    assert (
+        {states[step].state for step in ("signatures", "validate", "dirsig")},
+        hp.open_library(library).sizes["signature"],
+    ) == ({"done"}, first.sizes["signature"])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray, of affine
+def test_a_height_model_places_regions_and_is_looked_at_again(folder_day: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "dem"
+    shutil.copytree(folder_day, copied, ignore=shutil.ignore_patterns("products"))
+    line = hp.open_collect(copied / "author.toml")["flightlines/raw_0"].to_dataset()
+    located = line.paint.locate()
+    write_level_dem(copied / "dem.tif", located, line.attrs["ground"])
+    text = re.sub(
+        r"(?m)^ground = .*$", 'dem = "dem.tif"\ndem_heights = "ellipsoid"',
+        (copied / "author.toml").read_text("utf-8"),
+    )  # fmt: skip
+    (copied / "collect.toml").write_text(text, encoding="utf-8")
+    roof = hp.read_regions(copied / "regions.geojson")[0]
+    x, y = np.round(roof.polygon).astype(int).T
+    x, y = x.clip(0, line.sizes["cross_track"] - 1), y.clip(0, line.sizes["along_track"] - 1)
+    corners = np.stack([located[name].values[y, x] for name in ("east", "north")], axis=-1)
+    drawn = hp.Region("roof", corners, flightline="raw_0")
+    crs = located["east"].attrs["crs"]
+    hp.write_regions(hp.Regions((drawn,), "map", crs), copied / "drawn.geojson")
+    skip = ["validate", "mosaic", "dirsig", "report"]
+    day = run_field_day(copied, regions=copied / "drawn.geojson", skip=skip)
+    states = {outcome.step: outcome for outcome in day.outcomes}
+    assert {states[step].state for step in ("signatures", "map")} == {"done"}, str(day)
+    (copied / "dem.tif").unlink()
+    write_level_dem(copied / "dem.tif", located, line.attrs["ground"] - 20.0)
+    day = run_field_day(copied, regions=copied / "drawn.geojson", skip=["signatures", *skip])
+    assert {one.step: one.state for one in day.outcomes}["map"] == "done"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("day")  # which writes the collect.toml
+def test_regions_are_read_before_anything_is_processed(folder_day: Path, tmp_path: Path) -> None:
+    expect_error(
+        hp.SchemaError,
+        "file-not-found",
+        lambda: run_field_day(
+            folder_day / "collect.toml", tmp_path / "none", regions=tmp_path / "typo.geojson"
+        ),
+    )
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.slow
+def test_a_step_that_fails_does_not_end_the_day(
+    day: FieldDay, folder_day: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise hp.StoreError("the disk is full")
+
+    (day.out / "raw_0.tif").unlink()
+    (day.out / "agreement.csv").unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr("hyperpaint.workflows.field_day.validate_files", refuse)
+        again = hyperpaint("run", folder_day, "--skip", "report")
+    assert again.exit_code == 2
+    expect_words(again.output, "validate    failed", "the disk is full", "map         done")
+    assert (day.out / "raw_0.tif").exists()
+
+
+@pytest.mark.slow
+def test_proposed_paints_are_not_compared_by_name(day: FieldDay, folder_day: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "proposed"
+    shutil.copytree(
+        folder_day, copied, ignore=shutil.ignore_patterns("regions.geojson", "products", "truth.zarr")
+    )
+    shutil.copytree(day.out / "lot.zarr", copied / "products" / "lot.zarr")
+    proposed = run_field_day(copied, skip=["map", "dirsig", "report"])
+    outcome = {one.step: one for one in proposed.outcomes}["validate"]
+    assert outcome.state == "left out"
+    assert "--pairs" in outcome.text
+
+
+@pytest.mark.slow
+def test_a_flight_cut_into_five_cubes_has_the_same_signatures(
+    day: FieldDay, folder_day: Path, tmp_path: Path
+) -> None:
+    # ASD files and darks lie elsewhere as well; no bit of any paint differs
+    cut = tmp_path / "cut"
+    hp.simulate_collect(
+        cut, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4, cubes=5, truth=False,
+        fleet="solid",
+    )  # fmt: skip
+    (cut / "collect.toml").unlink()
+    shutil.copy(folder_day / "regions.geojson", cut)
+    for name in ("asd", "dark"):
+        shutil.move(cut / name, tmp_path / name)
+    elsewhere = ["--asd", str(tmp_path / "asd"), "--dark", str(tmp_path / "dark")]
+    written = hyperpaint("init", cut, *elsewhere)
+    assert "5 cubes, 1 dark" in written.output
+    other = run_field_day(cut, skip=["validate", "map", "dirsig", "report"])
+    one, five = (hp.open_library(each.out / "paints.zarr") for each in (day, other))
+    assert set(one.data_vars) == set(five.data_vars)
+    for name in one.data_vars:
+        assert one[name].values.tobytes() == five[name].values.tobytes(), name
+
+
+@pytest.mark.slow
+def test_paints_of_an_earlier_run_do_not_stand_for_those_that_failed(
+    day: FieldDay, folder_day: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise hp.SchemaError("no region holds a pixel")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("hyperpaint.workflows.field_day.write_signatures", refuse)
+        again = run_field_day(folder_day, specular_sky=True, skip=["map", "report"])
+    states = {one.step: one.state for one in again.outcomes}
+    assert day.passed is not None
+    assert (day.out / "paints.zarr").exists()
+    assert (states["signatures"], states["validate"], states["dirsig"]) == ("failed", "left out", "left out")

@@ -3,25 +3,25 @@
 Each is put where users put stores: the JSON in the current folder, the repository beside the raw cubes.
 """
 
-from __future__ import annotations
-
 import http.server
 import json
 import posixpath
+import re
 import shutil
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
 import pytest
 import zarr
-from click.testing import CliRunner
+from support.commands import hyperpaint
+from support.refusals import expect_error, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import StoreError
-from hyperpaint.cli.program import main
 from hyperpaint.io.store.raw_references import RawFile
 from hyperpaint.workflows.virtual_store import virtualise
 
@@ -38,14 +38,14 @@ def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def home(master: Path, tmp_path: Path) -> Path:
-    """Return a folder with a collect, beside a file that is nobody's business."""
+    # Return a folder with a collect, beside a file that is nobody's business
     (tmp_path / "secret").write_bytes(SECRET)
     return Path(shutil.copytree(master, tmp_path / "home"))
 
 
 @pytest.fixture
 def server(home: Path) -> Iterator[tuple[str, list[str]]]:
-    """Serve a URL, and list what is asked of it; it may also lead back to this machine under another name."""
+    # Serve a URL, and list what is asked of it; it may also lead back to this machine under another name
     asked: list[str] = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
@@ -83,52 +83,41 @@ DOCUMENTS: dict[str, Any] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("spelling", ["plain", "spaces and a mark", "escaped"])
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_json_is_refused_by_name(
-    home: Path, server: tuple[str, list[str]], monkeypatch: pytest.MonkeyPatch, name: str, spelling: str
+    home: Path, server: tuple[str, list[str]], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setenv("HP_WORD", "word-of-the-environment")
     url, asked = server
+    plain, evil = json.dumps(DOCUMENTS[name]), home / "evil.json"
     words = {"server": url, "mark": str(home / "mark"), "secret": str(home.parent / "secret")}
-    text = json.dumps(DOCUMENTS[name])
     for word, value in words.items():
-        text = text.replace(f"%({word})s", value)
-    if spelling == "spaces and a mark":
-        text = "\ufeff\n " + json.dumps(json.loads(text), indent=3)
-    elif spelling == "escaped":
-        for plain, escaped in (
-            ("gen", "g\\u0065n"),
-            ("refs", "r\\u0065fs"),
-            ("templates", "templat\\u0065s"),
-        ):
-            text = text.replace(f'"{plain}"', f'"{escaped}"')
-    (home / "evil.json").write_text(text, encoding="utf-8")
-    with pytest.raises(StoreError, match="kerchunk-refused") as caught:
-        hp.io.open_virtual(home / "evil.json", allow=[url, home.parent])
-    for part in ("gen", "templates"):
-        assert (f"`{part}`" in str(caught.value)) == (part in DOCUMENTS[name])
-    assert "virtualizarr" in str(caught.value)
-    run = CliRunner().invoke(main, ["info", str(home / "evil.json"), "--allow", url])
-    assert run.exit_code == 2
-    assert "kerchunk references" in run.output
-    assert not asked
-    assert not (home / "mark").exists()
+        plain = plain.replace(f"%({word})s", value)
+    escaped = re.sub(r'"(g|r|templat)e(n|fs|s)"', r'"\1\\u0065\2"', plain)
+    for text in (plain, "\ufeff\n " + json.dumps(json.loads(plain), indent=3), escaped):
+        evil.write_text(text, encoding="utf-8")
+        call = partial(hp.io.open_virtual, evil, allow=[url, home.parent])
+        error = str(expect_error(StoreError, "kerchunk-refused", call))
+        for part in ("gen", "templates"):
+            assert (f"`{part}`" in error) == (part in DOCUMENTS[name])
+        assert "virtualizarr" in error
+        assert "kerchunk references" in hyperpaint("info", evil, "--allow", url, status=2).output
+        assert (asked, (home / "mark").exists()) == ([], False)
 
 
 def test_a_folder_of_parquet_references_is_refused(home: Path) -> None:
     (home / "refs").mkdir()
     (home / "refs" / ".zmetadata").write_text('{"metadata": {}, "record_size": 10000}')
-    with pytest.raises(StoreError, match="kerchunk-refused"):
-        hp.io.open_virtual(home / "refs")
-    assert "kerchunk references" in CliRunner().invoke(main, ["info", str(home / "refs")]).output
+    expect_error(StoreError, "kerchunk-refused", lambda: hp.io.open_virtual(home / "refs"))
+    assert "kerchunk references" in hyperpaint("info", home / "refs").output
 
 
 @pytest.mark.parametrize("name", ["lot.json", "lot.JSON", "lot.parq", "lot.parquet"])
 def test_json_is_not_written(home: Path, name: str) -> None:
     before = sorted(home.rglob("*"))
-    with pytest.raises(StoreError, match=r"kerchunk.*icechunk"):
-        virtualise(home / "day" / "collect.toml", home / name)
+    expect_error(
+        StoreError, r"kerchunk.*icechunk", lambda: virtualise(home / "day" / "collect.toml", home / name)
+    )
     assert sorted(home.rglob("*")) == before
 
 
@@ -143,8 +132,7 @@ def test_no_module_hands_references_to_fsspec() -> None:
 
 
 class Repository:
-    """A virtual store beside its raw cubes, which is forged by a test."""
-
+    # A virtual store beside its raw cubes, which is forged by a test
     def __init__(self, home: Path) -> None:
         self.icechunk = pytest.importorskip("icechunk", reason="icechunk is not installed (extra `virtual`)")
         self.home, self.path = home, home / "lot.icechunk"
@@ -155,7 +143,7 @@ class Repository:
     def refer(
         self, url: str, offset: int = 0, length: int | None = None, place: Any = None, record: bool = False
     ) -> None:
-        """Let the second slab lie elsewhere, in a container of its own; name it in the record if asked."""
+        # Let the second slab lie elsewhere, in a container of its own; name it in the record if asked
         ice = self.icechunk
         storage = ice.local_filesystem_storage(str(self.path))
         config = ice.Repository.fetch_config(storage)
@@ -178,7 +166,7 @@ class Repository:
             self.record(lambda groups: groups[GROUP]["raw_files"].append(row))
 
     def record(self, change: Callable[[Any], Any]) -> None:
-        """Change the record of raw files."""
+        # Change the record of raw files
         storage = self.icechunk.local_filesystem_storage(str(self.path))
         session = self.icechunk.Repository.open(storage).writable_session("main")
         root = zarr.open_group(session.store, mode="r+")
@@ -188,108 +176,102 @@ class Repository:
         session.commit("forged")
 
 
-def container_elsewhere(repository: Repository, server: str) -> str:
-    repository.refer(f"file://{repository.home.parent}/secret")
-    return "reference-wrong"
-
-
-def link_that_leads_out(repository: Repository, server: str) -> str:
+def link_that_leads_out(repository: Repository, server: str) -> None:
     (repository.home / "day" / "cube").symlink_to(repository.home.parent / "secret")
     repository.refer(f"file://{repository.home}/day/cube", record=True)
-    return "raw files in other folders"
 
 
-def folder_that_is_a_link(repository: Repository, server: str) -> str:
+def folder_that_is_a_link(repository: Repository, server: str) -> None:
     (repository.home / "day" / "up").symlink_to(repository.home.parent)
     repository.refer(f"file://{repository.home}/day/up/secret", record=True)
-    return "raw files in other folders"
 
 
-def offset_beyond_the_end(repository: Repository, server: str) -> str:
-    repository.refer(f"file://{repository.raw}", 10**9)
-    return "store-damaged"
-
-
-def length_beyond_the_end(repository: Repository, server: str) -> str:
-    repository.refer(f"file://{repository.raw}", repository.raw.stat().st_size - repository.slab + 1)
-    return "store-damaged"
-
-
-def offset_that_overflows(repository: Repository, server: str) -> str:
-    repository.refer(f"file://{repository.raw}", 2**64 - 100)
-    return "lacks bytes|store-damaged"
-
-
-def another_length(repository: Repository, server: str) -> str:
-    repository.refer(f"file://{repository.raw}", 0, repository.slab // 2)
-    return "bytes in flightlines"
-
-
-def another_file_beside(repository: Repository, server: str) -> str:
+def another_file_beside(repository: Repository, server: str) -> None:
     (repository.raw.parent / "letter").write_bytes(SECRET)
     repository.refer(f"file://{repository.raw.parent}/letter")
-    return "reference-wrong"
 
 
-def another_file_by_dots(repository: Repository, server: str) -> str:
-    repository.refer(f"file://{repository.raw.parent}/%2e%2e/%2e%2e/%2e%2e/secret")
-    return "reference-wrong"
-
-
-def s3_container(repository: Repository, server: str) -> str:
+def s3_container(repository: Repository, server: str) -> None:
     place = repository.icechunk.s3_store(
         region="us-east-1", endpoint_url=server, allow_http=True, force_path_style=True, s3_compatible=True
     )
     repository.refer("s3://bucket/cube", place=place, record=True)
-    return "raw files in other folders"
 
 
-def s3_container_of_no_record(repository: Repository, server: str) -> str:
+def s3_container_of_no_record(repository: Repository, server: str) -> None:
     place = repository.icechunk.s3_store(
         region="us-east-1", endpoint_url=server, allow_http=True, force_path_style=True, s3_compatible=True
     )
     repository.refer("s3://bucket/cube", place=place)
-    return "reference-wrong"
 
 
-def http_container(repository: Repository, server: str) -> str:
+def http_container(repository: Repository, server: str) -> None:
     place = repository.icechunk.http_store({"allow_http": "true"})
     repository.refer("http://localhost/cube", place=place, record=True)
-    return "raw files in other folders"
 
 
-def record_of_a_file_outside(repository: Repository, server: str) -> str:
-    repository.refer(f"file://{repository.home.parent}/secret", record=True)
-    return "raw files in other folders"
-
-
-def record_with_another_url(repository: Repository, server: str) -> str:
+def record_with_another_url(repository: Repository, server: str) -> None:
     row = {"url": f"simplecache::{server}/cube", "size": 1}
     repository.record(lambda groups: groups[GROUP]["raw_files"].append(row))
-    return "icechunk cannot read raw files from"
 
 
-def chunk_that_is_a_link(repository: Repository, server: str) -> str:
+def chunk_that_is_a_link(repository: Repository, server: str) -> None:
     chunk = next(path for path in (repository.path / "chunks").iterdir() if path.is_file())
     chunk.unlink()
     chunk.symlink_to(repository.home.parent / "secret")
-    return "is a link"
 
 
-FORGED = [
-    container_elsewhere, link_that_leads_out, folder_that_is_a_link, offset_beyond_the_end,
-    length_beyond_the_end, offset_that_overflows, another_length, another_file_beside, another_file_by_dots,
-    s3_container, s3_container_of_no_record, http_container, record_of_a_file_outside,
-    record_with_another_url, chunk_that_is_a_link,
-]  # fmt: skip
+Forge = Callable[[Repository, str], Any]
+#: Forgeries by name, with words of the refusal.
+FORGED: dict[str, tuple[Forge, str]] = {
+    "container_elsewhere": (
+        lambda repository, _: repository.refer(f"file://{repository.home.parent}/secret"),
+        "reference-wrong",
+    ),
+    "link_that_leads_out": (link_that_leads_out, "raw files in other folders"),
+    "folder_that_is_a_link": (folder_that_is_a_link, "raw files in other folders"),
+    "offset_beyond_the_end": (
+        lambda repository, _: repository.refer(f"file://{repository.raw}", 10**9),
+        "store-damaged",
+    ),
+    "length_beyond_the_end": (
+        lambda repository, _: repository.refer(
+            f"file://{repository.raw}", repository.raw.stat().st_size - repository.slab + 1
+        ),
+        "store-damaged",
+    ),
+    "offset_that_overflows": (
+        lambda repository, _: repository.refer(f"file://{repository.raw}", 2**64 - 100),
+        "lacks bytes|store-damaged",
+    ),
+    "another_length": (
+        lambda repository, _: repository.refer(f"file://{repository.raw}", 0, repository.slab // 2),
+        "bytes in flightlines",
+    ),
+    "another_file_beside": (another_file_beside, "reference-wrong"),
+    "another_file_by_dots": (
+        lambda repository, _: repository.refer(f"file://{repository.raw.parent}/%2e%2e/%2e%2e/%2e%2e/secret"),
+        "reference-wrong",
+    ),
+    "s3_container": (s3_container, "raw files in other folders"),
+    "s3_container_of_no_record": (s3_container_of_no_record, "reference-wrong"),
+    "http_container": (http_container, "raw files in other folders"),
+    "record_of_a_file_outside": (
+        lambda repository, _: repository.refer(f"file://{repository.home.parent}/secret", record=True),
+        "raw files in other folders",
+    ),
+    "record_with_another_url": (record_with_another_url, "icechunk cannot read raw files from"),
+    "chunk_that_is_a_link": (chunk_that_is_a_link, "is a link"),
+}
 
 
-@pytest.mark.parametrize("forge", FORGED, ids=lambda forge: forge.__name__)
+@pytest.mark.parametrize(("forge", "words"), FORGED.values(), ids=FORGED)
 def test_forged_repositories_are_refused(
     home: Path,
     server: tuple[str, list[str]],
     monkeypatch: pytest.MonkeyPatch,
-    forge: Callable[[Repository, str], str],
+    forge: Forge,
+    words: str,
 ) -> None:
     url, asked = server
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "HPKEY")
@@ -297,35 +279,38 @@ def test_forged_repositories_are_refused(
     repository = Repository(home)
     # what is refused is the forgery: the store as it was opens
     assert hp.io.open_virtual(repository.path)["counts"].load().sizes["along_track"] == 160
-    words = forge(repository, url)
+    forge(repository, url)
     opened: list[str] = []
     state_of = RawFile.of
     monkeypatch.setattr(RawFile, "of", lambda url: opened.append(url) or state_of(url))
-    with pytest.raises(StoreError, match=words):
-        hp.io.open_virtual(repository.path)
+    expect_error(StoreError, words, lambda: hp.io.open_virtual(repository.path))
     assert not asked
     assert set(opened) <= {f"file://{repository.raw}"}
-    run = CliRunner().invoke(main, ["info", str(repository.path)])
-    assert "PRIVATE" not in run.output
-    assert "counts:" not in run.output
+    run = hyperpaint("info", repository.path)
+    expect_words(
+        run.output,
+        without=("PRIVATE", "counts:"),
+    )
     assert not asked
 
 
 @pytest.mark.parametrize("name", ["flightlines/raw_1", "flightlines", "flightlines/raw_0/counts"])
 def test_references_to_the_file_of_another_line(home: Path, name: str) -> None:
-    """A line may refer to its own files alone: those of others are not compared when it is opened."""
+    # A line may refer to its own files alone: those of others are not compared when it is opened
     repository = Repository(home)
     (home / "day" / "other").write_bytes(SECRET)
     repository.refer(f"file://{home}/day/other")
     row = {"url": f"file://{home}/day/other", "size": 1, "changed_ns": 0}
     repository.record(lambda groups: groups.update({name: {**groups[GROUP], "raw_files": [row]}}))
-    with pytest.raises(StoreError, match="reference-wrong"):
-        hp.io.open_virtual(repository.path, GROUP)
+    expect_error(StoreError, "reference-wrong", lambda: hp.io.open_virtual(repository.path, GROUP))
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
+def test_records_that_are_none(home: Path) -> None:
+    repository = Repository(home)
+    storage = repository.icechunk.local_filesystem_storage(str(repository.path))
+    session = repository.icechunk.Repository.open(storage).readonly_session("main")
+    record = zarr.open_group(session.store, mode="r").attrs["raw_files"]
+    changes: list[Callable[[Any], Any]] = [
         lambda groups: groups.update({"../x": groups[GROUP]}),
         lambda groups: groups.update({"x\x1b[31m": groups[GROUP]}),
         lambda groups: groups.update({"": groups[GROUP]}),
@@ -336,32 +321,29 @@ def test_references_to_the_file_of_another_line(home: Path, name: str) -> None:
         lambda groups: groups[GROUP].update(raw_files=7),
         lambda groups: groups.update({GROUP: 7}),
         lambda groups: groups.clear(),
-    ],
-)
-def test_records_that_are_none(home: Path, changed: Callable[[Any], Any]) -> None:
-    repository = Repository(home)
-    repository.record(changed)
-    with pytest.raises(StoreError):
-        hp.io.open_virtual(repository.path, GROUP)
-    run = CliRunner().invoke(main, ["info", str(repository.path)])
-    assert run.exception is None or isinstance(run.exception, SystemExit)
-    assert "\x1b" not in run.output
+    ]
+    for change in changes:
+        changed = json.loads(str(record))
+        change(changed)
+        repository.record(lambda groups, changed=changed: (groups.clear(), groups.update(changed)))
+        expect_error(StoreError, None, partial(hp.io.open_virtual, repository.path, GROUP))
+        run = hyperpaint("info", repository.path)
+        assert run.exception is None or isinstance(run.exception, SystemExit)
+        assert "\x1b" not in run.output
 
 
 @pytest.mark.parametrize(
     "allow", ["home", "day/flight", "day/flight/raw_0", "http://localhost", "s3://bucket"]
 )
 def test_what_is_allowed_is_a_place_not_the_record(home: Path, tmp_path: Path, allow: str) -> None:
-    """A prefix is a whole name of a folder, links resolved; URLs allow no files."""
+    # A prefix is a whole name of a folder, links resolved; URLs allow no files
     Repository(home)
     (tmp_path / "stores").mkdir()
     store = Path(shutil.move(home / "lot.icechunk", tmp_path / "stores" / "lot.icechunk"))
     given = allow if "://" in allow else str(home) if allow == "home" else str(home / allow)
-    with pytest.raises(StoreError, match="other folders"):
-        hp.io.open_virtual(store, allow=f"{given}x")
+    expect_error(StoreError, "other folders", lambda: hp.io.open_virtual(store, allow=f"{given}x"))
     if "://" in allow:
-        with pytest.raises(StoreError, match="other folders"):
-            hp.io.open_virtual(store, allow=allow)
+        expect_error(StoreError, "other folders", lambda: hp.io.open_virtual(store, allow=allow))
         return
     assert hp.io.open_virtual(store, allow=given).sizes["along_track"] == 160
     (tmp_path / "link").symlink_to(given)

@@ -3,8 +3,6 @@
 After a change that is meant, raise the version and record anew: ``python`` with the path of this file.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile
@@ -29,14 +27,13 @@ TOLERANCE = 2.0**-11
 
 
 def numbers_of(folder: Path) -> dict[str, list[float]]:
-    """Process a small collect; return the mean and 16 samples of every variable."""
+    # Process a small collect; return the mean and 16 samples of every variable
     size = {"lines": 40, "bands": 12, "columns": 8}
     collect = hp.simulate_collect(folder / "raw", scene="plan", seed=3, truth=False, **size)
     line = xr.open_zarr(hp.process(collect, folder / "lot.zarr"), group="flightlines/raw_0").load()
     numbers = {}
     for name in (*INPUTS, *RESULTS):
-        values = line[name].values.ravel()
-        plain = values.astype("f8")
+        plain = line[name].values.ravel().astype("f8")
         places = np.linspace(0, plain.size - 1, 16).astype(int)
         numbers[name] = [float(np.nanmean(plain)), *np.nan_to_num(plain[places]).tolist()]
     return numbers

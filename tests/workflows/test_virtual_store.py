@@ -1,7 +1,5 @@
 """Virtual stores: the bits of `process` out of raw files that are not copied, and refusals of others."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -9,6 +7,7 @@ import shlex
 import shutil
 import uuid
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,12 @@ import fsspec
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
-from support.refusals import refusal
+from support.commands import hyperpaint
+from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, StoreError
 from hyperpaint.cli.info_command import facts_of_path
-from hyperpaint.cli.program import main as cli
 from hyperpaint.workflows.virtual_store import virtualise
 
 icechunk = pytest.importorskip("icechunk", reason="icechunk is not installed (extra `virtual`)")
@@ -39,13 +37,12 @@ def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def wanted(collect: Path, tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
-    store = hp.process(collect, tmp_path_factory.mktemp("store") / "lot.zarr", reflectance="none")
-    return hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+    return computed(collect, tmp_path_factory.mktemp("store") / "lot.zarr")
 
 
 @pytest.fixture
 def copied(collect: Path, tmp_path: Path) -> Path:
-    """Return a collect of the same files that a test may change."""
+    # Return a collect of the same files that a test may change
     shutil.copytree(collect.parent, tmp_path / "day")
     return tmp_path / "day" / "collect.toml"
 
@@ -59,8 +56,14 @@ def assert_same(line: xr.Dataset, wanted: xr.Dataset) -> None:
     assert product["reflectance"].attrs == wanted["reflectance"].attrs
 
 
+def computed(collect: Path, store: Path) -> xr.Dataset:
+    # Return the product of the counts that `process` stores
+    hp.process(collect, store, reflectance="none")
+    return hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+
+
 def rewritten(collect: Path, interleave: str = "bil", dtype: str = "<u2", offset: int = 0) -> Path:
-    """Write the cube of a collect in another layout; return its data file."""
+    # Write the cube of a collect in another layout; return its data file
     data = collect.parent / "flight" / "raw_0"
     header = data.with_suffix(".hdr")
     order = {"bil": (0, 1, 2), "bip": (0, 2, 1), "bsq": (1, 0, 2)}[interleave]
@@ -83,8 +86,10 @@ def test_the_bits_of_process_and_nothing_copied(collect: Path, wanted: xr.Datase
     )
     assert_same(hp.io.open_virtual(tmp_path / NAME, allow=str(collect.parent), chunks=None), wanted)
     again = virtualise(collect, tmp_path / NAME)
-    assert (again.written, again.unchanged) == ((), ("flightlines/raw_0",))
-    assert sorted(path.name for path in tmp_path.iterdir()) == [NAME]
+    assert ((again.written, again.unchanged), sorted(path.name for path in tmp_path.iterdir())) == (
+        ((), ("flightlines/raw_0",)),
+        [NAME],
+    )
     facts = facts_of_path(tmp_path / NAME, [str(collect.parent)])
     assert "1 flight line" in facts["is"]
     assert f"counts: {LINES} along_track" in facts["/flightlines/raw_0 holds"]
@@ -112,13 +117,12 @@ def test_other_layouts(copied: Path, wanted: xr.Dataset, interleave: str, dtype:
 
 def test_layouts_that_cannot_be_referred_to(copied: Path, tmp_path: Path) -> None:
     rewritten(copied, "bsq")
-    with pytest.raises(FormatError, match="interleave-unsupported"):
-        virtualise(copied, tmp_path / NAME)
+    expect_error(FormatError, "interleave-unsupported", lambda: virtualise(copied, tmp_path / NAME))
     assert not (tmp_path / NAME).exists()
 
 
 def shortened(collect: Path, lines: int) -> None:
-    """Cut a collect's cube and its frame index."""
+    # Cut a collect's cube and its frame index
     flight = collect.parent / "flight"
     os.truncate(flight / "raw_0", lines * 6 * 10 * 2)
     text = (flight / "raw_0.hdr").read_text()
@@ -130,8 +134,7 @@ def shortened(collect: Path, lines: int) -> None:
 
 def test_the_last_short_slab_is_copied(copied: Path, tmp_path: Path) -> None:
     shortened(copied, 73)  # a prime
-    store = hp.process(copied, tmp_path / "lot.zarr", reflectance="none")
-    expected = hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+    expected = computed(copied, tmp_path / "lot.zarr")
     virtualise(copied, tmp_path / NAME)
     line = hp.io.open_virtual(tmp_path / NAME)
     assert line["counts"].variable.chunksizes["along_track"] == (32, 32, 9)
@@ -142,8 +145,7 @@ def test_lost_frames_are_copied(copied: Path, tmp_path: Path) -> None:
     index = copied.parent / "flight" / "frameIndex_0.txt"
     rows = index.read_text().splitlines(keepends=True)
     index.write_text("".join(rows[:-20] + rows[-19:]))  # by number now: one of the lines was never recorded
-    store = hp.process(copied, tmp_path / "lot.zarr", reflectance="none")
-    expected = hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+    expected = computed(copied, tmp_path / "lot.zarr")
     assert (expected["counts"] == 65535).all(("band", "cross_track")).sum() == 1
     virtualise(copied, tmp_path / NAME)
     assert_same(hp.io.open_virtual(tmp_path / NAME), expected)
@@ -166,32 +168,34 @@ def test_other_raw_files_are_refused(copied: Path, tmp_path: Path, damage: str) 
         data.write_bytes(bytes(data.stat().st_size))
         os.utime(data, (2e9, 2e9))
         words = "changed at 2033"
-    with pytest.raises(StoreError, match=rf"(?s){words}.*again"):
-        hp.io.open_virtual(tmp_path / NAME)
+    expect_error(StoreError, rf"(?s){words}.*again", lambda: hp.io.open_virtual(tmp_path / NAME))
     assert words in facts_of_path(tmp_path / NAME)["/flightlines/raw_0 NOT READ"]
-    with pytest.raises(icechunk.IcechunkError, match="virtual"):
-        line["counts"].load()
+    expect_error(icechunk.IcechunkError, "virtual", lambda: line["counts"].load())
 
 
 def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.icechunk"
     virtualise(copied, out)
     copied.write_text(copied.read_text().replace("bit_depth = 12", "bit_depth = 13"))
-    with pytest.raises(StoreError, match="store-exists"):
-        virtualise(copied, out)
+    expect_error(StoreError, "store-exists", lambda: virtualise(copied, out))
     assert virtualise(copied, out, overwrite=True).written
     assert float(hp.io.open_virtual(out)["saturation_count"]) == 8191
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "notes.txt").write_text("notes")
-    for overwrite in (False, True):
-        with pytest.raises(StoreError, match="store-exists"):
-            virtualise(copied, tmp_path / "notes", overwrite=overwrite)
-        with pytest.raises(StoreError, match="output-is-input"):
-            virtualise(copied, copied.parent, overwrite=overwrite)
-    with refusal(StoreError, "group-unknown", "flightlines/raw_0"):
-        hp.io.open_virtual(out, "flightlines/raw_1")
-    with pytest.raises(StoreError, match="store-unreadable"):
-        hp.io.open_virtual(tmp_path / "notes")
+    expect_refusals(
+        *(
+            (StoreError, code, partial(virtualise, copied, place, overwrite=overwrite))
+            for overwrite in (False, True)
+            for code, place in (("store-exists", tmp_path / "notes"), ("output-is-input", copied.parent))
+        ),
+        (
+            StoreError,
+            "group-unknown",
+            "flightlines/raw_0",
+            lambda: hp.io.open_virtual(out, "flightlines/raw_1"),
+        ),
+        (StoreError, "store-unreadable", lambda: hp.io.open_virtual(tmp_path / "notes")),
+    )
 
 
 @pytest.mark.parametrize(
@@ -200,8 +204,7 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
      "http://user@host/x", "http://host/x/../y", "http://host/%2e%2e/y", "s3://bucket\\x", "file:///etc/../x"],
 )  # fmt: skip
 def test_urls_that_icechunk_does_not_read(collect: Path, tmp_path: Path, prefix: str) -> None:
-    with pytest.raises(StoreError, match="url-unusable"):
-        virtualise(collect, tmp_path / NAME, prefix=prefix)
+    expect_error(StoreError, "url-unusable", lambda: virtualise(collect, tmp_path / NAME, prefix=prefix))
     assert not list(tmp_path.iterdir())
 
 
@@ -220,14 +223,12 @@ def test_the_place_of_the_raw_files(collect: Path, wanted: xr.Dataset, tmp_path:
 
 
 def test_the_command_line_says_what_to_allow(collect: Path, tmp_path: Path) -> None:
-    run = CliRunner().invoke(cli, ["virtual", str(collect), "--out", str(tmp_path / NAME)])
+    run = hyperpaint("virtual", collect, "--out", tmp_path / NAME)
     flight = str(collect.parent / "flight")
     assert run.exit_code == 0, run.output
     assert f"allow={flight!r}" in run.output
-    shown = CliRunner().invoke(cli, ["info", str(tmp_path / NAME)]).output
-    assert "NOT READ" in shown
-    assert f"pass --allow '{flight}'" in shown
-    assert "NOT READ" not in CliRunner().invoke(cli, ["info", str(tmp_path / NAME), "--allow", flight]).output
+    expect_words(hyperpaint("info", tmp_path / NAME).output, "NOT READ", f"pass --allow '{flight}'")
+    assert "NOT READ" not in hyperpaint("info", tmp_path / NAME, "--allow", flight).output
 
 
 def test_the_old_store_is_there_until_the_new_one_is(
@@ -248,8 +249,10 @@ def test_the_old_store_is_there_until_the_new_one_is(
                 virtualise(copied, out, overwrite=True)
         assert float(hp.io.open_virtual(out)["saturation_count"]) in (4095, 8191), broken
     virtualise(copied, out, overwrite=True)
-    assert float(hp.io.open_virtual(out)["saturation_count"]) == 8191
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["day", NAME]
+    assert (
+        float(hp.io.open_virtual(out)["saturation_count"]),
+        sorted(path.name for path in tmp_path.iterdir()),
+    ) == (8191, ["day", NAME])
 
 
 @pytest.mark.parametrize("lost", ["chunks", "manifests"])
@@ -258,21 +261,19 @@ def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path, lost: 
     out = tmp_path / NAME
     virtualise(copied, out)
     shutil.rmtree(out / lost)
-    with pytest.raises(StoreError, match="store-damaged"):
-        hp.io.open_virtual(out)
+    expect_error(StoreError, "store-damaged", lambda: hp.io.open_virtual(out))
     assert virtualise(copied, out).written
     assert hp.io.open_virtual(out).load().sizes["along_track"] == 73
     assert not virtualise(copied, out).written
     shutil.rmtree(out / "snapshots")
     (out / "snapshots").mkdir()
-    with pytest.raises(StoreError, match="store-damaged"):
-        virtualise(copied, out)
+    expect_error(StoreError, "store-damaged", lambda: virtualise(copied, out))
     assert virtualise(copied, out, overwrite=True).written
 
 
 @pytest.fixture
 def bucket(collect: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Serve a collect's files from a bucket of S3, as moto mocks it on this machine."""
+    # Serve a collect's files from a bucket of S3, as moto mocks it on this machine
     moto = pytest.importorskip("moto.server", reason="moto is not installed: no bucket to read from")
     pytest.importorskip("s3fs", reason="s3fs is not installed: fsspec reads no S3")
     served = moto.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
@@ -292,14 +293,16 @@ def bucket(collect: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 def test_raw_files_in_a_bucket(collect: Path, wanted: xr.Dataset, tmp_path: Path, bucket: str) -> None:
     virtualise(collect, tmp_path / NAME, prefix=f"s3://{bucket}")
-    with pytest.raises(StoreError, match=f"allow='s3://{bucket}/flight'"):
-        hp.io.open_virtual(tmp_path / NAME)
+    expect_error(StoreError, f"allow='s3://{bucket}/flight'", lambda: hp.io.open_virtual(tmp_path / NAME))
     assert_same(hp.io.open_virtual(tmp_path / NAME, allow=f"s3://{bucket}"), wanted)
     s3 = fsspec.filesystem("s3")
     s3.pipe(f"{bucket}/flight/raw_0", bytes((collect.parent / "flight" / "raw_0").stat().st_size))
     s3.invalidate_cache()
-    with pytest.raises(StoreError, match=r"raw_0: etag .*, expected"):
-        hp.io.open_virtual(tmp_path / NAME, allow=f"s3://{bucket}")
+    expect_error(
+        StoreError,
+        r"raw_0: etag .*, expected",
+        lambda: hp.io.open_virtual(tmp_path / NAME, allow=f"s3://{bucket}"),
+    )
 
 
 def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
@@ -311,8 +314,7 @@ def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
         (flight / f"{name}.hdr").write_text(half)
     text = copied.read_text().replace('cube = "flight/raw_0.hdr"', 'cube = "flight/raw_*.hdr"')
     copied.write_text(text)
-    store = hp.process(copied, tmp_path / "lot.zarr", reflectance="none")
-    expected = hp.open_store(store, "flightlines/raw_0").paint.reflectance().compute()
+    expected = computed(copied, tmp_path / "lot.zarr")
     assert expected.sizes["along_track"] == LINES
     virtualise(copied, tmp_path / NAME)
     line = hp.io.open_virtual(tmp_path / NAME)
@@ -321,7 +323,11 @@ def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
 
 
 def test_errors_are_hyperpaints_own(tmp_path: Path) -> None:
-    with pytest.raises(PaintError):
-        virtualise(tmp_path / "collect.toml", tmp_path / NAME)
-    with pytest.raises(StoreError, match="output-is-url"):
-        virtualise(tmp_path / "collect.toml", "s3://bucket/lot.icechunk")
+    expect_errors(
+        (PaintError, None, lambda: virtualise(tmp_path / "collect.toml", tmp_path / NAME)),
+        (
+            StoreError,
+            "output-is-url",
+            lambda: virtualise(tmp_path / "collect.toml", "s3://bucket/lot.icechunk"),
+        ),
+    )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
+from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
 from hyperpaint.base.facts import documented, one_of
@@ -344,7 +344,24 @@ def _between(
     else:
         values = np.stack([values[0], np.unwrap(values[1], period=360.0), values[2]])
     if interpolation == "cubic" and knots.size > 1:
-        between = _splined(knots, values, wanted, is_covered, gap)
+        # cubic splines of positions (3, row) or quaternions (4, row), which end at every gap
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        between = np.full((len(values), wanted.size), np.nan)
+        ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
+        for start, stop in itertools.pairwise(ends):
+            is_here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
+            if not is_here.any():
+                continue
+            # a spline needs two rows: a stretch of a single row, whose values it keeps, takes a neighbour
+            rows = slice(start, stop) if stop - start > 1 else slice(max(start - 1, 0), max(stop, 2))
+            s, t = ((time - knots[start]) / _NS_PER_S for time in (knots[rows], wanted[is_here]))
+            if len(values) == 3:
+                between[:, is_here] = CubicSpline(s, values[:, rows], axis=1)(t)
+            else:
+                rotations = RotationSpline(s, Rotation.from_quat(values[:, rows].T, scalar_first=True))(t)
+                between[:, is_here] = rotations.as_quat(scalar_first=True).T
     else:
         weight = elapsed / np.maximum(step, 1)
         first, second = values[:, before], values[:, after]
@@ -354,28 +371,6 @@ def _between(
     else:
         between[1] = wrapped(between[1])
     return np.where(is_covered, between, np.nan)
-
-
-def _splined(knots: Ints, values: Floats, wanted: Ints, is_covered: Bools, gap: float) -> Floats:
-    # Evaluate cubic splines of positions (3, row) or quaternions (4, row), which end at every gap.
-    from scipy.interpolate import CubicSpline
-    from scipy.spatial.transform import Rotation, RotationSpline
-
-    splined = np.full((len(values), wanted.size), np.nan)
-    ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
-    for start, stop in itertools.pairwise(ends):
-        is_here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
-        if not is_here.any():
-            continue
-        # a spline needs two rows: a stretch of a single row, whose values it keeps, takes a neighbour
-        rows = slice(start, stop) if stop - start > 1 else slice(max(start - 1, 0), max(stop, 2))
-        s, t = ((time - knots[start]) / _NS_PER_S for time in (knots[rows], wanted[is_here]))
-        if len(values) == 3:
-            splined[:, is_here] = CubicSpline(s, values[:, rows], axis=1)(t)
-        else:
-            rotations = RotationSpline(s, Rotation.from_quat(values[:, rows].T, scalar_first=True))(t)
-            splined[:, is_here] = rotations.as_quat(scalar_first=True).T
-    return splined
 
 
 # --- rotations of a body (forward, right, down) in the frame north, east, down ----------------------------

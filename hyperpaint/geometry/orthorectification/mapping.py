@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -13,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -169,7 +168,26 @@ def orthorectify(
            [3., 4., 5.],
            [0., 1., 2.]])
     """
-    _check(gsd, grid, method, multi_hit, max_stretch, tile, bounds)
+    problems = Problems("this line cannot be orthorectified", SchemaError)
+    one_of(grid, _GRIDS, "grid", problems=problems)
+    one_of(method, _METHODS, "method", problems=problems)
+    one_of(multi_hit, RULES, "multi_hit", problems=problems)
+    check_cells(problems, gsd, tile)
+    if not 1.0 <= max_stretch < np.inf:
+        problems.add(
+            f"max_stretch {max_stretch!r:.60}",
+            expected="a number of cells from 1 on",
+            code="value-out-of-range",
+        )
+    if bounds is not None:
+        edges = np.asarray(bounds, np.float64)
+        if not (edges.shape == (4,) and np.isfinite(edges).all() and (edges[:2] < edges[2:]).all()):
+            problems.add(
+                f"bounds {bounds!r:.80}",
+                expected="west, south, east, north [m], in this order",
+                code="bounds-invalid",
+            )
+    problems.raise_if_any()
     if is_located(line) and location:
         options = ", ".join(f"{name}=" for name in location)
         raise SchemaError(
@@ -239,31 +257,6 @@ def orthorectify(
     }
     rectified.attrs = {**line.attrs, **settings}
     return rectified
-
-
-def _check(
-    gsd: Any, grid: Any, method: Any, multi_hit: Any, max_stretch: Any, tile: Any, bounds: Any
-) -> None:
-    problems = Problems("this line cannot be orthorectified", SchemaError)
-    one_of(grid, _GRIDS, "grid", problems=problems)
-    one_of(method, _METHODS, "method", problems=problems)
-    one_of(multi_hit, RULES, "multi_hit", problems=problems)
-    check_cells(problems, gsd, tile)
-    if not 1.0 <= max_stretch < np.inf:
-        problems.add(
-            f"max_stretch {max_stretch!r:.60}",
-            expected="a number of cells from 1 on",
-            code="value-out-of-range",
-        )
-    if bounds is not None:
-        edges = np.asarray(bounds, np.float64)
-        if not (edges.shape == (4,) and np.isfinite(edges).all() and (edges[:2] < edges[2:]).all()):
-            problems.add(
-                f"bounds {bounds!r:.80}",
-                expected="west, south, east, north [m], in this order",
-                code="bounds-invalid",
-            )
-    problems.raise_if_any()
 
 
 def line_chunks(line: xr.Dataset, names: Sequence[str] = ()) -> tuple[int, ...]:
@@ -448,10 +441,7 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
         )
     if texts:
         name = line.attrs.get("name", "this line")
-        warnings.warn(
-            PaintWarning(f"{name}: {'; '.join(texts)}; check ground and camera", code="swath-implausible"),
-            stacklevel=3,
-        )
+        warn_user(f"{name}: {'; '.join(texts)}; check ground and camera", "swath-implausible")
     return attrs
 
 

@@ -123,9 +123,11 @@ def index_tile(
         if start != next_start:
             line_before = [np.full(slab[0].shape[1], np.nan)] * len(slab)
         e, n, *surface = (np.ascontiguousarray(part) for part in slab)
-        hidden = np.zeros((0, 0), bool)
-        if surface:
-            hidden = hidden_between(surface[0], surface[1], line_before[2:], plan.parallax)
+        hidden = (
+            hidden_between(surface[0], surface[1], line_before[2:], plan.parallax)
+            if surface
+            else np.zeros((0, 0), bool)
+        )
         invert_lines(
             LinePositions(e, n, line_before[0], line_before[1], hidden), start, plan.last, cells, out
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,11 +19,11 @@ from hyperpaint.base.errors import (
     Findings,
     FormatError,
     PaintError,
-    PaintWarning,
     Problem,
     Problems,
     TimeError,
     Unavailable,
+    warn_user,
 )
 from hyperpaint.base.facts import Fact, Facts, by_key, facts_of, is_number
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, with_numbers
@@ -237,7 +236,7 @@ _LISTS = ("flightlines", "references", "panels")
 
 @dataclass(frozen=True)
 class IrradianceEntry:
-    """``[irradiance]``: files in a fixed order, and arguments of `open_irradiance`."""
+    # ``[irradiance]``: files in a fixed order, and arguments of `open_irradiance`.
 
     files: tuple[Path, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -246,7 +245,7 @@ class IrradianceEntry:
 
 @dataclass(frozen=True)
 class ReferenceEntry:
-    """One ``[[references]]``: a field spectrometer's files."""
+    # One ``[[references]]``: a field spectrometer's files.
 
     instrument: str
     files: tuple[Path, ...]
@@ -265,7 +264,7 @@ class ReferenceEntry:
 
 @dataclass(frozen=True)
 class PanelEntry:
-    """One ``[[panels]]``: position and reflectance of a panel."""
+    # One ``[[panels]]``: position and reflectance of a panel.
 
     line: str  #: Id of the flight line.
     along_track: tuple[int, int]  #: First line of the panel, and the one after its last.
@@ -328,42 +327,6 @@ def _seconds(key: str, *tables: Mapping[str, Any]) -> float | None:
     return next((float(f"{table[key] / 1000:.12g}") for table in tables if key in table), None)
 
 
-def _camera(reader: _Reader) -> dict[str, Any]:
-    # Inputs common to all flight lines
-    table = reader.one("camera")
-    keys = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
-    convention = values(reader.one("navigation"))
-    return {key: table[key] for key in keys if key in table} | {
-        "dark": _dark(reader),
-        "convention": convention,
-    }
-
-
-def _calibration(reader: _Reader) -> tuple[Path | Unavailable | None, Path | None]:
-    # Paths of the calibration and of the lab sweep; at most one of them may be stated
-    table = reader.one("calibration")
-    reader.exclude("[calibration]", table, "path", "sweep")
-    path = reader.path("[calibration]", "path", table.get("path"))
-    sweep = reader.path("[calibration]", "sweep", table.get("sweep"))
-    if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
-        reader.problems.add(
-            "[calibration] path is missing",
-            mend="state path= of a calibration, or sweep= of a lab sweep",
-            code="key-missing",
-        )
-    if path is None and sweep is None and table["?"]:
-        return Unavailable.REPORTED, None
-    return path, sweep
-
-
-def _dark(reader: _Reader) -> tuple[Path, ...] | str | Unavailable | None:
-    if reader.dark is not None:
-        return reader.dark
-    table = reader.one("dark")
-    cubes = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
-    return cubes or (Unavailable.REPORTED if table["?"] else None)
-
-
 def _irradiance(reader: _Reader) -> IrradianceEntry | None:
     table = reader.one("irradiance")
     if "files" not in table:
@@ -420,7 +383,14 @@ def _flightline(
     name = table.get("id", Path(table["cube"]).name.split(".")[0])
     reader.is_name(subject, "id", name)
     problem_count = len(reader.problems)
-    table = _with_files_beside(table, cube)
+    stated = table["?"]
+    # the frame index and the navigation beside the cube, where the table states none
+    if cube is not None and os.path.isdir(cube.parent) and not stated & {"frame_index", "start_time"}:
+        files = {"frame_index": frame_index_beside(cube)}
+        if not stated & {"nav", "gps_time", "date"}:
+            files["nav"] = navigation_beside(cube)
+        beside = {key: str(path.absolute()) for key, path in files.items() if path is not None}
+        table, stated = {**table, **beside}, stated | set(beside)
     paths: dict[str, Any] = {key: reader.path(subject, key, table.get(key)) for key in _SIDE_FILES}
     if paths["nav"] is not None:
         reader.nav[paths["nav"]] = None
@@ -430,8 +400,7 @@ def _flightline(
             start = utc_of(start, "start_time")
         except TimeError as error:
             reader.problems.add_error(subject, error)
-    stated = table["?"]
-    has_period = "frame_period_ms" in stated or "frame_period_ms" in reader.one("camera")["?"]
+    has_period = "frame_period_ms" in stated | camera["?"]
     by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
     if not by_index and not ("start_time" in stated and has_period):
         sources = sorted(stated & {"frame_index", "nav", "start_time"})
@@ -471,20 +440,17 @@ def _flightline(
     )
 
 
-def _with_files_beside(table: Mapping[str, Any], cube: Path | None) -> Mapping[str, Any]:
-    # The table completed by the frame index and the navigation beside the cube, where it states none
-    stated = table["?"]
-    if cube is None or not os.path.isdir(cube.parent) or stated & {"frame_index", "start_time"}:
-        return table
-    files = {"frame_index": frame_index_beside(cube)}
-    if not stated & {"nav", "gps_time", "date"}:
-        files["nav"] = navigation_beside(cube)
-    paths = {key: str(path.absolute()) for key, path in files.items() if path is not None}
-    return {**table, **paths, "?": stated | set(paths)}
-
-
 def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
-    tables, shared = reader.tables["flightlines"], _camera(reader)
+    tables, camera = reader.tables["flightlines"], reader.one("camera")
+    # inputs common to all flight lines
+    keys = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
+    dark: Any = reader.dark
+    if dark is None:
+        table = reader.one("dark")
+        cubes = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
+        dark = cubes or (Unavailable.REPORTED if table["?"] else None)
+    shared = {key: camera[key] for key in keys if key in camera}
+    shared |= {"dark": dark, "convention": values(reader.one("navigation"))}
     if not tables:
         reader.problems.add(
             "no [[flightlines]]", mend="state the cube of at least one flight line", code="flightline-missing"
@@ -501,19 +467,6 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
             code="name-duplicate",
         )
     return tuple(entries)
-
-
-def _geometry(reader: _Reader) -> dict[str, Any]:
-    table = reader.one("geometry")
-    reader.exclude("[geometry]", table, "ground", "dem")
-    reader.exclude("[geometry]", table, "fov_deg", "look_angle")
-    arguments: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in values(table).items()
-    }
-    for key in ("dem", "look_angle"):
-        if key in arguments:
-            arguments[key] = reader.path("[geometry]", key, arguments[key])
-    return arguments
 
 
 def _note_missing_keys(reader: _Reader, subject: str, name: str, table: Mapping[str, Any]) -> None:
@@ -567,13 +520,10 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
 
 
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:
-    """Return the valid part of a ``collect.toml``, so that its valid files can be checked, too.
-
-    ``path``: the file; ``problems``: takes the faults, also those of inputs that are `Unavailable` in the
-    result; ``need_irradiance``: False if only radiance will be computed.
-
-    Raises `CollectError`: The file cannot be read, or is not TOML.
-    """
+    # Return the valid part of a ``collect.toml``, so that its valid files can be checked, too.
+    # ``path``: the file; ``problems``: takes the faults, also those of inputs that are `Unavailable` in the
+    # result; ``need_irradiance``: False if only radiance will be computed.
+    # Raises `CollectError`: The file cannot be read, or is not TOML.
     try:
         reader = _Reader(path, load_tables(path, "a collect.toml"), problems)
     except FormatError as error:
@@ -586,19 +536,39 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
             mend="name the files of the spectrometer, or compute radiance only",
             code="irradiance-missing",
         )
-    calibration, sweep = _calibration(reader)
+    # a calibration, or the lab sweep to compute it from
+    table = reader.one("calibration")
+    reader.exclude("[calibration]", table, "path", "sweep")
+    calibration, sweep = (reader.path("[calibration]", key, table.get(key)) for key in ("path", "sweep"))
+    if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
+        problems.add(
+            "[calibration] path is missing",
+            mend="state path= of a calibration, or sweep= of a lab sweep",
+            code="key-missing",
+        )
+    is_lost = calibration is None and sweep is None and table["?"]
+    flightlines, references, panels = _flightlines(reader), _references(reader), tuple(_panels(reader))
+    table = reader.one("geometry")
+    reader.exclude("[geometry]", table, "ground", "dem")
+    reader.exclude("[geometry]", table, "fov_deg", "look_angle")
+    geometry: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in values(table).items()
+    }
+    geometry |= {
+        key: reader.path("[geometry]", key, geometry[key]) for key in ("dem", "look_angle") if key in geometry
+    }
     return Collect(
         path=path,
         name=reader.collect_name,
-        flightlines=_flightlines(reader),
-        calibration=calibration,
+        flightlines=flightlines,
+        calibration=Unavailable.REPORTED if is_lost else calibration,
         irradiance=irradiance,
         clock=reader.clock,
         nav=tuple(reader.nav),
-        references=_references(reader),
-        panels=tuple(_panels(reader)),
+        references=references,
+        panels=panels,
         sweep=sweep,
-        geometry=_geometry(reader),
+        geometry=geometry,
         alignment=reader.one("alignment").get("apply", "auto"),
         flights=tuple(reader.flights),
     )
@@ -721,10 +691,9 @@ def open_with_settings(
         findings.errors += line_findings.errors
     references = dict(_opened_references(collect.references, findings))
     # equal errors of several lines are reported once
-    errors = {str(error): error for error in findings.errors}
     problems.extend(
         error.problem if isinstance(error, PaintError) else Problem(text, code="input-unreadable")
-        for text, error in errors.items()
+        for text, error in {str(error): error for error in findings.errors}.items()
     )
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
@@ -756,7 +725,7 @@ def _joined_lines(
             for joined in joined_lines:
                 if joined.interruption:
                     message = f"{joined.members[0]} is a separate flight line: {joined.interruption}"
-                    warnings.warn(PaintWarning(message, code="recording-interrupted"), stacklevel=4)
+                    warn_user(message, "recording-interrupted")
                 joined_name = line_id if line_id and len(joined_lines) == 1 else joined.members[0]
                 yield joined_name, replace(joined, line=joined.line.assign_attrs(name=joined_name))
 
@@ -813,7 +782,7 @@ MAX_STEP_PERIODS = 2.5
 
 @dataclass(frozen=True)
 class JoinedLine:
-    """A line of one or more cubes."""
+    # A line of one or more cubes.
 
     line: xr.Dataset
     members: tuple[str, ...]  #: Ids of its cubes; the first is the name of the line.
@@ -821,15 +790,9 @@ class JoinedLine:
 
 
 def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -> Iterator[JoinedLine]:
-    """Yield the lines that cubes of one flight form, in their order.
-
-    Parameters
-    ----------
-    lines
-        Line of each cube by its id, in the order of recording.
-    irradiance
-        The complete irradiance record, which is cut to every line; or None.
-    """
+    # Yield the lines that cubes of one flight form, in their order.
+    # ``lines``: line of each cube by its id, in the order of recording; ``irradiance``: the complete record,
+    # which is cut to every line, or None.
     groups: list[list[str]] = []
     reasons: list[str] = []
     for name in lines:
@@ -881,15 +844,6 @@ def _step_and_period(previous: xr.Dataset, line: xr.Dataset) -> tuple[np.timedel
     return times[timed[0]] - previous_times[previous_timed[-1]] - blank * period, period
 
 
-def _lost_frames(previous: xr.Dataset, line: xr.Dataset) -> int:
-    # Number of frames lost between two cubes: by frame number if it continues, else by time
-    by_number = int(line["frame"].values[0]) - int(previous["frame"].values[-1]) - 1
-    if 0 <= by_number < MAX_STEP_PERIODS:
-        return by_number
-    times = _step_and_period(previous, line)
-    return 0 if times is None else max(0, round(float(times[0] / times[1])) - 1)
-
-
 def _blank_lines(previous: xr.Dataset, count: int) -> xr.Dataset:
     # Blank lines for frames lost after a cube, without time and position; frame numbers continue
     blank = previous.isel({ALONG_TRACK: [-1] * count})
@@ -911,7 +865,13 @@ def _blank_lines(previous: xr.Dataset, count: int) -> xr.Dataset:
 def _concatenated(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Dataset:
     if len(lines) == 1:
         return lines[0]
-    lost = [_lost_frames(*pair) for pair in itertools.pairwise(lines)]
+    # frames lost between two cubes: by frame number if it continues, else by time
+    lost = []
+    for previous, line in itertools.pairwise(lines):
+        by_number = int(line["frame"].values[0]) - int(previous["frame"].values[-1]) - 1
+        times = _step_and_period(previous, line)
+        by_time = 0 if times is None else max(0, round(float(times[0] / times[1])) - 1)
+        lost.append(by_number if 0 <= by_number < MAX_STEP_PERIODS else by_time)
     # without irradiance and line numbers, which are added to the joined line
     pieces = [line.drop_dims(IRRADIANCE_TIME, errors="ignore").drop_vars(ALONG_TRACK) for line in lines]
     for number in reversed(np.flatnonzero(lost)):
@@ -932,11 +892,7 @@ def _concatenated(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.
             joined[name] = joined[name].chunk({ALONG_TRACK: variable.chunksizes[ALONG_TRACK][0]})
     if irradiance is not None:
         joined = joined.merge(cut_irradiance(irradiance, joined["time"].values), compat="override")
-    return joined.assign_attrs(_attrs(lines, sum(lost)))
-
-
-def _attrs(lines: list[xr.Dataset], lost: int) -> dict[str, Any]:
-    return {
-        "source": ", ".join(str(line.attrs["source"]) for line in lines),
-        "dropped_frames": sum(int(line.attrs["dropped_frames"]) for line in lines) + lost,
-    }
+    return joined.assign_attrs(
+        source=", ".join(str(line.attrs["source"]) for line in lines),
+        dropped_frames=sum(int(line.attrs["dropped_frames"]) for line in lines) + sum(lost),
+    )

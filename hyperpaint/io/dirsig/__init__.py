@@ -16,8 +16,7 @@ from .dirsig_files import (
     read_emissivity,
     read_materials,
 )
-from .dirsig_scene import write_dirsig_scene
-from .dirsig_writing import write_dirsig
+from .dirsig_writing import write_dirsig, write_dirsig_scene
 
 __all__ = [
     "Curve",

@@ -32,7 +32,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text, unique_names
 
@@ -185,12 +185,14 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
         )
         problems.raise_if_any()
     weights = np.array([float(line) if _ONE_NUMBER.fullmatch(line) else np.nan for line in lines[1:-1]])
-    for angle in np.flatnonzero(np.isnan(weights))[:_MAX_SHOWN].tolist():
-        problems.add(
+    problems.extend(
+        Problem(
             f"line {angle + 2}: {_shown(lines[angle + 1])}",
             expected=f"the weight of {angle} degrees",
             code="number-unreadable",
         )
+        for angle in np.flatnonzero(np.isnan(weights))[:_MAX_SHOWN].tolist()
+    )
     if np.isinf(weights).any() or (weights < 0.0).any():
         problems.add(
             "a weight of a view angle is negative or not finite",
@@ -523,8 +525,10 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
                     subject = f"material {len(materials)} ({token[:40]!r})"
                     problems.add(f"{subject}{found}", expected=expected, code=code)
     counts = Counter(material.id for material in materials)
-    for token in [token for token, count in counts.items() if count > 1][:_MAX_SHOWN]:
-        problems.add(f"ID {token[:40]!r} occurs twice", expected="distinct IDs", code="id-duplicate")
+    problems.extend(
+        Problem(f"ID {token[:40]!r} occurs twice", expected="distinct IDs", code="id-duplicate")
+        for token in [token for token, count in counts.items() if count > 1][:_MAX_SHOWN]
+    )
     if not top:
         problems.add("there is no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
     problems.raise_if_any()
@@ -555,8 +559,10 @@ def _sections(text: str, problems: Problems) -> list[Section]:
             problems.add(f"line {at}: {line[:60]!r}", expected=expected, code="row-unreadable")
             if len(problems) >= _MAX_SHOWN:
                 return []
-    for name, at, _ in opened[1:][:_MAX_SHOWN]:
-        problems.add(f"line {at}: section {name} is not closed", expected="a line '}'", code="section-open")
+    problems.extend(
+        Problem(f"line {at}: section {name} is not closed", expected="a line '}'", code="section-open")
+        for name, at, _ in opened[1:][:_MAX_SHOWN]
+    )
     return opened[0][2]
 
 

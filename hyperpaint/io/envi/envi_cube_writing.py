@@ -33,7 +33,7 @@ from hyperpaint.io.maps.map_grids import (
     storable,
 )
 
-from .envi_header import DTYPES, FILE_AXES, braced
+from .envi_cubes import DTYPES, FILE_AXES, braced
 
 Interleave = Literal["bil", "bip", "bsq"]
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import (
@@ -83,30 +82,26 @@ _SWEEP_RESULTS = (
 _TABULATED = ("srf_offset", "srf")
 
 
-def _each(names: Iterable[str], *rule: Any) -> dict[str, tuple[Any, ...]]:
-    return dict.fromkeys(names, rule)
-
-
 #: Rule of the values by variable: test of the array, fault, expected, and code of the error.
 _VALUE_RULES: Mapping[str, tuple[Callable[[Floats], Any], str, str, str]] = {
-    **_each(
+    **dict.fromkeys(
         ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"),
-        lambda v: np.isfinite(v).all() and (v > 0).all(),
-        "is not finite and positive everywhere", "", "value-out-of-range",
+        (lambda v: np.isfinite(v).all() and (v > 0).all(), "is not finite and positive everywhere", "",
+         "value-out-of-range"),
     ),
-    **_each(
-        ("wavelength_shift",), lambda v: np.isfinite(v).all() and (np.abs(v) < 100.0).all(),
+    "wavelength_shift": (
+        lambda v: np.isfinite(v).all() and (np.abs(v) < 100.0).all(),
         "is not finite and below 100 nm everywhere", "", "value-out-of-range",
     ),
-    **_each(
-        ("look_angle",), lambda v: np.isfinite(v).all() and (np.abs(v) < 90.0).all(),
+    "look_angle": (
+        lambda v: np.isfinite(v).all() and (np.abs(v) < 90.0).all(),
         "is not finite and below 90 degrees everywhere", "", "value-out-of-range",
     ),
-    **_each(
+    **dict.fromkeys(
         (
             "radiance_gain_u_random", "radiance_gain_u_systematic", "wavelength_u", "irradiance_u_systematic",
         ),
-        lambda v: not (v < 0).any(), "has negative values", "a standard uncertainty", "value-out-of-range",
+        (lambda v: not (v < 0).any(), "has negative values", "a standard uncertainty", "value-out-of-range"),
     ),
     "read_noise": (
         lambda v: not np.isinf(v).any() and not (v < 0).any(),  # NaN where unknown
@@ -189,23 +184,18 @@ def _read(
     try:
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
     except Exception as error:  # zarr and the netCDF engines raise errors of many classes
-        hint = "" if zarr else "install for netCDF-4: python -m pip install h5netcdf"
         raise FormatError(
             f"{source}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})",
-            mend=hint,
+            mend="" if zarr else "install for netCDF-4: python -m pip install h5netcdf",
             code="file-unreadable",
         ) from error
 
 
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
-    """Return a calibration in the units, dims and dtypes of the table of variables, with all faults listed.
-
-    ``dataset``: see `open_calibration`; ``subject``: its name in messages.
-
-    Raises `SchemaError`: Variables, units or values are missing or impossible; all problems are listed.
-
-    Warns `PaintWarning`: The line shape is not declared; a Gaussian is assumed.
-    """
+    # Return a calibration in the units, dims and dtypes of the table of variables, with all faults listed.
+    # ``dataset``: see `open_calibration`; ``subject``: its name in messages.
+    # Raises `SchemaError`: Variables, units or values are missing or impossible; all problems are listed.
+    # Warns `PaintWarning`: The line shape is not declared; a Gaussian is assumed.
     problems = Problems(f"{subject} cannot be used as calibration", SchemaError)
     shape = dataset.attrs.get("srf_shape")
     names = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_SWEEP_RESULTS) if name in dataset.variables)]
@@ -244,13 +234,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     problems.raise_if_any()
     if shape is None:
         shape = "gaussian"
-        warnings.warn(
-            PaintWarning(
-                f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed",
-                code="srf-shape-missing",
-            ),
-            stacklevel=2,
-        )
+        warn_user(f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed", "srf-shape-missing")
     # further variables of the elements are kept
     for key, array in dataset.data_vars.items():
         in_table = str(key) in VARIABLES
@@ -274,14 +258,12 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
     array = dataset[name].reset_coords(drop=True)
     allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
     if not allowed:
-        expected = " or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives))
         raise SchemaError(
             f"{name!r} has dims ({', '.join(map(str, array.dims))})",
-            expected=expected,
+            expected=" or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives)),
             code="dims-wrong",
         )
-    kinds = "biu" if spec.dtype == "bool" else "fiu"
-    if array.dtype.kind not in kinds:
+    if array.dtype.kind not in ("biu" if spec.dtype == "bool" else "fiu"):
         raise SchemaError(f"{name!r} has dtype {array.dtype}", expected=spec.dtype, code="type-wrong")
     array = array.transpose(*allowed[0])
     if spec.units and spec.units != "1":
@@ -291,10 +273,8 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
-    """Return the variables of a calibration that a flight line needs.
-
-    A line of radiance needs only the line shape and the look angles.
-    """
+    # Return the variables of a calibration that a flight line needs.
+    # A line of radiance needs only the line shape and the look angles.
     if calibration is None:
         return {}
     excluded = {
@@ -328,7 +308,7 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
 
 
 def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
-    """Return the attributes of a calibration on linearity and absolute scale."""
+    # Return the attributes of a calibration on linearity and absolute scale.
     names = ("linearity", "linearity_on", "absolute_scale")
     return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
@@ -370,10 +350,8 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
 def saturation_of(
     saturation_count: float | None, bit_depth: int, calibration: xr.Dataset | None
 ) -> xr.DataArray:
-    """Return ``saturation_count``: the argument, else that of the calibration, else 2^bit_depth - 1.
-
-    Raises `SchemaError`: The count or the bit depth is out of range.
-    """
+    # Return ``saturation_count``: the argument, else that of the calibration, else 2^bit_depth - 1.
+    # Raises `SchemaError`: The count or the bit depth is out of range.
     if saturation_count is None and calibration is not None and "saturation_count" in calibration:
         return calibration["saturation_count"].reset_coords(drop=True)
     if saturation_count is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
-from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.errors import FormatError, PaintError, SchemaError, TimeError, warn_user
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -75,18 +74,14 @@ class _Reference(NamedTuple):
 def open_dark(
     source: Any, timing: Timing, calibration: xr.Dataset | None, cube: xr.DataArray | None
 ) -> Dark | None:
-    """Open the dark references of a line; None where the cube or the calibration failed to open.
-
-    Several references with known times are stacked along ``dark_time``; otherwise they are averaged.
-
-    ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
-    ``"calibration"``; ``timing``: clock settings of the flight, also for ``frameIndex_<N>.txt`` and
-    ``imu_gps.txt`` beside a dark cube; ``calibration``: calibration of the camera, or None if it failed to
-    open; ``cube``: counts of the line, or None if they failed to open.
-
-    Raises `SchemaError`: There is no dark, or a dark does not fit the cube. Raises `FormatError`: A file is
-    not a cube of raw counts.
-    """
+    # Open the dark references of a line; None where the cube or the calibration failed to open.
+    # Several references with known times are stacked along ``dark_time``; otherwise they are averaged.
+    # ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
+    # ``"calibration"``; ``timing``: clock settings of the flight, also for ``frameIndex_<N>.txt`` and
+    # ``imu_gps.txt`` beside a dark cube; ``calibration``: calibration of the camera, or None if it failed to
+    # open; ``cube``: counts of the line, or None if they failed to open.
+    # Raises `SchemaError`: There is no dark, or a dark does not fit the cube. Raises `FormatError`: A file is
+    # not a cube of raw counts.
     if source is None or (isinstance(source, (list, tuple)) and not source):
         raise SchemaError(
             "no dark reference",
@@ -185,10 +180,7 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
             try:
                 stamps = line_times(path, lines, dark_timing).time
             except PaintError as error:
-                warnings.warn(
-                    PaintWarning(f"dark {path.name}: time unknown; {error}", code="dark-time-unknown"),
-                    stacklevel=2,
-                )
+                warn_user(f"dark {path.name}: time unknown; {error}", "dark-time-unknown")
     stamps = stamps[~np.isnat(stamps)]
     if stamps.size:
         first, last = stamps[[0, -1]].astype(np.int64).tolist()

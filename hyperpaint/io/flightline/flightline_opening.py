@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -14,11 +13,19 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import Findings, FormatError, PaintWarning, SchemaError, Unavailable
+from hyperpaint.base.errors import (
+    Findings,
+    FormatError,
+    Problem,
+    SchemaError,
+    Unavailable,
+    warn_user,
+)
 from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_calibration_names, with_numbers
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARIABLES
 from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.files.reading import refuse
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance
 
@@ -292,16 +299,16 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     convention_attrs: dict[str, Any] = {}
     with findings.step():
         # the conventions of the navigation, with the names of assumed ones
-        accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
-        unknown, declared = set(inputs.convention) - accepted, inputs.convention
-        if timing.nav is not None and unknown:
-            raise SchemaError(
-                f"convention has {', '.join(sorted(unknown))}",
-                expected=f"some of {', '.join(sorted(accepted))}",
-                mend="pass angles in degree, and stamp= as a separate argument",
-                code="key-unknown",
-            )
         if timing.nav is not None:
+            accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
+            declared = inputs.convention
+            if unknown := set(declared) - accepted:
+                raise SchemaError(
+                    f"convention has {', '.join(sorted(unknown))}",
+                    expected=f"some of {', '.join(sorted(accepted))}",
+                    mend="pass angles in degree, and stamp= as a separate argument",
+                    code="key-unknown",
+                )
             convention_attrs = Convention(**{"stamp_reference": timing.stamp, **declared}).to_attrs()
             assumed = [name for name in ASSUMED if name not in declared]
             convention_attrs |= {"navigation_assumed": ", ".join(assumed)} if assumed else {}
@@ -366,23 +373,39 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
             code="quantity-wrong",
         )
     cube = opened[name]
-    for is_wrong, found, expected, code in (
-        (set(cube.dims) != set(CUBE), f"dims {tuple(map(str, cube.dims))}",
-         f"{CUBE} (sensor geometry, not a map)", "dims-wrong"),
-        (not all(cube.sizes.values()), f"an empty cube of sizes {dict(cube.sizes)}", "", "empty-input"),
-        (name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2),
-         f"samples are {cube.dtype}", "raw counts: uint16 (ENVI data type 12) or uint8 (1)", "type-wrong"),
-    ):  # fmt: skip
-        if is_wrong:
-            raise FormatError(f"{path}: {found}", expected=expected, code=code)
-    if name == "radiance":
-        units = inputs.radiance_units or cube.attrs.get("units")
-        if units is None:
-            raise FormatError(
-                f"{path}: radiance without units",
+    units = inputs.radiance_units or cube.attrs.get("units")
+    refuse(
+        str(path),
+        (
+            set(cube.dims) != set(CUBE),
+            Problem(
+                f"dims {tuple(map(str, cube.dims))}",
+                expected=f"{CUBE} (sensor geometry, not a map)",
+                code="dims-wrong",
+            ),
+        ),
+        (
+            not all(cube.sizes.values()),
+            Problem(f"an empty cube of sizes {dict(cube.sizes)}", code="empty-input"),
+        ),
+        (
+            name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2),
+            Problem(
+                f"samples are {cube.dtype}",
+                expected="raw counts: uint16 (ENVI data type 12) or uint8 (1)",
+                code="type-wrong",
+            ),
+        ),
+        (
+            name == "radiance" and units is None,
+            Problem(
+                "radiance without units",
                 mend="pass radiance_units, for example 'mW cm-2 sr-1 um-1'",
                 code="units-missing",
-            )
+            ),
+        ),
+    )
+    if name == "radiance":
         cube = cube.assign_attrs(units=units)
         # raises for an unreadable unit now, so that it is listed with the other problems
         conversion_factor(str(units), VARIABLES[name].units)
@@ -484,12 +507,7 @@ def _coordinates(
             message = (
                 f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart"
             )
-            warnings.warn(
-                PaintWarning(
-                    f"{message}; the wavelengths of the calibration are used", code="wavelength-conflict"
-                ),
-                stacklevel=4,
-            )
+            warn_user(f"{message}; the wavelengths of the calibration are used", "wavelength-conflict")
     line_values = {"time": times.time, "frame": times.frame, **times.pose}
     coords |= {
         name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in line_values.items()

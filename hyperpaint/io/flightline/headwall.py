@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +18,18 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.errors import (
+    FormatError,
+    Problem,
+    Problems,
+    SchemaError,
+    TimeError,
+    UnitsError,
+    warn_user,
+)
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
 from hyperpaint.base.units import conversion_factor
+from hyperpaint.io.files.reading import refuse
 from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
 
 _MAX_FRAME = 1 << 40
@@ -98,7 +106,7 @@ def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
 
 
 def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield the sources of a cube's exposure: ``settings.txt`` beside it, then the header's comments."""
+    # Yield the sources of a cube's exposure: ``settings.txt`` beside it, then the header's comments.
     if cube is not None:
         # ``settings.txt``, or ``<id>_settings.txt`` of ``<id>_raw``
         stem = cube.name.split(".")[0]
@@ -116,19 +124,27 @@ def find_exposure(
     """Return the exposure [s] and its source: the argument, ``settings.txt``, or the header's comments."""
     argument = None if exposure_time is None else np.asarray(exposure_time, np.float64)
     if argument is not None:
-        lines = opened.sizes.get(ALONG_TRACK)
-        if argument.ndim > 1 or (argument.ndim == 1 and lines is not None and argument.size != lines):
-            raise SchemaError(
-                f"{name}: exposure_time has shape {argument.shape}",
-                expected=f"a scalar or {lines} lines",
-                code="length-mismatch",
-            )
-        if not (np.isfinite(argument).all() and (argument > 0).all()):
-            raise SchemaError(
-                f"{name}: exposure_time {argument.min() * 1000.0:g} ms",
-                expected="a positive number",
-                code="value-out-of-range",
-            )
+        lines = opened.sizes.get(ALONG_TRACK, argument.size)
+        refuse(
+            name,
+            (
+                argument.ndim > 1 or (argument.ndim == 1 and argument.size != lines),
+                Problem(
+                    f"exposure_time has shape {argument.shape}",
+                    expected=f"a scalar or {lines} lines",
+                    code="length-mismatch",
+                ),
+            ),
+            (
+                not (np.isfinite(argument).all() and (argument > 0).all()),
+                Problem(
+                    f"exposure_time {np.min(argument, initial=np.inf) * 1000.0:g} ms",
+                    expected="a positive number",
+                    code="value-out-of-range",
+                ),
+            ),
+            error=SchemaError,
+        )
     stated: dict[str, float] = {}
     for source, pairs in exposure_sources(cube, opened):
         try:
@@ -143,15 +159,12 @@ def find_exposure(
     if argument is not None:
         if any(not np.allclose(argument, value, rtol=1e-6, atol=0) for value in stated.values()):
             message = f"exposure_time {argument.flat[0] * 1e3:g} ms is used; {stated_text}"
-            warnings.warn(PaintWarning(f"{name}: {message}", code="exposure-conflict"), stacklevel=4)
+            warn_user(f"{name}: {message}", "exposure-conflict")
         return argument, "given"
     if stated:
         source, value = next(iter(stated.items()))
         if len(set(stated.values())) > 1:
-            warnings.warn(
-                PaintWarning(f"{name}: {stated_text}; the first is used", code="exposure-conflict"),
-                stacklevel=4,
-            )
+            warn_user(f"{name}: {stated_text}; the first is used", "exposure-conflict")
         return np.array(value), source
     # with an unreadable header, the exposure is not a problem of its own
     if required and opened.sizes:
@@ -342,7 +355,7 @@ def match_frames(
 
 @dataclass(frozen=True)
 class DarkFrames:
-    """Exact sums over the lines of one dark cube."""
+    # Exact sums over the lines of one dark cube.
 
     lines: int  #: Number of lines.
     # integers, so that the sums do not depend on the order of addition
@@ -356,19 +369,16 @@ class DarkFrames:
 
     @property
     def variance(self) -> NDArray[np.float64]:
-        """Variance over the lines with n - 1 in the denominator, (band, cross_track)."""
+        # Variance over the lines with n - 1 in the denominator, (band, cross_track).
         spread = self.squares.astype(np.float64) - self.total.astype(np.float64) * self.mean
         return np.maximum(spread, 0.0) / (self.lines - 1)
 
 
 def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
-    """Sum the lines of a dark cube in blocks of lines.
-
-    ``counts``: raw counts (along_track, band, cross_track), lazily indexed; ``subject``: name of the cube in
-    messages.
-
-    Raises `FormatError`: The counts are not a cube of unsigned integers with at least one line.
-    """
+    # Sum the lines of a dark cube in blocks of lines.
+    # ``counts``: raw counts (along_track, band, cross_track), lazily indexed; ``subject``: name of the cube
+    # in messages.
+    # Raises `FormatError`: The counts are not a cube of unsigned integers with at least one line.
     problems = Problems(f"{subject} cannot serve as dark reference", FormatError)
     if counts.dims != CUBE:
         problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")

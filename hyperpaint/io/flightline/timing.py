@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,18 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
-from hyperpaint.base.errors import PaintWarning, Problems, TimeError
+from hyperpaint.base.errors import Problems, TimeError, warn_user
 from hyperpaint.base.facts import one_of
-from hyperpaint.io.navigation.clocks import Clock, ClockCorrection
+from hyperpaint.io.navigation.clocks import NS_PER_S, Clock, ClockCorrection, midnight_of
 from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_time, read_imu_gps
 
 from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
 
-_NS_PER_S = 1_000_000_000
 _MAX_EXPOSURE_S = 3600.0
 _DAY_US = 86_400_000_000
 _MAX_INTERVAL_S = 1e4
-_DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class LineTimes:
-    """Times and poses of the lines of a cube."""
+    # Times and poses of the lines of a cube.
 
     frame: NDArray[np.int64]  #: (along_track,): Frame numbers.
     recorded: NDArray[np.bool_]  #: (along_track,): False where the frame was dropped and the line is blank.
@@ -153,10 +149,9 @@ def line_times(
         time[recorded] = clock.at(index.stamp[row[recorded]])
         _check_rate(index, row[recorded], timing, exposure_time, cube)
     else:
-        period_us = _NS_PER_S * float(timing.frame_period or 0.0)
-        time = clock.at(np.zeros(1, np.int64)) + np.round((frame - frame[0]) * period_us).astype(
-            "timedelta64[ns]"
-        )
+        time = clock.at(np.zeros(1, np.int64)) + np.round(
+            (frame - frame[0]) * (NS_PER_S * float(timing.frame_period or 0.0))
+        ).astype("timedelta64[ns]")
     outside = np.isnat(time[recorded])
     if outside.any():
         if outside.all():
@@ -168,10 +163,10 @@ def line_times(
         missing = np.flatnonzero(outside)
         count = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
         text = f"{cube.name}: {count} lie outside {clock.source} and have no time and position"
-        warnings.warn(PaintWarning(text, code="time-uncovered"), stacklevel=2)
+        warn_user(text, "time-uncovered")
     # from the stamped instant of the exposure to its middle
     to_middle = np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp]
-    time = time + np.round(to_middle * _NS_PER_S).astype("timedelta64[ns]")
+    time = time + np.round(to_middle * NS_PER_S).astype("timedelta64[ns]")
     pose: Mapping[str, NDArray[np.float64]] = {}
     if nav is not None:
         pose = nav.dated_by(clock).at(time, timing.max_gap_s)
@@ -210,14 +205,12 @@ def _clock(
         return read_gps_time(timing.gps_time, timing.correction)
     if index.clock == "time of day" and timing.date is not None:
         # midnight of the date on the recording computer's clock
-        text = str(timing.date)
-        try:
-            midnight = np.datetime64(text, "ns") if _DATE.fullmatch(text) else None
-        except ValueError:
-            midnight = None
-        if midnight is None or not "1980" <= text < "2200":
+        midnight = midnight_of(timing.date)
+        if midnight is None:
             raise TimeError(
-                f"date {text[:40]!r}", expected="a date such as '2024-06-01'", code="time-unreadable"
+                f"date {str(timing.date)[:40]!r}",
+                expected="a date such as '2024-06-01'",
+                code="time-unreadable",
             )
         if timing.clock_offset_s is None:
             raise TimeError(
@@ -225,7 +218,7 @@ def _clock(
                 mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
                 code="clock-offset-missing",
             )
-        utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
+        utc = timing.correction.apply(np.array([midnight]))
         return _steady(0, int(utc[0]), "date and time of day")
     if nav is None:
         raise TimeError(
@@ -251,7 +244,7 @@ def _check_rate(
 ) -> None:
     # Warn where stated period, exposure and stamps contradict one another
     def warn(text: str, code: str) -> None:
-        warnings.warn(PaintWarning(f"{cube.name}: {text}", code=code), stacklevel=4)
+        warn_user(f"{cube.name}: {text}", code)
 
     if index.fitted:
         warn(f"{index.name} has whole seconds: line times are from a straight line fit", "time-rounded")

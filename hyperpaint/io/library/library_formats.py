@@ -19,24 +19,39 @@ from hyperpaint.base.input_files import head_of
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
 from hyperpaint.io.store import list_groups, open_store, to_store
 from hyperpaint.io.store.reader import is_zarr
 
-from .csv_library import is_csv_library, read_csv_library, write_csv_library
-from .envi_library import read_envi_library, write_envi_library
-from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
-from .parquet_library import is_parquet, read_parquet_library, write_parquet_library
-from .records import CENTRE, checked_library, spectral_variables
-from .text_spectra import (
-    is_ecostress,
+from .records import (
+    CENTRE,
+    OWN_AXES,
+    blocks_of,
+    checked_library,
+    library_of,
+    metadata_path,
+    metadata_text,
+    names_of,
+    spectral_variables,
+    text_column,
+    with_numbers_as_data,
+)
+from .spectra_files import (
+    is_csv_library,
     is_usgs,
     is_usgs_axis,
+    read_csv_library,
     read_ecostress,
+    read_envi_library,
+    read_parquet_library,
     read_plain_table,
     read_usgs,
     read_usgs_axis,
     warn_of_light,
+    write_csv_library,
+    write_envi_library,
+    write_parquet_library,
 )
 
 Path_ = str | os.PathLike[str]
@@ -164,7 +179,22 @@ def open_library(
     options = _Options(**axes, scale=scale, is_reflectance=quantity is not None)
     if is_zarr(path):
         options.refuse_for(str(path))
-        return _read_store(path)
+        # Lazy library from the root group of a Zarr store
+        groups = list_groups(path)
+        if "" not in groups:
+            addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
+            raise FormatError(
+                f"{path} holds no paint library at its root (groups: {addresses})", code="library-missing"
+            )
+        library = with_new_names(open_store(path, ""))
+        rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
+        missing = [name for name in rows if name not in library.variables]
+        dim_problems = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
+        if missing or any(dim_problems):
+            texts = [str(problem) for problem in dim_problems if problem]
+            reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
+            raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
+        return library
     files = find_paths(
         path,
         lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in _TEXT_SUFFIXES]),
@@ -237,7 +267,7 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
             return open_emissivity(path)
         # formats of hyperpaint
         for is_form, read_own in (
-            (is_parquet(head_of(path, 4)), read_parquet_library),
+            (head.startswith("PAR1"), read_parquet_library),
             (suffix not in _ENVI_SUFFIXES and is_csv_library(head), read_csv_library),
         ):
             if is_form:
@@ -251,7 +281,7 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
         else:
             spectra = (
                 read_ecostress(path, scale=scale, wavelength=nm)
-                if is_ecostress(head)
+                if re.match(r"\s*Name\s*:", head) and "Number of X Values" in head
                 else read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
             )
             library = library_of(spectra if fwhm is None else replace(spectra, fwhm=fwhm))
@@ -343,42 +373,14 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
 # --- Zarr stores -------------------------------------------------------------------------------------------
 
 
-def _read_store(path: Any) -> xr.Dataset:
-    # Lazy library from the root group of a Zarr store
-    groups = list_groups(path)
-    if "" not in groups:
-        addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
-        raise FormatError(
-            f"{path} holds no paint library at its root (groups: {addresses})", code="library-missing"
-        )
-    library = with_new_names(open_store(path, ""))
-    rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
-    missing = [name for name in rows if name not in library.variables]
-    dim_problems = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
-    if missing or any(dim_problems):
-        texts = [str(problem) for problem in dim_problems if problem]
-        reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
-        raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
-    return library
-
-
 # --- writing -----------------------------------------------------------------------------------------------
-
-
-def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
-    total = library.sizes[SIGNATURE]
-    if progress is not None:
-        progress(0, total)
-    to_store(library, path, overwrite=overwrite)
-    if progress is not None:
-        progress(total, total)
 
 
 _WRITERS: dict[str, Callable[..., Any]] = {
     "envi": write_envi_library,
     "csv": write_csv_library,
     "parquet": write_parquet_library,
-    "zarr": _write_store,
+    "zarr": to_store,
 }
 _FORMAT_OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
 
@@ -482,5 +484,17 @@ def write_library(
         others = [name for name in spectral_variables(library) if name != CENTRE]
         inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
         library = library.drop_vars(others).drop_dims(inner, errors="ignore")
-    _WRITERS[chosen](library, path, overwrite=overwrite, progress=progress)
+    if chosen == "zarr":
+        report, paints = progress or (lambda *_: None), library.sizes[SIGNATURE]
+        report(0, paints)
+        to_store(library, path, overwrite=overwrite)
+        report(paints, paints)
+        return path
+    variables = spectral_variables(library)
+    names, metadata = names_of(library), metadata_text(library, variables)
+    # the header of ENVI, by which the library is found, appears last
+    files = [metadata_path(path), path, *([path.with_suffix(".hdr")] if chosen == "envi" else [])]
+    with published_files(files, overwrite=overwrite) as (metadata_file, *spectra_files):
+        metadata_file.write_bytes(metadata.encode())
+        _WRITERS[chosen](library, names, blocks_of(library, variables, progress), *spectra_files)
     return path

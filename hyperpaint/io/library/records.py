@@ -1,9 +1,9 @@
-"""Spectra of a paint library as records of a file with metadata beside it, and back.
+"""Spectra of one file as a paint library, and a paint library as records of a file with metadata beside it.
 
-Every spectrum is one record: first the reflectance of all paints, then their further variables on the bands,
-then their members. The key of a record is its variable, its paint, and its number within the paint. The
-metadata, ``<data file>.json``, are the library as `xarray.Dataset.to_dict` describes it, without the values
-of its spectra: strict JSON with one variable per line, for readers and version control.
+Every spectrum of a library is one record: first the reflectance of all paints, then their further variables
+on the bands, then their members. The key of a record is its variable, its paint, and its number within the
+paint. The metadata, ``<data file>.json``, are the library as `xarray.Dataset.to_dict` describes it, without
+the values of its spectra: strict JSON with one variable per line, for readers and version control.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import json
 import math
 import re
 import unicodedata
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -23,15 +23,227 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.arrays import Array, Floats, Floats32, Ints, Progress
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, quality_attrs
-from hyperpaint.io.files.reading import numbers
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, find, quality_attrs
+from hyperpaint.io.files.reading import numbers, refuse
 
-from .library_spectra import text_column
+#: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
+#: um). Visible wavelengths in nanometres, read as micrometres, are larger.
+MIN_NM, MAX_NM = 100.0, 3e5
+
+#: Message for options that replace data of a library of hyperpaint.
+OWN_AXES = (
+    "{} is a library of hyperpaint with its own axes and scale: leave wavelength=, fwhm= and scale= out"
+)
+
+#: Maximum median of reflectance as a fraction: a white panel has 1.
+_MAX_MEDIAN = 1.1
+
+_BRIGHT = 1.2
+#: Maximum share of values above `_BRIGHT` in reflectance: noise in opaque bands of air has 0.05, the
+#: brightest of the 2457 spectra of splib07 has 0.01, radiance of a lawn in uW cm-2 sr-1 nm-1 has 0.5.
+_MAX_BRIGHT_SHARE = 0.1
+
+#: Minimum of the largest value of a file; below it the scale is doubtful: black coats reach 0.02 to 0.05.
+_MIN_BRIGHTEST = 0.01
+
+#: Stored values that mark missing samples.
+_MISSING_VALUES = (-999.0, -9999.0, -99999.0, -32768.0)
+
+#: Minimum reflectance with noise [1]: lower values mark missing samples.
+_MIN_REFLECTANCE = -0.5
+
+#: Maximum of fill values: deleted points of USGS spectra are -1.23e34, and fractions of it in spectra
+#: convolved to another spectrometer.
+_MAX_FILL_VALUE = -1e20
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    # Spectra of one file with common wavelengths.
+    source: str  # file name
+    form: str  # name of the format
+    names: Sequence[str]  # of the spectra, as in the file
+    wavelength: Floats  # (band) [nm], in the order of the file
+    reflectance: Floats32  # (signature, band) as a fraction; NaN for missing samples
+    fwhm: Floats | None = None  # (band) [nm]; None if not in the file
+    good: npt.NDArray[np.bool_] | None = None
+    # Further variables (signature, band) by their names in `LIBRARY_VARIABLES`
+    others: Mapping[str, Floats32] = field(default_factory=dict)
+    # Further variables with one value per spectrum
+    columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
+    notes: Sequence[str] = ()  # inferred or doubtful properties
+
+
+def library_of(spectra: Spectra) -> xr.Dataset:
+    # Return spectra as a paint library.
+    # Raises FormatError: Wavelengths are not finite or outside 100 nm to 300 um, or their number is not that
+    # of the bands.
+    check_wavelengths(spectra.wavelength, spectra.source)
+    bands = spectra.reflectance.shape[1]
+    for name, axis in (("wavelength", spectra.wavelength), ("fwhm", spectra.fwhm)):
+        if axis is not None and axis.shape != (bands,):
+            raise FormatError(
+                f"{spectra.source}: {axis.size} values of {name} for {bands} bands",
+                mend="pass one value per band",
+                code="length-mismatch",
+            )
+    rows = LIBRARY_VARIABLES
+    data = {"reflectance": spectra.reflectance, **spectra.others}
+    variables = {name: ((SIGNATURE, BAND), values, dict(rows[name].attrs)) for name, values in data.items()}
+    variables["reflectance"][2]["long_name"] = "Reflectance, as the library gives it"
+    axes = {"wavelength": spectra.wavelength, "fwhm": spectra.fwhm, "good": spectra.good}
+    coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(spectra.names), rows[SIGNATURE].attrs)}
+    coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
+    for name, column in spectra.columns.items():
+        row_attrs = rows[name].attrs if name in rows else {"long_name": name.replace("_", " ").capitalize()}
+        flags = quality_attrs() if name == "quality" else {}
+        coords[name] = (SIGNATURE, np.asarray(column), {**row_attrs, **flags})
+    attrs: dict[str, Any] = {"title": "Spectral library", "source": spectra.source, "format": spectra.form}
+    if spectra.notes:
+        attrs["notes"] = "; ".join(spectra.notes)
+    return with_numbers_as_data(xr.Dataset(variables, coords=coords, attrs=attrs))
+
+
+def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
+    # Return a library with counts, flags and angles as data variables, not coordinates.
+    rows = LIBRARY_VARIABLES
+    return library.reset_coords([str(n) for n in library.coords if n in rows and not rows[str(n)].coordinate])
+
+
+def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
+    # Return texts as an array of objects, as stores hold them.
+    column = np.empty(len(texts), object)
+    column[:] = list(texts)
+    return column
+
+
+def check_wavelengths(wavelength: Floats, source: str) -> None:
+    # Check that there are wavelengths [nm], within the range and without duplicates.
+    # Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or duplicate.
+    description = f"{wavelength.size} wavelengths, not all of them finite"
+    if wavelength.size and np.isfinite(wavelength).all():
+        low, high = float(wavelength.min()), float(wavelength.max())
+        if low >= MIN_NM and high <= MAX_NM:
+            values, counts = np.unique(wavelength, return_counts=True)
+            if not (counts > 1).any():
+                return
+            raise FormatError(
+                f"{source}: {int((counts > 1).sum())} wavelengths occur twice, such as "
+                f"{values[counts > 1][0]:g} nm",
+                expected="distinct wavelengths",
+                mend="drop one of the two bands",
+                code="wavelength-duplicate",
+            )
+        description = f"wavelengths from {low:g} to {high:g} nm"
+        if low >= MIN_NM * 1e3 and high <= MAX_NM * 1e3:
+            description += " (nanometres declared as micrometres?)"
+    raise FormatError(
+        f"{source}: {description}",
+        expected=f"{MIN_NM:g} nm to {MAX_NM:g} nm",
+        mend="check their units, or pass wavelength= [nm]",
+        code="wavelength-range",
+    )
+
+
+def reflectances(
+    stored: npt.NDArray[Any],
+    source: str,
+    *,
+    file_scale: float | None,
+    scale: float | None,
+    ignore: Any = None,
+    is_reflectance: bool = False,
+) -> Floats32:
+    """Return stored values as reflectance.
+
+    file_scale, scale: Stored value of a reflectance of one, from the file and from the caller; that of the
+        caller is preferred.
+    ignore: Stored value of missing samples, besides the fill values of the USGS.
+    is_reflectance: Whether values above 1 are accepted.
+    Returns numpy.ndarray: float32; a fraction.
+    Raises FormatError: The scale is unknown and the values are not fractions; or they do not fit float32.
+    Warns PaintWarning: Values far below 0 were taken for missing; or the scale is doubtful.
+    """
+    with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
+        values = stored.astype(np.float64)
+        is_fill = values < _MAX_FILL_VALUE
+    if ignore is not None:
+        # compared in the stored dtype: a float32 file holds the float32 nearest to the number in its header
+        with np.errstate(over="ignore"):
+            is_fill |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
+    values[is_fill] = np.nan
+    divisor = scale if scale is not None else file_scale
+    with np.errstate(over="ignore"):
+        far_below = np.isfinite(values) & (values < _MIN_REFLECTANCE * (divisor or 1.0))
+        is_missing = np.isin(values, _MISSING_VALUES) | far_below
+    if is_missing.any():
+        count, example = int(is_missing.sum()), float(values[is_missing][0])
+        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
+        warn_user(msg, "values-far-below-zero")
+        values[is_missing] = np.nan
+    if divisor is None:
+        _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not is_reflectance else 1.0)
+    elif divisor != 1.0:
+        values /= divisor
+        finite = values[np.isfinite(values)]
+        # the scale is doubtful if many values exceed `_BRIGHT`, or all are near 0
+        if finite.any() and ((finite > _BRIGHT).mean() > _MAX_BRIGHT_SHARE or finite.max() < _MIN_BRIGHTEST):
+            msg = f"{source}: reflectance up to {finite.max():.3g} with a scale of {divisor:g}; pass scale="
+            warn_user(msg, "scale-doubtful")
+    with np.errstate(over="ignore"):
+        reflectance = values.astype(np.float32)
+    if not np.isfinite(reflectance[np.isfinite(values)]).all() or np.isinf(values).any():
+        largest = np.abs(values[~np.isnan(values)]).max()
+        raise FormatError(
+            f"{source}: values up to {largest:g}", expected="finite reflectance", code="not-finite"
+        )
+    return reflectance
+
+
+def _judge_fractions(values: Floats, source: str, max_bright_share: float) -> None:
+    # Raise if values without a scale are not fractions; warn if only few spectra are not
+    finite = np.isfinite(values)
+    magnitudes = np.abs(values[finite])
+    advice = (
+        "pass scale=100 for percent, 10000 for hundredths of a percent, or scale=1 if values are fractions"
+    )
+    if magnitudes.size and float(np.median(magnitudes)) > _MAX_MEDIAN:
+        raise FormatError(
+            f"{source}: values up to {magnitudes.max():g}, half of them above "
+            f"{np.median(magnitudes):g}, and no scale (radiance or counts?)",
+            expected="reflectance as a fraction",
+            mend=advice,
+            code="scale-missing",
+        )
+    with np.errstate(invalid="ignore"):
+        is_bright = (np.abs(values) > _BRIGHT).sum(axis=1) > max_bright_share * np.maximum(
+            finite.sum(axis=1), 1
+        )
+    if 2 * is_bright.sum() > len(values):
+        raise FormatError(
+            f"{source}: values up to {magnitudes.max():g}, more than a tenth above {_BRIGHT:g} (radiance?)",
+            expected="reflectance as a fraction",
+            mend=f"{advice} (for a text: quantity='reflectance')",
+            code="scale-missing",
+        )
+    is_bright = is_bright | [
+        bool(is_finite.any()) and float(np.median(spectrum[is_finite])) > _MAX_MEDIAN
+        for spectrum, is_finite in zip(values, finite, strict=True)
+    ]
+    if is_bright.any():
+        msg = (
+            f"{source}: {is_bright.sum()} of {len(values)} spectra have many values above "
+            f"{_MAX_MEDIAN:g}, up to {magnitudes.max():g}, and no scale; {advice}"
+        )
+        warn_user(msg, "scale-missing")
+
+
+# --- records -----------------------------------------------------------------------------------------------
+
 
 CENTRE = "reflectance"
 _BLOCK_BYTES = 16 * 2**20
@@ -79,16 +291,15 @@ _NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
 #: only one spectrum of the variable.
 Key = tuple[str, int, int]
 
-
-# --- from a library ----------------------------------------------------------------------------------------
+#: Some records of one variable: its name; numbers of the paint and within the paint (record,), as in `Key`;
+#: values (record, band).
+Block = tuple[str, Ints, Ints, Floats32]
 
 
 def checked_library(library: xr.Dataset) -> xr.Dataset:
-    """Return a library in the units of the table; values are not checked.
-
-    Raises SchemaError: It is not a paint library: variables are missing, or have other dims or units; all
-        are listed.
-    """
+    # Return a library in the units of the table; values are not checked.
+    # Raises SchemaError: It is not a paint library: variables are missing, or have other dims or units; all
+    # are listed.
     found = {name: library[name] for name in LIBRARY_VARIABLES if name in library.variables}
     # a count or a share may lack the attribute units; only spectra must have units
     plain_numbers = {
@@ -97,7 +308,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
         if BAND not in array.dims and LIBRARY_VARIABLES[name].units == "1" and "units" not in array.attrs
     }
     required = dict.fromkeys((SIGNATURE, CENTRE, "wavelength", *found))
-    variables, faults = schema.find(
+    variables, faults = find(
         library, [name for name in required if name not in plain_numbers], LIBRARY_VARIABLES
     )
     problems = Problems("the library cannot be written", SchemaError)
@@ -116,13 +327,15 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
             expected="at least one paint and one band",
             code="empty-input",
         )
-    for key, variable in library.variables.items():
-        if {SIGNATURE, BAND} < set(variable.dims) and variable.dtype.kind == "f" and variable.ndim > 3:
-            problems.add(
-                f"{key!r} has dims {variable.dims}",
-                expected="at most one dim beside signature and band",
-                code="dims-wrong",
-            )
+    problems.extend(
+        Problem(
+            f"{key!r} has dims {variable.dims}",
+            expected="at most one dim beside signature and band",
+            code="dims-wrong",
+        )
+        for key, variable in library.variables.items()
+        if {SIGNATURE, BAND} < set(variable.dims) and variable.dtype.kind == "f" and variable.ndim > 3
+    )
     problems.raise_if_any()
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
     if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
@@ -136,10 +349,8 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
 
 
 def names_of(library: xr.Dataset) -> list[str]:
-    """Return the names of the paints.
-
-    Raises SchemaError: Names are not text, or hold line breaks or control characters; all are listed.
-    """
+    # Return the names of the paints.
+    # Raises SchemaError: Names are not text, or hold line breaks or control characters; all are listed.
     problems = Problems("the library cannot be written", SchemaError)
     names: list[Any] = library[SIGNATURE].values.tolist()
     for at, name in enumerate(names):
@@ -158,10 +369,8 @@ def names_of(library: xr.Dataset) -> list[str]:
 
 
 def spectral_variables(library: xr.Dataset) -> list[str]:
-    """Return the names of the variables with a value at every band of a paint: centre first, members last.
-
-    They are sorted, since the order of xarray's coordinates differs from process to process.
-    """
+    # Return the names of the variables with a value at every band of a paint: centre first, members last.
+    # They are sorted, since the order of xarray's coordinates differs from process to process.
     names = [
         str(name)
         for name, variable in library.variables.items()
@@ -170,15 +379,9 @@ def spectral_variables(library: xr.Dataset) -> list[str]:
     return sorted(names, key=lambda name: (name != CENTRE, MEMBER in library[name].dims, name))
 
 
-def blocks_of(
-    library: xr.Dataset, names: Sequence[str], progress: Progress | None = None
-) -> Iterator[tuple[str, Ints, Ints, Floats32]]:
-    """Yield the records of variables in blocks of some 16 MiB, without the padding after the last member.
-
-    A block is some records of one variable: its name; numbers of the paint and within the paint (record,), as
-    in `Key`; values (record, band). Lazy arrays are computed in chunks of paints. ``progress`` counts the
-    paints of all variables.
-    """
+def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | None = None) -> Iterator[Block]:
+    # Yield the records of variables in blocks of some 16 MiB, without the padding after the last member.
+    # Lazy arrays are computed in chunks of paints. ``progress`` counts the paints of all variables.
     paints = library.sizes[SIGNATURE]
     for number, name in enumerate(names):
         array = library[name]
@@ -213,18 +416,16 @@ def metadata_path(data: Path) -> Path:
 
 
 def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
-    """Return all of a library except the values of its spectra, as JSON.
-
-    Raises SchemaError: Attributes or values cannot be written as JSON; all are listed. Or the text is too
-        large.
-    """
+    # Return all of a library except the values of its spectra, as JSON.
+    # Raises SchemaError: Attributes or values cannot be written as JSON; all are listed. Or the text is too
+    # large.
     problems = Problems("the library's metadata cannot be written", SchemaError)
     document = {"hyperpaint_library": VERSION, **library.to_dict(data=False)}
     entries = document["coords"] | document["data_vars"]
     owners = {"the library": document["attrs"], **{name: entry["attrs"] for name, entry in entries.items()}}
     for owner, key, value in [(name, *item) for name, attrs in owners.items() for item in attrs.items()]:
         try:
-            _json(value)
+            _json({key: value})
         except (TypeError, ValueError, RecursionError):
             problems.add(
                 f"attribute {key!r} of {owner} is {str(value)[:60]!r}",
@@ -253,7 +454,8 @@ def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
         entries[name] |= {"dtype": dtype, "data": data.tolist()}
     problems.raise_if_any()
     # xarray gathers coordinates from sets, whose order differs from run to run
-    parts = {key: dict(sorted(document.pop(key).items())) for key in ("coords", "data_vars")}
+    names = ("coords", "data_vars")
+    parts = {part: dict(sorted((str(k), v) for k, v in document.pop(part).items())) for part in names}
     document["dims"] = dict(sorted(document["dims"].items()))
     lines = [f"  {_json(key)}: {_json(value)}" for key, value in document.items()]
     for part, variables in parts.items():
@@ -304,21 +506,17 @@ def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
 
 
 def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
-    """Read the metadata of a library; spectra are NaN without memory.
-
-    sizes: Sizes of signature and band in the data file.
-    Raises FormatError: The file is not from `metadata_text`, or belongs to another library; all problems are
-        listed.
-    """
-
-    def refuse(text: str) -> None:
+    # Read the metadata of a library; spectra are NaN without memory.
+    # sizes: Sizes of signature and band in the data file. Raises FormatError: The file is not from
+    # `metadata_text`, or belongs to another library; all problems are listed.
+    def refuse_constant(text: str) -> None:
         raise ValueError(f"{text} is not JSON")
 
     problems = Problems(f"{path.name} is not the metadata of its library", FormatError)
     raw = read_limited(path, MAX_BYTES, "metadata of a paint library")
     about = xr.Dataset()
     try:
-        document = json.loads(raw.decode("utf-8"), parse_constant=refuse)
+        document = json.loads(raw.decode("utf-8"), parse_constant=refuse_constant)
         if document["hyperpaint_library"] not in (1, 2, VERSION):
             raise ValueError(f"expected version {VERSION}")
         if document["hyperpaint_library"] == 1:
@@ -374,8 +572,11 @@ def _decoded(name: str, entry: Mapping[str, Any]) -> dict[str, Any]:
             raise ValueError("expected nested lists of equal lengths, one level per dim")
         values = typed_values(nested.ravel().tolist(), entry["dtype"]).reshape(nested.shape)
     else:
-        if not all(type(size) is int and 0 <= size < 2**31 for size in entry["shape"]):
-            raise ValueError("expected sizes from 0 to 2147483647")
+        # only spectra lack values; an axis without values would fill the memory with its index
+        if not (
+            {SIGNATURE, BAND} <= {*dims} and all(type(s) is int and 0 <= s < 2**31 for s in entry["shape"])
+        ):
+            raise ValueError("expected values, or a spectrum with sizes from 0 to 2147483647")
         values = np.broadcast_to(np.float32(np.nan), entry["shape"])
     if name == "quality":
         attrs["flag_masks"] = quality_attrs()["flag_masks"]
@@ -383,10 +584,8 @@ def _decoded(name: str, entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def typed_values(flat: list[Any], dtype: str) -> Array:
-    """Return values from JSON as an array.
-
-    Raises ValueError, OverflowError: A value is of another type, or out of range.
-    """
+    # Return values from JSON as an array.
+    # Raises ValueError, OverflowError: A value is of another type, or out of range.
     if dtype not in _DTYPES:
         raise ValueError(f"expected a dtype of {', '.join(_DTYPES)}")
     kind = np.dtype(dtype).kind
@@ -418,15 +617,12 @@ def restored(
     rows: Iterable[tuple[int, Floats32]],
     columns: Mapping[str, Sequence[str]],
 ) -> xr.Dataset:
-    """Return the library of a file of records, with the metadata beside it.
-
-    names: Names of the paints, keys: keys of the records, axes: wavelengths and further coordinates of the
-        bands in the file of spectra; names in the metadata take precedence.
-    rows: Blocks of records with the number of their first record.
-    columns: Properties of the paints in the file; those in the metadata take precedence.
-    Raises FormatError: Records or metadata are damaged, or belong to different libraries.
-    Warns PaintWarning: The metadata are missing, or the columns of the file differ.
-    """
+    # Return the library of a file of records, with the metadata beside it.
+    # names: Names of the paints, keys: keys of the records, axes: wavelengths and further coordinates of the
+    # bands in the file of spectra; names in the metadata take precedence. rows: Blocks of records with the
+    # number of their first record. columns: Properties of the paints in the file; those in the metadata take
+    # precedence. Raises FormatError: Records or metadata are damaged, or belong to different libraries. Warns
+    # PaintWarning: The metadata are missing, or the columns of the file differ.
     paints, bands, source = len(names), len(axes["wavelength"]), path.name
     # numbers of the variable, the paint, and the record within the paint
     variables = list(dict.fromkeys(key[0] for key in keys))
@@ -437,7 +633,7 @@ def restored(
         paint, inner = paint_of[variable_of == position], inner_of[variable_of == position]
         members = int(inner.max()) + 1
         cells, stored_cells = paints * bands * max(members, 1), len(paint) * bands
-        for is_wrong, found, mend, code in (
+        checks = (
             (
                 np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(paint),
                 f"a record of {variable!r} occurs twice",
@@ -457,9 +653,10 @@ def restored(
                 "check whether the file is damaged",
                 "file-too-large",
             ),
-        ):
-            if is_wrong:
-                raise FormatError(f"{source}: {found}", mend=mend, code=code)
+        )
+        refuse(
+            source, *((wrong, Problem(found, mend=mend, code=code)) for wrong, found, mend, code in checks)
+        )
         data[variable] = np.full((paints, *(() if members == 0 else (members,)), bands), np.nan, np.float32)
     sidecar = metadata_path(path)
     about = None
@@ -467,7 +664,7 @@ def restored(
         about = read_metadata(sidecar, {SIGNATURE: paints, BAND: bands})
     else:
         text = f"{source}: {sidecar.name} is missing: names and columns are from the file, without units"
-        warnings.warn(PaintWarning(text, code="metadata-missing"), stacklevel=6)
+        warn_user(text, "metadata-missing")
     for first, block in rows:
         records = slice(first, first + len(block))
         for number, values in enumerate(data.values()):
@@ -481,7 +678,7 @@ def restored(
             f"{source}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
             "the table"
         )
-        warnings.warn(PaintWarning(text, code="metadata-differ"), stacklevel=6)
+        warn_user(text, "metadata-differ")
     # names in the table of variables are excluded: their columns have no units
     reserved = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
     added = {}
@@ -524,8 +721,10 @@ def _with_metadata(
             if members < size <= 8 * max(members, 8):
                 values = np.pad(values, ((0, 0), (0, size - members), (0, 0)), constant_values=np.nan)
         spectra[name] = (dims, values, dict(attrs))
-    for missing in [name for name in spectral_variables(library) if name not in data]:
-        problems.add(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
+    problems.extend(
+        Problem(f"{missing[:60]!r} has no record in the file", code="record-unmatched")
+        for missing in [name for name in spectral_variables(library) if name not in data]
+    )
     coords: dict[str, Any] = {SIGNATURE: (SIGNATURE, text_column(names), rows[SIGNATURE].attrs)}
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
     for name, (_, values, _) in coords.items():
@@ -541,6 +740,6 @@ def _with_metadata(
     try:
         return library.assign(spectra).assign_coords(own_coords)
     except ValueError as error:  # sizes or dims differ
-        problems.add(f"{error!s:.200}", code="grid-mismatch")
-    problems.raise_if_any()
-    return library
+        subject = f"{source} and its metadata belong to different libraries"
+        problem = Problem(f"{error!s:.200}", code="grid-mismatch")
+        raise FormatError(subject, problems=[problem]) from error

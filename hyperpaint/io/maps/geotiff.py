@@ -24,8 +24,16 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
 from hyperpaint.io.store.computing import in_stages
 
-from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, storable
-from .map_metadata import RASTER_FORMATS, TILE
+from .map_grids import (
+    RASTER_FORMATS,
+    RGB_WAVELENGTHS,
+    TILE,
+    Grid,
+    nearest_bands,
+    product_of,
+    required_grid,
+    storable,
+)
 from .rasters import TIFF, open_raster
 
 # Number of rows from which the brightness range of a picture is computed.
@@ -163,10 +171,8 @@ class GeotiffHeader(NamedTuple):
 
 
 def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
-    """Return the metadata of a GeoTIFF; no cell is read.
-
-    Raises `FormatError`: it is not a TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
-    """
+    # Return the metadata of a GeoTIFF; no cell is read.
+    # Raises `FormatError`: it is not a TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
     with open_input(path, "a GeoTIFF") as file:
         if not file.read(4).startswith(TIFF):
             raise FormatError(

@@ -1,17 +1,18 @@
-"""Variable and affine grid of an exported line or map, from ``spatial_ref`` or coordinates."""
+"""Variable and affine grid of an exported line or map, formats of map files, GeoZarr and STAC metadata."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.base.errors import Problems, SchemaError, needs_extra
+from hyperpaint.base.errors import Problem, Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
 
 # Wavelengths of the bands shown as red, green and blue [nm].
@@ -22,10 +23,8 @@ _GEOMETRIES = ({ALONG_TRACK, CROSS_TRACK}, {"y", "x"})
 
 
 def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
-    """Return the variable to be written, bands last: the requested one, else the first product present.
-
-    Raises `SchemaError`: It is missing, or its dims are not those of a cube or of a plane.
-    """
+    # Return the variable to be written, bands last: the requested one, else the first product present.
+    # Raises `SchemaError`: It is missing, or its dims are not those of a cube or of a plane.
     name = variable or next((name for name in _PRODUCTS if name in dataset.data_vars), None)
     if name is None or name not in dataset.variables:
         names = ", ".join(map(str, dataset.data_vars)) or "nothing"
@@ -49,11 +48,9 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
 
 
 def storable(array: xr.DataArray) -> xr.DataArray:
-    """Return an array in the dtype in which it is written.
-
-    Floats become float32, except for map coordinates, which float32 would round to decimetres; booleans
-    become uint8. Raises `SchemaError`: It has another type.
-    """
+    # Return an array in the dtype in which it is written.
+    # Floats become float32, except for map coordinates, which float32 would round to decimetres; booleans
+    # become uint8. Raises `SchemaError`: It has another type.
     if array.dtype.kind == "f":
         spec = VARIABLES.get(str(array.name))
         is_float64 = spec is not None and spec.dtype == "float64" and array.dtype.itemsize >= 8
@@ -79,13 +76,9 @@ def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int]
     """
     wavelengths = np.asarray(wavelength, np.float64)
     distance = np.abs(wavelengths[None, :] - np.array(wanted)[:, None])
-    if (
-        not wavelengths.size
-        or not np.isfinite(wavelengths).all()
-        or (distance.min(axis=1) > MAX_BAND_DISTANCE_NM).any()
-    ):
-        return None
-    return [int(band) for band in distance.argmin(axis=1)]
+    is_known = wavelengths.size and np.isfinite(wavelengths).all()
+    is_near = is_known and (distance.min(axis=1) <= MAX_BAND_DISTANCE_NM).all()
+    return distance.argmin(axis=1).tolist() if is_near else None
 
 
 Transform = tuple[float, float, float, float, float, float]
@@ -116,15 +109,12 @@ class Grid:
 
 
 def grid_of(dataset: xr.Dataset) -> Grid | None:
-    """Return the grid of a map; None where its position is unknown.
-
-    ``x`` and ``y`` at pixel centres take precedence, since they follow every selection of cells, whereas
-    ``GeoTransform`` of ``spatial_ref`` does not. ``GeoTransform`` is used where they are missing, and for the
-    step of a single row or column. A grid along the flight has ``east`` and ``north`` (y, x) instead.
-
-    Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y``, or ``east`` and
-    ``north``, are not evenly spaced; or the grid is rotated and ``x`` and ``y`` are not distances along it.
-    """
+    # Return the grid of a map; None where its position is unknown.
+    # ``x`` and ``y`` at pixel centres take precedence, since they follow every selection of cells, whereas
+    # ``GeoTransform`` of ``spatial_ref`` does not. ``GeoTransform`` is used where they are missing, and for
+    # the step of a single row or column. A grid along the flight has ``east`` and ``north`` (y, x) instead.
+    # Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y``, or ``east`` and
+    # ``north``, are not evenly spaced; or the grid is rotated and ``x`` and ``y`` are not distances along it.
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
     reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref")
     wkt = None if reference_system is None else str(reference_system)
@@ -255,35 +245,34 @@ def _numbers(text: Any) -> Transform:
 
 
 def envi_map_info(grid: Grid) -> dict[str, str]:
-    """Return the ENVI header entries for the position of a grid, without braces.
-
-    ENVI writes an angle: a column steps along (cos r, sin r), a row along (sin r, -cos r), r = ``rotation``
-    as GDAL reads it.
-
-    Raises `SchemaError`: The grid is sheared, mirrored, or rotated with pixels that are not square. Raises
-    `MissingExtraError`: There is a reference system, and pyproj is not installed.
-    """
+    # Return the ENVI header entries for the position of a grid, without braces.
+    # ENVI writes an angle: a column steps along (cos r, sin r), a row along (sin r, -cos r), r = ``rotation``
+    # as GDAL reads it.
+    # Raises `SchemaError`: The grid is sheared, mirrored, or rotated with pixels that are not square. Raises
+    # `MissingExtraError`: There is a reference system, and pyproj is not installed.
     a, b, c, d, e, f = grid.transform
     width, height = math.hypot(b, e), math.hypot(c, f)
     problems = Problems("ENVI cannot describe this grid", SchemaError)
     is_rotated = e != 0.0 or c != 0.0
-    for is_wrong, found, mend, code in (
-        (grid.mirrored, "it is mirrored", "reverse its rows", "grid-mirrored"),
-        (
-            abs(b * c + e * f) > 1e-9 * width * height,
-            "its rows and columns do not cross at right angles",
-            "",
-            "grid-sheared",
-        ),
-        (
-            is_rotated and abs(width - height) > 1e-9 * width,
-            f"it is rotated, and its pixels are not square: {width:g} x {height:g}",
-            "",
-            "pixels-not-square",
-        ),
-    ):
-        if is_wrong:
-            problems.add(found, mend=mend, code=code)
+    problems.extend(
+        Problem(found, mend=mend, code=code)
+        for is_wrong, found, mend, code in (
+            (grid.mirrored, "it is mirrored", "reverse its rows", "grid-mirrored"),
+            (
+                abs(b * c + e * f) > 1e-9 * width * height,
+                "its rows and columns do not cross at right angles",
+                "",
+                "grid-sheared",
+            ),
+            (
+                is_rotated and abs(width - height) > 1e-9 * width,
+                f"it is rotated, and its pixels are not square: {width:g} x {height:g}",
+                "",
+                "pixels-not-square",
+            ),
+        )
+        if is_wrong
+    )
     problems.raise_if_any()
     projection, zone, units, entries = _reference_system(grid.wkt)
     entries_of_map = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
@@ -322,3 +311,169 @@ def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, s
 
 def _plain(text: str) -> str:
     return re.sub(r"[,{}=\s]+", " ", text).strip() or "unknown"
+
+
+# --- formats of map files, and metadata of maps for other programs ----------------------------------------
+
+
+# Name, repository, identifier and description of the conventions of GeoZarr that maps follow.
+_CONVENTIONS = (
+    ("proj", "geo-proj", "f17cb550-5864-4468-aeb7-f3180cfb622f", "Coordinate reference system information"),
+    ("spatial", "spatial", "689b58e2-cf7b-45e0-9fff-9cfc0883d6b4", "Spatial coordinate information"),
+)
+
+_STAC_EXTENSIONS = ("projection/v2.0.0", "eo/v2.0.0")
+
+TILE = 256  # [cell]
+
+
+class RasterFormat(NamedTuple):
+    # Format of a map file, which GDAL copies from a plain GeoTIFF
+    driver: str  # of GDAL
+    media_type: str
+    options: dict[str, Any]  # of GDAL's driver, for all bands
+    picture_options: dict[str, Any]  # for a picture of 8 bits
+
+
+_COG = {"compress": "deflate", "blocksize": TILE, "bigtiff": "if_safer", "predictor": "yes"}
+_GEOTIFF = RasterFormat(
+    "COG",
+    "image/tiff; application=geotiff; profile=cloud-optimized",
+    {**_COG, "overview_resampling": "nearest"},  # spectra must not be mixed
+    {**_COG, "overview_resampling": "average"},
+)
+#: Formats of map files by suffix.
+RASTER_FORMATS = {".tif": _GEOTIFF, ".tiff": _GEOTIFF}
+_MEDIA_TYPES = {
+    ".zarr": "application/vnd.zarr; version=3",
+    **{suffix: form.media_type for suffix, form in RASTER_FORMATS.items()},
+}
+
+
+def with_own_transform(dataset: xr.Dataset) -> xr.Dataset:
+    # Return a map whose ``GeoTransform`` matches its cells; a selection has the transform of the whole map.
+    # Raises `SchemaError`: as `grid_of`.
+    grid = grid_of(dataset)
+    if grid is None or SPATIAL_REF not in dataset.variables:
+        return dataset
+    text = " ".join(repr(float(number)) for number in grid.transform)
+    return dataset.assign_coords({SPATIAL_REF: dataset[SPATIAL_REF].assign_attrs(GeoTransform=text)})
+
+
+def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
+    # Return the GeoZarr attributes of a Zarr group for the position of a map (y, x).
+    # They follow the conventions ``proj:`` and ``spatial:``, version 1. netCDF cannot hold the list of them.
+    # Raises `SchemaError`: its position is unknown; `MissingExtraError`: pyproj is not installed.
+    grid = required_grid(dataset)
+    url = "https://{}github{}.com/zarr-conventions/{}"
+    conventions = [
+        {
+            "schema_url": f"{url.format('raw.', 'usercontent', repository)}/refs/tags/v1/schema.json",
+            "spec_url": f"{url.format('', '', repository)}/blob/v1/README.md",
+            "uuid": identifier,
+            "name": f"{name}:",
+            "description": description,
+        }
+        for name, repository, identifier, description in _CONVENTIONS
+    ]
+    _, place = _corners_and_place(dataset, grid)
+    return {
+        "zarr_conventions": conventions,
+        **_crs_fields(grid),
+        "spatial:dimensions": ["y", "x"],
+        **{f"spatial:{key}": place[key] for key in ("transform", "shape", "bbox")},
+        "spatial:registration": "pixel",
+    }
+
+
+def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
+    # Return the STAC item (version 1.1) of a map exported to a file or store; computes ``line_time``.
+    # It has the fields of the extensions projection and eo; ``line_time`` gives the time of recording.
+    # Raises `SchemaError`: position or time of the map is unknown; `MissingExtraError`: pyproj is not
+    # installed.
+    grid = required_grid(dataset)
+    if grid.wkt is None or "line_time" not in dataset.variables:
+        missing = "reference system" if grid.wkt is None else "line_time"
+        raise SchemaError(
+            f"a STAC item needs position and time, and this map has no {missing}",
+            mend="orthorectify a line that has both, with line_time among the variables",
+            code="variable-missing",
+        )
+    with needs_extra("pyproj", "geo", "a STAC item"):
+        import pyproj
+    (x, y), place = _corners_and_place(dataset, grid)
+    to_degrees = pyproj.Transformer.from_crs(grid.wkt, "EPSG:4326", always_xy=True)
+    longitude, latitude = (np.round(part, 9).tolist() for part in to_degrees.transform(x, y))
+    times = dataset["line_time"].values.astype("datetime64[ns]").ravel()
+    times = times[~np.isnat(times)]
+    if not times.size:
+        raise SchemaError("no cell of this map has a time in line_time", code="time-missing")
+    first, last = times.min(), times.max()
+    moments = {"datetime": first + (last - first) // 2, "start_datetime": first, "end_datetime": last}
+    ring = [list(corner) for corner in zip(longitude, latitude, strict=True)]
+    return {
+        "type": "Feature",
+        "stac_version": "1.1.0",
+        "stac_extensions": [
+            f"https://stac-extensions.github.io/{name}/schema.json" for name in _STAC_EXTENSIONS
+        ],
+        "id": path.stem,
+        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
+        "bbox": [min(longitude), min(latitude), max(longitude), max(latitude)],
+        "properties": {
+            **{key: f"{np.datetime_as_string(time, unit='ms')}Z" for key, time in moments.items()},
+            "gsd": float(np.hypot(grid.transform[1], grid.transform[4])),
+            **_crs_fields(grid),
+            **{f"proj:{key}": place[key] for key in ("shape", "transform", "bbox")},
+        },
+        "links": [],
+        "assets": {
+            "data": {
+                "href": f"./{path.name}",
+                "type": _MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream"),
+                "roles": ["data"],
+                "bands": _bands(dataset),
+            }
+        },
+    }
+
+
+def _crs_fields(grid: Grid) -> dict[str, Any]:
+    # Return code or WKT of the reference system, under the names that STAC and GeoZarr share.
+    if grid.wkt is None:
+        return {}
+    with needs_extra("pyproj", "geo", "the reference system of a map"):
+        import pyproj
+    crs = pyproj.CRS.from_user_input(grid.wkt)
+    code = crs.to_authority(min_confidence=100)
+    return {"proj:code": ":".join(code)} if code else {"proj:wkt2": crs.to_wkt()}
+
+
+def _corners_and_place(
+    dataset: xr.Dataset, grid: Grid
+) -> tuple[tuple[list[float], list[float]], dict[str, list[Any]]]:
+    # Return x and y of the outer corners, counterclockwise from the first cell; and shape, transform (in the
+    # order of the package affine: x by column, row and offset, then y) and bounding box of a map.
+    a, b, c, d, e, f = map(float, grid.transform)
+    rows, cols = dataset.sizes["y"], dataset.sizes["x"]
+    corners = ((0, 0), (rows, 0), (rows, cols), (0, cols))
+    x, y = [a + b * j + c * i for i, j in corners], [d + e * j + f * i for i, j in corners]
+    bounds = [min(x), min(y), max(x), max(y)]
+    return (x, y), {"shape": [rows, cols], "transform": [b, c, a, e, f, d], "bbox": bounds}
+
+
+def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
+    # Return name, wavelength and width [um] of the bands.
+    axis = dataset.variables.get("wavelength")
+    if axis is None or axis.dims != (BAND,):
+        return []
+    width = dataset.variables.get("fwhm")
+    widths = axis.values * np.nan if width is None or width.dims != (BAND,) else width.values
+    return [
+        {
+            "name": f"{nm:.6g} nm",
+            "eo:center_wavelength": round(float(nm) / 1e3, 9),
+            **({"eo:full_width_half_max": round(float(fwhm) / 1e3, 9)} if fwhm > 0.0 else {}),
+        }
+        for nm, fwhm in zip(axis.values, widths, strict=True)
+    ]

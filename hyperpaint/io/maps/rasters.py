@@ -65,14 +65,11 @@ _POSITION_ELEMENTS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transfor
 
 @contextlib.contextmanager
 def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
-    """Yield a raster opened by rasterio; ``purpose`` names the operation that needs rasterio.
-
-    From files beside it, only the ``.prj`` of an ASCII grid is read.
-
-    Raises `FormatError`: It is not a plain file, not a raster of these kinds, damaged, or names other files;
-    or its ``.prj`` is not a plain file, or larger than 64 KiB. Raises `MissingExtraError`: rasterio is not
-    installed.
-    """
+    # Yield a raster opened by rasterio; ``purpose`` names the operation that needs rasterio.
+    # From files beside it, only the ``.prj`` of an ASCII grid is read.
+    # Raises `FormatError`: It is not a plain file, not a raster of these kinds, damaged, or names other
+    # files; or its ``.prj`` is not a plain file, or larger than 64 KiB. Raises `MissingExtraError`: rasterio
+    # is not installed.
     with open_input(path, "a raster", MAX_RASTER_BYTES) as file:
         first_bytes, full_path = file.read(64).lstrip(), os.path.abspath(path)
     driver = next((name for magic, name in _DRIVERS if first_bytes.startswith(magic)), "")
@@ -111,18 +108,15 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
 
 
 def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None = None) -> xr.DataArray:
-    """Return a height raster (y, x); from a large raster, the window around a flight.
-
-    path: A GeoTIFF, a grid of text (``.asc``), SRTM (``.hgt``) or DTED.
-    around: Longitudes, latitudes [degree] and heights [m] of the flight, (time,) each: a raster of more
-        than `MAX_WHOLE_CELLS` cells is read only within four times the flight height above ground.
-
-    Returns float32, or float64 where float32 is too narrow: NaN in holes, scale and offset of the file
-    applied, with coordinates of the cells' centres and `spatial_ref`.
-    Raises FormatError: As `open_raster`; it has several bands, is rotated, lacks crs, transform or
-        metadata in a file beside it, has blocks over `MAX_BLOCK_BYTES`, or needs a window of too many cells.
-    Raises SchemaError: It is large, and the position of the flight is unknown.
-    """
+    # Return a height raster (y, x); from a large raster, the window around a flight.
+    # path: A GeoTIFF, a grid of text (``.asc``), SRTM (``.hgt``) or DTED. around: Longitudes, latitudes
+    # [degree] and heights [m] of the flight, (time,) each: a raster of more than `MAX_WHOLE_CELLS` cells is
+    # read only within four times the flight height above ground.
+    # Returns float32, or float64 where float32 is too narrow: NaN in holes, scale and offset of the file
+    # applied, with coordinates of the cells' centres and `spatial_ref`. Raises FormatError: As `open_raster`;
+    # it has several bands, is rotated, lacks crs, transform or metadata in a file beside it, has blocks over
+    # `MAX_BLOCK_BYTES`, or needs a window of too many cells. Raises SchemaError: It is large, and the
+    # position of the flight is unknown.
     with open_raster(path, "opening a DEM") as raster:
         from rasterio.enums import MaskFlags
 
@@ -155,7 +149,9 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         srs = f" -a_srs {os.path.basename(stem)}.prj" if has_prj else ""
         missing = [item for item in ("a transform", "a crs") if is_missing[item]]
         block_rows, block_columns = raster.block_shapes[0]
-        block_bytes = block_rows * block_columns * np.dtype(raster.dtypes[0]).itemsize
+        is_complex = raster.dtypes[0].startswith("complex")  # numpy lacks some of these types
+        itemsize = 0 if is_complex else np.dtype(raster.dtypes[0]).itemsize
+        block_bytes = block_rows * block_columns * itemsize
         for is_wrong, found, expected, mend, code in (
             (
                 raster.count != 1,
@@ -164,6 +160,7 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
                 "extract that band with gdal_translate -b",
                 "band-count",
             ),
+            (is_complex, f": cells of {raster.dtypes[0]}", "heights", "", "type-wrong"),
             (
                 b or d or not a or not e,
                 f": its rows do not run east, by its transform {(a, b, c, d, e, f)}",
@@ -203,9 +200,9 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         ):
             if is_wrong:
                 raise FormatError(f"{path}{found}", expected=expected, mend=mend, code=code)
-        rows, columns = (0, raster.height), (0, raster.width)
-        if raster.height * raster.width > MAX_WHOLE_CELLS:
-            rows, columns = _window(raster, path, around)
+        is_large = raster.height * raster.width > MAX_WHOLE_CELLS
+        whole = (0, raster.height), (0, raster.width)
+        rows, columns = _window(raster, path, around) if is_large else whole
         values = _read_cells(raster, rows, columns)
         crs = None if raster.crs is None else raster.crs.to_wkt()
         # the declared unit of the heights, and their reference surface

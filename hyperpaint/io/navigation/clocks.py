@@ -6,7 +6,7 @@ Only corrections that the caller asks for are applied.
 from __future__ import annotations
 
 import contextlib
-import warnings
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.errors import PaintWarning, TimeError
+from hyperpaint.base.errors import TimeError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.io.files.text_tables import name_rows
 from hyperpaint.io.flightline.headwall import check_increasing
@@ -38,6 +38,7 @@ WEEK_S = 604_800
 #: Beginning of GPS time [ns since 1970-01-01].
 GPS_EPOCH: int = np.datetime64("1980-01-06", "ns").astype(np.int64).item()
 _NS_PER_US = 1000
+_DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _MAX_OFFSET_S = 1e9
 _DAY_US = 86_400_000_000
 _MIN_CLOCK_STEP_NS = 200 * 1_000_000  # larger than the drift of any clock between two rows
@@ -69,15 +70,10 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
             code="time-before-gps",
         )
     if np.any(gps > np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)):
-        warnings.warn(
-            PaintWarning(
-                (
-                    f"the table of leap seconds ends on {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for "
-                    "later times; check this value, and pass gps_leap_seconds"
-                ),
-                code="leap-seconds-expired",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"the table of leap seconds ends on {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for "
+            "later times; check this value, and pass gps_leap_seconds",
+            "leap-seconds-expired",
         )
     utc: NDArray[np.int64] = gps - offsets[number] * NS_PER_S
     return utc
@@ -91,7 +87,7 @@ def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def unwrap_weeks(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return nanoseconds of the GPS week that continue to increase in the next week."""
+    # Return nanoseconds of the GPS week that continue to increase in the next week.
     is_new_week = np.diff(stamp) < -(WEEK_S // 2) * NS_PER_S
     weeks = np.concatenate([np.zeros(1, np.int64), np.cumsum(is_new_week, dtype=np.int64)])
     unwrapped: NDArray[np.int64] = stamp + weeks * (WEEK_S * NS_PER_S)
@@ -99,7 +95,7 @@ def unwrap_weeks(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def instants(texts: Sequence[str]) -> NDArray[np.datetime64]:
-    """Return texts such as ``2024-06-01T12:00:00.5`` as times [ns]; NaT for dates that do not exist."""
+    # Return texts such as ``2024-06-01T12:00:00.5`` as times [ns]; NaT for dates that do not exist.
     try:
         return np.array(texts, "datetime64[ns]")
     except ValueError:  # the 31st of a shorter month, the 25th hour
@@ -110,14 +106,21 @@ def instants(texts: Sequence[str]) -> NDArray[np.datetime64]:
         return times
 
 
+def midnight_of(date: object) -> int | None:
+    # Return nanoseconds from 1970 to 0 h of a date such as 2024-06-01; None where it is no date in GPS time.
+    text = str(date)
+    if not _DATE.fullmatch(text) or not "1980-01-06" <= text < "2199-12-25":
+        return None
+    midnight = instants([text])[0]
+    return None if np.isnat(midnight) else int(midnight.astype(np.int64))
+
+
 def refuse_backwards(
     name: str, stamp: NDArray[np.int64], rows: NDArray[np.int64] | None = None, row: str = "line"
 ) -> None:
-    """Refuse a record whose time runs backwards.
-
-    rows: Numbers of the record's rows in the file, by default from 1 on.
-    Raises TimeError: Time runs backwards; the rows are listed.
-    """
+    # Refuse a record whose time runs backwards.
+    # rows: Numbers of the record's rows in the file, by default from 1 on.
+    # Raises TimeError: Time runs backwards; the rows are listed.
     backward_rows = np.flatnonzero(np.diff(stamp) < 0) + 1
     if backward_rows.size:
         row_numbers = backward_rows + 1 if rows is None else rows[backward_rows]
@@ -167,10 +170,9 @@ class Clock:
         if self.daily:
             stamp = stamp + next((d for d in (0, _DAY_US, -_DAY_US) if overlap(stamp + d, self.stamp)), 0)
         knot, weight, is_inside = bracket(self.stamp, stamp)
-        knot_interval = (self.utc[np.minimum(knot + 1, len(self.utc) - 1)] - self.utc[knot]).astype(
-            np.float64
-        )
-        utc = self.utc[knot] + np.round(weight * knot_interval).astype(np.int64)
+        utc = self.utc[knot] + np.round(
+            weight * (self.utc[np.minimum(knot + 1, len(self.utc) - 1)] - self.utc[knot]).astype(np.float64)
+        ).astype(np.int64)
         return np.where(is_inside, utc, NAT).astype("datetime64[ns]")
 
 
@@ -182,7 +184,7 @@ def overlap(first: NDArray[np.int64], second: NDArray[np.int64]) -> bool:
 def bracket(
     knots: NDArray[np.int64], times: NDArray[np.int64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the knot before each time, the weight of the next knot, and whether the time is in the range."""
+    # Return the knot before each time, the weight of the next knot, and whether the time is in the range.
     is_inside = (times >= knots[0]) & (times <= knots[-1])
     knot = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, max(len(knots) - 2, 0))
     # subtract in int64, since float64 resolves absolute times to 100 ns only
@@ -198,7 +200,7 @@ def tie_clock(
     *,
     daily: bool = False,
 ) -> Clock:
-    """Return a clock from rows of stamps and UTC, after a check that both run at the same rate."""
+    # Return a clock from rows of stamps and UTC, after a check that both run at the same rate.
     check_increasing(stamp, rows, source)
     refuse_backwards(f"{source}, UTC", utc, rows)
     # a receiver that is slower than the log repeats its time; only the first row of each time is used

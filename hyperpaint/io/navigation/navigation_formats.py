@@ -22,8 +22,7 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import reduce
 from operator import xor
@@ -34,12 +33,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.errors import (
+    FormatError,
+    Problem,
+    Problems,
+    SchemaError,
+    TimeError,
+    UnitsError,
+    warn_user,
+)
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.envi.envi_header import EnviHeader, read_header
+from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
 from hyperpaint.io.files.reading import numbered_lines
 from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, Table, name_rows, read_text, table_of
 
@@ -65,7 +71,7 @@ _WEEKS_S = 2.0 * WEEK_S
 
 @dataclass(frozen=True)
 class Dialect:
-    """A format that is a table of numbers: its columns and their meaning."""
+    # A format that is a table of numbers: its columns and their meaning.
 
     name: str  # name of the format
     content: str  # content of a file, for messages
@@ -152,7 +158,8 @@ def read_sbet(path: str | Path) -> PoseRecord:
         records = np.fromfile(file, layout, count)
     if records.size != count:
         raise FormatError(f"{path}: became shorter during reading", code="file-truncated")
-    columns = {name: records[name].astype(np.float64) for name in _SBET_COLUMNS[:11]}
+    names = (*_SBET.columns, *_SBET.others)  # heading is the difference of the others
+    columns = {name: records[name].astype(np.float64) for name in names if name != "heading"}
     # values of damaged files may overflow; `check_poses` refuses the results
     with np.errstate(invalid="ignore", over="ignore"):
         columns |= {name: np.degrees(columns[name]) for name in ("latitude", "longitude")}
@@ -174,14 +181,15 @@ def read_lcf(path: str | Path) -> PoseRecord:
     """
     path = Path(path)
     text = read_text(path, _LCF.max_bytes, MAX_TABLE_ROWS)
-    first_cells = text.lstrip().partition("\n")[0].replace(",", " ").split(None, _MAX_LCF_CELLS)
-    names = [*_LCF.columns, *map(str, range(len(_LCF.columns), min(len(first_cells), _MAX_LCF_CELLS)))]
-    rows = (
-        (number, line.replace(",", " ").split(None, _MAX_LCF_CELLS))
-        for number, line in numbered_lines(text)
-        if line.strip()
-    )
-    table = table_of(path, names, rows)
+
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        for number, line in numbered_lines(text):
+            if line.strip():
+                yield number, line.replace(",", " ").split(None, _MAX_LCF_CELLS)
+
+    # the first row has as many cells as the others; only seven of them have a meaning
+    cell_count = min(len(next(rows(), (0, []))[1]), _MAX_LCF_CELLS)
+    table = table_of(path, [*_LCF.columns, *map(str, range(len(_LCF.columns), cell_count))], rows())
     problems = Problems(f"{path} cannot be used as {_LCF.content}", FormatError)
     limits = {"time": _LCF.max_seconds, **LIMITS}
     columns = {name: limited_numbers(table, name, limits[name], problems) for name in _LCF.columns}
@@ -218,8 +226,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
         (stored_bytes != expected_bytes or stored_bytes > _EPH_ATT.max_bytes, found_bytes,
          f"{expected_bytes}, as its header says", "copy it again", "file-size"),
     ):  # fmt: skip
-        if is_wrong:
-            problems.add(found, expected=expected, mend=mend, code=code)
+        problems.extend([Problem(found, expected, mend, code=code)] if is_wrong else [])
     problems.raise_if_any()
     with open_input(data_path, "navigation") as file:
         file.seek(header.header_offset)
@@ -248,7 +255,9 @@ def _record_of(
     values = {name: columns[column] for column, name in dialect.columns.items()}
     seconds = values.pop("time")
     rows = np.arange(1, seconds.size + 1) if rows is None else rows
-    is_invalid = ~((seconds >= 0.0) & (seconds <= dialect.max_seconds))
+    is_in_week = seconds <= _WEEKS_S
+    # cells beyond the maximum are already listed by the reader of a text
+    is_invalid = ~(seconds >= 0.0) | (are_cells_read & (seconds > dialect.max_seconds))
     if is_invalid.any():
         problems.add(
             f"time is {seconds[is_invalid][0]:g} s in {name_rows(rows[is_invalid], dialect.row)}",
@@ -256,8 +265,7 @@ def _record_of(
             mend=f"check the format of {path.name}",
             code="value-out-of-range",
         )
-    is_in_week = seconds <= _WEEKS_S
-    if 0 < is_in_week.sum() < is_in_week.size and dialect.max_seconds > _WEEKS_S:
+    elif are_cells_read and 0 < is_in_week.sum() < is_in_week.size:
         minority_rows = rows[is_in_week == (2 * is_in_week.sum() < is_in_week.size)]
         problems.add(
             f"time has another origin in {name_rows(minority_rows, dialect.row)} than in the other rows",
@@ -680,7 +688,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
         raise FormatError(f"{path}: {wrong_checksums}", mend="copy it again", code="checksum-wrong")
     if damaged:
         message = f"{path.name}: {wrong_checksums}, and are ignored"
-        warnings.warn(PaintWarning(message, code="checksum-wrong"), stacklevel=3)
+        warn_user(message, "checksum-wrong")
     log.problems.raise_if_any()
     if not log.rows:
         raise FormatError(
@@ -705,7 +713,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     refuse_backwards(path.name, stamp, row="position")
     if all(np.isnan(values[name]).all() for name in ANGLES):
         text = f"{path.name} contains no roll, pitch or heading (PASHR, HDT or THS)"
-        warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=3)
+        warn_user(text, "attitude-missing")
     return PoseRecord(
         path.name,
         "NMEA 0183",

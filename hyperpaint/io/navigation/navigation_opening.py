@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import itertools
 import os
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.store import load_group
 from hyperpaint.io.store.reader import is_zarr
 
-from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
+from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, midnight_of, refuse_backwards
 from .navigation_formats import (
     is_nmea,
     read_eph_att,
@@ -42,7 +41,6 @@ NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv", "nmea"]
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 _HEAD_BYTES = 4096
-_DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY_NS = 86_400 * NS_PER_S
 #: GPS week in the year 2199; int64 nanoseconds overflow in the 23rd century.
 _MAX_GPS_WEEK = 11_479
@@ -182,21 +180,22 @@ def open_navigation(
     findings.raise_if_any()
     parts.sort(key=lambda part: int(part[1][0]))
     _refuse_mixtures(parts)
-    chosen_convention = _convention(parts[0][0], convention)
+    record, _, time_attrs = parts[0]
+    source_text = f"{record.name} ({record.format})"
+    chosen_convention = _convention(source_text, record.convention, record.assumed, convention)
     units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
     variables = {
         name: (
             NAVIGATION_TIME,
-            np.concatenate([record.values[name] for record, _, _ in parts]),
+            np.concatenate([part.values[name] for part, _, _ in parts]),
             {"long_name": _MEANINGS[name], "units": units.get(name, chosen_convention.angle_unit)},
         )
         for name in POSE
     }
-    for name, (_, attrs) in parts[0][0].others.items():
-        values = np.concatenate([record.others[name][0] for record, _, _ in parts])
+    for name, (_, attrs) in record.others.items():
+        values = np.concatenate([part.others[name][0] for part, _, _ in parts])
         variables[name] = (NAVIGATION_TIME, values, dict(attrs))
     time = np.concatenate([utc for _, utc, _ in parts]).astype("datetime64[ns]")
-    record, _, time_attrs = parts[0]
     declared = set(
         chosen_convention.__dataclass_fields__ if isinstance(convention, Convention) else convention or ()
     )
@@ -272,9 +271,8 @@ def _stored_record(path: Any, convention: Convention | Mapping[str, Any] | None)
             f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]", code="type-wrong"
         )
     refuse_backwards(str(path), time.astype("datetime64[ns]").astype(np.int64), row="sample")
-    declared = Convention.from_attrs(record.attrs) or Convention()
-    if convention is not None:
-        declared = convention if isinstance(convention, Convention) else declared.replace(**convention)
+    own = Convention.from_attrs(record.attrs)
+    declared = _convention(str(path), own or Convention(), ("angle_unit",) if own is None else (), convention)
     values = {name: record[name].astype(np.float64) for name in POSE}
     return record.assign(values).assign_attrs(declared.to_attrs())
 
@@ -339,7 +337,7 @@ def _headwall_record(path: Path, source: TimeSource, gps_time: Path | None) -> P
 
 @dataclass(frozen=True)
 class TimeSource:
-    """Clock settings of a navigation record given by the caller; see `open_navigation`."""
+    # Clock settings of a navigation record given by the caller; see `open_navigation`.
 
     week: int | None = None
     date: str | datetime.date | None = None
@@ -348,10 +346,8 @@ class TimeSource:
     clock_offset_s: float | None = None
 
     def check(self) -> None:
-        """Refuse invalid settings, all in one error.
-
-        Raises TimeError: A week, date, number of leap seconds, time scale or clock offset is invalid.
-        """
+        # Refuse invalid settings, all in one error.
+        # Raises TimeError: A week, date, number of leap seconds, time scale or clock offset is invalid.
         problems = Problems("the clock settings of the navigation are invalid", TimeError)
         week, leap, offset = self.week, self.leap_seconds, self.clock_offset_s
         if self.time_scale is not None:
@@ -372,14 +368,8 @@ class TimeSource:
 
     @property
     def midnight(self) -> int | None:
-        """Nanoseconds from 1970 to 0 h of the date; None without a valid date."""
-        text = str(self.date)
-        if self.date is None or not _DATE.fullmatch(text) or not "1980-01-06" <= text < "2199-12-25":
-            return None
-        try:
-            return int(np.datetime64(text, "ns").astype(np.int64))
-        except ValueError:  # the 31st of a shorter month
-            return None
+        # Nanoseconds from 1970 to 0 h of the date; None without a valid date.
+        return midnight_of(self.date)
 
 
 def _is_whole(value: Any, maximum: int) -> bool:
@@ -388,12 +378,10 @@ def _is_whole(value: Any, maximum: int) -> bool:
 
 
 def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """Return UTC [ns since 1970-01-01] of the rows of a record, and attributes that describe the conversion.
-
-    Raises TimeError: Seconds of the week without a week or date; a week or date that the stamps contradict;
-        times before GPS time began.
-    Warns PaintWarning: Times beyond the table of leap seconds, ``leap_seconds`` not given.
-    """
+    # Return UTC [ns since 1970-01-01] of the rows of a record, and attributes that describe the conversion.
+    # Raises TimeError: Seconds of the week without a week or date; a week or date that the stamps contradict;
+    #     times before GPS time began.
+    # Warns PaintWarning: Times beyond the table of leap seconds, ``leap_seconds`` not given.
     stamp, midnight = record.stamp, source.midnight
     first_second = int(stamp[0]) // NS_PER_S
     attrs: dict[str, Any] = {}
@@ -474,27 +462,22 @@ def _refuse_mixtures(parts: Sequence[Part]) -> None:
             )
 
 
-def _convention(record: PoseRecord, declared: Convention | Mapping[str, Any] | None) -> Convention:
-    if declared is None:
-        return record.convention
-    if isinstance(declared, Convention):
-        chosen = declared
-    else:
-        unknown = set(declared) - set(record.convention.__dataclass_fields__)
-        if unknown:
-            raise SchemaError(
-                f"convention has no {', '.join(map(repr, sorted(unknown)))}",
-                mend="see Convention",
-                code="key-unknown",
-            )
-        chosen = record.convention.replace(**declared)
-    if "angle_unit" not in record.assumed and chosen.angle_unit != record.convention.angle_unit:
-        unit = record.convention.angle_unit
+def _convention(
+    source: str, own: Convention, assumed: Sequence[str], declared: Convention | Mapping[str, Any] | None
+) -> Convention:
+    # Return the convention of a record: its own, changed by the caller's declarations.
+    choices = {} if declared is None or isinstance(declared, Convention) else declared
+    if unknown := set(choices) - set(own.__dataclass_fields__):
         raise SchemaError(
-            (
-                f"convention declares angle_unit {chosen.angle_unit!r}, {record.name} ({record.format}) "
-                f"contains {unit}"
-            ),
+            f"convention has no {', '.join(map(repr, sorted(unknown)))}",
+            mend="see Convention",
+            code="key-unknown",
+        )
+    chosen = declared if isinstance(declared, Convention) else own.replace(**choices)
+    if "angle_unit" not in assumed and chosen.angle_unit != own.angle_unit:
+        unit = own.angle_unit
+        raise SchemaError(
+            f"convention declares angle_unit {chosen.angle_unit!r}, {source} contains {unit}",
             mend=f"pass Convention(angle_unit={unit!r}, ...), or a mapping of the fields that differ",
             code="units-conflict",
         )

@@ -8,7 +8,6 @@ files of Headwall, ``imu_gps.txt`` is read by its header names (three generation
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
+from hyperpaint.base.errors import FormatError, Problems, TimeError, warn_user
+from hyperpaint.io.files.reading import number
 from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
 from hyperpaint.io.flightline.headwall import FrameIndex, check_increasing, time_of_day
 
@@ -64,7 +64,7 @@ _UTC_COLUMN = "gps_utc_date&time"
 
 @dataclass(frozen=True)
 class PoseRecord:
-    """Content of one navigation file of any format."""
+    # Content of one navigation file of any format.
 
     name: str  # file name, for messages
     format: str  # name of the format
@@ -91,13 +91,11 @@ def check_poses(
     row: str,
     rows: NDArray[np.int64],
 ) -> None:
-    """Note positions and angles that are out of range; NaN is accepted.
-
-    values: `POSE`: latitude and longitude [degree], altitude [m].
-    unit: Unit of roll, pitch and heading: ``"degree"`` or ``"radian"``.
-    problems: Receives the faults.
-    row, rows: Name of a row of the file in messages, and the numbers of the rows.
-    """
+    # Note positions and angles that are out of range; NaN is accepted.
+    # values: `POSE`: latitude and longitude [degree], altitude [m].
+    # unit: Unit of roll, pitch and heading: ``"degree"`` or ``"radian"``.
+    # problems: Receives the faults.
+    # row, rows: Name of a row of the file in messages, and the numbers of the rows.
     for name, limit in LIMITS.items():
         # heading minus wander angle may exceed a full turn
         maximum = limit if name not in ANGLES else 1.25 * (2.0 * np.pi if unit == "radian" else limit)
@@ -253,7 +251,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     record = Navigation(table.name, table.rows, stamps, utc=None, values=values)
     if is_unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
-        warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
+        warn_user(message, "attitude-missing")
     if utc is None:
         return record
     # the date of an unaligned row must agree with the aligned rows
@@ -270,17 +268,15 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
 
 
 def limited_numbers(
-    table: Table, column: str, limit: float, problems: Problems, empty: str = ""
+    table: Table, column: str, limit: float, problems: Problems, empty: str = "-"
 ) -> NDArray[np.float64]:
-    """Return a column of numbers or NaN; note other cells, and values beyond the limit.
-
-    empty: Text to parse in place of an empty cell.
-    """
+    # Return a column of numbers or NaN; note other cells, and values beyond the limit.
+    # empty: Text to parse in place of an empty cell.
     cells = [cell if cell.strip() else empty for cell in table.columns[column]]
     try:
         numbers = np.array(list(map(float, cells)))
     except ValueError:
-        numbers = np.array([_number(cell) for cell in cells])
+        numbers = np.array([np.inf if (value := number(cell)) is None else value for cell in cells])
     if "_" in "".join(cells):  # float() would accept 1_000
         numbers[["_" in cell for cell in cells]] = np.inf
     invalid_rows = table.rows[np.abs(numbers) > limit]
@@ -290,13 +286,6 @@ def limited_numbers(
             code="value-out-of-range",
         )
     return numbers
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.inf
 
 
 def _dates(table: Table, column: str, is_unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:

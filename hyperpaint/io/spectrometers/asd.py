@@ -19,7 +19,6 @@ import math
 import os
 import re
 import struct
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,7 +30,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, PaintWarning, Problem, SchemaError, TimeError
+from hyperpaint.base.errors import FormatError, Problem, SchemaError, TimeError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import head_of, read_limited
 from hyperpaint.base.schema import VARIABLES, label
@@ -51,8 +50,9 @@ from .spectrum_files import (
     require_one_grid,
     text_lines,
 )
+from .svc import dialect_of
 
-Kind = Literal["binary", "text", "csv", "unknown"]
+Kind = Literal["binary", "text", "scans", "csv", "unknown"]
 
 _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 _AGAIN = "copy the file again from the instrument"
@@ -102,7 +102,7 @@ _OLE_EPOCH_DAYS = 25569  # 1970-01-01 in days since 1899-12-30
 
 
 class AsdGps(NamedTuple):
-    """Position of the spectrometer by its GPS."""
+    # Position of the spectrometer by its GPS.
 
     latitude: float  # degrees, north positive
     longitude: float  # degrees, east positive (in the file, west is positive)
@@ -111,11 +111,9 @@ class AsdGps(NamedTuple):
 
 
 class AsdCalibration(NamedTuple):
-    """One calibration block of a file.
-
-    By kind: ABS, panel reflectance; BSE, panel reflectance for radiance; LMP, lamp irradiance [W m-2 nm-1];
-    FO, lamp counts.
-    """
+    # One calibration block of a file.
+    # By kind: ABS, panel reflectance; BSE, panel reflectance for radiance; LMP, lamp irradiance [W m-2 nm-1];
+    # FO, lamp counts.
 
     name: str  # name of the calibration file that the block was copied from
     integration_ms: float  # integration time of the calibration, see `nominal_integration_ms`
@@ -125,7 +123,7 @@ class AsdCalibration(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AsdFile:
-    """Content of one ``.asd`` file; arrays are (wavelength), float64 and read-only."""
+    # Content of one ``.asd`` file; arrays are (wavelength), float64 and read-only.
 
     name: str  # file name without its folder
     version: int  # 1 to 8
@@ -156,11 +154,6 @@ class AsdFile:
     saturated: frozenset[str]  # detectors flagged as saturated: ``VNIR``, ``SWIR1``, ``SWIR2``
 
 
-def is_asd(head: bytes) -> bool:
-    """Return whether the first bytes of a file are those of a binary ``.asd`` file."""
-    return head[:3] in _VERSIONS and b"\0" in head[:_HEADER_BYTES]
-
-
 def nominal_integration_ms(milliseconds: int) -> float:
     """Return the integration time for a nominal whole number of milliseconds.
 
@@ -176,23 +169,23 @@ def nominal_integration_ms(milliseconds: int) -> float:
 
 
 class Cursor:
-    """Reads a file from front to back and refuses to read past its end."""
+    # Reads a file from front to back and refuses to read past its end.
 
     def __init__(self, data: bytes, name: str) -> None:
         self.data, self.name, self.position = data, name, 0
 
     @property
     def remaining(self) -> int:
-        """Number of bytes not read yet."""
+        # Number of bytes not read yet.
         return len(self.data) - self.position
 
     @property
     def at_end(self) -> bool:
-        """Whether nothing, or only the trailer of newer software, remains to be read."""
+        # Whether nothing, or only the trailer of newer software, remains to be read.
         return self.data[self.position :] in (b"", _TRAILER)
 
     def bytes(self, count: int, part: str) -> bytes:
-        """Read ``count`` bytes; the name of the ``part`` appears in messages."""
+        # Read ``count`` bytes; the name of the ``part`` appears in messages.
         if count > self.remaining:
             raise FormatError(
                 f"{self.name}: {part} needs {count} bytes at offset {self.position}, {self.remaining} remain",
@@ -220,7 +213,7 @@ class Cursor:
         return values
 
     def skip(self, layout: tuple[Any, ...], part: str) -> None:
-        """Read the parts of a block of `_BLOCKS` without keeping them."""
+        # Read the parts of a block of `_BLOCKS` without keeping them.
         for piece in layout:
             if piece == "text":
                 self.text(part)
@@ -334,8 +327,26 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
         if version < first_version or (version == 6 and cursor.at_end):
             continue
         cursor.skip(layout, part)
-        if part == "the calibration blocks":
-            calibrations = _calibrations(cursor, channels)
+        if part != "the calibration blocks":
+            continue
+        # the heads of all calibration blocks, then the values of all
+        (count,) = cursor.values("B", "the number of calibration blocks")
+        heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
+        numbers = [head[0] for head in heads]
+        found = f"calibration blocks of types {numbers[:8]}"
+        refuse(
+            path.name,
+            (not {*numbers} <= {0, 1, 2, 3}, Problem(found, expected="0 to 3", code="file-damaged")),
+            (len({*numbers}) < count, Problem(found, expected="one of each", code="file-damaged")),
+        )
+        for number, name, milliseconds, *gains in heads:
+            kind = _CALIBRATION_KINDS[number]
+            calibrations[kind] = AsdCalibration(
+                _text_of_bytes(name),
+                nominal_integration_ms(milliseconds),
+                (gains[0], gains[1]),
+                cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block"),
+            )
     surplus = f"{cursor.remaining} bytes follow the last block of a version {version} file"
     refuse(path.name, (not cursor.at_end, Problem(surplus, code="file-damaged")))
     second, minute, hour, day, month, year = header["saved"][:6]
@@ -375,28 +386,6 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
         dark_subtracted=bool(header["dark_subtracted"]),
         saturated=frozenset(d for bit, d in _DETECTORS.items() if header["flags"][1] & bit),
     )
-
-
-def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
-    # Return the calibration blocks by kind: the file has the heads of all, then the values of all.
-    (count,) = cursor.values("B", "the number of calibration blocks")
-    heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
-    numbers = [head[0] for head in heads]
-    found = f"calibration blocks of types {numbers[:8]}"
-    refuse(
-        cursor.name,
-        (not {*numbers} <= {0, 1, 2, 3}, Problem(found, expected="0 to 3", code="file-damaged")),
-        (len({*numbers}) < count, Problem(found, expected="one of each", code="file-damaged")),
-    )
-    calibrations = {}
-    for number, name, milliseconds, *gains in heads:
-        values = cursor.array(
-            channels, np.dtype("<f8"), f"the {_CALIBRATION_KINDS[number]} calibration block"
-        )
-        calibrations[_CALIBRATION_KINDS[number]] = AsdCalibration(
-            _text_of_bytes(name), nominal_integration_ms(milliseconds), (gains[0], gains[1]), values
-        )
-    return calibrations
 
 
 def _gps_fix(name: str, block: bytes) -> AsdGps | None:
@@ -494,7 +483,7 @@ _MAX_TEXT_BYTES = 512 * 2**20
 
 
 class AsdText(NamedTuple):
-    """Content of one text export; arrays are float64 and read-only."""
+    # Content of one text export; arrays are float64 and read-only.
 
     name: str  # file name without its folder
     instrument: str
@@ -606,12 +595,9 @@ _HEAD_BYTES = 16 * 1024
 
 
 def find_files(paths: Paths) -> list[Path]:
-    """Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
-
-    From a folder, the ``.asd`` files (of old software: ``.000`` and other numbers), or else its text files.
-
-    Raises FormatError: No such file is found.
-    """
+    # Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
+    # From a folder, the ``.asd`` files (of old software: ``.000`` and other numbers), or else its text files.
+    # Raises FormatError: No such file is found.
 
     def of_folder(files: list[Path]) -> list[Path]:
         binaries = [path for path in files if path.suffix.lower() == ".asd" or path.suffix[1:].isdigit()]
@@ -623,10 +609,12 @@ def find_files(paths: Paths) -> list[Path]:
 def sniff(path: Path) -> Kind:
     """Return the kind of spectra in a file, by its first bytes; ``unknown`` also for a missing file."""
     head = head_of(path, _HEAD_BYTES)
-    if is_asd(head):
+    if head[:3] in _VERSIONS and b"\0" in head[:_HEADER_BYTES]:
         return "binary"
     if _export_at(text_lines(head)) is not None:
         return "text"
+    if dialect_of(head) is not None:
+        return "scans"
     # a csv series of irradiance begins with the heading ``time`` below its comments
     lines = head.decode("utf-8-sig", "replace").splitlines()
     first = next((line for line in lines if line.strip() and not line.startswith("#")), "")
@@ -704,9 +692,9 @@ def read_spectra(
             expected=f"some of {', '.join(_CALIBRATION_KEYS)}",
             code="key-unknown",
         )
-    calibration_files = for_all(calibration.values(), read_asd)
     external_files = {
-        _CALIBRATION_KEYS[key]: file for key, file in zip(calibration, calibration_files, strict=True)
+        _CALIBRATION_KEYS[key]: file
+        for key, file in zip(calibration, for_all(calibration.values(), read_asd), strict=True)
     }
     contents = for_all(files, _read_file)
     texts = [content.name for content in contents if isinstance(content, AsdText)]
@@ -724,7 +712,7 @@ def read_spectra(
             f"text exports do not state their quantity; {target_quantity} is a guess from the range of the "
             f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}"
         )
-        warnings.warn(PaintWarning(text, code="quantity-assumed"), stacklevel=2)
+        warn_user(text, "quantity-assumed")
     if absolute and target_quantity != "reflectance":
         raise SchemaError(
             f"absolute=True with quantity {target_quantity!r}",
@@ -773,7 +761,7 @@ def read_spectra(
     ]
     if names_with_dark and target_quantity != "counts":
         text = f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}"
-        warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=2)
+        warn_user(text, "dark-not-subtracted")
     return mask_undefined(spectra, target_quantity), target_quantity
 
 
@@ -876,7 +864,7 @@ def _spectrum_of(
 
 
 def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
-    """Replace saturated and undefined samples, and spectra of only zeros, by NaN, with a warning."""
+    # Replace saturated and undefined samples, and spectra of only zeros, by NaN, with a warning.
     names_by_reason: dict[str, list[str]] = {}
     masked = []
     for spectrum in spectra:
@@ -896,21 +884,19 @@ def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]
         text = (
             f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
         )
-        warnings.warn(PaintWarning(text, code="samples-undefined"), stacklevel=2)
+        warn_user(text, "samples-undefined")
     return masked
 
 
 def utc_offsets(
     spectra: Sequence[Spectrum], utc_offset_h: float | None, *, one_clock: bool = False
 ) -> list[float]:
-    """Return local time minus UTC [h] of each spectrum.
-
-    spectra: With the zone of the logging PC, where the file holds it.
-    utc_offset_h: Given by the user. It takes precedence over the files' offsets; a difference is warned of.
-    one_clock: Whether one PC stamped all spectra. Files without an offset then get that of the other files,
-        which must agree.
-    Raises TimeError: An offset is unknown or impossible, or the offsets of one PC differ.
-    """
+    # Return local time minus UTC [h] of each spectrum.
+    # spectra: With the zone of the logging PC, where the file holds it.
+    # utc_offset_h: Given by the user. It takes precedence over the files' offsets; a difference is warned of.
+    # one_clock: Whether one PC stamped all spectra. Files without an offset then get that of the other files,
+    #     which must agree.
+    # Raises TimeError: An offset is unknown or impossible, or the offsets of one PC differ.
     sources_by_offset: dict[float, list[str]] = {}
     for spectrum in spectra:
         if spectrum.utc_offset_h is not None:
@@ -920,7 +906,7 @@ def utc_offsets(
         check_utc_offset(utc_offset_h)
         if set(sources_by_offset) - {utc_offset_h}:
             text = f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}"
-            warnings.warn(PaintWarning(text, code="utc-offset-conflict"), stacklevel=2)
+            warn_user(text, "utc-offset-conflict")
         return [utc_offset_h] * len(spectra)
     if one_clock and len(sources_by_offset) > 1:
         raise TimeError(
@@ -1034,20 +1020,17 @@ def open_asd(
     >>> open_asd(path, "reflectance")["reflectance"].values
     array([[0.0669, 0.0671]])
     """
-    files = find_files(paths)
-    spectra, quantity = read_spectra(files, quantity, absolute=absolute, calibration=calibration)
+    spectra, quantity = read_spectra(find_files(paths), quantity, absolute=absolute, calibration=calibration)
     # UTC of the spectra whose zone is known
-    with_stamp = [s for s in spectra if s.local_time is not None]
-    if utc_offset_h is None and (without_zone := [s for s in with_stamp if s.utc_offset_h is None]):
-        text = f"local times are NaT, since {_missing_zone_text(without_zone)}"
-        warnings.warn(PaintWarning(text, code="zone-missing"), stacklevel=2)
-        with_stamp = [s for s in with_stamp if s.utc_offset_h is not None]
-    offsets = dict(zip(map(id, with_stamp), utc_offsets(with_stamp, utc_offset_h), strict=True))
+    has_stamp = np.array([s.local_time is not None for s in spectra])
+    has_zone = np.array([utc_offset_h is not None or s.utc_offset_h is not None for s in spectra])
+    if unknown := [spectra[i] for i in np.flatnonzero(has_stamp & ~has_zone)]:
+        text = f"local times are NaT, since {_missing_zone_text(unknown)}"
+        warn_user(text, "zone-missing")
+    dated = [spectra[i] for i in np.flatnonzero(has_stamp & has_zone)]
+    offsets = np.rint(np.array(utc_offsets(dated, utc_offset_h)) * 3600e9).astype("timedelta64[ns]")
     times = np.full(len(spectra), np.datetime64("NaT", "ns"))
-    for number, spectrum in enumerate(spectra):
-        if spectrum.local_time is not None and id(spectrum) in offsets:
-            offset = np.timedelta64(round(offsets[id(spectrum)] * 3600e9), "ns")
-            times[number] = np.datetime64(spectrum.local_time, "ns") - offset
+    times[has_stamp & has_zone] = np.array([s.local_time for s in dated], "datetime64[ns]") - offsets
     order = np.argsort(times, kind="stable")  # NaT last
     spectra = [spectra[i] for i in order]
     # names: columns of a text export, or else file names; ViewSpec adds endings: paint.asd.txt

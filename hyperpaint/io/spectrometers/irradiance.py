@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 import math
 import os
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,12 +26,12 @@ from hyperpaint.base.constants import (
 from hyperpaint.base.errors import (
     FormatError,
     IncompleteStoreError,
-    PaintWarning,
     Problem,
     Problems,
     SchemaError,
     TimeError,
     UnitsError,
+    warn_user,
 )
 from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.input_files import input_path
@@ -258,7 +257,7 @@ def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
         text = (
             f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out"
         )
-        warnings.warn(PaintWarning(text, code="samples-flagged"), stacklevel=2)
+        warn_user(text, "samples-flagged")
     data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
     series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
     series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})
@@ -435,7 +434,23 @@ def open_irradiance(
     seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
     times = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
     order = np.argsort(times, kind="stable")
-    _refuse_duplicates(series, times, order)
+    # samples with the same time
+    repeats = np.flatnonzero(np.diff(times[order]) == np.timedelta64(0, "ns"))
+    problems = Problems(
+        "samples of one series have the same time stamp; remove one spectrum of each pair, or write a csv "
+        "series with finer stamps",
+        TimeError,
+    )
+    for first, second in zip(order[repeats[:_MAX_SHOWN]], order[repeats[:_MAX_SHOWN] + 1], strict=True):
+        is_same_spectrum = np.array_equal(series.values[first], series.values[second], equal_nan=True)
+        remark = " (the same spectrum twice)" if is_same_spectrum else ""
+        problems.add(
+            f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
+            code="time-duplicate",
+        )
+    if len(repeats) > _MAX_SHOWN:
+        problems.add(f"... ({len(repeats)} pairs in all)", code="time-duplicate")
+    problems.raise_if_any()
     factor = conversion_factor(series.units, VARIABLES["irradiance"].units)
     # in the units of the schema; refused where float32 would overflow
     raw = series.values[order]
@@ -481,7 +496,7 @@ def _from_files(
     units: str | None,
     calibration: Mapping[str, str | os.PathLike[str]] | None,
 ) -> _Series:
-    kinds = [sniff(path) for path in files]
+    kinds, default_units = [sniff(path) for path in files], VARIABLES["irradiance"].units
     if "csv" in kinds:
         other_names = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
         if other_names:
@@ -490,7 +505,33 @@ def _from_files(
                 mend="open them separately",
                 code="formats-mixed",
             )
-        return _from_csv(files, utc_offset_h, units)
+        tables = for_all(files, read_irradiance_csv)
+        names = listed([table.name for table in tables])
+        for field_name in ("units", "fwhm_nm", "wavelength"):
+            found = [getattr(table, field_name) for table in tables]
+            if any(not np.array_equal(content, found[0]) for content in found):
+                raise FormatError(
+                    f"the csv files differ in their {field_name}: {names}",
+                    mend="open them separately",
+                    code="series-mismatch",
+                )
+        units = units or tables[0].units
+        if units is None:
+            mend = f"pass units=, or add a line on top, for example '# units: {default_units}'"
+            raise UnitsError(f"{names}: no units", mend=mend, code="units-missing")
+        spectra = [
+            Spectrum(
+                f"{table.name}:{line}",
+                table.wavelength,
+                values,
+                time.replace(tzinfo=None),
+                utc_offset_h=None if (zone := time.utcoffset()) is None else zone / dt.timedelta(hours=1),
+            )
+            for table in tables
+            for line, time, values in zip(table.lines, table.times, table.values, strict=True)
+        ]
+        spectra = mask_undefined(spectra, "irradiance")
+        return _from_spectra(spectra, utc_offset_h, units, one_clock=False, fwhm=tables[0].fwhm_nm)
     if quantity is None and "text" not in kinds:
         quantity = "irradiance"  # binary files yield it by their calibration, whatever quantity was displayed
     spectra, file_quantity = read_spectra(files, quantity, calibration=calibration)
@@ -501,7 +542,7 @@ def _from_files(
             mend="pass quantity='irradiance' if they hold it",
             code="quantity-wrong",
         )
-    default_units, wavelength = VARIABLES["irradiance"].units, spectra[0].wavelength
+    wavelength = spectra[0].wavelength
     # the widths that are assumed for an ASD instrument, which may have more detectors than the first
     fwhm: Floats | float = ASD_FWHM_NM
     source = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
@@ -517,42 +558,6 @@ def _from_files(
         fwhm_source=source,
         attrs=assumed if units is None and "text" in kinds else {},
     )
-
-
-def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | None) -> _Series:
-    tables = for_all(files, read_irradiance_csv)
-    names = listed([table.name for table in tables])
-    for field_name in ("units", "fwhm_nm", "wavelength"):
-        if any(
-            not np.array_equal(getattr(table, field_name), getattr(tables[0], field_name)) for table in tables
-        ):
-            raise FormatError(
-                f"the csv files differ in their {field_name}: {names}",
-                mend="open them separately",
-                code="series-mismatch",
-            )
-    found_units = units or tables[0].units
-    if found_units is None:
-        raise UnitsError(
-            f"{names}: no units",
-            mend=(
-                f"pass units=, or add a line on top, for example '# units: {VARIABLES['irradiance'].units}'"
-            ),
-            code="units-missing",
-        )
-    spectra = [
-        Spectrum(
-            f"{table.name}:{line}",
-            table.wavelength,
-            values,
-            time.replace(tzinfo=None),
-            utc_offset_h=None if (zone := time.utcoffset()) is None else zone / dt.timedelta(hours=1),
-        )
-        for table in tables
-        for line, time, values in zip(table.lines, table.times, table.values, strict=True)
-    ]
-    spectra = mask_undefined(spectra, "irradiance")
-    return _from_spectra(spectra, utc_offset_h, found_units, one_clock=False, fwhm=tables[0].fwhm_nm)
 
 
 def _from_spectra(
@@ -654,11 +659,10 @@ def _from_xarray(
         error=UnitsError,
     )
     nanometres = convert(wavelength, "nm", str(wavelength.name)).values.astype(np.float64)
-    is_ordered = np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)
     refuse(
         origin,
         (
-            not is_ordered,
+            not (np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)),
             Problem(
                 f"{wavelength.name!r} does not increase",
                 mend="sort by it, and remove repeated values",
@@ -687,24 +691,6 @@ def _from_xarray(
         clock_uncertainty_s=None if clock is None else float(convert(clock, "s")),
         attrs={key: value for key, value in data.attrs.items() if str(key).startswith("irradiance_")},
     )
-
-
-def _refuse_duplicates(
-    series: _Series, times: npt.NDArray[np.datetime64], order: npt.NDArray[np.intp]
-) -> None:
-    repeats = np.flatnonzero(np.diff(times[order]) == np.timedelta64(0, "ns"))
-    advice = "remove one spectrum of each pair, or write a csv series with finer stamps"
-    problems = Problems(f"samples of one series have the same time stamp; {advice}", TimeError)
-    for first, second in zip(order[repeats[:_MAX_SHOWN]], order[repeats[:_MAX_SHOWN] + 1], strict=True):
-        is_same_spectrum = np.array_equal(series.values[first], series.values[second], equal_nan=True)
-        remark = " (the same spectrum twice)" if is_same_spectrum else ""
-        problems.add(
-            f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
-            code="time-duplicate",
-        )
-    if len(repeats) > _MAX_SHOWN:
-        problems.add(f"... ({len(repeats)} pairs in all)", code="time-duplicate")
-    problems.raise_if_any()
 
 
 def _dataset(
@@ -777,14 +763,12 @@ def _dataset(
 
 
 def _check_magnitude(wavelength: Floats, values: Floats) -> None:
-    """Refuse a series whose magnitude is impossible for daylight, as with wrong units.
-
-    wavelength : (irradiance_wavelength,): [nm].
-    values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
-    Raises UnitsError: The brightest sample's median over 400-1000 nm is impossible for daylight; or the
-        wavelengths are outside sunlight.
-    Warns PaintWarning: The brightest sample is as dim as before sunrise.
-    """
+    # Refuse a series whose magnitude is impossible for daylight, as with wrong units.
+    # wavelength : (irradiance_wavelength,): [nm].
+    # values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
+    # Raises UnitsError: The brightest sample's median over 400-1000 nm is impossible for daylight; or the
+    #     wavelengths are outside sunlight.
+    # Warns PaintWarning: The brightest sample is as dim as before sunrise.
     first, last = wavelength[0], wavelength[-1]
     if last < _SUNLIGHT_RANGE_NM[0] or first > _SUNLIGHT_RANGE_NM[1]:
         raise UnitsError(
@@ -797,7 +781,7 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     median = f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1"
     if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and slip:
         text = f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon"
-        warnings.warn(PaintWarning(text, code="irradiance-dim"), stacklevel=4)
+        warn_user(text, "irradiance-dim")
     if brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN:
         direction = (
             f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"

@@ -19,7 +19,7 @@ from hyperpaint.io.store.reader import is_zarr
 
 from .asd import open_asd, sniff
 from .spectrum_files import find_paths
-from .svc import SUFFIXES, open_svc
+from .svc import is_named_as_scans, open_svc
 
 _GROUP = "references/"
 
@@ -54,7 +54,7 @@ def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
 
     def of_folder(files: list[Path]) -> list[Path]:
         # the spectrometer files of a folder; or else its text files
-        spectra = [path for path in files if path.suffix.lower() in (*SUFFIXES, ".asd")]
+        spectra = [path for path in files if path.suffix.lower() == ".asd" or is_named_as_scans(path)]
         return spectra or [path for path in files if path.suffix.lower() in (".txt", ".tsv", ".csv")]
 
     if file_paths := [path for path in paths if not is_zarr(path)]:
@@ -77,14 +77,13 @@ def _open_by_kind(files: Sequence[Path], quantity: str | None, *, is_reference: 
     # Open files of spectrometers. References may also be libraries, and may differ in wavelengths.
     problems = Problems("references cannot be opened", FormatError)
     files_by_opener: dict[Any, list[Any]] = {open_svc: [], open_asd: [], open_library: []}
+    openers: dict[str, Any] = {"scans": open_svc, "binary": open_asd, "text": open_asd}
     for path in files:
-        suffix = path.suffix.lower()
-        if suffix in SUFFIXES:
-            files_by_opener[open_svc].append(path)
-        elif sniff(path) in ("binary", "text"):
-            files_by_opener[open_asd].append(path)
-        elif is_reference and suffix != ".asd":
-            files_by_opener[open_library].append(path)
+        opener = openers.get("scans" if is_named_as_scans(path) else sniff(path))
+        if opener is None and is_reference and path.suffix.lower() != ".asd":
+            opener = open_library
+        if opener is not None:
+            files_by_opener[opener].append(path)
         else:
             problems.add(
                 f"{path}: not a file of a field spectrometer",

@@ -196,10 +196,10 @@ def _units_in_heading(heading: str, column: int, is_last: bool) -> list[str]:
     cell_words = [
         " ".join(_UNIT_AT_END.sub("", cell.replace("\x00", " ").strip()).split()).lower() for cell in cells
     ]
-    is_column_heading = bool(_WAVELENGTH.fullmatch(cell_words[0])) and (
-        cell_words[0] != "" or bool(texts_by_column[0])
-    )
-    if _UNCERTAINTY_WORDS.search(cell_words[1]) or not (is_column_heading or (is_last and not is_comment)):
+    if _UNCERTAINTY_WORDS.search(cell_words[1]) or not (
+        (bool(_WAVELENGTH.fullmatch(cell_words[0])) and (cell_words[0] != "" or bool(texts_by_column[0])))
+        or (is_last and not is_comment)
+    ):
         return []
     return [re.sub(r"^in ", "", " ".join(unit.split())) for unit in texts_by_column[column]]
 
@@ -395,15 +395,13 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     for name, (table_name, column, factor, units) in _COLUMNS.items():
         dim = _TABLES[table_name][1]
         values = tables[table_name][:, column].T * factor
-        dims = dim if values.ndim == 1 else ("series", dim)
-        data[name] = (dims, values, {"units": units} if units else {})
+        data[name] = (dim if values.ndim == 1 else ("series", dim), values, {"units": units} if units else {})
     # missing coefficients are 0
     has_coefficient = data["coefficient"] > 0
     for name in ("coefficient", "coefficient_u"):
         data[name] = data[name].where(has_coefficient)
     lamp, panel = tables["LAMPDATA"], tables["PANELDATA"]
-    reflectance = np.interp(lamp[:, 0], panel[:, 0], panel[:, 2], np.nan, np.nan)
-    radiance = lamp[:, 2] * 1e-3 * reflectance / np.pi
+    radiance = lamp[:, 2] * 1e-3 * np.interp(lamp[:, 0], panel[:, 0], panel[:, 2], np.nan, np.nan) / np.pi
     data["panel_radiance"] = ("lamp_wavelength", radiance, {"units": "W m-2 sr-1 nm-1"})
     texts = {key: sections[name][0][1] for name, key in _TEXTS.items() if sections.get(name)}
     values_by_key = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -15,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, TimeError
+from hyperpaint.base.errors import FormatError, Problem, Problems, TimeError, warn_user
 from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import decoded_text, is_pattern, matching_files, unique_names
 
@@ -27,17 +26,15 @@ _R = TypeVar("_R")
 
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d{1,5})?", re.ASCII)
 # NaN and infinity as programs and Windows' C library print them, in several languages
-_NON_FINITE_SPELLINGS = {
-    **dict.fromkeys(("nan", "-nan", "n.def.", "1.#qnan", "-1.#ind", "1.#ind"), math.nan),
-    **dict.fromkeys(("inf", "infinity", "+unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
-    **dict.fromkeys(("-inf", "-infinity", "-unendlich", "-\N{INFINITY}", "-1.#inf"), -math.inf),
+_NON_FINITE_WORDS = {
+    **dict.fromkeys(("nan", "n.def.", "1.#qnan", "1.#ind"), math.nan),
+    **dict.fromkeys(("inf", "infinity", "unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
 }
 
 
 def text_lines(data: bytes) -> list[str]:
-    """Return the lines of a text in UTF-8 or latin-1, with any line ends; NULs are left out."""
-    text = decoded_text(data.replace(b"\0", b""))
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    # Return the lines of a text in UTF-8 or latin-1, with any line ends; NULs are left out.
+    return decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
 def cell_number(text: str) -> float | None:
@@ -45,11 +42,13 @@ def cell_number(text: str) -> float | None:
 
     Examples
     --------
-    >>> cell_number("-5,1"), cell_number("1.5E-02"), cell_number("1,5,0")
-    (-5.1, 0.015, None)
+    >>> cell_number("-5,1"), cell_number("1.5E-02"), cell_number("-Infinity"), cell_number("1,5,0")
+    (-5.1, 0.015, -inf, None)
     """
-    is_number = _NUMBER.fullmatch(text) is not None
-    return float(text.replace(",", ".")) if is_number else _NON_FINITE_SPELLINGS.get(text.lower())
+    if _NUMBER.fullmatch(text):
+        return float(text.replace(",", "."))
+    value = _NON_FINITE_WORDS.get((text[1:] if text[:1] in "+-" else text).lower())
+    return -value if value is not None and text[0] == "-" else value
 
 
 def find_paths(
@@ -95,11 +94,9 @@ def find_paths(
 
 
 def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
-    """Return the results of a function for all items, in their order.
-
-    Raises FormatError: The function raised it for some items. One error lists each reason once, with its
-    items.
-    """
+    # Return the results of a function for all items, in their order.
+    # Raises FormatError: The function raised it for some items. One error lists each reason once, with its
+    # items.
     outputs: list[_R] = []
     names_by_problem: dict[Problem, list[str]] = {}
     for item in items:
@@ -120,7 +117,7 @@ def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
 def same_grids(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]],
 ) -> list[tuple[npt.NDArray[np.float64], list[str]]]:
-    """Return each distinct set of wavelengths with the names of its spectra."""
+    # Return each distinct set of wavelengths with the names of its spectra.
     groups: dict[bytes, tuple[npt.NDArray[np.float64], list[str]]] = {}
     for name, wavelength in grids:
         groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
@@ -130,22 +127,17 @@ def same_grids(
 def require_one_grid(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]], advice: Callable[[], str] = str
 ) -> None:
-    """Refuse spectra on several sets of wavelengths; ``advice`` completes the message.
-
-    Raises FormatError: There are several sets; each is listed with the names of its spectra.
-    """
+    # Refuse spectra on several sets of wavelengths; ``advice`` completes the message.
+    # Raises FormatError: There are several sets; each is listed with the names of its spectra.
     groups = same_grids(grids)
     if len(groups) > 1:
-        overlap_texts = [
-            ", overlap kept" if np.any(np.diff(wavelengths) <= 0.0) else "" for wavelengths, _ in groups
-        ]
         problems = [
             Problem(
-                f"{len(wavelengths)} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm{overlap_text}: "
-                f"{', '.join(names)}",
+                f"{len(grid)} from {grid[0]:g} to {grid[-1]:g} nm"
+                f"{', overlap kept' if np.any(np.diff(grid) <= 0.0) else ''}: {', '.join(names)}",
                 code="grid-mismatch",
             )
-            for (wavelengths, names), overlap_text in zip(groups, overlap_texts, strict=True)
+            for grid, names in groups
         ]
         raise FormatError(
             "spectra differ in their wavelengths",
@@ -156,23 +148,20 @@ def require_one_grid(
 
 
 def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
-    """Return the quantity that all files hold.
-
-    quantities: Quantity, None where unknown, and name of each file.
-    Raises FormatError: A quantity is unknown, or they differ; all are listed.
-    """
+    # Return the quantity that all files hold.
+    # quantities: Quantity, None where unknown, and name of each file.
+    # Raises FormatError: A quantity is unknown, or they differ; all are listed.
     names_by_quantity: dict[str | None, list[str]] = {}
     for quantity, name in quantities:
         names_by_quantity.setdefault(quantity, []).append(name)
     if len(names_by_quantity) > 1 or None in names_by_quantity:
-        problems = [
-            Problem(f"{key or 'unknown'}: {', '.join(file_names)}", code="quantity-ambiguous")
-            for key, file_names in names_by_quantity.items()
-        ]
         raise FormatError(
             "the spectra hold several or unknown quantities",
             mend="pass quantity=",
-            problems=problems,
+            problems=[
+                Problem(f"{key or 'unknown'}: {', '.join(file_names)}", code="quantity-ambiguous")
+                for key, file_names in names_by_quantity.items()
+            ],
             code="quantity-ambiguous",
         )
     return next(str(quantity) for quantity in names_by_quantity)
@@ -207,10 +196,8 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
 
 
 def check_utc_offset(hours: float) -> None:
-    """Refuse local time minus UTC [h] beyond the offsets of all zones.
-
-    Raises TimeError: It is outside -14 to 14.
-    """
+    # Refuse local time minus UTC [h] beyond the offsets of all zones.
+    # Raises TimeError: It is outside -14 to 14.
     if not -14.0 <= hours <= 14.0:
         raise TimeError(
             f"utc_offset_h={hours}",
@@ -226,6 +213,6 @@ def listed(names: Sequence[str], max_names: int = 20) -> str:
 
 
 def warn_of(problem: str, names: Sequence[str], code: str) -> None:
-    """Warn of a problem of the named files, if there are any."""
+    # Warn of a problem of the named files, if there are any.
     if names:
-        warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)
+        warn_user(f"{problem}. Files: {listed(names)}", code)

@@ -38,6 +38,7 @@ from .spectrum_files import (
     common_quantity,
     find_paths,
     for_all,
+    listed,
     name_spectra,
     ratio,
     require_one_grid,
@@ -64,9 +65,11 @@ _NO_POSITION = (math.nan, math.nan)
 
 
 class Dialect(NamedTuple):
-    """Form of a text of two scans, which differs between makers and programs."""
+    # Form of a text of two scans, which differs between makers and programs.
 
+    instrument: str
     magic: re.Pattern[bytes]  # first bytes of a file
+    begins: str  # the same in words, for messages
     suffix: str = ".sig"
     assigns: str = "="  # between key and value of a line of the header
     data: str = "data"  # key of the line before the rows
@@ -81,10 +84,13 @@ class Dialect(NamedTuple):
 
 
 DIALECTS = (
-    # SVC, HR-512i to HR-1024i
-    Dialect(re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.IGNORECASE)),
+    # HR-512i to HR-1024i
+    Dialect(
+        "SVC",
+        re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.IGNORECASE),
+        "'/*** Spectra Vista SIG Data ***/' of an SVC .sig file",
+    ),
 )
-SUFFIXES = tuple(dict.fromkeys(dialect.suffix for dialect in DIALECTS))
 
 _MAX_BYTES = 4 * 2**20  # a hundred times the size of usual files
 _MAX_ROWS = 32_768
@@ -95,7 +101,7 @@ _CHANNELS = re.compile(r"HR-(\d{3,4})(?!\d)")
 
 @dataclass(frozen=True, eq=False)
 class SvcFile:
-    """Content of one ``.sig`` file; arrays are (wavelength), float64, read-only, in file order."""
+    # Content of one ``.sig`` file; arrays are (wavelength), float64, read-only, in file order.
 
     name: str  # file name without its folder
     header: Mapping[str, str]  # values by key (lower case), as text
@@ -108,7 +114,7 @@ class SvcFile:
     percent: Floats  # ratio of target and reference in the file, rounded
     # First row of each detector, found by the steps back in wavelength; the first is 0
     starts: tuple[int, ...]
-    scale: Mapping[str, float]  # factors of values to SI by quantity
+    dialect: Dialect
 
     @property
     def has_reference(self) -> bool:
@@ -117,8 +123,13 @@ class SvcFile:
 
 
 def dialect_of(head: bytes) -> Dialect | None:
-    """Return the dialect of a file by its first bytes; None for files of another kind."""
+    # Return the dialect of a file by its first bytes; None for files of another kind.
     return next((dialect for dialect in DIALECTS if dialect.magic.match(head)), None)
+
+
+def is_named_as_scans(path: Path) -> bool:
+    """Return whether the suffix of a file is that of a dialect."""
+    return path.suffix.lower() in [dialect.suffix for dialect in DIALECTS]
 
 
 def read_svc(path: str | os.PathLike[str]) -> SvcFile:
@@ -144,7 +155,7 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
         ger_hint = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
         raise FormatError(
             f"{path.name}: begins with {data[:24]!r}{ger_hint}",
-            expected="'/*** Spectra Vista SIG Data ***/' of an SVC .sig file",
+            expected=" or ".join(dialect.begins for dialect in DIALECTS),
             code="format-unknown",
         )
     lines = text_lines(data)
@@ -262,7 +273,7 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
         target,
         percent,
         starts,
-        dialect.scale,
+        dialect,
     )
 
 
@@ -279,7 +290,7 @@ _BITS = re.compile(r"[0-9]{1,9}")
 
 
 class SvcOverlap(NamedTuple):
-    """Treatment of overlapping detectors, from the header's ``factors``."""
+    # Treatment of overlapping detectors, from the header's ``factors``.
 
     text: str  # short description: preserved, removed (and where), or unknown
     # Wavelengths [nm] at which the next detector begins, if channels were removed
@@ -484,8 +495,8 @@ def open_svc(
         check_utc_offset(utc_offset_h)
     files = find_paths(
         paths,
-        lambda folder_files: [path for path in folder_files if path.suffix.lower() in SUFFIXES],
-        f"{' or '.join(SUFFIXES)} files",
+        lambda folder_files: list(filter(is_named_as_scans, folder_files)),
+        f"{' or '.join(dict.fromkeys(dialect.suffix for dialect in DIALECTS))} files",
     )
     contents = for_all(files, read_svc)
     scan_number = SCANS.index(scan)
@@ -524,7 +535,8 @@ def open_svc(
         coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
     coords |= _coords_of_scans(contents, (1, 0) if is_ratio else (scan_number,), dayfirst, utc_offset_h)
     coords |= _coords_of_files(files, measurements, is_ratio=is_ratio)
-    attrs: dict[str, Any] = {"instrument": "SVC"} | ({} if is_ratio else {"scan": scan})
+    instruments = listed(sorted({file.dialect.instrument for file in contents}))
+    attrs: dict[str, Any] = {"instrument": instruments} | ({} if is_ratio else {"scan": scan})
     trimmed_at = [measurement.trimmed_at for measurement in measurements if measurement.trimmed_at]
     if trimmed_at:
         attrs["overlap_trimmed_at_nm"] = list(trimmed_at[0])
@@ -590,7 +602,7 @@ def _measure(
     if is_ratio:
         values = ratio(file.target, file.reference)
     else:
-        values = (file.reference, file.target)[scan_number] * file.scale[quantity]
+        values = (file.reference, file.target)[scan_number] * file.dialect.scale[quantity]
     handovers = _handovers(file, joins) if trim else ()
     is_used = _trimmed_channels(file, handovers)
     refuse(
@@ -842,7 +854,7 @@ _DAY = dt.timedelta(days=1)
 
 @dataclass(frozen=True)
 class LocalStamp:
-    """Date and time of a local clock, without a zone."""
+    # Date and time of a local clock, without a zone.
 
     day_first: dt.datetime | None  # date read in this order; None if there is no such date
     month_first: dt.datetime | None

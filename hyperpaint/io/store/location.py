@@ -7,7 +7,7 @@ import os
 import re
 import stat
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,9 +108,6 @@ class Location:
 
     def key(self, *parts: str) -> str:
         return joined(self.root, *parts)
-
-    def group_url(self, group: str) -> str:
-        return joined(self.url, group)
 
     def has(self, *parts: str) -> bool:
         if self.local is not None:
@@ -280,7 +277,7 @@ class Location:
         return {
             name: folder
             for name, folder in listed.items()
-            if not name.startswith(".") and not _TEMPORARY.fullmatch(name)
+            if not name.startswith(".") and not TEMPORARY.fullmatch(name)
         }
 
     def folders(self, group: str) -> list[str]:
@@ -304,15 +301,7 @@ class Location:
 
 
 #: Names of temporary files of hyperpaint and zarr.
-_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
-
-
-def temporaries(folder: Path) -> Iterator[Path]:
-    """Yield the temporary files that a killed writer left in a group's folder."""
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            if _TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
-                yield Path(entry.path)
+TEMPORARY = re.compile(r"\..+\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
 
 
 def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:

@@ -232,7 +232,20 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         return StoreState((error.problem,))
     contents = functools.cache(lambda name: content_of(location, name, manifest))
     if manifest is None:
-        return _state_without_manifest(location, {name: contents(name) for name in present})
+        if any(contents(name).startswith(f"/{name} ") for name in present):
+            lost = Problem(
+                f"the manifest of {location.url}, the group {MANIFEST_NODE!r} of its root, is missing",
+                mend="run the command that wrote the store again; complete groups stay",
+                code="manifest-lost",
+            )
+            return StoreState((lost,))
+        note = "not written by hyperpaint"
+        if any(map(contents, present)):
+            note = "copied from a store of hyperpaint, without its manifest"
+        elif any("hyperpaint_complete" in location.attributes(name) for name in present):
+            note = "written by hyperpaint 0.2 or older, without a manifest"
+        note += ": missing or exchanged groups and chunks cannot be detected; all chunks were read"
+        return StoreState((), (note,))
     faults: list[Problem] = []
     notes, resume = [], ""
     # unfinished writes
@@ -290,25 +303,6 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         omitted_text = counted(len(faults) - MAX_MESSAGES, "more problem")
         shown.append(Problem(omitted_text, code="problems-omitted"))
     return StoreState(tuple(shown), tuple(notes), resume)
-
-
-def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> StoreState:
-    if any(content.startswith(f"/{name} ") for name, content in contents.items()):
-        lost = Problem(
-            f"the manifest of {location.url}, the group {MANIFEST_NODE!r} of its root, is missing",
-            mend="run the command that wrote the store again; complete groups stay",
-            code="manifest-lost",
-        )
-        return StoreState((lost,))
-    if any(contents.values()):
-        note = "copied from a store of hyperpaint, without its manifest"
-    elif any("hyperpaint_complete" in location.attributes(name) for name in contents):
-        note = "written by hyperpaint 0.2 or older, without a manifest"
-    else:
-        note = "not written by hyperpaint"
-    return StoreState(
-        (), (f"{note}: missing or exchanged groups and chunks cannot be detected; all chunks were read",)
-    )
 
 
 def check_state(location: Location) -> None:
@@ -429,7 +423,7 @@ def entry_of(location: Location, group: str) -> GroupEntry:
     attributes = metadata.get("attributes", {}) if entries else {}
     if attributes.get(SEAL, seal_of(entries)) != seal_of(entries):
         raise IncompleteStoreError(
-            f"the arrays of {location.group_url(group)} differ from those that were written",
+            f"the arrays of {joined(location.url, group)} differ from those that were written",
             mend="write the group again",
             code="group-changed",
         )

@@ -20,7 +20,7 @@ from typing import Any, overload
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError, warn_user
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, stamp_means
 
@@ -267,7 +267,7 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
     problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
     if attributes_replaced(location, group, entry):
         text = f"{where}: another program replaced its attributes; the manifest's are used"
-        warnings.warn(PaintWarning(text, code="attributes-replaced"), stacklevel=4)
+        warn_user(text, "attributes-replaced")
     elif changed := changed_attributes(location, group, entry):
         problems.add(f"attributes differ from the manifest: {', '.join(changed)}", code="attributes-changed")
     files = location.files(group)

@@ -34,7 +34,7 @@ from hyperpaint.base.input_files import head_of
 
 from .disk import exchange
 from .groups import groups_above
-from .location import MANIFEST_NODE, clean_group, sync, temporaries
+from .location import MANIFEST_NODE, TEMPORARY, clean_group, sync
 
 _ROOT = "%root"
 # Time to wait for a lock without a process record [s]; filelock takes it over after 2 s.
@@ -70,11 +70,11 @@ class Staging:
 
     def leftovers(self, group: str, content: str) -> list[Path]:
         """Return the builds of a group with a content from earlier attempts."""
-        return [entry.path for entry in self._builds() if (entry.group, entry.content) == (group, content)]
+        return [entry.path for entry in self._entries() if entry[1:] == ("build", group, content)]
 
     def discard_others(self, group: str, content: str) -> None:
-        for entry in self._builds():
-            if entry.group == group and entry.content != content:
+        for entry in self._entries():
+            if (entry.kind, entry.group) == ("build", group) and entry.content != content:
                 discard(entry.path)
 
     def close(self, build: Path, group: str, content: str) -> Path:
@@ -139,8 +139,13 @@ class Staging:
         parents = {name for group in kept_groups for name in groups_above(group)}
         for folder in {self.store, self.store / MANIFEST_NODE, *(self.store / name for name in parents)}:
             if folder.is_dir() and not folder.is_symlink():
-                for leftover in temporaries(folder):
-                    leftover.unlink(missing_ok=True)
+                for leftover in folder.iterdir():
+                    if (
+                        TEMPORARY.fullmatch(leftover.name)
+                        and leftover.is_file()
+                        and not leftover.is_symlink()
+                    ):
+                        leftover.unlink(missing_ok=True)
 
     def _entries(self) -> list[_Entry]:
         # Sorted entries with names that writers give; links and invalid group names are errors
@@ -172,9 +177,6 @@ class Staging:
                 )
             entries.append(_Entry(path, path.name.partition("-")[0], group, match["content"] or ""))
         return entries
-
-    def _builds(self) -> list[_Entry]:
-        return [entry for entry in self._entries() if entry.kind == "build"]
 
     def _path(self, group: str) -> Path:
         # Folder of a group; links along the path are errors

@@ -250,7 +250,7 @@ class _StoreWriter:
                 )
                 for path in filter(self._location.has, old):
                     self._location.fs.rm(self._location.key(path), recursive=True)
-                place = Location.of(self._location.group_url(job.group))
+                place = Location.of(joined(self._location.url, job.group))
                 files, sums = _write_arrays(job, place, [], progress=progress)
                 place.write_files({METADATA: json.dumps(self._note(job, files, sums)).encode()})
                 return lambda: None

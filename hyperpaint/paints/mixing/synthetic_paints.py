@@ -1,12 +1,27 @@
-"""Synthetic paints: mixtures, shades, and variants of paints drawn from the spread of their pixels."""
+r"""Synthetic paints: mixtures, shades, and variants of paints drawn from the spread of their pixels.
+
+Mixtures and shades follow Kubelka and Munk's thick layer, and Saunderson's interface above it.
+An opaque layer with absorption K and scattering S per depth reflects
+
+.. math:: R_\infty = 1 + q - \sqrt{q^2 + 2 q}, \qquad q = K / S = (1 - R_\infty)^2 / (2 R_\infty)
+
+(Kubelka & Munk, Z. techn. Phys. 12, 593, 1931). An interface above it mirrors k1 of the light from outside
+and k2 of the diffuse light from inside, so that light returns to the layer repeatedly. The sum over the
+returns, :math:`(1 - k_1) R_\infty (1 - k_2) \sum_j (k_2 R_\infty)^j`, adds to the mirrored light:
+
+.. math:: R = k_1 + \frac{(1 - k_1) (1 - k_2) R_\infty}{1 - k_2 R_\infty}
+
+(Saunderson, J. Opt. Soc. Am. 32, 727, 1942). R rises from k1 to 1 with :math:`R_\infty`; the inverse is
+:math:`R_\infty = (R - k_1) / ((1 - k_1) (1 - k_2) + k_2 (R - k_1))`. All quantities are pure numbers.
+"""
 
 from __future__ import annotations
 
 import difflib
 import json
-import warnings
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -15,13 +30,176 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, QUANTILE, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 
-from .kubelka_munk import coating_of
+# --- a layer of pigments, and the interface above it --------------------------------------------------------
+
+
+def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
+    """Return K/S [1] of a thick layer without an interface from its reflectance, above 0 and up to 1 [1].
+
+    Examples
+    --------
+    >>> absorption_to_scattering([0.5, 1.0])
+    array([0.25, 0.  ])
+    """
+    layer = np.asarray(reflectance, np.float64)
+    return np.asarray((1.0 - layer) ** 2 / (2.0 * layer))
+
+
+def thick_layer_reflectance(ratio: npt.ArrayLike) -> Floats:
+    """Return the reflectance [1] of a thick layer from its K/S [1]; inverse of `absorption_to_scattering`.
+
+    Examples
+    --------
+    >>> thick_layer_reflectance([0.25, 0.0])
+    array([0.5, 1. ])
+    """
+    q = np.asarray(ratio, np.float64)
+    # equal to 1 + q - sqrt(q^2 + 2 q), without cancellation where the layer is dark
+    return np.asarray(1.0 / (1.0 + q + np.sqrt(q * (q + 2.0))))
+
+
+@dataclass(frozen=True)
+class Interface:
+    """The surface of a paint, which reflects light on both sides.
+
+    Attributes
+    ----------
+    k1
+        Reflectance for light from outside [1]: ((n - 1) / (n + 1))^2 near normal, 0.04 for an index of 1.5.
+    k2
+        Reflectance for diffuse light from inside [1]: 0.60 for an index of 1.5; less where scattered light is
+        no longer diffuse (0.4 to 0.5: Mudgett & Richards, Appl. Opt. 10, 1485, 1971).
+
+    Raises
+    ------
+    SchemaError
+        A value is negative, or 1 and more; all are listed.
+
+    Examples
+    --------
+    >>> coat = Interface()
+    >>> coat.outside([0.5]).round(4), coat.layer(coat.outside([0.5])).round(4)
+    (array([0.2743]), array([0.5]))
+    """
+
+    k1: float = 0.04
+    k2: float = 0.60
+
+    def __post_init__(self) -> None:
+        problems = Problems("the interface of a paint cannot have these values", SchemaError)
+        for name, value in (("k1", self.k1), ("k2", self.k2)):
+            if not 0.0 <= value < 1.0:
+                problems.add(
+                    f"{name}={value!r}", expected="a reflectance from 0 to below 1", code="value-out-of-range"
+                )
+        problems.raise_if_any()
+
+    def outside(self, layer: npt.ArrayLike) -> Floats:
+        """Return the reflectance outside the interface of a layer, without mirrored light: 0 to 1 - k1."""
+        inside = np.asarray(layer, np.float64)
+        return np.asarray((1.0 - self.k1) * (1.0 - self.k2) * inside / (1.0 - self.k2 * inside))
+
+    def layer(self, outside: npt.ArrayLike) -> Floats:
+        """Return the reflectance of the layer; inverse of `outside`, above 1 for inputs above 1 - k1."""
+        body = np.asarray(outside, np.float64)
+        return np.asarray(body / ((1.0 - self.k1) * (1.0 - self.k2) + self.k2 * body))
+
+
+#: Minimum reflectance of a layer without an interface [1]: lower values are noise (soot in a binder has
+#: 0.02), and their K/S would dominate any mixture.
+MIN_LAYER_REFLECTANCE = 1e-3
+
+#: Maximum share of a spectrum that noise may make darker than the mirrored light [1].
+MAX_DARK_SHARE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Coating:
+    """Interface and mirrored light between a layer of paint and its reflectance in the library."""
+
+    interface: Interface  #: Interface above the layer.
+    mirrored: Floats  #: (band,) or (): Mirrored light in the reflectance [1].
+
+    def ratio(self, reflectance: npt.ArrayLike, names: list[str]) -> Floats:
+        """Return K/S [1] of spectra (signature, ..., band); NaN stays NaN.
+
+        Raises `SchemaError`: more than 5 % of a paint's spectrum is darker than the light mirrored by the
+        coat; all such paints are listed. Warns of values that are impossible for such a layer; they are
+        replaced by the nearest possible value.
+        """
+        values = np.asarray(reflectance, np.float64)
+        layer = self.interface.layer(values - self.mirrored)
+        # values far below 0, where the denominator changes its sign, are too low as well
+        low = (layer < MIN_LAYER_REFLECTANCE) | (values < self.mirrored)
+        high = ~low & (layer > 1.0)
+        problems = Problems("the library's reflectance is lower than its mirrored light", SchemaError)
+        for name, is_dark, has_value in zip(names, values < self.mirrored, np.isfinite(values), strict=True):
+            share = float(is_dark.sum() / max(int(has_value.sum()), 1))
+            if self.mirrored.any() and share > MAX_DARK_SHARE:
+                problems.add(
+                    f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
+                    mend="pass as mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
+                    "times the diffuse fraction), or call remove_mirrored_sky first",
+                    code="paint-too-dark",
+                )
+        problems.raise_if_any()
+        if low.any() or high.any():
+            finite_count = int(np.isfinite(values).sum())
+            msg = (
+                f"{int(low.sum())} of {finite_count} reflectances are darker than any paint layer under an "
+                f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
+                f"replaced by the nearest possible values, of R_inf = {MIN_LAYER_REFLECTANCE:g} and 1"
+            )
+            warn_user(msg, "reflectance-outside-model")
+        layer = np.where(low, MIN_LAYER_REFLECTANCE, np.minimum(layer, 1.0))
+        return absorption_to_scattering(np.where(np.isfinite(values), layer, np.nan))
+
+    def reflectance(self, ratio: npt.ArrayLike) -> Floats:
+        """Return the reflectance of layers from their K/S [1], clipped to 0 to 1; inverse of `ratio`."""
+        reflectance = self.interface.outside(thick_layer_reflectance(ratio)) + self.mirrored
+        return np.asarray(np.clip(reflectance, 0.0, 1.0))
+
+
+def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coating:
+    """Return the coating between the layers of a library's paints and their reflectance.
+
+    Takes ``library``: its reflectance may have the attribute ``mirror_reflection``; ``k1``, ``k2``: see
+    `Interface`; ``mirrored``: mirrored light in the reflectance [1], one number, or one per band; by default
+    0 if the library declares mirrored light excluded, or has a ``specular_reflectance``; else k1.
+
+    Raises `SchemaError`: a value is no reflectance, or the attribute is invalid; all are listed.
+    """
+    interface = Interface(k1, k2)
+    problems = Problems("the light mirrored by the coat is unknown", SchemaError)
+    try:
+        default = 0.0 if mirror_reflection(library) == EXCLUDED else k1
+    except SchemaError as error:
+        default = k1
+        problems.add_error(str(library.attrs.get("title", "the library")), error)
+    mirrored = default if mirrored is None else mirrored
+    values = np.asarray(mirrored, np.float64)
+    if values.shape not in ((), (library.sizes[BAND],)):
+        problems.add(
+            f"mirrored= has shape {values.shape}",
+            expected="one number, or one per band",
+            code="length-mismatch",
+        )
+    elif not ((values >= 0.0) & (values < 1.0)).all():
+        problems.add(
+            f"mirrored={mirrored!r:.40}", expected="values from 0 to below 1", code="value-out-of-range"
+        )
+    problems.raise_if_any()
+    return Coating(interface, values)
+
+
+# --- libraries of synthetic paints -------------------------------------------------------------------------
 
 #: Variable of single pixels of a paint, or of its variants (signature, member, band).
 MEMBERS = "member_reflectance"
@@ -100,7 +278,12 @@ def synthetic_library(
                         "Paints it was made from, as JSON",
                         [_json(list(shares)) for shares in parents],
                     ),
-                    ("weights", "Shares of the parents, as JSON", [_shares(shares) for shares in parents]),
+                    # twelve digits, so that the last bits of a division do not show
+                    (
+                        "weights",
+                        "Shares of the parents, as JSON",
+                        [_json([float(f"{part:.12g}") for part in shares.values()]) for shares in parents],
+                    ),
                     ("method", "How it was made", [method] * len(names)),
                 )
             },
@@ -132,11 +315,6 @@ def _spread_of_paint(members: Array) -> tuple[Array, Array]:
 
 def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
-
-
-def _shares(parents: Mapping[str, float]) -> str:
-    # twelve digits, so that the last bits of a division do not show
-    return _json([float(f"{share:.12g}") for share in parents.values()])
 
 
 Form = Literal["members", "paints"]
@@ -253,7 +431,7 @@ def sample_paints(
             f"{excluded} members lack bands and were excluded; {outside} values are outside 0 to 1 by more "
             f"than {_MIN_MARGIN:g}, the range of variants"
         )
-        warnings.warn(PaintWarning(msg, code="members-left-out"), stacklevel=2)
+        warn_user(msg, "members-left-out")
     return _variant_library(library, variants, form, seed)
 
 
@@ -290,8 +468,7 @@ def draw_variants(
     share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
     variants = share * (1.0 + lower_margin + upper_margin) - lower_margin
     # near its ends a logit has longer tails than the measured values: limit the range of every band
-    centre, blur = inside.mean(axis=0), bandwidth * inside.std(axis=0)
-    scale = np.sqrt(size / (size - 1.0))
+    centre, blur, scale = inside.mean(axis=0), bandwidth * inside.std(axis=0), np.sqrt(size / (size - 1.0))
     low = centre + scale * (inside.min(axis=0) - centre) - blur
     high = centre + scale * (inside.max(axis=0) - centre) + blur
     return np.asarray(np.clip(np.clip(variants, low, high), 0.0, 1.0))
@@ -299,9 +476,8 @@ def draw_variants(
 
 def _complete_members(spectra: Floats) -> tuple[Bools, Floats]:
     # Bands in which most members have a value (band,), and the members with values in all these bands
-    is_finite = np.isfinite(spectra)
-    is_finite = is_finite[is_finite.any(axis=1)]
     spectra = spectra[np.isfinite(spectra).any(axis=1)]
+    is_finite = np.isfinite(spectra)
     bands = is_finite.mean(axis=0) > 0.5 if len(is_finite) else np.zeros(spectra.shape[1], np.bool_)
     return bands, spectra[is_finite[:, bands].all(axis=1)][:, bands]
 
@@ -311,10 +487,9 @@ def _variant_library(library: xr.Dataset, variants: Floats32, form: str, seed: i
     count = variants.shape[1]
     parent_rows = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
     parents = [str(library[SIGNATURE].values[row]) for row in parent_rows]
-    if form == "members":
-        names = [f"{name} (synthetic)" for name in parents]
-        values = {"reflectance": variants.mean(axis=1, dtype=np.float64), "member_reflectance": variants}
-    else:
+    names = [f"{name} (synthetic)" for name in parents]
+    values = {"reflectance": variants.mean(axis=1, dtype=np.float64), MEMBERS: variants}
+    if form == "paints":
         names = [f"{name} (synthetic {row % count + 1})" for row, name in enumerate(parents)]
         values = {"reflectance": variants.reshape(-1, variants.shape[2])}
     if SPECULAR in library.variables:
@@ -400,7 +575,7 @@ def mix_paints(
     .. math:: q_{mix} = \sum_i c_i s_i q_i \Big/ \sum_i c_i s_i
 
     (Duncan, Proc. Phys. Soc. 52, 390, 1940; with equal s the single-constant theory), where q follows from
-    reflectance through Saunderson's correction, see `hyperpaint.paints.mixing.kubelka_munk`. Absorption
+    reflectance through Saunderson's correction, see `hyperpaint.paints.mixing.synthetic_paints`. Absorption
     dominates: one part of black in nine of white darkens by far more than a tenth. The
     ``specular_reflectance`` of a library is averaged. A band that is NaN in one parent is NaN. Eager.
 
@@ -431,7 +606,7 @@ def mix_paints(
             if outside:
                 finite_count = int(np.isfinite(array).sum())
                 msg = f"{outside} of {finite_count} reflectances clipped to 0 to 1; check the scale"
-                warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
+                warn_user(msg, "reflectance-clipped")
         mix = {name: np.clip(array, 0.0, 1.0) for name, array in areas.items()}
     else:
         coating = coating_of(library, k1, k2, mirrored)
@@ -454,7 +629,7 @@ def mix_paints(
                 "paints have no partner and were excluded; draw the same number of members of each parent "
                 "with sample_paints first"
             )
-            warnings.warn(PaintWarning(msg, code="members-unpaired"), stacklevel=2)
+            warn_user(msg, "members-unpaired")
     values = _trimmed(specular | mix)
     return synthetic_library(library, list(shares), values, list(shares.values()), method, **settings)
 
@@ -497,7 +672,7 @@ def shade_paints(
 
     Notes
     -----
-    K/S is multiplied by the depth, see `hyperpaint.paints.mixing.kubelka_munk`. Eager.
+    K/S is multiplied by the depth, see `hyperpaint.paints.mixing.synthetic_paints`. Eager.
 
     Examples
     --------
@@ -516,18 +691,12 @@ def shade_paints(
         )
     _require(library)
     names = [str(name) for name in library[SIGNATURE].values]
-    coating = coating_of(library, k1, k2, mirrored)
-    values = _spectra(library, None)
-    count = len(names)
+    coating, count = coating_of(library, k1, k2, mirrored), len(names)
     spectra: dict[str, Floats] = {}
-    for name, array in values.items():
-        if name == SPECULAR:
-            spectra[name] = np.repeat(array, factors.size, axis=0)
-            continue
+    for name, array in _spectra(library, None).items():
+        repeated = np.repeat(array if name == SPECULAR else coating.ratio(array, names), factors.size, axis=0)
         scale = np.tile(factors, count).reshape(-1, *[1] * (array.ndim - 1))
-        spectra[name] = coating.reflectance(
-            np.repeat(coating.ratio(array, names), factors.size, axis=0) * scale
-        )
+        spectra[name] = repeated if name == SPECULAR else coating.reflectance(repeated * scale)
     shades = [f"{name} x {depth:g}" for name in names for depth in factors.tolist()]
     parents = [{name: 1.0} for name in names for _ in factors]
     shaded = synthetic_library(
@@ -548,8 +717,7 @@ def _averaged(weights: Floats, values: Floats) -> Floats:
 
 
 def _require(library: xr.Dataset) -> None:
-    names = [SIGNATURE, "reflectance", "wavelength"]
-    schema.require(library, names, "new paints", schema.LIBRARY_VARIABLES)
+    schema.require(library, [SIGNATURE, "reflectance", "wavelength"], "new paints", schema.LIBRARY_VARIABLES)
 
 
 def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:
@@ -572,11 +740,10 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
 
 def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
     # Spectra without the members that all paints lack
-    if MEMBERS not in values:
-        return values
-    count = int(np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1).max(initial=0))
+    members = values.get(MEMBERS, np.empty((0, 0, 0)))
+    count = int(np.isfinite(members).any(axis=2).sum(axis=1).max(initial=0))
     result = {name: array for name, array in values.items() if name != MEMBERS}
-    return {**result, MEMBERS: values[MEMBERS][:, :count]} if count else result
+    return {**result, MEMBERS: members[:, :count]} if count else result
 
 
 def _checked(

@@ -47,7 +47,6 @@ from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty.averages import MeanErrors, RegionSums, error_variables
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions, pixels_of, regions_from
-from hyperpaint.regions.pixels_in_regions import Pixels
 from hyperpaint.surroundings.corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, correct_coat
 
 from .line_sources import (
@@ -60,8 +59,15 @@ from .line_sources import (
     relative_azimuth,
     source_of,
 )
-from .pixel_gathering import gather
-from .pixel_statistics import CENTRES, QUANTILES, chosen_members, effective_pixels, excluded_of, summarise
+from .pixel_statistics import (
+    CENTRES,
+    QUANTILES,
+    chosen_members,
+    effective_pixels,
+    excluded_of,
+    gather,
+    summarise,
+)
 
 # --- correction of the clear coat for regions of paint -----------------------------------------------------
 
@@ -111,17 +117,13 @@ def without_coat(
     if has_coat.all():
         return corrected
     is_corrected = xr.DataArray(has_coat, dims=SIGNATURE)
-    uncorrected = library.assign(
-        coat_transmission=xr.ones_like(corrected["coat_transmission"]),
-        coat_transmission_u=xr.zeros_like(corrected["coat_transmission_u"]),
-        reflectance_u_coat=xr.zeros_like(corrected["reflectance_u_coat"]),
-    )
-    changed = (*LEVELS, *WIDTHS, "coat_transmission", "coat_transmission_u", "reflectance_u_coat")
+    # reflectance of the other regions stays unchanged, their transmission is certainly 1
+    uncorrected: dict[str, Any] = {name: library[name] for name in (*LEVELS, *WIDTHS) if name in corrected}
+    uncorrected |= {"coat_transmission": 1.0, "coat_transmission_u": 0.0, "reflectance_u_coat": 0.0}
     return corrected.assign(
         {
-            name: corrected[name].where(is_corrected, uncorrected[name]).transpose(*corrected[name].dims)
-            for name in changed
-            if name in corrected
+            name: corrected[name].where(is_corrected, values).transpose(*corrected[name].dims)
+            for name, values in uncorrected.items()
         }
     )
 
@@ -247,25 +249,17 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
     # bands that many pixels lack, such as bands without irradiance, are excluded instead of the pixels
     has_value = np.isfinite(members)
     band_is_used = has_value.sum(axis=1) > MIN_BAND_SHARE * has_value.any(axis=2).sum(axis=1)[:, None]
-    flops = [
-        flop_of(paint_members, good & bands)
-        for paint_members, bands in zip(members, band_is_used, strict=True)
-    ]
-    contrast = np.array([contrast for _, contrast in flops])
+    flops, contrast = zip(*map(flop_of, members, good & band_is_used), strict=True)
     # without a split all light is assumed to be direct, which gives the smallest lean
-    direct = np.ones(len(flops))
-    if "diffuse_fraction" in library.variables:
-        split = library["diffuse_fraction"].transpose(SIGNATURE, BAND).values
-        direct = 1.0 - np.array(
-            [np.nanmean(row[good]) if np.isfinite(row[good]).any() else 0.0 for row in split]
-        )
+    split = library["diffuse_fraction"].transpose(SIGNATURE, BAND).values[:, good]
+    direct = 1.0 - np.array([np.nanmean(row) if np.isfinite(row).any() else 0.0 for row in split])
     sun_zenith, view_zenith, relative_azimuth = (
         library[name].values for name in ("sun_zenith", "view_zenith", "relative_azimuth")
     )
     variables = {
         "aspecular_angle": (SIGNATURE, aspecular_angle(sun_zenith, view_zenith, relative_azimuth)),
         "aspecular_range": (SIGNATURE, 2.0 * lean_range(contrast, sun_zenith, direct)),
-        "flop": ((SIGNATURE, BAND), np.array([spectrum for spectrum, _ in flops], np.float32)),
+        "flop": ((SIGNATURE, BAND), np.array(flops, np.float32)),
     }
     return library.assign(
         {
@@ -416,13 +410,12 @@ def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> 
             columns.append(strength_of(members, nm[bands], diffuse, min(sun, 89.0), removed))
     names = ("coat_strength", "coat_strength_u", "coat_strength_reason")
     variables: dict[str, Any] = {
-        name: (SIGNATURE, np.array(column, object if name.endswith("reason") else np.float64))
-        for name, column in zip(names, zip(*columns, strict=True), strict=True)
+        name: (SIGNATURE, np.array(column, dtype), LIBRARY_VARIABLES[name].attrs)
+        for name, column, dtype in zip(
+            names, zip(*columns, strict=True), (np.float64, np.float64, object), strict=True
+        )
     }
-    result = library.assign(variables).set_coords("coat_strength_reason")
-    for name in names:
-        result[name].attrs = LIBRARY_VARIABLES[name].attrs
-    return result
+    return library.assign(variables).set_coords("coat_strength_reason")
 
 
 #: Flags of pixels whose reflectance differs from that of the surface.
@@ -695,10 +688,8 @@ def _check_bands(sources: Mapping[str, Source]) -> None:
     (reference_name, reference), *further = sources.items()
     problems = Problems("signatures of these flight lines cannot be in one library", SchemaError)
     for name, source in further:
-        has_same_bands = source.wavelength.shape == reference.wavelength.shape and np.allclose(
-            source.wavelength, reference.wavelength, rtol=0.0, atol=1e-3
-        )
-        if not has_same_bands:
+        nm, reference_nm = source.wavelength, reference.wavelength
+        if nm.shape != reference_nm.shape or not np.allclose(nm, reference_nm, rtol=0.0, atol=1e-3):
             problems.add(
                 f"bands of {name!r} differ from those of {reference_name!r}",
                 mend="extract a library from every line",
@@ -781,7 +772,7 @@ def _small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> dict[i
     texts = {}
     for number, (region, draft) in enumerate(zip(regions, drafts, strict=True)):
         if draft.n < min_pixels:
-            shares = zip(flag_names(), draft.share, strict=True)
+            shares = zip(flag_names(), draft.values["quality_share"], strict=True)
             flags = ", ".join(f"{share:.0%} {name}" for name, share in shares if share > 0)
             texts[number] = (
                 f"region {region.name!r}: {draft.n} of {draft.along.size} pixels are usable, expected "
@@ -809,40 +800,25 @@ class Draft:
         Positions of its pixels in the opened flight line or map.
     along, across : (pixel,)
         Positions of its pixels in the flight line.
-    n, excluded
-        Number of pixels that are used, and of excluded pixels.
-    flags
-        Flags of the pixels that are used.
-    share : (flag,)
-        Share of all its pixels with every flag [1].
-    member_position
-        Positions of the members along and across the track; in a flight line by its index coordinates.
-    geometry
-        Mean time, sun, view and light of the pixels, and the age of the irradiance, by variable.
-    spectra
-        ``reflectance``, ``reflectance_sd`` and uncertainties (band,), ``reflectance_quantiles`` (quantile,
-        band) and ``member_reflectance`` (member, band), float64, NaN where unknown.
+    n
+        Number of pixels that are used.
+    values
+        Values by variable of a library: numbers and flags of pixels; mean time, sun, view and light; spectra
+        (band,), quantiles (quantile, band) and members (member, band), float64, NaN where unknown; and
+        positions of the members, in a flight line by its index coordinates.
     errors
         Sources of error of the mean, after its last band.
     """
 
     def __init__(self, source: Source, pixels: RegionPixels) -> None:
         bands = source.cubes["reflectance"].sizes[BAND]
-        self.cells = pixels.cells
-        self._is_in_line = pixels.cells is pixels.pixels  # not in a map
-        self.along, self.across = pixels.pixels
-        self._lines = pixels.lines
+        self.cells, (self.along, self.across) = pixels.cells, pixels.pixels
+        self._source, self._pixels = source, pixels
         self.n = 0
-        self.excluded = 0
-        self.flags = 0
-        self.share = np.zeros(len(Quality))
-        self.member_position: Pixels = (self.along[:0], self.across[:0])
-        self.geometry: dict[str, Any] = {}
-        self.spectra = {
+        self.values: dict[str, Any] = {
             name: np.full(bands, np.nan) for name in ("reflectance", "reflectance_sd", *UNCERTAINTIES)
         }
-        self.spectra["reflectance_quantiles"] = np.full((len(QUANTILES), bands), np.nan)
-        self._source = source
+        self.values["reflectance_quantiles"] = np.full((len(QUANTILES), bands), np.nan)
         self._is_used = np.zeros(self.along.size, bool)
         self._value_counts = np.zeros(bands, np.intp)
         self._members = np.zeros(0, np.intp)
@@ -852,17 +828,6 @@ class Draft:
         self._correlated_values: list[Array] = []
         self._sums: RegionSums | None = None
         self.errors: MeanErrors | None = None
-
-    @property
-    def n_eff(self) -> float:
-        """Number of independent pixels among those used."""
-        values = np.concatenate([np.zeros((self.n, 0), np.float32), *self._correlated_values], axis=1)
-        along = self.along[self._is_used]
-        if self._lines is not None and along.size:
-            # pixels of different flight lines are not neighbours: shift the flight lines far from one another
-            flightline = np.unique(self._lines[self._is_used], return_inverse=True)[1]
-            along = along + flightline * (2 * int(np.ptp(along)) + 2)
-        return effective_pixels(values, along, self.across[self._is_used])
 
     def choose(
         self,
@@ -880,39 +845,41 @@ class Draft:
         (along_track,); ``exclude``: flags of excluded pixels; ``max_members``, ``seed``: see
         `chosen_members`.
         """
+        source = self._source
         quality = planes.get("quality", np.zeros(self.along.size, np.uint16))
         self._is_used = (quality & np.uint16(exclude) == 0) & present
         self.n = int(self._is_used.sum())
-        self.excluded = self.along.size - self.n
-        self.flags = int(np.bitwise_or.reduce(quality[self._is_used], initial=0))
-        self.share = np.array([(quality & np.uint16(flag) != 0).mean() for flag in Quality])
         along, across = self.along[self._is_used], self.across[self._is_used]
-        if self._source.errors is not None:
-            self._sums = RegionSums(self._source.errors, along, across)
+        if source.errors is not None:
+            self._sums = RegionSums(source.errors, along, across)
         self._members = chosen_members(along, across, max_members, seed)
-        self.member_position = along[self._members], across[self._members]
-        if self._is_in_line:
-            numbers = (numbers_of(self._source.line, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
-            rows, columns = (axis.astype(np.int64) for axis in numbers)
-            self.member_position = rows[self.member_position[0]], columns[self.member_position[1]]
-        bands = self._source.cubes["reflectance"].sizes[BAND]
-        self.spectra["member_reflectance"] = np.full((self._members.size, bands), np.nan)
-        line_values = {name: values[self.cells[0][self._is_used]] for name, values in lines.items()}
+        member_along, member_across = along[self._members], across[self._members]
+        if self._pixels.cells is self._pixels.pixels:  # in a flight line, not in a map
+            rows, columns = (numbers_of(source.line, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
+            member_along = rows.astype(np.int64)[member_along]
+            member_across = columns.astype(np.int64)[member_across]
+        unknown = np.full(source.cubes["reflectance"].sizes[BAND], np.nan)
+        cell_rows = self.cells[0][self._is_used]
+        line_values = {name: values[cell_rows] for name, values in lines.items()}
         pixel_values = {name: values[self._is_used] for name, values in planes.items()}
-        self.geometry = _sun_geometry({**line_values, **pixel_values})
-        light = self._source.light
-        unknown = np.full(bands, np.nan)
-        self.geometry |= {
+        sun = _sun_geometry({**line_values, **pixel_values})
+        zenith, azimuth = mean_view(source.viewing, pixel_values, line_values, across)
+        self.values |= {
+            "n": self.n,
+            "n_excluded": self.along.size - self.n,
+            "quality": int(np.bitwise_or.reduce(quality[self._is_used], initial=0)),
+            "quality_share": np.array([(quality & np.uint16(flag) != 0).mean() for flag in Quality]),
+            "member_along_track": member_along,
+            "member_cross_track": member_across,
+            "member_reflectance": np.full((self._members.size, unknown.size), np.nan),
+            **sun,
+            "view_zenith": zenith,
+            "view_azimuth": azimuth,
+            "relative_azimuth": relative_azimuth(azimuth, sun["sun_azimuth"]),
             "diffuse_fraction": unknown,
             "diffuse_fraction_u": unknown,
             "sky_state": UNKNOWN_SKY,
-        }
-        self.geometry |= {} if light is None else light.mean(self.cells[0][self._is_used])
-        zenith, azimuth = mean_view(self._source.viewing, pixel_values, line_values, across)
-        self.geometry |= {
-            "view_zenith": zenith,
-            "view_azimuth": azimuth,
-            "relative_azimuth": relative_azimuth(azimuth, self.geometry["sun_azimuth"]),
+            **({} if source.light is None else source.light.mean(cell_rows)),
         }
 
     def take_bands(self, cubes: Mapping[str, Array], bands: slice, centre: str) -> None:
@@ -922,13 +889,11 @@ class Draft:
         bands in the spectrum; ``centre``: see `summarise`.
         """
         values = cubes["reflectance"][self._is_used]
-        summary = summarise(values, centre)
         has_value = np.isfinite(values)
         self._value_counts[bands] = has_value.sum(axis=0)
-        self.spectra["reflectance"][bands] = summary.centre
-        self.spectra["reflectance_sd"][bands] = summary.sd
-        self.spectra["reflectance_quantiles"][:, bands] = summary.quantiles
-        self.spectra["member_reflectance"][:, bands] = values[self._members]
+        for name, array in summarise(values, centre).items():
+            self.values[name][..., bands] = array
+        self.values["member_reflectance"][:, bands] = values[self._members]
         in_bands = (self._correlated_bands >= bands.start) & (self._correlated_bands < bands.stop)
         self._correlated_values.append(values[:, self._correlated_bands[in_bands] - bands.start])
         if self._sums is not None:
@@ -944,33 +909,31 @@ class Draft:
             if name in cubes and self._source.components[name] != NONE_KNOWN:
                 # random errors: mean square here, divided in `finish` by the number of independent pixels
                 power = 2.0 if name == "reflectance_u_random" else 1.0
-                self.spectra[name][bands] = _mean_of_power(cubes[name][self._is_used], has_value, power)
+                # over the pixels with a reflectance; band by band, so that the order of the sum is that of
+                # the pixels for any number of bands
+                for band, column in enumerate(cubes[name][self._is_used].T):
+                    errors = column[has_value[:, band] & np.isfinite(column)].astype(np.float64)
+                    if errors.size:
+                        self.values[name][bands.start + band] = (errors**power).mean()
 
-    def finish(self) -> float:
-        """Compute the uncertainties of the mean; return the number of independent pixels."""
-        n_eff = self.n_eff
+    def finish(self) -> None:
+        """Compute the uncertainties of the mean, and the number of independent pixels among those used."""
+        spectra = np.concatenate([np.zeros((self.n, 0), np.float32), *self._correlated_values], axis=1)
         self._correlated_values = []
+        along, lines = self.along[self._is_used], self._pixels.lines
+        if lines is not None and along.size:
+            # pixels of different flight lines are not neighbours: shift the flight lines far from one another
+            flightline = np.unique(lines[self._is_used], return_inverse=True)[1]
+            along = along + flightline * (2 * int(np.ptp(along)) + 2)
+        self.values["n_eff"] = n_eff = effective_pixels(spectra, along, self.across[self._is_used])
         if self.errors is not None:
             uncertainties = (self.errors.u_random, self.errors.u_systematic)
-            missing = self._value_counts == 0
             for name, values in zip(UNCERTAINTIES, uncertainties, strict=True):
-                self.spectra[name] = np.where(missing, np.nan, values)
-            return n_eff
-        # the number of independent pixels in a band is proportional to its number of values
-        n_eff_of_band = np.maximum(1.0, n_eff * self._value_counts / max(self.n, 1))
-        self.spectra["reflectance_u_random"] = np.sqrt(self.spectra["reflectance_u_random"] / n_eff_of_band)
-        return n_eff
-
-
-def _mean_of_power(values: Array, has_reflectance: Array, power: float) -> Array:
-    # Mean of a power (band,) over the pixels with a reflectance; NaN without such pixels
-    means = np.full(values.shape[1], np.nan)
-    # band by band: then the order of the sum is that of the pixels for any number of bands
-    for band, column in enumerate(values.T):
-        finite_values = column[has_reflectance[:, band] & np.isfinite(column)].astype(np.float64)
-        if finite_values.size:
-            means[band] = (finite_values**power).mean()
-    return means
+                self.values[name] = np.where(self._value_counts == 0, np.nan, values)
+        else:
+            # the number of independent pixels in a band is proportional to its number of values
+            n_eff_of_band = np.maximum(1.0, n_eff * self._value_counts / max(self.n, 1))
+            self.values["reflectance_u_random"] = np.sqrt(self.values["reflectance_u_random"] / n_eff_of_band)
 
 
 def _sun_geometry(variables: Mapping[str, Array]) -> dict[str, Any]:
@@ -1014,23 +977,19 @@ def paint_library(
     of the extraction, stored as attributes.
     """
     first_source = next(iter(sources.values()))
-    max_members = max(draft.member_position[0].size for draft in drafts)
-    values: dict[str, Any] = {
-        "n_eff": [draft.finish() for draft in drafts],
-        "n": [draft.n for draft in drafts],
-        "n_excluded": [draft.excluded for draft in drafts],
-        "quality": [draft.flags for draft in drafts],
-        "quality_share": [draft.share for draft in drafts],
-    }
-    for name in ("reflectance", "reflectance_sd", "reflectance_quantiles", *UNCERTAINTIES):
-        values[name] = [draft.spectra[name] for draft in drafts]
-    values["member_reflectance"] = [
-        _padded(draft.spectra["member_reflectance"], max_members, np.nan) for draft in drafts
-    ]
-    for axis, name in enumerate(("member_along_track", "member_cross_track")):
-        values[name] = [_padded(draft.member_position[axis], max_members, -1) for draft in drafts]
-    for name in drafts[0].geometry:
-        values[name] = [draft.geometry[name] for draft in drafts]
+    for draft in drafts:
+        draft.finish()
+    values: dict[str, Any] = {name: [draft.values[name] for draft in drafts] for name in drafts[0].values}
+    max_members = max(map(len, values["member_along_track"]))
+    for name, fill in (
+        ("member_reflectance", np.nan),
+        ("member_along_track", -1),
+        ("member_cross_track", -1),
+    ):
+        padded = [np.full((max_members, *array.shape[1:]), fill, array.dtype) for array in values[name]]
+        for rows, array in zip(padded, values[name], strict=True):
+            rows[: len(array)] = array
+        values[name] = padded
     values |= {
         "signature": list(regions.names),
         "quantile": list(QUANTILES),
@@ -1041,7 +1000,6 @@ def paint_library(
         "fwhm": first_source.fwhm,
         "good": np.all([source.good for source in sources.values()], axis=0),
     }
-    library = xr.Dataset()
     components = {}
     for k, name in enumerate(UNCERTAINTIES):
         texts = [draft.errors.components[k] for draft in drafts if draft.errors is not None]
@@ -1049,23 +1007,24 @@ def paint_library(
             source.components.get(name, NONE_KNOWN) for source in sources.values() if source.errors is None
         ]
         components[name] = {"components": _joined(texts)}
+    flags: dict[str, Any] = {"quality": quality_attrs(), "sky_state": sky_state_attrs()}
+    variables = {}
     for name, row in LIBRARY_VARIABLES.items():
-        if name not in values:  # variables of corrections are added later
-            continue
-        flags = {"quality": quality_attrs, "sky_state": sky_state_attrs}.get(name, dict)()
-        attrs = {**flags, **row.attrs, **components.get(name, {})}
-        # objects are texts of any length
-        array = np.array(values[name], object if row.dtype == "str" else row.dtype)
-        library[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
-    library = library.assign(error_variables([draft.errors for draft in drafts]))
+        if name in values:  # variables of corrections are added later
+            # objects are texts of any length
+            array = np.array(values[name], object if row.dtype == "str" else row.dtype)
+            attrs = {**flags.get(name, {}), **row.attrs, **components.get(name, {})}
+            variables[name] = (row.dims, array, attrs)
+    library = xr.Dataset(variables | error_variables([draft.errors for draft in drafts]))
     library = library.set_coords(
         [name for name, row in LIBRARY_VARIABLES.items() if row.coordinate and name in library]
     )
-    properties = {
-        name: ("signature", column, {"long_name": f"Property {name} of the regions"})
-        for name, column in _properties(regions).items()
-    }
-    library = library.assign_coords(properties)
+    library = library.assign_coords(
+        {
+            name: (SIGNATURE, column, {"long_name": f"Property {name} of the regions"})
+            for name, column in _properties(regions).items()
+        }
+    )
     # attributes of corrections prevent a second correction
     corrections = dict.fromkeys(name for source in sources.values() for name in source.corrections)
     library["reflectance"].attrs |= {
@@ -1099,12 +1058,6 @@ def paint_library(
 
 def _joined(texts: Iterable[str]) -> str:
     return "; ".join(dict.fromkeys(texts))
-
-
-def _padded(values: Array, size: int, fill: float) -> Array:
-    padded = np.full((size, *values.shape[1:]), fill, values.dtype)
-    padded[: len(values)] = values
-    return padded
 
 
 def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:

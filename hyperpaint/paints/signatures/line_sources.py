@@ -84,10 +84,8 @@ def distinct_pixels(line: xr.Dataset, regions: Sequence[Pixels]) -> list[RegionP
 
 def _window(cells: Pixels, reach: int) -> dict[str, slice]:
     # Bounding box of cells, wider by `reach`
-    if not cells[0].size:
-        return {ALONG_TRACK: slice(0, 0), CROSS_TRACK: slice(0, 0)}
     return {
-        dim: slice(max(0, int(axis.min()) - reach), int(axis.max()) + reach + 1)
+        dim: slice(max(0, int(axis.min()) - reach), int(axis.max()) + reach + 1) if axis.size else slice(0)
         for dim, axis in zip((ALONG_TRACK, CROSS_TRACK), cells, strict=True)
     }
 
@@ -123,12 +121,12 @@ def _distinct_in_window(
 def centre_of_map(line: xr.Dataset) -> tuple[float, float] | None:
     """Return latitude and longitude of a map's centre [degree]; None for a flight line, or where unknown."""
     mapping = line["spatial_ref"].attrs if "spatial_ref" in line.variables else {}
-    axes = [line.variables.get(name) for name in ("x", "y")]
+    axes = [line.variables[name] for name in ("x", "y") if name in line.variables]
     wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
     if wkt is None or "GeoTransform" not in mapping:
         return None
-    if all(axis is not None and axis.ndim == 1 for axis in axes):
-        centre = [float(np.mean(axis.values)) for axis in axes if axis is not None]
+    if [axis.ndim for axis in axes] == [1, 1]:
+        centre = [float(np.mean(axis.values)) for axis in axes]
     else:
         a, b, c, d, e, f = map(float, str(mapping["GeoTransform"]).split())
         col, row = line.sizes[CROSS_TRACK] / 2, line.sizes[ALONG_TRACK] / 2
@@ -272,17 +270,15 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
     if convention.heading_reference == "grid" and has_place and convention.grid_crs is not None:
         with contextlib.suppress(MissingExtraError, SchemaError):
             convergence = meridian_convergence(lines["latitude"], lines["longitude"], convention.grid_crs)
-    is_known = np.isfinite(heading) & (convention.heading_reference != "grid" or convergence is not None)
-    is_known &= convention.heading_reference != "magnetic" or convention.declination is not None
-    if not is_known.all():
-        # roll and pitch do not depend on an unknown heading where the heading is the first rotation
-        unreferenced = convention.replace(heading_reference="true")
-        heading_is_first = convention.euler_order.startswith("Z")
-        attitude = unreferenced.canonical(
-            roll, pitch, np.where(np.isfinite(heading), heading, 0.0 if heading_is_first else np.nan)
-        )
-        return [attitude[0], attitude[1], np.full(roll.shape, np.nan)]
-    return list(convention.canonical(roll, pitch, heading, convergence=convergence))
+    has_reference = {"grid": convergence is not None, "magnetic": convention.declination is not None}
+    if has_reference.get(convention.heading_reference, True) and np.isfinite(heading).all():
+        return list(convention.canonical(roll, pitch, heading, convergence=convergence))
+    # roll and pitch do not depend on an unknown heading where the heading is the first rotation
+    filled = np.where(
+        np.isfinite(heading), heading, 0.0 if convention.euler_order.startswith("Z") else np.nan
+    )
+    attitude = convention.replace(heading_reference="true").canonical(roll, pitch, filled)
+    return [attitude[0], attitude[1], np.full(roll.shape, np.nan)]
 
 
 def _from_attitude(
@@ -303,8 +299,7 @@ def _from_attitude(
     else:
         # roll rotates the line of sight within the plane of the look angles
         side, tilt = np.radians(look.astype(np.float64) - roll), np.radians(pitch.astype(np.float64))
-        ahead, right = np.sin(tilt) * np.cos(side), np.sin(side)
-        down = np.cos(tilt) * np.cos(side)
+        ahead, right, down = np.sin(tilt) * np.cos(side), np.sin(side), np.cos(tilt) * np.cos(side)
     zenith = np.degrees(np.arctan2(np.hypot(ahead, right), down))
     return zenith, (np.degrees(np.arctan2(-right, -ahead)) + heading) % 360.0
 
@@ -413,7 +408,8 @@ def source_of(
     is_map = map_centre is not None or bool(cell_variables) or "nearest_line" in line.variables
     errors = None if is_map or corrections or earlier_smoothing is not None else line_errors(line)
     # resampling to nominal wavelengths drops the attributes of corrections
-    nominal = to_nominal(line)
+    size, nominal = line.sizes[BAND], to_nominal(line)
+    good = variables["good"].values.astype(bool) if "good" in variables else np.ones(size, bool)
     nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrections))
     if specular_sky:
         with_light = nominal.assign(
@@ -432,13 +428,8 @@ def source_of(
             )
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
-        if errors is not None:
-            good = variables["good"].values if "good" in variables else np.ones(line.sizes[BAND], bool)
-            filtering = smoothing_matrix(good.astype(bool), options)
-    cube = nominal["reflectance"]
-    viewing = Viewing(line)
-    size = cube.sizes[BAND]
-    wavelength = variables["wavelength"].values.astype(np.float64)
+        filtering = None if errors is None else smoothing_matrix(good, options)
+    cube, viewing = nominal["reflectance"], Viewing(line)
     small = {**{name: variables[name] for name in _LINE_VARIABLES if name in variables}, **viewing.lines}
     if map_centre is not None:
         rows = np.ones(line.sizes[ALONG_TRACK])
@@ -457,9 +448,9 @@ def source_of(
         planes={**quality, **cell_variables, **viewing.planes},
         small=small,
         viewing=viewing,
-        wavelength=wavelength,
+        wavelength=variables["wavelength"].values.astype(np.float64),
         fwhm=variables["fwhm"].values.astype(np.float64) if "fwhm" in variables else np.full(size, np.nan),
-        good=variables["good"].values.astype(bool) if "good" in variables else np.ones(size, bool),
+        good=good,
         light=light,
         smoothing=str(cube.attrs.get("smoothing", earlier_smoothing or "none")),
         corrections={key: str(cube.attrs[key]) for key in CORRECTIONS if key in cube.attrs},

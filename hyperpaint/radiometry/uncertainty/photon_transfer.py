@@ -20,7 +20,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -381,7 +381,7 @@ def _labelled(
             f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
             "within blocks, or the light flickers; check 'transfer_variance'"
         )
-        warnings.warn(PaintWarning(text, code="transfer-misfit"), stacklevel=3)
+        warn_user(text, "transfer-misfit")
     noise = float(np.sqrt(max(height - quantisation, 0.0)))
     # at zero noise, only the variance has an uncertainty
     noise_u = float(np.sqrt(covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan

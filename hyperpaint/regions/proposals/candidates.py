@@ -18,6 +18,7 @@ from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.light_split import split_of
 from hyperpaint.surroundings.model import SHADED
+from hyperpaint.surroundings.segments import padded
 from hyperpaint.surroundings.surveying import is_vegetation
 
 from .proposal_rules import FOOTPRINTS, GAPS, LEANS, SURFACES
@@ -26,17 +27,8 @@ from .proposal_rules import FOOTPRINTS, GAPS, LEANS, SURFACES
 _INVALID = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits for the pixels of a region: the arguments of `propose_regions`."""
-
-    erode: int
-    glint: float
-    shadow: float
-    adjacency: float
-    brightness: float
-    angle: float
-    min_pixels: int
+#: Limits for the pixels of a region, by the names of the arguments of `propose_regions`.
+Limits = Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +51,6 @@ class Picture:
         """Sky mirrored by a level clear coat, in reflectance (channel,), float32 [1]."""
         model = self.model
         return (FOOTPRINTS.mirrored * model.diffuse_fraction * model.zenith_radiance).astype(np.float32)
-
-    @cached_property
-    def mirrored_sky(self) -> float:
-        """Mean of the mirrored sky over the channels [1]."""
-        return FOOTPRINTS.mirrored * float((self.model.diffuse_fraction * self.model.zenith_radiance).mean())
 
     @cached_property
     def direct_share(self) -> float:
@@ -176,22 +163,20 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
     excluded: dict[str, Bools] = {
         "without data": ~inside,
         "flagged invalid": (layers["quality"] & np.uint16(_INVALID)) != 0,
-        "glint": ~(layers["glint_fraction"] <= limits.glint),
-        "shadow": ~(layers["blocked_direct"] < limits.shadow),
-        "adjacency": ~(_smoothed(layers["adjacency"], inside) <= limits.adjacency),
+        "glint": ~(layers["glint_fraction"] <= limits["glint"]),
+        "shadow": ~(layers["blocked_direct"] < limits["shadow"]),
+        "adjacency": ~(_smoothed(layers["adjacency"], inside) <= limits["adjacency"]),
     }
     lit = inside & ~excluded["shadow"]
     lit_spectrum = np.median(spectra[lit], axis=0) if lit.any() else np.full(spectra.shape[2], np.nan)
-    if brightness is not None:
-        brightness = _smoothed(brightness, lit)
-    elif lit.any():
+    if brightness is not None or not lit.any():
+        brightness = _smoothed(np.full(lit.shape, np.nan) if brightness is None else brightness, lit)
+    else:
         scaled = lit_spectrum / max(float(lit_spectrum @ lit_spectrum), 1e-12)
         brightness = _smoothed(spectra @ scaled, lit)
         brightness = brightness / float(np.median(brightness[lit]))
-    else:
-        brightness = np.full(lit.shape, np.nan)
     # on dark paint a tilt changes reflectance by little, and noise exceeds a relative limit
-    allowed = max(limits.brightness, SURFACES.min_change / max(float(lit_spectrum.max()), 1e-6))
+    allowed = max(limits["brightness"], SURFACES.min_change / max(float(lit_spectrum.max()), 1e-6))
     excluded["another tilt"] = ~(np.abs(brightness - 1.0) <= allowed)
     usable = piece.inside.copy()
     lost = {}
@@ -203,8 +188,7 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
     sizes = np.bincount(sets.ravel(), minlength=2)[1:]
     usable = np.asarray(sets == 1 + int(np.argmax(sizes)))
     lost = {name: share for name, share in lost.items() if share}
-    count = int(usable.sum())
-    if not count:
+    if not usable.any():
         return Measures(usable, np.full(spectra.shape[2], np.nan), lost)
     values = spectra[usable]
     median_spectrum = np.median(values, axis=0)
@@ -214,30 +198,27 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
     # steps between neighbouring pixels along both axes
     pairs = (usable[1:] & usable[:-1], usable[:, 1:] & usable[:, :-1])
     steps = np.concatenate([np.abs(np.diff(brightness, axis=axis))[pairs[axis]] for axis in (0, 1)])
-    glint, shadow, adjacency = (
-        float(layers[name][usable].mean()) for name in ("glint_fraction", "blocked_direct", "adjacency")
-    )
     return Measures(
         usable,
         median_spectrum,
         lost,
-        pixels=count,
+        pixels=int(usable.sum()),
         angle=float(np.median(angles)),
         spread=0.5 * float(high - low),
         slope=float(np.median(steps)) if steps.size else 0.0,
-        glint=glint,
-        shadow=shadow,
-        adjacency=adjacency,
+        glint=float(layers["glint_fraction"][usable].mean()),
+        shadow=float(layers["blocked_direct"][usable].mean()),
+        adjacency=float(layers["adjacency"][usable].mean()),
     )
 
 
 def _smoothed(values: Array, valid: Bools) -> Floats:
     # Mean of the valid values in the square around every pixel (line, column); NaN without valid values
     valid = valid & np.isfinite(values)
-    total = uniform_filter(
-        np.where(valid, values, 0.0).astype(np.float64), SURFACES.square_px, mode="constant"
+    total, count = (
+        uniform_filter(array.astype(np.float64), SURFACES.square_px, mode="constant")
+        for array in (np.where(valid, values, 0.0), valid)
     )
-    count = uniform_filter(valid.astype(np.float64), SURFACES.square_px, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(valid, total / count, np.nan)
 
@@ -259,7 +240,7 @@ def sunny_lines(
         return no_sun
     nm = line["wavelength"].values.astype(np.float64)
     infrared = np.flatnonzero(nm >= min(GAPS.infrared_nm, float(nm.max())))
-    fraction = split_of(line, diffuse, zenith).fraction
+    fraction = split_of(line, diffuse, zenith, from_shadow=True).fraction
     if ALONG_TRACK not in fraction.dims:
         return no_sun
     record = line["irradiance"]
@@ -278,13 +259,11 @@ def sunny_lines(
     )
     has_level = np.isfinite(level)
     stamps, level = stamps[has_level], level[has_level]
-    free_level = np.median(np.interp(time[free], stamps, level))
-    dimmed = stamps[level <= GAPS.min_of_free * free_level]
+    dimmed = stamps[level <= GAPS.min_of_free * np.median(np.interp(time[free], stamps, level))]
     # time to the nearest dimmed sample or end of the record
     bounds = np.concatenate([[stamps[0]], dimmed, [stamps[-1]]])
     later = np.clip(np.searchsorted(bounds, time), 1, bounds.size - 1)
-    distance = np.minimum(bounds[later] - time, time - bounds[later - 1])
-    free = free & (distance > GAPS.around_s * 1e9)
+    free = free & (np.minimum(bounds[later] - time, time - bounds[later - 1]) > GAPS.around_s * 1e9)
     return (free, float(infrared_fraction[free].mean())) if free.any() else no_sun
 
 
@@ -302,14 +281,13 @@ def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
             "clouds were broken, and no irradiance record shows free sun from "
             f"{GAPS.around_s:g} s before this car was recorded to {GAPS.around_s:g} s after; {advice}"
         )
-    near = tuple(slice(max(axis.start - GAPS.around_px, 0), axis.stop + GAPS.around_px) for axis in window)
+    near = padded(window, GAPS.around_px)
     infrared = model.channel_wavelength >= min(GAPS.infrared_nm, float(model.channel_wavelength.max()))
     brightness = picture.channels[near][..., infrared].mean(axis=2)
     segment = model.segment[near]
     body = np.append(model.body, np.int32(-1))[segment]
-    shaded = np.append(model.state == SHADED, False)[segment]
     # only shadows on the ground: the sides of cars that face away from the sun are shaded, too
-    shaded &= np.append(model.ground > 0, False)[segment]
+    shaded = np.append((model.state == SHADED) & (model.ground > 0), False)[segment]
     recorded = max(sunny_fraction, GAPS.least_fraction)
     # the largest shadow, and sunlit ground of the same body
     inside = shaded & (body >= 0) & np.isfinite(brightness)
@@ -327,16 +305,6 @@ def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
 
 
 # --- lean of a roof towards the sun: its prior uncertainty, and its estimate from a height model -----------
-
-
-class Lean(NamedTuple):
-    """Lean of a roof towards the sun."""
-
-    sd: float  #: Standard deviation of its unknown part [degree].
-    #: (2,): Lines and columns from the centre of the roof to where it is level along the sun's direction.
-    shift: Floats
-    #: Lean in the centre, positive where the roof faces the sun [degree]; NaN if not measured.
-    angle: float = np.nan
 
 
 def height_model_of(line: xr.Dataset) -> tuple[Array, float] | None:
@@ -373,8 +341,12 @@ def measured_lean(
     centre: tuple[float, float],
     prior: float,
     shadow_side: Floats | None,
-) -> Lean:
+) -> tuple[float, Floats, float]:
     r"""Return the lean of a roof from its heights; the prior where no height model shows the car.
+
+    Standard deviation of its unknown part [degree]; lines and columns (2,) from the centre of the roof to
+    where it is level along the sun's direction; and the lean in the centre, positive where the roof faces the
+    sun [degree], NaN if not measured.
 
     A polynomial of second order through the heights of the roof,
 
@@ -388,22 +360,19 @@ def measured_lean(
     (line, column): its pixels there; ``centre``: line and column in the window; ``prior`` [degree];
     ``shadow_side`` (2,): see `lean_to_sun`.
     """
-    prior_lean = Lean(prior, np.zeros(2))
+    prior_lean = prior, np.zeros(2), np.nan
     if heights is None or shadow_side is None:
         return prior_lean
     surface, spacing = heights
     height = surface[window]
     valid = inside & np.isfinite(height)
+    # a height model of bare ground does not show the car
+    around = padded(window, LEANS.around_px)
     if (
         valid.sum() < LEANS.min_px
         or min(valid.any(axis=0).sum(), valid.any(axis=1).sum()) < LEANS.min_side_px
+        or not np.median(height[valid]) - np.nanquantile(surface[around], 0.1) > LEANS.min_above_m
     ):
-        return prior_lean
-    # a height model of bare ground does not show the car
-    around = tuple(
-        slice(max(axis.start - LEANS.around_px, 0), axis.stop + LEANS.around_px) for axis in window
-    )
-    if not np.median(height[valid]) - np.nanquantile(surface[around], 0.1) > LEANS.min_above_m:
         return prior_lean
     rows, columns = np.nonzero(valid)
     y, x = rows - centre[0], columns - centre[1]
@@ -422,8 +391,7 @@ def measured_lean(
     if not sd < prior:
         return prior_lean
     weight = prior**2 / (prior**2 + sd**2)
-    hessian = np.array([[fitted[3], fitted[4]], [fitted[4], fitted[5]]])
-    curvature = float(sun @ hessian @ sun) / spacing**2
+    curvature = float(sun @ np.array([[fitted[3], fitted[4]], [fitted[4], fitted[5]]]) @ sun) / spacing**2
     # only a roof that curves down has a level position
     shift = weight * slope / -curvature / spacing * sun if curvature < 0.0 else np.full(2, np.inf)
-    return Lean(prior * sd / float(np.hypot(prior, sd)), shift, -float(np.degrees(np.arctan(slope))))
+    return prior * sd / float(np.hypot(prior, sd)), shift, -float(np.degrees(np.arctan(slope)))

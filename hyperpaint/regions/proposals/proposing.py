@@ -25,7 +25,7 @@ from hyperpaint.surroundings.flags import flag
 from hyperpaint.surroundings.light_split import shadow_side_of, sun_zenith_of
 from hyperpaint.surroundings.surveying import to_channels
 
-from .candidates import Limits, Picture, height_model_of, measured, pieces, sunny_lines
+from .candidates import Picture, height_model_of, measured, pieces, sunny_lines
 from .cars import Verdict, find_cars, judge_car
 
 #: Steps (line, column) right, down, left, up, clockwise: a right turn is the next step.
@@ -250,16 +250,23 @@ def propose_regions(
     [('paint_01', 'roof')]
     """
     line = schema.rename_to_roles(line)
-    limits = Limits(erode, glint, shadow, adjacency, brightness, angle, min_pixels)
+    limits: dict[str, Any] = {
+        "erode": erode,
+        "glint": glint,
+        "shadow": shadow,
+        "adjacency": adjacency,
+        "brightness": brightness,
+        "angle": angle,
+    }
     problems = Problems("regions cannot be proposed", SchemaError)
-    for key in ("erode", "glint", "shadow", "adjacency", "brightness", "angle"):
-        value = getattr(limits, key)
+    for key, value in limits.items():
         if not is_number(value) or value < 0:
             problems.add(f"{key}={value!r}", expected="a number from 0 on", code="value-out-of-range")
     for key, count in (("min_pixels", min_pixels), ("most", most)):
         if count is not None and count < 1:
             problems.add(f"{key}={count!r}", expected="1 or more", code="value-out-of-range")
     problems.raise_if_any()
+    limits["min_pixels"] = min_pixels
     unknown = sorted(set(options) - set(signature(survey).parameters))
     if unknown:
         raise TypeError(f"propose_regions() got unexpected keyword arguments {', '.join(unknown)}")

@@ -9,11 +9,11 @@ Scenes, flights, light and paints come in; traced weights and flight lines with 
 
 The scene
     `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials, and shapes
-    as tables of parts; `car_bodies` and `car_parks` of such shapes; `mesh_files` reads a scene.
+    as tables of parts; `car_parks` of such shapes; `mesh_files` reads a scene.
 The light
-    `four_curves`, the atmosphere, from `sky_models`, a spectrometer or a table; `BrokenClouds` over it.
+    `four_curves`, the atmosphere, from the simulator's sky, a spectrometer or a table.
 The camera
-    `platforms` and their flights; `camera_bands`.
+    `platforms` and their flights.
 Tracing
     `scene_record` (attributes of a traced dataset), `tracing`.
 Relighting

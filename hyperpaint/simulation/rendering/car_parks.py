@@ -1,13 +1,20 @@
 """A parametric car park: rows of bays with cars, aisles with grey panels, and what stands around them.
 
-The park lies between x = -width/2 (west) and +width/2 (east), and from y = 0 northwards, so that a flight
-line along x = 0 sees all of it. Across it lie grass with trees, a kerb, and then rows of bays and aisles in
-turns: two rows share an aisle, and stand back to back with the next two. In the east it ends at a wall.
-Random numbers come from generators keyed by (seed, bay, row), so that a longer park of the same seed contains
-the cars of the shorter one, under the same names.
+The park extends from x = -width/2 (west) to +width/2 (east), and from y = 0 northwards, so that a flight
+line along x = 0 images all of it. From west to east it has grass with trees, a kerb, rows of bays and aisles
+in turn, and a wall: two rows share an aisle, and are back to back with the next two. Generators of random
+numbers are keyed by (seed, bay, row), so that a longer park of the same seed contains the cars of the shorter
+one, under the same names.
 
-A crown is a cloud of leaves: two triangles each, bent along the midrib, most of them near the surface of a
-few overlapping blobs and turned any way around facing outwards. Leaves are Lambert and let no light through.
+A crown is a cloud of leaves of two triangles each, bent along the midrib, most of them near the surface of a
+few overlapping spheres, and facing outwards in random directions. Leaves of clean car parks are opaque
+Lambert surfaces; those of a real fleet's car park also transmit light.
+
+Cars are parametric, and realistic from above for pixels of a centimetre and more. A body is a lofted sheet:
+cross sections at stations along its length, from the left sill over flank, belt, window, roof rail and roof
+to the right sill. Bonnet, windscreen, roof, rear window and boot are ranges of stations; seams are cells a
+centimetre wide. Positions along the car are fractions of its length from the nose, heights are metres above
+the ground.
 """
 
 from __future__ import annotations
@@ -22,13 +29,291 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import Fact, Spelling, argument_facts, as_argument, check_values
-from hyperpaint.simulation.paint_spectra import PANELS
 from hyperpaint.simulation.settings import FLEETS, MAX_SEED
 
-from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material
-from .scene import Instance, Mesh, Part, Scene, built, cuboid, polygon, put_together, tube, uniform
-from .scene_spectra import FOURTEEN, fleet_names, is_paint, paint_spec
+from .scene import Instance, Mesh, Part, Scene, built, cuboid, lattice, polygon, put_together, tube, uniform
+from .scene_spectra import FOURTEEN, PANELS, fleet_names, is_paint, paint_spec
+
+# --- cars ---------------------------------------------------------------------------------------------------
+
+
+_BODY_CREASE_DEG = 38.0  # angle above which an edge is not smoothed
+_TREAD_CREASE_DEG = 40.0
+_SEAM_M = 0.009  # width of a gap between body parts
+_SILL_M = 0.19  # height of the lower edge of the body
+_WHEEL_M = (0.315, 0.20)  # radius and width
+_WHEEL_SIDES = 10
+
+
+# Proportions of a type of car: positions as fractions of its length from the nose, heights in metres
+@dataclass(frozen=True)
+class CarShape:
+    # length, width, height: minimum and maximum dimensions [m]
+    length: tuple[float, float]
+    width: tuple[float, float]
+    height: tuple[float, float]
+    # cowl, windscreen_top, roof_end, rear_base: positions at which windscreen, roof and rear window begin and
+    # end
+    cowl: float
+    windscreen_top: float
+    roof_end: float
+    rear_base: float
+    edge: tuple[tuple[float, float], ...]  # height of the shoulder: (fraction, metres) from nose to tail
+    roof_share: float  # half width of the roof as a share of the half width of the car
+    pillars: tuple[tuple[float, float], ...]  # ranges of the pillars between side windows: (from, to)
+    doors: tuple[float, ...]  # positions of the vertical seams of the doors
+    share: float  # share of all cars [1]
+    bed: tuple[float, float] | None = None  # start and end of a cargo bed; None for a closed car
+    rails: bool = False  # whether the car may have roof rails
+
+    @property
+    def boot_seam(self) -> float:
+        # position of the seam between boot lid and bumper
+        return 0.972 if self.rear_base < 0.9 else 0.988
+
+
+#: Types of cars.
+CAR_TYPES: dict[str, CarShape] = {
+    "sedan": CarShape(
+        (4.45, 4.75), (1.78, 1.86), (1.42, 1.47), 0.285, 0.42, 0.68, 0.835,
+        ((0.0, 0.56), (0.02, 0.66), (0.07, 0.74), (0.285, 0.92),
+         (0.835, 0.99), (0.955, 0.97), (0.98, 0.86), (1.0, 0.60)),
+        0.68, ((0.525, 0.55), (0.735, 0.86)), (0.335, 0.537, 0.73), 0.27,
+    ),
+    "hatchback": CarShape(
+        (3.85, 4.25), (1.72, 1.80), (1.44, 1.50), 0.27, 0.415, 0.87, 0.965,
+        ((0.0, 0.56), (0.02, 0.67), (0.08, 0.76), (0.27, 0.93),
+         (0.90, 1.00), (0.965, 0.96), (0.985, 0.72), (1.0, 0.58)),
+        0.70, ((0.56, 0.585), (0.80, 0.98)), (0.335, 0.572, 0.78), 0.28,
+    ),
+    "estate": CarShape(
+        (4.50, 4.75), (1.79, 1.86), (1.45, 1.50), 0.275, 0.40, 0.90, 0.970,
+        ((0.0, 0.56), (0.02, 0.66), (0.07, 0.74), (0.275, 0.93),
+         (0.90, 1.00), (0.970, 0.95), (0.985, 0.72), (1.0, 0.58)),
+        0.70, ((0.515, 0.54), (0.715, 0.74), (0.92, 0.99)), (0.33, 0.527, 0.715), 0.15, rails=True,
+    ),
+    "suv": CarShape(
+        (4.35, 4.70), (1.82, 1.90), (1.62, 1.72), 0.265, 0.385, 0.88, 0.965,
+        ((0.0, 0.66), (0.02, 0.80), (0.07, 0.90), (0.265, 1.05),
+         (0.90, 1.12), (0.965, 1.06), (0.985, 0.80), (1.0, 0.66)),
+        0.72, ((0.52, 0.545), (0.72, 0.745), (0.90, 0.99)), (0.325, 0.532, 0.72), 0.18, rails=True,
+    ),
+    "van": CarShape(
+        (4.55, 4.80), (1.84, 1.92), (1.88, 1.98), 0.175, 0.315, 0.965, 0.985,
+        ((0.0, 0.66), (0.02, 0.82), (0.06, 0.92), (0.175, 1.06),
+         (0.90, 1.10), (0.97, 1.08), (0.99, 0.80), (1.0, 0.62)),
+        0.80, ((0.46, 0.995),), (0.26, 0.45, 0.70), 0.06,
+    ),
+    "pickup": CarShape(
+        (4.70, 4.90), (1.82, 1.90), (1.70, 1.80), 0.255, 0.365, 0.545, 0.575,
+        ((0.0, 0.68), (0.02, 0.82), (0.07, 0.94), (0.255, 1.08),
+         (0.60, 1.10), (0.975, 1.10), (0.99, 0.98), (1.0, 0.64)),
+        0.72, ((0.41, 0.43), (0.54, 0.60)), (0.315, 0.42, 0.545), 0.06, bed=(0.605, 0.965),
+    ),
+}  # fmt: skip
+
+#: Half width of the plan outline: fraction of the length, share of the half width.
+_PLAN = (
+    (0.0, 0.70), (0.006, 0.80), (0.02, 0.885), (0.05, 0.945), (0.12, 0.985), (0.25, 1.0),
+    (0.75, 1.0), (0.88, 0.985), (0.95, 0.945), (0.98, 0.89), (0.994, 0.81), (1.0, 0.72),
+)  # fmt: skip
+#: Distance of the middle of a section ahead of its ends: position, distance, as fractions of the length.
+_BOW = ((0.0, 0.026), (0.25, 0.020), (0.45, 0.006), (0.60, 0.0), (0.85, -0.010), (1.0, -0.020))
+
+#: Columns of cells of a half section from the sill to the middle: flank (3), shoulder, window, seam, rail,
+#: and top (2).
+_SHOULDER, _WINDOW, _DITCH = 3, 4, 5
+_FLANK, _SIDE, _DECK, _EDGES, _TOP = range(4), range(5), range(5, 9), range(5, 7), range(7, 9)
+_COLUMNS = 10
+
+
+def car_body(kind: str, rng: np.random.Generator) -> Mesh:
+    """Return a car on the ground around the origin, with its nose to the north.
+
+    ``kind`` is one of `CAR_TYPES`; ``rng`` chooses size, sunroof and roof rails. Surfaces are "paint",
+    "glass", "trim", "tyre", "rim", "lamp", "tail_lamp" and "plate".
+
+    Examples
+    --------
+    >>> body = car_body("sedan", np.random.default_rng(0))
+    >>> 800 < len(body.faces) < 1500, bool(4.4 < np.ptp(body.vertices[:, 1]) < 4.9)
+    (True, True)
+    """
+    shape = CAR_TYPES[kind]
+    length, width, height = (rng.uniform(*limits) for limits in (shape.length, shape.width, shape.height))
+    sunroof, rails = rng.random() < 0.15, rng.random() < 0.6
+    stations = _stations(shape, length)
+    sections = _sections(shape, stations, length, width, height)
+    # surface and body part of every cell of half the sheet; later rows overwrite earlier ones
+    middles = 0.5 * (stations[1:] + stations[:-1])
+    surface = np.full((len(middles), _COLUMNS - 1), "paint", object)
+    part = np.full((len(middles), _COLUMNS - 1), "", object)
+    for begin, end, columns, word, name in _cells(shape, length, sunroof=sunroof):
+        cells = np.ix_((middles > begin) & (middles < end), np.atleast_1d(columns))
+        surface[cells], part[cells] = word, name
+    surface, part = (np.hstack([half, half[:, ::-1]]) for half in (surface, part))
+    # a floor between the sills blocks light from below
+    rows = np.unique(np.linspace(0, len(sections) - 1, 8).astype(int))
+    parts = [
+        Part(lattice, (sections, surface, part), crease=_BODY_CREASE_DEG),
+        *_ends(sections),
+        Part(lattice, (sections[rows][:, [-1, 0]], "trim", "underbody")),
+        *_wheels(length, width),
+    ]
+    station = shape.cowl + 0.45 * (shape.windscreen_top - shape.cowl)
+    mirror = (0.5 * width + 0.045, length * (0.5 - station), float(_profile(station, shape.edge)) + 0.01)
+    parts += [
+        Part(cuboid, ((0.17, 0.08, 0.12), "paint", "mirror"), (side * mirror[0], *mirror[1:]))
+        for side in (-1, 1)
+    ]
+    # number plates, and the dark grille above the front plate: y, side, lower edge, half width, height
+    nose, tail = sections[0, :, 1].max() + 0.004, sections[-1, :, 1].min() - 0.004
+    for y, side, base, half_width, plate_height, *words in (
+        (nose, -1, 0.34, 0.26, 0.11, "plate", "plate"),
+        (tail, 1, 0.44, 0.26, 0.11, "plate", "plate"),
+        (nose, -1, 0.47, 0.40, 0.07, "trim", "bumper"),
+    ):
+        corners = [
+            (side * half_width * x, y, base + plate_height * z) for x, z in ((-1, 0), (1, 0), (1, 1), (-1, 1))
+        ]
+        parts.append(Part(polygon, (corners, *words)))
+    if rails and shape.rails:
+        begin, end = shape.windscreen_top + 0.04, shape.roof_end - 0.04
+        y, x = (0.5 - 0.5 * (begin + end)) * length, shape.roof_share * 0.5 * width - 0.03
+        rail = (0.035, (end - begin) * length, 0.05), "rim", ""
+        parts += [Part(cuboid, rail, (side * x, y, height - 0.075)) for side in (-1, 1)]
+    return built(parts)
+
+
+def _stations(shape: CarShape, length: float) -> Floats:
+    # stations of sections, from nose (0) to tail (1)
+    gap = _SEAM_M / length
+    seams = [0.045, *shape.doors, *(() if shape.bed else (shape.boot_seam,))]
+    bends = [0.0, 0.006, 0.02, 0.085, 0.16, shape.cowl - 0.018, 0.96, 0.982, 0.994, 1.0]
+    glass = [shape.cowl, 0.5 * (shape.cowl + shape.windscreen_top), shape.windscreen_top]
+    glass += [0.5 * (shape.windscreen_top + shape.roof_end), shape.roof_end]
+    glass += [0.5 * (shape.roof_end + shape.rear_base), shape.rear_base]
+    posts = [post for pillar in shape.pillars for post in pillar if post < 0.97]
+    bed = [end + step for end in shape.bed or () for step in (0.0, gap)]
+    stations = np.array(sorted({*bends, *glass, *posts, *bed, *(s + d for s in seams for d in (0.0, gap))}))
+    return stations[~(np.diff(stations, prepend=-1.0) < 0.6 * gap)]
+
+
+def _sections(shape: CarShape, stations: Floats, length: float, width: float, height: float) -> Floats:
+    # points of the sections from left to right sill, shape (station, column, 3) [m]
+    half_width = 0.5 * width * _profile(stations, _PLAN)
+    edge = _profile(stations, shape.edge)
+    rise = edge - _SILL_M
+    # height of a section between deck (0) and roof (1)
+    front = np.clip((stations - shape.cowl) / (shape.windscreen_top - shape.cowl), 0.0, 1.0)
+    back = np.clip((shape.rear_base - stations) / (shape.rear_base - shape.roof_end), 0.0, 1.0)
+    roof_share = np.asarray((1 - (1 - front) ** 1.2) * (1 - (1 - back) ** 1.2))
+    flank = [
+        (0.945 * half_width, np.full_like(half_width, _SILL_M)),
+        (1.0 * half_width, _SILL_M + 0.33 * rise),
+        (0.995 * half_width, _SILL_M + 0.78 * rise),
+        (0.965 * half_width, edge - 0.02),
+        (0.905 * half_width, edge + 0.004),
+    ]
+    roof = shape.roof_share * 0.5 * width
+    roof_position = np.clip(
+        (stations - shape.windscreen_top) / (shape.roof_end - shape.windscreen_top), 0.0, 1.0
+    )
+    top = height - 0.035 * (2 * roof_position - 1) ** 2 - 0.01
+    seam = _SEAM_M / 0.905
+    inner = []
+    for share, inset, drop in (
+        (0.86, 0.0, 0.10),
+        (0.86 - seam, _SEAM_M, 0.094),
+        (0.78, 0.075, 0.045),
+        (0.40, 0.5 * roof, 0.010),
+        (0.0, roof, 0.0),
+    ):
+        deck = edge + 0.004 + 0.05 * (1 - (share / 0.9) ** 2) * np.clip(rise / 0.5, 0, 1)
+        half_span = share * half_width + roof_share * (roof - inset - share * half_width)
+        inner.append((half_span, deck + roof_share * (top - drop - deck)))
+    if shape.bed:
+        in_bed = (stations > shape.bed[0]) & (stations <= shape.bed[1])
+        inner[1:] = [(x, np.where(in_bed, 0.72, z)) for x, z in inner[1:]]
+    x, z = (np.stack([point[axis] for point in flank + inner], axis=1) for axis in (0, 1))
+    x, z = np.concatenate([-x, x[:, -2::-1]], axis=1), np.concatenate([z, z[:, -2::-1]], axis=1)
+    bow = _profile(stations, _BOW)[:, None] * (1 - (x / (0.5 * width)) ** 2)
+    return np.stack([x, length * (0.5 - stations[:, None] + bow), z], axis=-1)
+
+
+def _profile(stations: Floats | float, points: tuple[tuple[float, float], ...]) -> Floats:
+    return np.asarray(np.interp(stations, *np.transpose(points)), np.float64)
+
+
+def _cells(
+    shape: CarShape, length: float, *, sunroof: bool
+) -> Iterable[tuple[float, float, int | range, str, str]]:
+    # ranges of stations and columns with their surface and part of the car
+    lid, nose, gap = shape.boot_seam, 0.045, _SEAM_M / length
+    cowl, top, roof_end, rear = shape.cowl, shape.windscreen_top, shape.roof_end, shape.rear_base
+    # flanks
+    yield 0.0, 1.0, _SIDE, "paint", "wing"
+    yield shape.doors[0], shape.doors[-1], _FLANK, "paint", "door"
+    yield 0.0, 0.045, _SIDE, "paint", "bumper"
+    yield 0.972, 1.0, _SIDE, "paint", "bumper"
+    yield cowl, rear, _WINDOW, "paint", "pillar"
+    yield cowl + 0.3 * (top - cowl), rear, _WINDOW, "glass", "side_window"
+    yield from ((begin, min(end, rear), _WINDOW, "paint", "pillar") for begin, end in shape.pillars)
+    yield from ((door, door + gap, _FLANK, "trim", "seam") for door in shape.doors)
+    yield 0.006, 0.085, range(_SHOULDER, _WINDOW + 1), "lamp", "lamp"
+    yield 0.96, 0.994, range(_SHOULDER - 1, _SHOULDER + 1), "tail_lamp", "lamp"
+    # from above
+    for begin, end, name in ((0.0, cowl, "bonnet"), (top, roof_end, "roof"), (rear, 1.0, "boot")):
+        yield begin, end, _DECK, "paint", name
+        yield begin, end, _DITCH, "trim", "seam"
+    for begin, end, name in ((cowl, top, "windscreen"), (roof_end, rear, "rear_window")):
+        yield begin, end, _EDGES, "paint", "pillar"
+        yield begin, end, _TOP, "glass", name
+    yield cowl - 0.018, cowl, _DECK, "trim", "seam"  # recess of the wipers
+    yield 0.0, nose, _DECK, "paint", "bumper"
+    yield lid, 1.0, _DECK, "paint", "bumper"
+    yield nose, nose + gap, _DECK, "trim", "seam"
+    if shape.bed:
+        begin, end = shape.bed
+        yield begin, end, _DECK, "trim", "bed"
+        yield begin, begin + gap, _DECK, "paint", "bed"
+        yield end, 1.0, _DECK, "paint", "bed"
+        return
+    if sunroof:
+        yield top + 0.03, top + (roof_end - top) / 2, _TOP, "glass", "roof"
+    yield lid, lid + gap, _DECK, "trim", "seam"
+
+
+def _ends(sections: Floats) -> Iterator[Part]:
+    # sheets that close the body at nose and tail; cells next to the centre line are triangles
+    for row, order in ((0, 1), (-1, -1)):
+        left, right = sections[row, :_COLUMNS], sections[row, : _COLUMNS - 2 : -1]
+        yield Part(
+            lattice, (np.stack([left, right], axis=1)[::order], "paint", "bumper"), crease=_BODY_CREASE_DEG
+        )
+
+
+def _wheels(length: float, width: float) -> Iterator[Part]:
+    radius, wheel_width = _WHEEL_M
+    angle = 2 * np.pi * np.arange(_WHEEL_SIDES) / _WHEEL_SIDES
+    for side in (-1, 1):
+        x = side * (0.5 * width + 0.006)
+        rim = np.stack([np.zeros(_WHEEL_SIDES), side * np.cos(angle), np.sin(angle)], axis=1)
+        for axle in (0.5 - 0.185, 0.5 - 0.80):
+            hub = np.array([x, axle * length, radius])
+            back = hub - (side * wheel_width, 0, 0)
+            arch = hub - (side * 0.003, 0, 0) + 1.17 * radius * rim
+            arch[:, 2] = np.maximum(arch[:, 2], _SILL_M)
+            tread = back, hub, (radius, radius), "tyre", "wheel", _WHEEL_SIDES, False
+            yield Part(tube, tread, crease=_TREAD_CREASE_DEG)
+            yield Part(polygon, (hub + radius * rim, "tyre", "wheel"))
+            yield Part(polygon, (hub + (side * 0.004, 0, 0) + 0.62 * radius * rim, "rim", "wheel"))
+            # smoothing drops the triangles without area that clipping at the sill leaves
+            yield Part(polygon, (arch, "trim", "wing"), crease=1.0)
+
+
+# --- car parks ----------------------------------------------------------------------------------------------
 
 #: Length and width of a bay [m].
 BAY = (5.0, 2.5)
@@ -37,51 +322,39 @@ BAY = (5.0, 2.5)
 MAX_ROWS = 199
 
 _ROUNDING_M = 1e-9  # by which a width may be too small for its rows
-_GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of what lies west of the first row [m]
+_GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of the strips west of the first row [m]
 _AISLE, _WIDEST_AISLE = 4.5, 6.5
 _KERB_HEIGHT, _LAWN = 0.12, 0.10  # above the asphalt [m]
 _ISLAND_PERIOD, _ISLAND_START = 11, 7  # bays
-_TUFTED = 2.5  # how far from the kerb the lawn has blades [m]
-_BEYOND = 7.0  # how far the asphalt goes on before the first bay and behind the last [m]
+_TUFTED = 2.5  # width of the strip of lawn with blades, from the kerb [m]
+_BEYOND = 7.0  # length of asphalt before the first bay and behind the last [m]
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
 _TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
-_LEAF = 0.20  # length of a leaf, or of the tuft that stands for several [m]
-_CREASE_DEG = 40.0  # of trunks and posts
+_LEAF = 0.20  # length of a leaf, or of a tuft that represents several [m]
+_CREASE_DEG = 40.0  # crease angle of trunks and posts
 _FLEET_SIZE = 5000  # different cars of a fleet: more than a car park has bays
-_CARS, _PAINTS, _TREES, _WEAR = 1, 2, 3, 4  # what a random number is for
+_CARS, _PAINTS, _TREES, _WEAR = 1, 2, 3, 4  # keys of random streams
 
 
+# Positions of the parts of a car park; x from west to east, y from south to north [m]
 @dataclass(frozen=True)
 class Layout:
-    """Where things are in a car park; x from west to east, y from south to north [m].
-
-    Attributes
-    ----------
-    length, width, margin, line_width
-        As of the car park.
-    bays
-        Number of bays in a row, the last one perhaps only begun.
-    rows, aisles
-        West and east end of each.
-    islands
-        Bay and row of every island, which takes the place of a bay; those of two rows back to back lie
-        together.
-    kerb, east_kerb
-        West and east end of the kerbs before the first row and behind the last.
-    wall, west_trees, hedge
-        Position of the wall, of the line of trees just outside the park in the west, and of the hedge.
-    """
-
+    # length, width, margin, line_width: arguments of `car_park`
     length: float
     width: float
     margin: float
     line_width: float
-    bays: int
+    bays: int  # number of bays in a row, including an incomplete last one
+    # rows, aisles: west and east end of every row and aisle
     rows: tuple[tuple[float, float], ...]
     aisles: tuple[tuple[float, float], ...]
+    # bay and row of every island, which replaces a bay; islands of two rows back to back are adjacent
     islands: tuple[tuple[int, int], ...]
+    # kerb, east_kerb: west and east end of the kerbs before the first row and behind the last
     kerb: tuple[float, float]
     east_kerb: tuple[float, float]
+    # wall, west_trees, hedge: position of the wall, of the line of trees outside the park in the west, and of
+    # the hedge
     wall: float
     west_trees: float
     hedge: float
@@ -145,11 +418,9 @@ def _least_width(rows: int) -> float:
 
 
 def paved(layout: Layout) -> Mesh:
-    """Return the ground, of the surfaces "asphalt", "line", "concrete" and "grass".
-
-    Lines are cells of the ground, not plates upon it; kerbs and islands stand out of it. A sheet of asphalt
-    a little deeper closes the joints.
-    """
+    # ground, of the surfaces "asphalt", "line", "concrete" and "grass".
+    # Painted lines are cells of the ground, not plates on it; kerbs and islands are raised. A sheet of
+    # asphalt 5 cm below closes the joints.
     return built(_ground(layout))
 
 
@@ -219,10 +490,8 @@ def _level(west: float, east: float, south: float, north: float, surface: str, h
 
 
 def worn(layout: Layout, seed: int) -> list[Mesh]:
-    """Return traces of wear: stains in bays and patches in aisles, 3 mm thick, and tufts of grass.
-
-    Its surfaces are "patch" and "grass".
-    """
+    # traces of wear: stains in bays and patches in aisles, 3 mm thick, and tufts of grass.
+    # Its surfaces are "patch" and "grass".
     pieces = []
     angle = 2 * np.pi * np.arange(11) / 11
     for row, (begin, end) in enumerate(layout.rows):
@@ -254,30 +523,17 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
     return pieces
 
 
+# An object that stands in the car park
 class Thing(NamedTuple):
-    """An object that stands in the car park.
-
-    Attributes
-    ----------
-    name, kind
-        See `Instance`.
-    at
-        East and north of its origin [m].
-    parts
-        Its parts, of surfaces of `_SURROUNDINGS`; or a function of a random generator and the number of
-        leaves of a tree that returns them.
-    key
-        Distinguishes its random numbers.
-    jitter
-        Maximum random shift to the east and north [m].
-    """
-
+    # name, kind: see `Instance`
     name: str
     kind: str
-    at: tuple[float, float]
+    at: tuple[float, float]  # east and north of its origin [m]
+    # its parts, of surfaces of `_SURROUNDINGS`; or a function of a random generator and the number of leaves
+    # of a tree that returns them
     parts: Iterable[Part] | Callable[[np.random.Generator, int], Iterable[Part]]
-    key: tuple[int, ...] = ()
-    jitter: tuple[float, float] = (0.0, 0.0)
+    key: tuple[int, ...] = ()  # distinguishes its random numbers
+    jitter: tuple[float, float] = (0.0, 0.0)  # maximum random shift to the east and north [m]
 
 
 def _panels(layout: Layout) -> Iterator[Thing]:
@@ -288,8 +544,9 @@ def _panels(layout: Layout) -> Iterator[Thing]:
         for place, level in enumerate(PANELS):
             panel = f"panel_{round(100 * level):02d}"
             plate = Part(cuboid, ((_PANEL_SIZE, _PANEL_SIZE, 0.03), panel), (0.0, 0.0, -0.01))
-            at = (begin + (place + 0.5) * pitch, float(north))
-            yield Thing(f"{panel}_{line:03d}", "panel", at, (plate,))
+            yield Thing(
+                f"{panel}_{line:03d}", "panel", ((begin + (place + 0.5) * pitch, float(north))), (plate,)
+            )
 
 
 def _trees(layout: Layout) -> Iterator[Thing]:
@@ -380,21 +637,21 @@ def car_park(
     panels
     islands
     coat
-        Clear coat of all paints; "own" for what the catalogue says of each (``Coat()`` of paints it does not
-        know), None for Lambert paints.
+        Clear coat of all paints; "own" for the coat of each paint in the catalogue (``Coat()`` for paints
+        beyond the catalogue), None for Lambert paints.
     flakes
-        Whether paints have the metal flakes that the catalogue says; without a coat there are none.
+        Whether paints have the metal flakes of the catalogue; paints without a coat have none.
     line_width
     leaves
     margin
     name
-        Of the scene.
+        Name of the scene.
 
     Returns
     -------
     Scene
-        Instances "ground", "car_000", "panel_20_000", "tree_west_000", "wall" ... ; `Scene.face_part` says
-        which part of a car a triangle is.
+        Instances "ground", "car_000", "panel_20_000", "tree_west_000", "wall" ... ; `Scene.face_part` has the
+        part of a car of every triangle.
 
     Raises
     ------
@@ -646,11 +903,9 @@ def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Part:
     facing /= np.linalg.norm(facing, axis=1, keepdims=True)
     along = np.cross(facing, _directions(rng, count))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    aside = np.cross(facing, along)
     size = _LEAF * rng.uniform(0.7, 1.3, (count, 1))
     fold = 0.12 * size * facing
-    tip, edge = 0.5 * size * along, 0.32 * size * aside
+    tip, edge = 0.5 * size * along, 0.32 * size * np.cross(facing, along)
     corners = np.stack([places - tip, places + edge + fold, places + tip, places - edge + fold], axis=1)
-    first = 4 * np.arange(count)[:, None, None]
-    faces = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    faces = ((4 * np.arange(count)[:, None, None]) + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     return Part(uniform, (corners.reshape(-1, 3), faces, "leaf"))

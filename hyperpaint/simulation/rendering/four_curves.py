@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import json
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,21 +22,18 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import (
     FormatError,
-    PaintWarning,
     Problems,
     SchemaError,
     UnitsError,
     needs_extra,
+    warn_user,
 )
 from hyperpaint.base.facts import check_values, one_of
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor, convert
 from hyperpaint.light.sky_functions import fit_sky
-from hyperpaint.simulation.atmosphere import spectral_grid
-from hyperpaint.simulation.settings import moment_of
-
-from .sky_models import (
+from hyperpaint.simulation.atmosphere import (
     CIE_OVERCAST_SHARE,
     HAZE,
     SKY,
@@ -49,7 +45,9 @@ from .sky_models import (
     clear_spread,
     cloud_transmittance,
     relative_air_mass,
+    spectral_grid,
 )
+from hyperpaint.simulation.settings import moment_of
 
 _CURVES = {
     "sun": ("W m-2 nm-1", "Direct solar irradiance at the ground, normal to the beam"),
@@ -97,7 +95,7 @@ class Atmosphere:
         Zenith angle and azimuth of the sun, clockwise from north [degree].
     overcast_share
         Share of the diffuse irradiance whose radiance is proportional to the cosine of the zenith angle: 0 to
-        1, 4/7 for a CIE overcast sky (see `sky_models`).
+        1, 4/7 for a CIE overcast sky (see `hyperpaint.simulation.atmosphere`).
     name
         Name of the atmosphere.
     haze
@@ -415,13 +413,10 @@ class Atmosphere:
                 fitted = {key: fit["share"].sel(function=key).values for key in _SHARES}
                 if (max_residual := float(fit["misfit"].max())) > _MAX_RESIDUAL:
                     source = sky_table.attrs.get("source", "the table")
-                    warnings.warn(
-                        PaintWarning(
-                            f"clear-sky functions fit the radiance of {source} with a residual of "
-                            f"{max_residual:.0%}",
-                            code="sky-fit-poor",
-                        ),
-                        stacklevel=2,
+                    warn_user(
+                        f"clear-sky functions fit the radiance of {source} with a residual of "
+                        f"{max_residual:.0%}",
+                        "sky-fit-poor",
                     )
         else:
             curves = read_table(table)
@@ -438,7 +433,7 @@ class Atmosphere:
         return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
-        """Return this clear atmosphere under clouds; `sky_models` has the model.
+        """Return this clear atmosphere under clouds; `hyperpaint.simulation.atmosphere` has the model.
 
         Parameters
         ----------
@@ -571,20 +566,17 @@ def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
     irradiance = values[first] + weight * (values[last] - values[first])
     # set small negative noise to 0; larger negative values are kept and refused later
     if -_NOISE * irradiance.max() <= irradiance.min() < 0.0:
-        warnings.warn(
-            PaintWarning(
-                f"{int((irradiance < 0.0).sum())} of {irradiance.size} irradiances below zero, down to "
-                f"{irradiance.min():.3g}, were set to 0",
-                code="irradiance-negative",
-            ),
-            stacklevel=3,
+        warn_user(
+            f"{int((irradiance < 0.0).sum())} of {irradiance.size} irradiances below zero, down to "
+            f"{irradiance.min():.3g}, were set to 0",
+            "irradiance-negative",
         )
         irradiance = np.maximum(irradiance, 0.0)
     return grid, irradiance
 
 
 def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
-    """Return the curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`."""
+    # curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`
     if isinstance(table, Mapping):
         problems = Problems("the table of an atmosphere cannot be used", FormatError)
         headings, arrays = list(table), []

@@ -1,4 +1,6 @@
-"""Surfaces: a diffuse base, with or without a clear coat over it, with or without metal flakes in it.
+"""Surfaces, and their readings in gloss units and as flop index.
+
+A surface is a diffuse base, with or without a clear coat over it, with or without metal flakes in it.
 
 Light enters a clear coat through its interface (transmittance ``Ti`` of its direction), is scattered by the
 base of albedo ``b``, and leaves (``To``) or is reflected back to the base by the interface (share ``Fi``).
@@ -14,16 +16,16 @@ mirror reflection is ``R = pi f_d`` in the geometry of the instrument, so that `
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import MISSING, dataclass
-from typing import Literal
+import functools
+from dataclasses import MISSING, dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.facts import check_fields, declared, fact, one_of
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.facts import check_fields, declared, documented, fact, one_of
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 
@@ -329,14 +331,11 @@ def measured_factor(
     factor = measured * ((1.0 - returned) / double_transmittance)
     is_impossible = (factor < 0.0) | (factor > 1.0 + 1e-12)
     if is_impossible.any():
-        warnings.warn(
-            PaintWarning(
-                f"{int(is_impossible.sum())} of {factor.size} reflectances, from {measured.min():.4g} "
-                f"to {measured.max():.4g}, were clipped to the possible range, "
-                f"0 to {double_transmittance / (1.0 - returned):.4g}",
-                code="reflectance-clipped",
-            ),
-            stacklevel=2,
+        warn_user(
+            f"{int(is_impossible.sum())} of {factor.size} reflectances, from {measured.min():.4g} "
+            f"to {measured.max():.4g}, were clipped to the possible range, "
+            f"0 to {double_transmittance / (1.0 - returned):.4g}",
+            "reflectance-clipped",
         )
     return np.clip(factor, 0.0, 1.0)
 
@@ -395,5 +394,307 @@ def coated_reflectance(
     """
     base = np.asarray(albedo, dtype=np.float64)
     mirror = float(fresnel_reflectance(1.0, index)) if specular_included else 0.0
-    double_transmittance = _through_interface(index, geometry)
-    return np.asarray(double_transmittance * base / (1.0 - base * internal_reflectance(index)) + mirror)
+    return np.asarray(
+        _through_interface(index, geometry) * base / (1.0 - base * internal_reflectance(index)) + mirror
+    )
+
+
+# --- gloss and flop index -----------------------------------------------------------------------------------
+
+
+_GLOSS_ANGLE_DEG = 20.0
+_GLASS_INDEX = 1.567  # refractive index of the black glass with 100 gloss units
+_RECEPTOR_DEG = (1.8, 3.6)  # field of the receptor in and across the plane of incidence: ISO 2813, table 1
+_SOURCE_DEG = (0.75, 2.5)  # size of the image of the source
+_LIGHT_DEG = 45.0
+_ASPECULAR_DEG = (15.0, 45.0, 110.0)
+_ALPHAS = np.geomspace(0.03, 1.0, 40)  # GGX alphas of flakes for which flop indices are tabulated
+
+#: Relative spectrum of D65, 380 to 780 nm in steps of 20 nm (CIE 15).
+_D65 = (
+    49.98, 82.75, 93.43, 104.86, 117.81, 115.92, 109.35, 104.79, 104.41, 100.00, 95.79, 90.01, 87.70, 83.70,
+    80.21, 78.28, 71.61, 61.60, 75.09, 46.42, 63.38,
+)  # fmt: skip
+
+
+def gloss_units(coat: Coat) -> float:
+    """Return the gloss of a clear coat at 20 degrees, in gloss units: 100 for black glass of index 1.567.
+
+    Flux of the coat in the receptor over the flux of the glass (ISO 2813). The field of the receptor is 1.8
+    degrees in the plane of incidence and 3.6 across; the image of the source is 0.75 by 2.5 degrees. Facets
+    have the slopes of GGX; orange peel, which is smaller than the spot of the instrument, adds Gaussian
+    slopes. Light reflected by the paint under the coat is excluded.
+
+    Parameters
+    ----------
+    coat
+        Coat with index, roughness and waviness.
+
+    Examples
+    --------
+    >>> round(gloss_units(Coat(1.567, 0.0, 0.0)), 1)
+    100.0
+    >>> gloss_units(Coat()) > 80, gloss_units(Coat(roughness=0.05)) < 6
+    (True, True)
+    """
+    quantile = (np.arange(400) + 0.5) / 400  # of the slopes of facets
+    radius = coat.roughness * np.sqrt(quantile / (1.0 - quantile))
+    angle = 2.0 * np.pi * (np.arange(48) + 0.5) / 48
+    tilt, weight = np.polynomial.hermite_e.hermegauss(16)
+    tilt, weight = tilt * np.radians(coat.waviness) / np.sqrt(2.0), weight / weight.sum()
+    slopes = radius[:, None] * np.cos(angle)  # slopes in the plane of incidence
+    cross_slopes = radius[:, None] * np.sin(angle)
+    cosine = np.cos(np.radians(_GLOSS_ANGLE_DEG))
+
+    def overlap(deflection: Floats, axis: int) -> Floats:
+        # share of the source's image, shifted by an angle [rad], inside the field of the receptor
+        receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
+        return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
+
+    flux = 0.0
+    for tilt_along, weight_along in zip(tilt, weight, strict=True):
+        along = overlap(2.0 * (slopes + tilt_along), 0)
+        for tilt_across, weight_across in zip(tilt, weight, strict=True):
+            overlaps = along * overlap(2.0 * cosine * (cross_slopes + tilt_across), 1)
+            flux += weight_along * weight_across * float(overlaps.mean())
+    mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _GLASS_INDEX)]
+    return float(100.0 * flux * mirrors[0] / mirrors[1])
+
+
+def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.waviness) -> Coat:
+    """Return the clear coat with this gloss at 20 degrees, the inverse of `gloss_units`.
+
+    Parameters
+    ----------
+    gloss
+        Gloss units, above 1.
+    index, waviness
+        See `Coat`.
+
+    Raises
+    ------
+    SchemaError
+        No roughness of such a coat has this gloss.
+
+    Examples
+    --------
+    >>> round(coat_of_gloss(70.0).roughness, 4)
+    0.0036
+    """
+    low, high = 0.0, 1.0
+    max_gloss, min_gloss = (gloss_units(Coat(index, alpha, waviness)) for alpha in (low, high))
+    if not min_gloss < gloss <= max_gloss:
+        raise SchemaError(
+            f"gloss is {gloss} units",
+            expected=f"{min_gloss:.1f} to {max_gloss:.1f} for index {index} and waviness {waviness} degrees",
+            mend="raise the index for more gloss",
+            code="value-out-of-range",
+        )
+    for _ in range(30):
+        alpha = 0.5 * (low + high)
+        low, high = (alpha, high) if gloss_units(Coat(index, alpha, waviness)) > gloss else (low, alpha)
+    return Coat(index, 0.5 * (low + high), waviness)
+
+
+class _Lobes(NamedTuple):
+    # reflectance factors for unit spectra: of a base, of flakes, and of the light that flakes return to the
+    # paint
+    base: float
+    flakes: float
+    recycled: float
+    turned: float  # share of the flakes' spectrum ``turned``
+
+    def factor(self, share: float, pigment: Floats, metal: Floats) -> Floats:
+        # reflectance factor of a paint with this share of flakes
+        returned = share * metal + (1.0 - share) * pigment
+        return (1.0 - share) * self.base * pigment + share * metal * (self.flakes + self.recycled * returned)
+
+
+def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
+    # lobes of a smooth coat (index 0: no coat) over a base only, and over flakes of an alpha (0: no flakes)
+    # only, for light and view at zenith angles with a difference of azimuth [degree]
+    from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part
+
+    ones, factor = np.ones(1), np.array([0 if alpha else -1], np.int32)
+    surfaces = surfaces_of(index * ones, 0 * ones, 0 * ones, 0.5 * ones, alpha * ones, 0 * factor, factor)
+    a, b, turn = np.radians([light, view, azimuth])
+    towards_light = float(np.sin(a)), 0.0, float(np.cos(a))
+    towards_view = float(np.sin(b) * np.cos(turn)), float(np.sin(b) * np.sin(turn)), float(np.cos(b))
+    lobes = lobes_at(surfaces, 0, towards_view, towards_view, 0.0)
+    base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, towards_light, towards_light, 0.0)
+    scale = (2.0 if alpha else 1.0) / towards_light[2]  # with flakes, half of the light meets them
+    return _Lobes(
+        scale * base,
+        2.0 * flakes / towards_light[2],
+        2.0 * recycled / towards_light[2],
+        turned_part(lobes, towards_light),
+    )
+
+
+@documented()
+def reflectance_factor(
+    material: Material,
+    body: npt.ArrayLike,
+    flakes: npt.ArrayLike = 0.0,
+    *,
+    light: float,
+    view: float,
+    azimuth: float = 180.0,
+    turned: npt.ArrayLike | None = None,
+) -> Floats:
+    """Return the reflectance factor pi f of a paint in a geometry, without mirror reflection of its coat.
+
+    Parameters
+    ----------
+    material
+    body
+        Reflectance of its spectrum, near normal, without the specular component, any shape [1].
+    flakes
+        Reflectance of its flakes.
+    light, view
+        Zenith angles [degree].
+    azimuth
+        Difference of their azimuths [degree]; 180 with the view on the side of the mirror direction.
+    turned
+        Reflectance of the flakes for light and view at right angles (`Flakes.turned`); None if it does not
+        depend on angles.
+
+    Examples
+    --------
+    >>> silver = Material("silver", "silver", "paint", Coat(), Flakes(0.5))
+    >>> near, far = (reflectance_factor(silver, 0.4, 0.85, light=45.0, view=view) for view in (30.0, 0.0))
+    >>> bool(near > 2 * far)
+    True
+    """
+    index = None if material.coat is None else material.coat.index
+    share, alpha = (material.flakes.share, material.flakes.roughness) if material.flakes else (0.0, 0.0)
+    lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
+    metal = np.asarray(flakes, np.float64)
+    mixed = metal if turned is None else metal + lobes.turned * (np.asarray(turned, np.float64) - metal)
+    return np.asarray(
+        lobes.factor(share, measured_factor(body, index), metal) + share * lobes.flakes * (mixed - metal)
+    )
+
+
+@documented()
+def flop_index(
+    material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike = 0.0
+) -> float:
+    """Return the flop index: decrease of lightness away from the mirror direction; near 0 for solid paints.
+
+    Alman's index 2.69 (L*15 - L*110)^1.11 / L*45^0.86 of CIE 1976 lightness at three aspecular angles, lit
+    at 45 degrees; D65, 10 degree observer (its luminosity as fitted by C. Wyman, P.-P. Sloan, P. Shirley,
+    JCGT 2 (2013)). A. B. J. Rodrigues, "Metallic flake sizes and flop index" (DuPont); ASTM E2194 has the
+    angles.
+
+    Parameters
+    ----------
+    material
+    wavelength
+        Of the reflectances [nm], shape (band,).
+    body, flakes
+        As for `reflectance_factor`, shape (band,) or one number.
+
+    Examples
+    --------
+    >>> solid, silver = (Material("m", "m", "paint", Coat(), lobe) for lobe in (None, Flakes(0.5, 0.3)))
+    >>> [round(flop_index(paint, [400.0, 700.0], 0.3, 0.85), 1) for paint in (solid, silver)]
+    [0.2, 2.7]
+    """
+    alpha = material.flakes.roughness if material.flakes else 0.0
+    index = material.coat.index if material.coat else 0.0
+    return _flops(material, [_three_geometries(index, alpha)], wavelength, body, flakes)[0]
+
+
+def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
+    # view angles, positive on the side of the mirror direction
+    views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]
+    return [_lobe_factors(index, alpha, _LIGHT_DEG, abs(view), 180.0 if view >= 0 else 0.0) for view in views]
+
+
+@functools.cache
+def _lobes_by_alpha(index: float) -> list[list[_Lobes]]:
+    return [_three_geometries(index, float(alpha)) for alpha in _ALPHAS]
+
+
+def _flops(
+    material: Material,
+    candidates: list[list[_Lobes]],
+    wavelength: npt.ArrayLike,
+    body: npt.ArrayLike,
+    flakes: npt.ArrayLike,
+) -> list[float]:
+    # flop indices of a paint with each of several lobes in the three geometries
+    grid = np.linspace(380.0, 780.0, len(_D65))
+    pigment, metal = (
+        np.interp(grid, np.asarray(wavelength, float), np.broadcast_to(curve, np.shape(wavelength)))
+        for curve in (body, flakes)
+    )
+    pigment = measured_factor(pigment, material.coat.index if material.coat else None)
+    share = material.flakes.share if material.flakes else 0.0
+    weights = np.array(_D65) * np.exp(-0.5 * ((grid - 556.1) / 46.14) ** 2)
+    flops = []
+    for geometries in candidates:
+        lightness = []
+        for lobes in geometries:
+            luminance = float((weights * lobes.factor(share, pigment, metal)).sum() / weights.sum())
+            is_bright = luminance > 216 / 24389
+            lightness.append(116.0 * np.cbrt(luminance) - 16.0 if is_bright else 24389 / 27 * luminance)
+        near, face, far = lightness
+        flops.append(float(2.69 * max(near - far, 0.0) ** 1.11 / face**0.86))
+    return flops
+
+
+def flakes_of_flop(
+    flop: float,
+    material: Material,
+    wavelength: npt.ArrayLike,
+    body: npt.ArrayLike,
+    flakes: npt.ArrayLike,
+    *,
+    nearest: bool = False,
+) -> Flakes:
+    """Return the flakes of a paint, with the lobe roughness that gives a flop index.
+
+    Parameters
+    ----------
+    flop
+        Flop index; 15 to 17 is very high.
+    material
+        Coat, and flakes whose share and spectrum are kept.
+    wavelength, body, flakes
+        As for `flop_index`.
+    nearest
+        Return the lobe with the nearest flop index if none has this index.
+
+    Raises
+    ------
+    SchemaError
+        The paint has no flakes, or no lobe of this share has the index.
+
+    Examples
+    --------
+    >>> paint = Material("m", "m", "paint", Coat(), Flakes(0.5))
+    >>> lobe = flakes_of_flop(10.0, paint, [400.0, 700.0], 0.3, 0.85)
+    >>> round(flop_index(replace(paint, flakes=lobe), [400.0, 700.0], 0.3, 0.85), 1)
+    10.0
+    """
+    if material.flakes is None:
+        raise SchemaError(
+            f"material {material.name!r} has no flakes",
+            mend="pass flakes=Flakes(share)",
+            code="flakes-missing",
+        )
+    old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
+    flops = np.array(_flops(material, _lobes_by_alpha(index), wavelength, body, flakes))
+    peak = int(flops.argmax())  # sharper lobes do not reach the first angle
+    if not (nearest or flops[-1] <= flop <= flops[peak]):
+        raise SchemaError(
+            f"flop index is {flop}",
+            expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {old_flakes.share}",
+            mend="for more flop, raise the flake share or darken the pigment",
+            code="value-out-of-range",
+        )
+    return replace(
+        old_flakes, roughness=float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
+    )

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
+from hyperpaint.base.facts import is_number
 from hyperpaint.base.input_files import read_limited
 
 from .materials import Material
@@ -42,24 +43,12 @@ _OBJ_NUMBERS: dict[str, tuple[Callable[[str], Any], int, str]] = {
 }
 
 
+# Triangles of a file
 class RawTriangles(NamedTuple):
-    """Triangles of a file.
-
-    Attributes
-    ----------
-    vertices : (vertex, 3) float64
-        Positions in the units and axes of the file.
-    faces : (face, 3) int64
-        Vertices of every triangle, not checked yet.
-    face_group : (face,) int64
-        Number of the group of every triangle.
-    groups : tuple of (str, str)
-        Names of the material and of the object of every group; empty if missing.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    face_group: NDArray[np.int64]
+    vertices: NDArray[np.float64]  # (vertex, 3) float64: positions in the units and axes of the file
+    faces: NDArray[np.int64]  # (face, 3) int64: vertices of every triangle, not checked yet
+    face_group: NDArray[np.int64]  # (face,) int64: number of the group of every triangle
+    # names of the material and of the object of every group; empty if missing
     groups: tuple[tuple[str, ...], ...]
 
 
@@ -195,27 +184,11 @@ _TRIANGLES = 4  # primitive mode of triangles
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # types of chunks: "JSON" and "BIN" in ASCII
 
 
-class Stripped(NamedTuple):
-    """A GLB file reduced to its triangles.
-
-    Attributes
-    ----------
-    data
-        A GLB file whose meshes and materials are named "0", "1", ...
-    materials, meshes
-        Names in the original file.
-    triangles
-        Number of triangles of all nodes.
-    """
-
-    data: bytes
-    materials: tuple[str, ...]
-    meshes: tuple[str, ...]
-    triangles: int
-
-
-def strip_glb(data: bytes, where: str) -> Stripped:
+def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[str, ...], int]:
     """Return a GLB file with only its triangles; ``where`` names the file in messages.
+
+    Its meshes and materials are named "0", "1", ...; their names in the file and the number of triangles of
+    all nodes follow.
 
     Raises
     ------
@@ -258,7 +231,10 @@ def strip_glb(data: bytes, where: str) -> Stripped:
         original = originals[place]
         component = original.get("componentType")
         _require(
-            original.get("type") == kind and component in _GLB_BYTES and "sparse" not in original,
+            original.get("type") == kind
+            and isinstance(component, int | float)
+            and component in _GLB_BYTES
+            and "sparse" not in original,
             f"{where}: accessor {place} is {original.get('type')!s:.20}",
             expected=f"plain numbers of type {kind}",
             code="accessor-type",
@@ -316,13 +292,13 @@ def strip_glb(data: bytes, where: str) -> Stripped:
     text += b" " * (-len(text) % 4)
     body += b"\0" * (-len(body) % 4)
     chunks = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(body), _BINARY) + body
-    glb = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
     material_names, mesh_names = (
         tuple(name if isinstance(name := entry.get("name"), str) else "" for entry in part)
         for part in (materials, meshes)
     )
     triangles = sum(triangle_counts[node["mesh"]] for node in nodes if "mesh" in node)
-    return Stripped(glb, material_names, mesh_names, triangles)
+    glb = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    return glb, material_names, mesh_names, triangles
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
@@ -382,9 +358,15 @@ def _nodes(
             node["mesh"] = _whole_number(original, "mesh", meshes - 1, where=where)
         for key, count in (("matrix", 16), ("translation", 3), ("rotation", 4), ("scale", 3)):
             if key in original:
-                node[key] = [float(value) for value in _entries(original, key, int | float, where=where)]
-                found = f"{where}: node {place} has a {key} of {len(node[key])} numbers"
-                _require(len(node[key]) == count, found, expected=f"{count}", code="length-mismatch")
+                node[key] = _entries(original, key, int | float, where=where)
+                is_finite = all(map(is_number, node[key]))
+                _require(
+                    is_finite and len(node[key]) == count,
+                    f"{where}: node {place} has a {key} of {len(node[key])} numbers",
+                    expected=f"{count} finite numbers",
+                    code="length-mismatch" if is_finite else "not-finite",
+                )
+                node[key] = list(map(float, node[key]))
         if children := _entries(original, "children", int, where=where):
             node["children"] = children
         for child in children:
@@ -471,8 +453,9 @@ def _by_trimesh(data: bytes, where: str) -> RawTriangles:
         faces.append(corners + sum(map(len, vertices)))
         face_group.append(np.full(len(corners), len(groups)))
         with np.errstate(all="ignore"):  # vertices that are not finite are refused later
-            points = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
-            vertices.append(points @ transform[:3, :3].T + transform[:3, 3])
+            vertices.append(
+                np.asarray(mesh.vertices, np.float64).reshape(-1, 3) @ transform[:3, :3].T + transform[:3, 3]
+            )
         # names in the file, of which the stripped file has the numbers
         numbers = getattr(getattr(mesh.visual, "material", None), "name", None), name.partition("_")[0]
         groups.append(
@@ -548,7 +531,7 @@ def read_mesh(
     MissingExtraError
         trimesh is not installed, for GLB and PLY.
     """
-    file = Path(path)
+    file, materials = Path(path), materials or {}
     suffix = file.suffix.lower()
     _require(
         suffix in _READERS,
@@ -566,8 +549,7 @@ def read_mesh(
     data = read_limited(file, _MAX_BYTES, "a mesh")
     _require(data.strip(), f"{file.name}: the file is empty", expected="a mesh", code="empty-input")
     raw = _READERS[suffix](data, file.name)
-    found = f"{file.name}: no triangles"
-    _require(len(raw.faces), found, expected="a mesh with faces", code="mesh-empty")
+    _require(len(raw.faces), f"{file.name}: no triangles", expected="a mesh with faces", code="mesh-empty")
     min_index, max_index, count = int(raw.faces.min()), int(raw.faces.max()), len(raw.vertices)
     _require(
         min_index >= 0 and max_index < count,
@@ -596,8 +578,24 @@ def read_mesh(
     keeps_area = has_area(vertices, raw.faces)
     warn_of_dropped(file.stem, keeps_area)
     mesh_instance = Instance(instance or file.stem) if isinstance(instance, str) else instance
-    scene_materials, surface = _assign_materials(raw, materials or {}, default, file.name)
-    faces, surface = raw.faces[keeps_area], surface[keeps_area]
+    # material of every group
+    number_of_material: dict[Material, int] = {}
+    numbers, unassigned = np.zeros(len(raw.groups), np.int64), []
+    for group in np.unique(raw.face_group):
+        names = raw.groups[group]
+        material = next((materials[name] for name in names if name in materials), default)
+        if material is None:
+            unassigned.append(next((repr(name) for name in names if name), "a part without a name"))
+        else:
+            numbers[group] = number_of_material.setdefault(material, len(number_of_material))
+    if unassigned:
+        raise SchemaError(
+            f"{file.name}: no material for {', '.join(unassigned[:20])}",
+            mend="name them in materials=, or pass default=",
+            code="material-missing",
+        )
+    faces, surface = raw.faces[keeps_area], numbers[raw.face_group][keeps_area]
+    scene_materials = tuple(number_of_material)
     normals = np.zeros((0, 3))
     if crease is not None:
         # merge coincident vertices, so that normals are smooth across seams
@@ -621,27 +619,3 @@ def read_mesh(
         instance=mesh_instance,
         name=file.stem,
     )
-
-
-def _assign_materials(
-    raw: RawTriangles, materials: Mapping[str, Material], default: Material | None, where: str
-) -> tuple[tuple[Material, ...], NDArray[np.int64]]:
-    number_of_material: dict[Material, int] = {}
-    numbers = np.zeros(len(raw.groups), np.int64)
-    unassigned = []
-    for group in np.unique(raw.face_group):
-        known_names = [name for name in raw.groups[group] if name in materials]
-        material = materials[known_names[0]] if known_names else default
-        if material is None:
-            unassigned.append(
-                next((repr(name) for name in raw.groups[group] if name), "a part without a name")
-            )
-            continue
-        numbers[group] = number_of_material.setdefault(material, len(number_of_material))
-    if unassigned:
-        raise SchemaError(
-            f"{where}: no material for {', '.join(unassigned[:20])}",
-            mend="name them in materials=, or pass default=",
-            code="material-missing",
-        )
-    return tuple(number_of_material), numbers[raw.face_group]

@@ -9,7 +9,6 @@ that all members are equally likely and neighbours are similar (`Octaves`).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,14 +17,14 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
-from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintError, Problems, SchemaError, warn_user
 from hyperpaint.base.mirrored_light import INCLUDED, mirror_reflection
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, MEMBER, SIGNATURE
 from hyperpaint.base.units import convert
-from hyperpaint.simulation.transport.mixing import Grain, Texture, member_rows
+from hyperpaint.simulation.camera import BandSet
+from hyperpaint.simulation.transport.mixing import Grain, Texture
 
-from .camera_bands import BandSet
 from .materials import measured_factor
 from .scene_record import SceneRecord
 from .scene_spectra import MEASURED, Octaves, Spectrum, is_paint, paint_spec, spectrum_of
@@ -48,23 +47,12 @@ _MAX_RATIO = 50.0
 # --- spectra of a user -------------------------------------------------------------------------------------
 
 
+# A tabulated spectrum: linear between its points, constant beyond them
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A tabulated spectrum: linear between its points, constant beyond them.
-
-    Attributes
-    ----------
-    wavelength : (point,)
-        Increasing wavelengths [nm].
-    reflectance : (point,)
-        Reflectance [1].
-    members : (member, point)
-        Population [1]; None without a population.
-    """
-
-    wavelength: Floats
-    reflectance: Floats
-    members: Floats | None = None
+    wavelength: Floats  # (point,): increasing wavelengths [nm]
+    reflectance: Floats  # (point,): reflectance [1]
+    members: Floats | None = None  # (member, point): population [1]; None without a population
 
     octaves = MEASURED
 
@@ -79,7 +67,7 @@ class Table:
 
 
 def is_library(value: Any) -> bool:
-    """Return whether a value is a dataset with ``reflectance`` (signature, band)."""
+    # whether a value is a dataset with ``reflectance`` (signature, band)
     if not hasattr(value, "data_vars") or "reflectance" not in value:
         return False
     # "paint" is the dim in libraries of version 0.2
@@ -105,19 +93,16 @@ def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
         )
     variables = [name for name in ("reflectance", "member_reflectance") if name in library.variables]
     reduced = library[variables].reset_coords(drop=True)
-    coords = ("wavelength", "good")
     reduced = reduced.assign_coords(
-        {name: library[name].variable for name in coords if name in library.variables}
+        {name: library[name].variable for name in (("wavelength", "good")) if name in library.variables}
     )
     reduced.attrs = dict(library.attrs)
     return {name: reduced.isel({SIGNATURE: number}) for number, name in enumerate(names)}
 
 
 def by_name(spectra: Any) -> dict[str, Any]:
-    """Return spectra by name: paints of a library, and paints ``name/paint`` of libraries in a mapping.
-
-    The paint of a library of one paint in a mapping has the library's name.
-    """
+    # spectra by name: paints of a library, and paints ``name/paint`` of libraries in a mapping.
+    # The paint of a library of one paint in a mapping has the library's name.
     if spectra is None:
         return {}
     if is_library(spectra) or not isinstance(spectra, Mapping):
@@ -184,7 +169,7 @@ class SpectrumReader:
         elif callable(value) and not hasattr(value, "dims"):
             spectrum = value
         if spectrum is not None:
-            values = np.asarray(spectrum(np.arange(bands.lowest(), bands.highest() + 1.0)), np.float64)
+            values = np.asarray(spectrum(np.arange(bands.limits[0], bands.limits[1] + 1.0)), np.float64)
         else:
             try:
                 is_dataset = hasattr(value, "data_vars")
@@ -228,7 +213,7 @@ class SpectrumReader:
             ),
         ):
             if names:
-                warnings.warn(PaintWarning(found.format(some_names(names)), code=code), stacklevel=4)
+                warn_user(found.format(some_names(names)), code)
 
     def _cropped(self, table: Table, name: str) -> Table | None:
         # usable part of a table in the range of the bands, since gaps elsewhere do not matter
@@ -268,8 +253,8 @@ class SpectrumReader:
                 option="pass --hold-edges to extend it by its first and last value",
                 code="spectrum-coverage",
             )
-        start = min(max(int(np.searchsorted(nm, bands.lowest())) - 1, 0), nm.size - 1)
-        points = slice(start, max(int(np.searchsorted(nm, bands.highest())) + 1, start + 1))
+        start = min(max(int(np.searchsorted(nm, bands.limits[0])) - 1, 0), nm.size - 1)
+        points = slice(start, max(int(np.searchsorted(nm, bands.limits[1])) + 1, start + 1))
         is_missing = ~np.isfinite(reflectance[points])
         if is_missing.any():
             problems.add(
@@ -343,41 +328,28 @@ def some_names(names: Iterable[str]) -> str:
 # --- spectra of all factors --------------------------------------------------------------------------------
 
 
+# All factors of a scene as functions of wavelength
 @dataclass(frozen=True, eq=False)
 class FactorSpectra:
-    """All factors of a scene as functions of wavelength.
-
-    Attributes
-    ----------
-    names
-        Name of the spectrum of every factor.
-    coats
-        Refractive index of the coat over every factor; None for bare surfaces and for flakes.
-    spectra
-        Spectra by name.
-    scales
-        Multiplier of every factor, for paints with another share of flakes than was traced.
-    clip
-        Limit reflectances to 0 to 1.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # name of the spectrum of every factor
+    # refractive index of the coat over every factor; None for bare surfaces and for flakes
     coats: tuple[float | None, ...]
-    spectra: Mapping[str, Spectrum]
+    spectra: Mapping[str, Spectrum]  # spectra by name
+    # multiplier of every factor, for paints with another share of flakes than was traced
     scales: tuple[float, ...]
-    clip: bool = False
+    clip: bool = False  # limit reflectances to 0 to 1
 
     def __call__(self, wavelength: Floats) -> Floats:
         """Return the factors ``rho'`` at wavelengths [nm], shape (factor, wavelength)."""
-        rows_by_key: dict[tuple[str, float | None], Floats] = {}
-        for key in zip(self.names, self.coats, strict=True):
-            if key not in rows_by_key:
-                reflectance = np.broadcast_to(self.spectra[key[0]](wavelength), wavelength.shape)
-                rows_by_key[key] = measured_factor(
-                    reflectance.clip(0, 1) if self.clip else reflectance, key[1]
-                )
-        rows = [rows_by_key[key] for key in zip(self.names, self.coats, strict=True)]
-        return np.asarray(np.stack(rows) * np.asarray(self.scales)[:, None])
+        limits = (0.0, 1.0) if self.clip else (-np.inf, np.inf)
+        keys = list(zip(self.names, self.coats, strict=True))
+        rows = {
+            (name, coat): measured_factor(
+                np.broadcast_to(self.spectra[name](wavelength), wavelength.shape).clip(*limits), coat
+            )
+            for name, coat in dict.fromkeys(keys)
+        }
+        return np.asarray(np.stack([rows[key] for key in keys]) * np.asarray(self.scales)[:, None])
 
 
 def factor_spectra(
@@ -520,15 +492,17 @@ def _assign_spectra(
                     code="paint-all-flakes",
                 )
                 continue
-            is_named = isinstance(paints[key], str) and is_paint(name)
-            new_flakes = paint_spec(name).flakes if is_named else None
+            new_flakes = (
+                paint_spec(name).flakes if (isinstance(paints[key], str) and is_paint(name)) else None
+            )
             scales[number] = (1.0 - (new_flakes.share if new_flakes else 0.0)) / (1.0 - traced_flakes.share)
             for other_number, factor in enumerate(record.factors):
                 if factor.material == base and factor.flakes:
                     scales[other_number] = new_flakes.share / traced_flakes.share if new_flakes else 0.0
                     if new_flakes is not None:
-                        turned = new_flakes.turned if factor.turned else ""
-                        assigned[other_number] = turned or new_flakes.spectrum
+                        assigned[other_number] = (
+                            new_flakes.turned if factor.turned else ""
+                        ) or new_flakes.spectrum
     return assigned, scales
 
 
@@ -569,20 +543,14 @@ class Populations(NamedTuple):
     factor: Array  # (row,) number of the factor that a member changes
     ratio: Floats32  # (row, band) member over mean
 
-    def texture(self, material: Array, instance: Array, position: Array, seed: int) -> Texture:
-        # members of pixels at positions (3, line, column) [m]; see `texturing.member_rows`
-        return self.of_rows(member_rows(material, instance, position, self.grain, seed))
-
     def of_rows(self, rows: Array) -> Texture:
         # members of pixels, from their rows (line, column)
         return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
 
 
 def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) -> Populations | None:
-    """Return the populations of a scene's materials; None if no spectrum has one.
-
-    The mean over the members of a population is the spectrum itself, in every band.
-    """
+    # populations of a scene's materials; None if no spectrum has one.
+    # The mean over the members of a population is the spectrum itself, in every band.
     count = np.zeros((2, len(record.materials)), np.int64)
     members: list[tuple[Octaves, int, int, Floats]] = []
     for factor_number, (factor, name) in enumerate(zip(record.factors, painted.names, strict=True)):
@@ -611,10 +579,3 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
         is_averaged[material] = octaves.is_averaged
     grain = Grain(count[0], count[1], lengths, shares, is_averaged)
     return Populations(grain, np.concatenate(factors), np.concatenate(ratios).astype(np.float32))
-
-
-def rows_of_pixels(
-    material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
-) -> Array:
-    """Return the member rows of pixels, (line, column); see `texturing.member_rows`."""
-    return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

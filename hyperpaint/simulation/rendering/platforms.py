@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,7 +52,7 @@ _SCENE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def turns(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> Floats:
-    """Return Rz(heading) Ry(pitch) Rx(roll), shape (..., 3, 3); angles [degree]."""
+    # rz(heading) Ry(pitch) Rx(roll), shape (..., 3, 3); angles [degree]
     # by quaternions
     halves = [np.radians(np.asarray(angle, dtype=np.float64)) / 2 for angle in (roll, pitch, heading)]
     (cr, cp, ch), (sr, sp, sh) = ([f(half) for half in halves] for f in (np.cos, np.sin))
@@ -229,7 +229,7 @@ _N = _F / (2 - _F)
 
 
 def geocentric(latitude: ArrayLike, longitude: ArrayLike, height: ArrayLike) -> Floats:
-    """Return earth-centred coordinates (..., 3) [m] of latitude and longitude [degree] and height [m]."""
+    # earth-centred coordinates (..., 3) [m] of latitude and longitude [degree] and height [m]
     lat, lon = np.radians(latitude), np.radians(longitude)
     h = np.asarray(height, np.float64)
     normal = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
@@ -340,7 +340,7 @@ class TransverseMercator:
     zone: int
 
     @classmethod
-    def of(cls, latitude: float, longitude: float) -> TransverseMercator:
+    def of(cls, latitude: float, longitude: float) -> Self:
         # projection of the zone of a position [degree] in the northern hemisphere
         if not 0.0 <= latitude < 84.0:
             raise ValueError(latitude)
@@ -396,21 +396,13 @@ CONVENTION = {
 }
 
 
+# A sum of sines around a mean
 class Motion(NamedTuple):
-    """A sum of sines around a mean.
-
-    Attributes
-    ----------
-    amplitude, frequency, phase
-        Parameters of the sines, shape (sine,); frequency [Hz], phase [rad].
-    mean
-        Mean of the motion.
-    """
-
+    # amplitude, frequency, phase: parameters of the sines, shape (sine,); frequency [Hz], phase [rad]
     amplitude: Floats
     frequency: Floats
     phase: Floats
-    mean: float = 0.0
+    mean: float = 0.0  # mean of the motion
 
     def at(self, seconds: Floats) -> Floats:
         # motion at times [s]
@@ -457,40 +449,25 @@ def _random_motion(sd: float, rate_sd: float, rng: np.random.Generator) -> Motio
     return Motion(amplitude, frequency, rng.uniform(0, 2 * np.pi, _SINES))
 
 
+# Pose of the navigation system, and of the camera fixed to it, at any time
 @dataclass(frozen=True)
 class Trajectory:
-    """Pose of the navigation system, and of the camera fixed to it, at any time.
-
-    Attributes
-    ----------
-    frame
-        Frame of the scene: x east, y north, z up, from the point on the ground below the camera at time zero
-        [m].
-    course
-        Direction of flight, clockwise from north [degree].
-    speed
-        Ground speed [m s-1].
-    altitude
-        Height of the navigation's reference point above the ground [m].
-    boresight
-        Roll, pitch and heading of the camera in the body [degree].
-    lever_arm
-        Position of the camera from the navigation's reference point: forward, right, down [m].
-    motions
-        Motions of ``roll``, ``pitch``, ``heading`` [degree], ``altitude``, and to the ``right`` of the course
-        [m].
-    """
-
+    # frame of the scene: x east, y north, z up, from the point on the ground below the camera at time zero
+    # [m]
     frame: LocalFrame
-    course: float
-    speed: float
-    altitude: float
+    course: float  # direction of flight, clockwise from north [degree]
+    speed: float  # ground speed [m s-1]
+    altitude: float  # height of the navigation's reference point above the ground [m]
+    # roll, pitch and heading of the camera in the body [degree]
     boresight: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # position of the camera from the navigation's reference point: forward, right, down [m]
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # motions of ``roll``, ``pitch``, ``heading`` [degree], ``altitude``, and to the ``right`` of the course
+    # [m]
     motions: Mapping[str, Motion] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, settings: SimulationSettings, frame: LocalFrame, speed: float, altitude: float) -> Trajectory:
+    def of(cls, settings: SimulationSettings, frame: LocalFrame, speed: float, altitude: float) -> Self:
         if settings.wobble == "slow":
             motions = {
                 name: Motion(np.array([amplitude]), np.array([1 / period]), np.array([phase]), mean)
@@ -525,13 +502,9 @@ class Trajectory:
         }
 
     def camera(self, seconds: Floats) -> tuple[Floats, Floats]:
-        """Return the position of the camera (..., 3) [m], and its rotation to the scene's axes (..., 3, 3).
-
-        Notes
-        -----
-        With M the rotation from north, east, down at the platform to the scene, R the attitude of the body, B
-        that of the camera in the body, and l the lever arm: p = p_nav + M R l, and the rotation is M R B.
-        """
+        # position of the camera (..., 3) [m], and its rotation to the scene's axes (..., 3, 3)
+        # With M the rotation from north, east, down at the platform to the scene, R the attitude of the body,
+        # B that of the camera in the body, and l the lever arm: p = p_nav + M R l, and the rotation is M R B
         pose = self.pose(seconds)
         position = self.frame.local(pose["latitude"], pose["longitude"], pose["altitude"])
         down = np.asarray(self.frame.axes.T @ north_east_down(pose["latitude"], pose["longitude"]))
@@ -584,34 +557,35 @@ def pushbroom(
     altitude
         Height above z = 0 [m].
     ground_sample
-        Across-track size of a pixel on z = 0 [m]; or give ``ifov``. By default that of a 12 mm lens in front
-        of 7.4 um pixels.
+        Across-track size of a pixel on z = 0 [m], an alternative to ``ifov``; by default that of a 12 mm
+        lens and pixels of 7.4 um.
     ifov
         Angle of a pixel, pixel pitch / focal length [rad]; columns have equal steps of the tangent.
     speed
-        [m s-1]; or give ``line_spacing`` [m]. By default a line is as long as a pixel is wide.
+        Ground speed [m s-1], an alternative to ``line_spacing`` [m]; by default lines are as long as pixels
+        are wide.
     centre
         East and north of the middle of the flight [m].
     start
-        East and north of the camera at the first line [m], in place of ``centre``.
+        East and north of the camera at the first line [m], an alternative to ``centre``.
     heading
-        Of the flight, clockwise from north [degree].
+        Direction of flight, clockwise from north [degree].
     exposure_time, frame_period
         Exposure, and time from line to line [s].
     wobble
-        Spread (1 sigma) of roll, pitch and heading [degree], or one for all three: sums of nine
+        Standard deviation of roll, pitch and heading [degree], or one for all three: sums of nine
         oscillations from 0.15 to 6 Hz whose amplitudes fall with the root of the frequency.
     sway
-        The same of east, north and up [m].
+        Standard deviation of east, north and up [m], with the same oscillations.
     seed
-        Of the wobble and sway.
+        Seed of wobble and sway.
     start_time
         UTC at mid exposure of the first line.
 
     Raises
     ------
     SchemaError
-        A value is out of its range, or two of them exclude one another; all are listed.
+        A value is out of its range, or alternatives are combined; all are listed.
 
     Examples
     --------
@@ -639,8 +613,9 @@ def pushbroom(
         else np.array([*start, 0.0])
     )
     moment = time[:, None] * 1e-9 + exposure_time * np.array([-0.5, 0.5])
-    spread = np.broadcast_to(np.asarray(wobble, dtype=np.float64), (3,))
-    turned = spread[:, None, None] * _oscillations(moment, seed, 0)
+    turned = np.broadcast_to(np.asarray(wobble, dtype=np.float64), (3,))[:, None, None] * _oscillations(
+        moment, seed, 0
+    )
     origin = (
         first
         + np.array([0.0, 0.0, altitude])
@@ -816,23 +791,23 @@ def platform_from_poses(
     Parameters
     ----------
     time
-        Of the poses, increasing, shape (pose,): datetime64 (UTC), or seconds.
+        Times of the poses, increasing, shape (pose,): datetime64 (UTC), or seconds.
     east, north, up
-        Of the navigation unit in the scene's frame, shape (pose,) [m].
+        Position of the navigation unit in the scene's frame, shape (pose,) [m].
     roll, pitch, heading
-        Shape (pose,) [degree].
+        Its attitude, shape (pose,) [degree].
     columns
-        Of the camera.
+        Number of columns of the camera.
     ifov
         Angle of a pixel, pixel pitch / focal length [rad].
     line_time
-        Mid exposure of every line, on the clock of ``time``, shape (line,); by default a line a pose.
+        Mid exposure of every line, on the clock of ``time``, shape (line,); by default one line per pose.
     exposure_time
-        [s]
+        Exposure of a line [s].
     boresight
         Roll, pitch and heading of the camera in the frame of the navigation unit [degree].
     lever_arm
-        Camera in that frame: forward, right, down [m].
+        Position of the camera in that frame: forward, right, down [m].
 
     Raises
     ------
@@ -957,4 +932,7 @@ def _clock(
         poses, lines = (
             (times.astype("datetime64[ns]") - base) / np.timedelta64(1, "s") for times in (poses, lines)
         )
-    return base, finite_floats(poses, "time", problems), finite_floats(lines, "line_time", problems)
+    seconds, at = finite_floats(poses, "time", problems), finite_floats(lines, "line_time", problems)
+    if not seconds.size:
+        problems.raise_if_any()  # without times nothing else can be checked
+    return base, seconds, at

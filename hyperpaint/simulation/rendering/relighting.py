@@ -41,11 +41,13 @@ from hyperpaint.base.schema import (
     label,
     require,
 )
-from hyperpaint.simulation.camera import convolve_gaussian
+from hyperpaint.simulation.atmosphere import BrokenClouds
+from hyperpaint.simulation.camera import BandResponses, BandSet, cell_means, convolve_gaussian
 from hyperpaint.simulation.transport.mixing import (
     Texture,
     index_paths,
     integrate_bands,
+    member_rows,
     mix,
     mix_shifted,
     through_air,
@@ -64,11 +66,9 @@ from hyperpaint.simulation.transport.path_codes import (
     source_of,
 )
 
-from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere, preset_atmosphere
-from .painting import Populations, factor_spectra, populations_of, rows_of_pixels
-from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
-from .sky_models import BrokenClouds
+from .painting import Populations, factor_spectra, populations_of
+from .scene_record import LabelTable, SceneRecord, TraceSettings, sun_vectors
 
 _PATHS = ("transport_weight", "transport_path", "distance")
 
@@ -113,43 +113,43 @@ def relight(
     hold_edges: bool = False,
     population: bool = True,
 ) -> xr.Dataset:
-    r"""Return the radiance of a traced scene under an atmosphere, as a camera's bands see it.
+    r"""Return the radiance of a traced scene under an atmosphere in the bands of a camera.
 
     Parameters
     ----------
     traced
-        From `hyperpaint.simulation.trace`, or the store it was written to.
+        Dataset from `hyperpaint.simulation.trace`, or read from its store.
     bands
         A `BandSet`, an imager of the simulator, or a Dataset with ``wavelength`` and ``fwhm`` (attribute
         ``srf_shape``); by default the 272 bands of a Nano-Hyperspec.
     paints
-        New spectra by name of an instance ("car_007": its paint), of a material, or of a spectrum that
-        materials of the scene have; the first counts most. A value is the name of a spectrum, ``(wavelength
+        New spectra by name of an instance ("car_007": its paint), of a material, or of a spectrum of the
+        scene's materials, in this order of precedence. A value is the name of a spectrum, ``(wavelength
         [nm], reflectance)``, a DataArray with a coordinate ``wavelength``, or a function of wavelength [nm].
-        Reflectances are near normal, without the specular component. A car that was traced with flakes gets
-        as many as the named paint has, and none from a measured spectrum; one traced without stays so. A
-        paint library instead of a mapping: its paints go where a spectrum, material or instance has their
-        name, the others in turn to the cars that are left.
+        Reflectances are near normal, without the specular component. A car traced with flakes gets the flake
+        share of the named paint, and no flakes from a measured spectrum; a car traced without flakes gets
+        none. A paint library instead of a mapping: its paints replace the spectrum, material or instance of
+        their name, and the other paints are assigned in turn to the remaining cars.
     atmosphere
         The light; or the name of a preset one: "noon", "near_sunset", "cloudy".
     spectra
-        Further spectra by name, as values of ``paints`` or as a paint library; they go before the built-in
-        ones of the same name. A library as a value: of one paint it is that name's spectrum, of several each
-        is ``name/paint``.
+        Further spectra by name, as values of ``paints`` or as a paint library; they replace built-in spectra
+        of the same name. A library of one paint as a value has its key as name; of several paints each is
+        named ``key/paint``.
     variation
-        Factors of direct and of diffuse light in every line, shape (2, along_track), such as a cloud's that
-        passes while the camera flies; or `BrokenClouds`, whose shadows move over the scene. Light that
-        reaches a pixel by way of other surfaces varies with that pixel's.
+        Factors of direct and of diffuse light in every line, shape (2, along_track), for a cloud that passes
+        during the flight; or `BrokenClouds`, whose shadows move over the scene. Light from neighbouring
+        surfaces has the factors of the pixel that it reaches.
     truth
-        Add ``reflectance`` and the layers that say where light came from.
+        Add ``reflectance`` and the layers with the shares of light by source.
     clip
-        Limit reflectances to 0 to 1 where they would be an error.
+        Limit reflectances to 0 to 1 instead of an error.
     hold_edges
-        Hold tabulated spectra constant beyond their ends and their last bands with values, and bridge bands
-        without values, or not ``good``, by straight lines; they are an error otherwise.
+        Hold tabulated spectra constant beyond their ends and their last bands with values, and interpolate
+        bands without values, or not ``good``, linearly, instead of an error.
     population
-        Let every pixel show a member of the population of its paint, where a library has
-        ``member_reflectance``; False shows the centre alone.
+        Show in every pixel a member of the population of its paint, if a library has
+        ``member_reflectance``; False shows the mean.
 
     Returns
     -------
@@ -171,8 +171,8 @@ def relight(
     Warns
     -----
     PaintWarning
-        Noise takes paints of a library a little beyond 0 to 1, where they are cut; or a library says that it
-        holds the light that coats mirror, which the renderer adds once more.
+        Paints of a library exceed 0 to 1 by noise and are clipped; or a library contains the mirror
+        reflection of coats, which the renderer adds again.
 
     Notes
     -----
@@ -181,13 +181,13 @@ def relight(
     .. math:: L = e^{-k d} \sum_p w_p \frac{\int R E_{s(p)} \prod_f \rho'_f\, d\lambda}{\pi \int R\, d\lambda}
               + L_p d, \qquad \rho = \frac{\pi L_{d=0}}{\int R E\, d\lambda / \int R\, d\lambda}
 
-    The integrals are exact to 1e-5 whatever lines the light has; they are made once for every code. k and
-    L_p are means over the band.
+    The integrals are exact to 1e-5 for all absorption lines of the light; they are computed once for every
+    code. k and L_p are means over the band.
 
-    A pixel draws its member by a random field over the surface that it shows most of, which varies over
-    20, 5 and 1.25 cm, a third of the variance each: a pixel has the spread of the members whatever its size,
-    and neighbours in between are alike. Light that other surfaces throw on it has their means. The mean over
-    all members is the reflectance of the library. Seed, position and instance alone choose the member.
+    A random field over the dominant surface of a pixel selects its member. The field varies over 20, 5 and
+    1.25 cm, each with a third of the variance: pixels of any size have the spread of the members, and
+    neighbours are similar. Light from other surfaces has their mean spectra. The mean over all members is
+    the reflectance of the library. The member depends only on seed, position and instance.
 
     Examples
     --------
@@ -250,12 +250,14 @@ def relight(
     for factor, name in zip(record.factors, painted.names, strict=True):
         if not (factor.flakes or factor.through):
             names[factor.material] = name
-    line = _dataset(cubes, traced, camera, LabelTables.of(record, names))
+    line = _dataset(cubes, traced, camera, record.labels(names)["paint_id"])
     if truth and "sun_visibility" in traced.variables:
-        visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
-        line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
-    cosine = float(np.cos(np.radians(settings.suns[sun][0])))
-    series = _irradiance_record(traced, sky, cosine, camera, variation)
+        line["shadow"] = label(
+            (1.0 - traced["sun_visibility"].isel({SUN: sun}, drop=True)).astype(np.float32), "shadow"
+        )
+    series = _irradiance_record(
+        traced, sky, float(np.cos(np.radians(settings.suns[sun][0]))), camera, variation
+    )
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
         "name": str(traced.attrs.get("name", record.name)),
@@ -311,7 +313,7 @@ def _lazy_cubes(
         layers = [_whole_lines(traced[name].reset_coords(drop=True)) for name in _PIXEL_LAYERS]
         inputs = [part for layer in layers for part in (layer, "lx")]
         options = {"grain": populations.grain, "seed": seed, "meta": np.empty((0, 0), np.int32)}
-        rows = da.blockwise(rows_of_pixels, "lx", *inputs, **options, dtype=np.int32)
+        rows = da.blockwise(member_rows, "lx", *inputs, **options, dtype=np.int32)
         textured = (*lit, rows, "lx", dask.delayed(populations, pure=True, traverse=False), None)
 
     def cube(method: Callable[..., Array], dims: str, *arguments: Any, **axes: int) -> da.Array:
@@ -333,7 +335,7 @@ def _lazy_cubes(
 
 
 def _dataset(
-    cubes: dict[str, da.Array], traced: xr.Dataset, bands: BandSet, tables: LabelTables
+    cubes: dict[str, da.Array], traced: xr.Dataset, bands: BandSet, paints: LabelTable
 ) -> xr.Dataset:
     variables = {
         name: (CUBE if array.ndim == 3 else (ALONG_TRACK, CROSS_TRACK), array, VARIABLES[name].attrs)
@@ -354,13 +356,13 @@ def _dataset(
             line[name] = traced[name].variable
     if "material" in traced.variables:
         paint_id = xr.apply_ufunc(
-            tables.paint_id.__getitem__,
+            paints.table.__getitem__,
             traced["material"].reset_coords(drop=True),
             dask="parallelized",
             output_dtypes=[dtype_of("paint_id")],
             keep_attrs=True,
         )
-        line["paint_id"] = label(paint_id, "paint_id", **tables.attrs("paint_id"))
+        line["paint_id"] = label(paint_id, "paint_id", **paints.attrs)
     return line
 
 
@@ -376,8 +378,8 @@ def _irradiance_record(
     # is lazy.
     # wavelengths of the channels [nm]
     wavelength, reach = atmosphere.wavelength, _REACH * _FWHM_NM
-    min_nm = max(wavelength[0], bands.lowest() - 4 * _FWHM_NM)
-    max_nm = min(wavelength[-1], bands.highest() + 4 * _FWHM_NM)
+    min_nm = max(wavelength[0], bands.limits[0] - 4 * _FWHM_NM)
+    max_nm = min(wavelength[-1], bands.limits[1] + 4 * _FWHM_NM)
     centres = np.arange(np.ceil(min_nm / _STEP_NM), np.floor(max_nm / _STEP_NM) + 1) * _STEP_NM
     # at the ends of the spectra a channel uses the available part of its line shape
     grid_start, grid_end = max(wavelength[0], centres[0] - reach), min(wavelength[-1], centres[-1] + reach)
@@ -385,8 +387,9 @@ def _irradiance_record(
         np.arange(np.ceil(grid_start / _GRID_STEP_NM), np.floor(grid_end / _GRID_STEP_NM) + 1) * _GRID_STEP_NM
     )
     # direct and diffuse irradiance, (2, channel)
-    level = (atmosphere.sun * sun_cosine, atmosphere.sky)
-    curves = np.stack([cell_means(wavelength, curve, grid) for curve in level])
+    curves = np.stack(
+        [cell_means(wavelength, curve, grid) for curve in ((atmosphere.sun * sun_cosine, atmosphere.sky))]
+    )
     spectra = convolve_gaussian(curves, grid, centres, _FWHM_NM)
     # times before and after the flight; with varying light also times during the flight
     try:
@@ -476,7 +479,7 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
 
 
 def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int, Floats]:
-    """Return the irradiance of every traced source that shines, by number, on the atmosphere's grid."""
+    # irradiance of every traced source that shines, by number, on the atmosphere's grid
     sun = traced_sun(atmosphere, settings)
     first_function = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun
     shares = {
@@ -489,23 +492,15 @@ def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int,
     return {**skies, FIRST_SUN + sun: atmosphere.sun}
 
 
+# Light and camera, shared by all tasks of a relighting
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """Light and camera, shared by all tasks of a relighting.
-
-    Attributes
-    ----------
-    table
-        Products of paths.
-    direct, diffuse : (band, cross_track or 1)
-        Irradiance of a level surface in the bands [W m-2 nm-1].
-    extinction, path_radiance : (band, cross_track or 1), float32
-        Properties of the air before the camera [m-1], [W m-2 sr-1 nm-1 m-1].
-    """
-
-    table: ProductTable
+    table: ProductTable  # products of paths
+    # direct, diffuse: (band, cross_track or 1): irradiance of a level surface in the bands [W m-2 nm-1]
     direct: Floats
     diffuse: Floats
+    # extinction, path_radiance: (band, cross_track or 1), float32: properties of the air before the camera
+    # [m-1], [W m-2 sr-1 nm-1 m-1]
     extinction: Floats32
     path_radiance: Floats32
 
@@ -517,19 +512,12 @@ class Lighting:
         rows: Array | None = None,
         populations: Populations | None = None,
     ) -> Floats32:
-        """Return the radiance at the surface towards the camera, (line, band, column) [W m-2 sr-1 nm-1].
-
-        Parameters
-        ----------
-        weight, code : (line, slot, column)
-            Paths as traced.
-        variation : (2, line) or (2, line, column)
-            Factors of direct and diffuse light; None for factors of 1.
-        rows : (line, column)
-            Members of ``populations`` shown by pixels.
-        populations
-            None for the means.
-        """
+        # radiance at the surface towards the camera, (line, band, column) [W m-2 sr-1 nm-1]
+        # weight, code : (line, slot, column): paths as traced
+        # variation : (2, line) or (2, line, column): factors of direct and diffuse light; None for factors of
+        # 1
+        # rows : (line, column): members of ``populations`` shown by pixels
+        # populations: None for the means
         lines, _, columns = weight.shape
         radiance = np.empty((lines, self.table.bands.wavelength.size, columns), np.float32)
         texture = None if populations is None or rows is None else populations.of_rows(rows)
@@ -559,8 +547,9 @@ class Lighting:
     def reflectance(self, surface: Floats32, variation: Floats | None) -> Floats32:
         # pi L / E of the radiance at the surface [1]; NaN without light
         factor = np.empty_like(surface)
-        factors = np.ones((2, len(surface))) if variation is None else variation
-        for line, (direct, diffuse) in enumerate(zip(*factors, strict=True)):
+        for line, (direct, diffuse) in enumerate(
+            zip(*(np.ones((2, len(surface))) if variation is None else variation), strict=True)
+        ):
             light = self.direct * direct + self.diffuse * diffuse
             scale = np.divide(np.pi, light, out=np.full_like(light, np.nan), where=light > 0)
             np.multiply(surface[line], scale.astype(np.float32), out=factor[line])
@@ -588,17 +577,16 @@ class Lighting:
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
     if variation is None:
         return weight
-    factors = variation.astype(np.float32).reshape(2, len(weight), 1, -1)
-    return np.asarray(weight * np.where(is_direct(code), *factors))
+    return np.asarray(
+        weight * np.where(is_direct(code), *variation.astype(np.float32).reshape(2, len(weight), 1, -1))
+    )
 
 
 def make_lighting(
     bands: BandSet, codes: PathCodes, atmosphere: Atmosphere, settings: TraceSettings, factors: Floats
 ) -> Lighting:
-    """Return light, spectra and camera of a relighting.
-
-    ``factors`` (factor, grid): spectra of all factors of paths, on the grid of `BandResponses`.
-    """
+    # light, spectra and camera of a relighting.
+    # ``factors`` (factor, grid): spectra of all factors of paths, on the grid of `BandResponses`.
     wavelength, sources = atmosphere.wavelength, source_spectra(atmosphere, settings)
     sun_cosine = float(np.cos(np.radians(settings.suns[traced_sun(atmosphere, settings)][0])))
     table = ProductTable(bands, codes, wavelength, sources, lambda _grid: factors)
@@ -647,7 +635,7 @@ class ProductTable:
     >>> light = np.array([300.0, 1100.0]), {2: np.array([1.3, 1.3])}
     >>> codes, bands = PathCodes.of(factors=1, depth=4), BandSet.nano_hyperspec()
     >>> table = ProductTable(bands, codes, *light, lambda grid: np.full((1, grid.size), 0.4))
-    >>> rows = table.rows(np.array([codes.code(2, (0,))]))
+    >>> rows = table.rows(np.array([2 + (1 << 7)]))
     >>> rows.shape, rows.dtype, round(float(rows[0, 0, 0]), 6)  # (node, path, band), 0.4 x 1.3 / pi
     ((1, 1, 272), dtype('float32'), 0.165521)
     """
@@ -750,17 +738,10 @@ class ProductTable:
         out: NDArray[np.float32],
         texture: Texture | None = None,
     ) -> None:
-        """Write the sum of weight x product over the paths of every pixel, with the smile of the columns.
-
-        Parameters
-        ----------
-        weight, codes : (line, slot, column)
-            Paths as traced; empty slots add nothing.
-        out : (line, band, column)
-            Result, in the units of the table.
-        texture
-            Members of populations shown by pixels; None for the means.
-        """
+        # write the sum of weight x product over the paths of every pixel, with the smile of the columns
+        # weight, codes : (line, slot, column): paths as traced; empty slots add nothing
+        # out : (line, band, column): result, in the units of the table
+        # texture: members of populations shown by pixels; None for the means
         distinct, index = index_paths(codes)
         lit = self._row_of_source[source_of(distinct)] >= 0
         if not lit.all():  # skip paths from dark sources

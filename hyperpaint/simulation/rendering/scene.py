@@ -6,7 +6,6 @@ a mesh of them.
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.arrays import Floats, Ints
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import one_of
 
 from .materials import Material
@@ -68,25 +67,13 @@ class Instance:
     paint: str = ""
 
 
+# A spectrum by which a path of light can be multiplied
 @dataclass(frozen=True)
 class Factor:
-    """A spectrum by which a path of light can be multiplied.
-
-    Attributes
-    ----------
-    material
-        Number of the material.
-    flakes
-        False for the base of the material, True for its metal flakes.
-    through
-        True for the transmittance of a thin surface.
-    turned
-        True for the spectrum of flakes with light and view at right angles (`materials.Flakes.turned`).
-    """
-
-    material: int
-    flakes: bool = False
-    through: bool = False
+    material: int  # number of the material
+    flakes: bool = False  # false for the base of the material, True for its metal flakes
+    through: bool = False  # true for the transmittance of a thin surface
+    # true for the spectrum of flakes with light and view at right angles (`materials.Flakes.turned`)
     turned: bool = False
 
 
@@ -216,8 +203,7 @@ class Scene:
         keeps_area = has_area(arrays["vertices"], arrays["faces"])
         warn_of_dropped(self.name, keeps_area)
         for name, dtype, like, *_ in _ARRAYS:
-            of_faces = "faces" in (name, like)
-            kept = arrays[name][keeps_area] if of_faces else arrays[name]
+            kept = arrays[name][keeps_area] if ("faces" in (name, like)) else arrays[name]
             object.__setattr__(self, name, kept.astype(dtype))
         object.__setattr__(self, "materials", tuple(self.materials))
         object.__setattr__(self, "instances", tuple(self.instances))
@@ -431,7 +417,7 @@ def _double_area_vectors(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
 
 
 def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which triangles have an area, shape (face,); the normal of thinner triangles is undefined."""
+    # which triangles have an area, shape (face,); the normal of thinner triangles is undefined
     longest_squared = ((vertices[faces] - vertices[np.roll(faces, 1, axis=1)]) ** 2).sum(axis=2).max(axis=1)
     return np.asarray(
         np.linalg.norm(_double_area_vectors(vertices, faces), axis=1) > _MIN_SHAPE * longest_squared
@@ -441,12 +427,9 @@ def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
     if not with_area.all():
         dropped = int((~with_area).sum())
-        warnings.warn(
-            PaintWarning(
-                f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
-                code="triangle-without-area",
-            ),
-            stacklevel=4,
+        warn_user(
+            f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
+            "triangle-without-area",
         )
 
 
@@ -539,25 +522,12 @@ def _joined(pieces: Sequence[tuple[Floats, Ints, Sequence[Any], NDArray[Any]]]) 
     )
 
 
+# A row of a shape
 class Part(NamedTuple):
-    """A row of a shape.
-
-    Attributes
-    ----------
-    form
-        `cuboid`, `tube`, `polygon` or `lattice`, or a function that returns a mesh.
-    arguments
-        Arguments of the form: dimensions [m], surface, part of a car.
-    at
-        Shift to the east, north and up [m].
-    crease
-        Angle above which edges stay sharp [degree]; 0 for flat faces.
-    """
-
-    form: Callable[..., Mesh]
-    arguments: tuple[Any, ...]
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    crease: float = 0.0
+    form: Callable[..., Mesh]  # `cuboid`, `tube`, `polygon` or `lattice`, or a function that returns a mesh
+    arguments: tuple[Any, ...]  # arguments of the form: dimensions [m], surface, part of a car
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)  # shift to the east, north and up [m]
+    crease: float = 0.0  # angle above which edges stay sharp [degree]; 0 for flat faces
 
 
 def built(parts: Iterable[Part]) -> Mesh:

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,8 +108,9 @@ class TraceSettings:
         """Slots of a pixel: 24 for each source, times the square root of samples / 64, unless given."""
         if self.slots is not None:
             return self.slots
-        clear = CLEAR_SKY_FUNCTIONS * len(self.suns) if self.clear else 0
-        sources = len(self.suns) + 1 + self.overcast + clear
+        sources = (
+            len(self.suns) + 1 + self.overcast + (CLEAR_SKY_FUNCTIONS * len(self.suns) if self.clear else 0)
+        )
         return min(_MAX_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
 
 
@@ -128,27 +129,15 @@ def sun_vectors(suns: Any) -> Floats:
     )
 
 
+# A scene without its geometry
 @dataclass(frozen=True)
 class SceneRecord:
-    """A scene without its geometry.
-
-    Attributes
-    ----------
-    name
-        Name of the scene.
-    materials, instances
-        Materials and instances by the numbers of the label layers.
-    members
-        Numbers of the materials of every instance.
-    factors
-        Spectra by the digits of path codes.
-    """
-
-    name: str
+    name: str  # name of the scene
+    # materials, instances: materials and instances by the numbers of the label layers
     materials: tuple[Material, ...]
     instances: tuple[Instance, ...]
-    members: tuple[tuple[int, ...], ...]
-    factors: tuple[Factor, ...]
+    members: tuple[tuple[int, ...], ...]  # numbers of the materials of every instance
+    factors: tuple[Factor, ...]  # spectra by the digits of path codes
 
     @classmethod
     def of(cls, scene: Scene) -> SceneRecord:
@@ -251,65 +240,37 @@ class SceneRecord:
     def codes(self, settings: TraceSettings) -> PathCodes:
         return PathCodes.of(len(self.factors), settings.depth)
 
-
-@dataclass(frozen=True, eq=False)
-class LabelTables:
-    """Labels that follow from the material or the instance of a pixel.
-
-    Attributes
-    ----------
-    surface_class : (material + 1,), int16
-        Number of the semantic class; the last entry is for the sky.
-    paint_id : (material + 1,), int16
-        Number of the paint spectrum; -1 for other surfaces.
-    car_id : (instance + 1,), int32
-        Number of the instance if it is a car, else -1.
-    paints
-        Names of the paint spectra.
-    """
-
-    surface_class: NDArray[np.int16]
-    paint_id: NDArray[np.int16]
-    car_id: NDArray[np.int32]
-    paints: tuple[str, ...]
-
-    @classmethod
-    def of(cls, record: SceneRecord, names: Sequence[str] | None = None) -> LabelTables:
-        """Return the tables of a scene.
-
-        Parameters
-        ----------
-        record
-            The scene.
-        names
-            Spectrum of every material; None for the spectra of the scene.
-        """
-        kinds = [material.kind for material in record.materials]
-        spectra = [material.spectrum for material in record.materials] if names is None else list(names)
+    def labels(self, names: Sequence[str] | None = None) -> dict[str, LabelTable]:
+        # label layers that follow from the material or the instance of a pixel, by name.
+        # ``names``: spectrum of every material; None for the spectra of the scene.
+        kinds = [material.kind for material in self.materials]
+        spectra = [material.spectrum for material in self.materials] if names is None else list(names)
         # all built-in paints come first, so that their numbers are equal in all scenes of a training set
         own = {name for name, kind in zip(spectra, kinds, strict=True) if kind == "paint"}
         paints = (*FOURTEEN, *sorted(own.difference(FOURTEEN)))
         paint_id = [
             paints.index(name) if kind == "paint" else -1 for name, kind in zip(spectra, kinds, strict=True)
         ]
-        cars = [number if item.kind == "car" else -1 for number, item in enumerate(record.instances)]
-        return cls(
-            np.array([*map(KINDS.index, kinds), -1], np.int16),
-            np.array([*paint_id, -1], np.int16),
-            np.array([*cars, -1], np.int32),
-            paints,
-        )
+        cars = [number if item.kind == "car" else -1 for number, item in enumerate(self.instances)]
 
-    def layers(self, material: Array, instance: Array) -> dict[str, Array]:
-        # label layers of pixels; the sky (-1) takes the last entry of the tables
+        def flags(words: Sequence[str]) -> dict[str, Any]:
+            meanings = " ".join(word.replace(" ", "_") for word in words)
+            return {"flag_values": np.arange(len(words), dtype=np.int16), "flag_meanings": meanings}
+
+        # the last entry is for the sky, whose material and instance are -1
         return {
-            "surface_class": self.surface_class[material],
-            "paint_id": self.paint_id[material],
-            "car_id": self.car_id[instance],
+            "surface_class": LabelTable(np.array([*map(KINDS.index, kinds), -1], np.int16), flags(KINDS)),
+            "paint_id": LabelTable(np.array([*paint_id, -1], np.int16), flags(paints)),
+            "car_id": LabelTable(np.array([*cars, -1], np.int32), {}),
         }
 
-    def attrs(self, name: str) -> dict[str, Any]:
-        if name not in ("surface_class", "paint_id"):
-            return {}
-        meanings = KINDS if name == "surface_class" else [paint.replace(" ", "_") for paint in self.paints]
-        return {"flag_values": np.arange(len(meanings), dtype=np.int16), "flag_meanings": " ".join(meanings)}
+
+# Label by the number of the material, or for cars of the instance, and the attributes of the layer.
+class LabelTable(NamedTuple):
+    table: NDArray[Any]
+    attrs: dict[str, Any]
+
+
+def label_layers(labels: Mapping[str, LabelTable], material: Array, instance: Array) -> dict[str, Array]:
+    # label layers of pixels
+    return {name: row.table[instance if name == "car_id" else material] for name, row in labels.items()}

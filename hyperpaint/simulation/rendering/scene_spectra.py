@@ -1,8 +1,13 @@
 """Named reflectance spectra of a scene: near normal, without the mirror reflection.
 
 The renderer computes the first reflection of the clear coat over car paints, so that spectra exclude it:
-Saunderson's k1 is subtracted from the paints of `hyperpaint.simulation.paint_spectra`. Spectra of surfaces
+Saunderson's k1 is subtracted from `CAR_PAINTS`. Spectra of surfaces
 without a coat include all reflected light. The spectrum of glass is that of the surface behind it.
+
+A paint is a scattering layer under a clear coat. Kubelka & Munk (1931): a thick layer whose absorption is K/S
+times its scattering reflects R_inf = 1 + K/S - sqrt((K/S)^2 + 2 K/S). Saunderson (1942) adds the interface:
+R = k1 + (1 - k1)(1 - k2) R_inf / (1 - k2 R_inf), with k1 = 0.04 and k2 = 0.60 for a refractive index of 1.5.
+Other spectra are a straight line plus edges and bumps. No measured spectra are used, which may have licences.
 
 *Weathered surfaces* are populations of spectra that vary over the ground and over cars. Asphalt is stones
 with worn bitumen, stains and dust; painted lines wear down to asphalt; concrete darkens; lawns have dry
@@ -42,31 +47,136 @@ import functools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import one_of
-from hyperpaint.simulation.paint_spectra import (
-    CAR_PAINTS,
-    MATERIALS,
-    Bump,
-    Edge,
-    Feature,
-    Paint,
-    PlainSurface,
-)
 
-from .appearance import flakes_of_flop
 from .materials import (
     Coat,
     Flakes,
     Material,
     coated_reflectance,
+    flakes_of_flop,
     fresnel_reflectance,
     hemispherical_reflectance,
 )
+
+# --- paints and plain surfaces ------------------------------------------------------------------------------
+
+
+# An edge or band of a spectrum: ``height`` times a form of the distance from ``centre`` in units of ``width``
+# [nm].
+class Feature(NamedTuple):
+    form: Callable[[Floats], Floats]
+    centre: float
+    width: float
+    height: float
+
+    def __call__(self, wavelength: Floats) -> Floats:
+        return np.asarray(self.height * self.form((wavelength - self.centre) / self.width))
+
+
+#: Features by centre, width and height: a logistic step, which falls with a negative width, and a Gaussian.
+Edge = functools.partial(Feature, lambda distance: 0.5 * (1.0 + np.tanh(distance / 2)))
+Bump = functools.partial(Feature, lambda distance: np.exp(-0.5 * distance**2))
+
+
+# A paint layer by Kubelka-Munk and Saunderson: K/S is ``absorption`` plus the absorbers.
+@dataclass(frozen=True)
+class Paint:
+    absorption: float
+    absorbers: Sequence[Feature] = ()
+    interface: float = 0.04
+    internal: float = 0.60
+
+    def __call__(self, wavelength: Floats) -> Floats:
+        """Return the reflectance factor at ``wavelength`` [nm].
+
+        Examples
+        --------
+        >>> thick = Paint(absorption=0.005555555555555556)  # R_inf = 0.9
+        >>> thick(np.array([550.0])).round(3)
+        array([0.791])
+        """
+        ratio = np.full_like(wavelength, self.absorption, dtype=np.float64)
+        for absorber in self.absorbers:
+            ratio += absorber(wavelength)
+        # this form of R_inf has no cancellation for dark layers
+        deep = 1.0 / (1.0 + ratio + np.sqrt(ratio * (ratio + 2.0)))
+        k1, k2 = self.interface, self.internal
+        return k1 + (1.0 - k1) * (1.0 - k2) * deep / (1.0 - k2 * deep)
+
+
+# A surface with its reflectance at 550 nm, its slope per micrometre, and features.
+@dataclass(frozen=True)
+class PlainSurface:
+    level: float
+    slope: float = 0.0
+    features: Sequence[Feature] = ()
+
+    def __call__(self, wavelength: Floats) -> Floats:
+        total = self.level + self.slope * (wavelength - 550.0) / 1000.0
+        for feature in self.features:
+            total = total + feature(wavelength)
+        return np.asarray(total)
+
+
+#: A dozen car paints.
+CAR_PAINTS: dict[str, Paint] = {
+    "white": Paint(0.006, [Edge(405.0, -5.0, 4.0), Bump(930.0, 40.0, 0.003)]),
+    "silver": Paint(0.10, [Edge(420.0, -12.0, 0.25), Bump(820.0, 70.0, 0.02)]),
+    "grey": Paint(0.75, [Edge(430.0, -25.0, 0.3), Edge(800.0, 60.0, 0.1)]),
+    "black": Paint(14.0, [Edge(800.0, 80.0, -2.0)]),
+    "ir_black": Paint(0.25, [Edge(735.0, -16.0, 12.0)]),
+    "red": Paint(0.035, [Edge(603.0, -7.0, 7.0), Bump(860.0, 40.0, 0.02)]),
+    "dark_red": Paint(0.45, [Edge(622.0, -11.0, 10.0), Bump(880.0, 50.0, 0.2)]),
+    "blue": Paint(0.12, [Bump(640.0, 62.0, 6.0), Edge(415.0, -14.0, 2.0), Bump(560.0, 35.0, 1.5)]),
+    "light_blue": Paint(0.05, [Bump(640.0, 55.0, 0.9), Edge(412.0, -10.0, 1.0)]),
+    "green": Paint(0.25, [Edge(485.0, -12.0, 5.0), Bump(655.0, 50.0, 5.0)]),
+    "yellow": Paint(0.02, [Edge(508.0, -7.0, 6.0)]),
+    "orange": Paint(0.025, [Edge(562.0, -8.0, 7.0)]),
+}
+
+#: Reflectance factors of the grey panels, constant over wavelength.
+PANELS = (0.05, 0.20, 0.50, 0.90)
+
+_VEGETATION: list[Feature] = [Bump(552.0, 28.0, 0.075), Edge(716.0, 12.0, 0.40), Bump(968.0, 22.0, -0.05)]
+
+#: Materials of a scene; the position in this table is the class of a pixel.
+MATERIALS: dict[str, Paint | PlainSurface] = {
+    "asphalt": PlainSurface(0.085, 0.08, [Edge(430.0, 30.0, 0.01)]),
+    "painted_line": Paint(0.03, [Edge(410.0, -8.0, 3.0)]),
+    "grass": PlainSurface(0.035, 0.02, _VEGETATION),
+    "concrete": PlainSurface(0.30, 0.18, [Edge(480.0, 60.0, 0.04)]),
+    "glass": PlainSurface(0.035, -0.005),
+    "tyre": PlainSurface(0.04, 0.01),
+    **{f"panel_{round(100 * level):02d}": PlainSurface(level) for level in PANELS},
+    **CAR_PAINTS,
+}
+
+
+def reflectance(names: Sequence[str], wavelength: Floats) -> Floats:
+    """Return the reflectance factor of the named materials, shape (name, wavelength).
+
+    Parameters
+    ----------
+    names
+        Keys of `MATERIALS`.
+    wavelength
+        Shape (wavelength,) [nm].
+
+    Examples
+    --------
+    >>> reflectance(["panel_20", "panel_90"], np.array([550.0, 760.0]))
+    array([[0.2, 0.2],
+           [0.9, 0.9]])
+    """
+    return np.stack([MATERIALS[name](wavelength) for name in names])
+
 
 #: Reflectance factor, 0 to 1, by wavelength [nm].
 Spectrum = Callable[[Floats], Floats]
@@ -74,22 +184,12 @@ Spectrum = Callable[[Floats], Floats]
 # --- weathered surfaces ------------------------------------------------------------------------------------
 
 
+# Spatial variation of a population over a surface
 @dataclass(frozen=True)
 class Octaves:
-    """Spatial variation of a population over a surface.
-
-    Attributes
-    ----------
-    lengths
-        Lengths of the variation [m].
-    shares
-        Shares of the variance by length [1].
-    is_averaged
-        Whether variation smaller than a pixel is averaged. False for members that were measured on pixels.
-    """
-
-    lengths: tuple[float, ...]
-    shares: tuple[float, ...]
+    lengths: tuple[float, ...]  # lengths of the variation [m]
+    shares: tuple[float, ...]  # shares of the variance by length [1]
+    # whether variation smaller than a pixel is averaged. False for members that were measured on pixels.
     is_averaged: bool = True
 
 
@@ -122,20 +222,12 @@ def dusty(reflectance: Floats, cover: Floats | float, wavelength: Floats) -> Flo
     return np.asarray(cover * dust + (1.0 - cover) ** 2 * reflectance / (1.0 - cover * dust * reflectance))
 
 
+# A surface whose spectrum varies with position; as a function it is the mean of its members
 @dataclass(frozen=True)
 class Weathered:
-    """A surface whose spectrum varies with position; as a function it is the mean of its members.
-
-    Attributes
-    ----------
-    members
-        Function that returns the members at wavelengths [nm], (member, wavelength) [1].
-    octaves
-        Spatial variation.
-    """
-
+    # function that returns the members at wavelengths [nm], (member, wavelength) [1]
     members: Callable[[Floats], Floats] = field(repr=False)
-    octaves: Octaves
+    octaves: Octaves  # spatial variation
 
     def population(self, wavelength: Floats) -> Floats:
         # members at ``wavelength`` [nm], (member, wavelength), 0 to 1
@@ -293,23 +385,12 @@ _TURNED_COSINE = float(np.sqrt(1.0 - 0.5 * (_BINDER_INDEX / _FILM_INDEX) ** 2))
 _TITANIUM = Edge(404.0, -5.0, 4.0)  # rutile absorbs in the ultraviolet
 
 
+# Contents of a base coat
 @dataclass(frozen=True)
 class Pigments:
-    """Contents of a base coat.
-
-    Attributes
-    ----------
-    absorption
-        K/S that is constant over wavelength.
-    absorbers
-        Edges and bands added to K/S.
-    interference
-        Optical thickness of the film on mica flakes [nm] and depth of its modulation, 0 to 1; None without
-        mica.
-    """
-
-    absorption: float
-    absorbers: tuple[Feature, ...] = ()
+    absorption: float  # K/S that is constant over wavelength
+    absorbers: tuple[Feature, ...] = ()  # edges and bands added to K/S
+    # optical thickness of the film on mica flakes [nm] and depth of its modulation, 0 to 1; None without mica
     interference: tuple[float, float] | None = None
 
     def albedo(self, wavelength: Floats) -> Floats:
@@ -318,12 +399,10 @@ class Pigments:
         return Paint(self.absorption, self.absorbers, interface=0.0, internal=0.0)(wavelength)
 
     def flakes(self, wavelength: Floats, *, turned: bool = False) -> Floats:
-        """Return the reflectance of the flakes through the tinted binder, 0 to 1.
-
-        Light passes the tint twice, to a flake and back, with S d = 0.05. A film on mica adds the modulation
-        cos^2(2 pi d cos(theta) / lambda), with the angle theta in the film: 0, or with ``turned`` that of
-        light which meets the flake at 45 degrees.
-        """
+        # reflectance of the flakes through the tinted binder, 0 to 1.
+        # Light passes the tint twice, to a flake and back, with S d = 0.05. A film on mica adds the
+        # modulation cos^2(2 pi d cos(theta) / lambda), with the angle theta in the film: 0, or with
+        # ``turned`` that of light which meets the flake at 45 degrees.
         tint = np.full_like(wavelength, self.absorption, dtype=np.float64)
         for absorber in self.absorbers:
             tint += absorber(wavelength)
@@ -336,15 +415,13 @@ class Pigments:
 
 
 def aluminium(wavelength: Floats) -> Floats:
-    """Return the reflectance of aluminium in a binder, with the dip of its interband transition at 825 nm.
-
-    A smooth fit to handbook values of the bare metal, about 0.92 in the green and 0.87 at 825 nm.
-    """
+    # reflectance of aluminium in a binder, with the dip of its interband transition at 825 nm.
+    # A smooth fit to handbook values of the bare metal, about 0.92 in the green and 0.87 at 825 nm.
     return 0.92 - 0.01 * (wavelength - 550.0) / 1000.0 + Bump(825.0, 65.0, -0.045)(wavelength)
 
 
 def mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]:
-    """Return the base coat of a random paint of a family of `FAMILIES`, and its colour in words."""
+    # base coat of a random paint of a family of `FAMILIES`, and its colour in words
     match family:
         case "white":
             return Pigments(rng.uniform(0.002, 0.012), (_TITANIUM,)), "white"
@@ -370,7 +447,7 @@ def mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]
 def absorbers_of(
     rows: Sequence[tuple[str, float, float, float, float]], strength: float, rng: np.random.Generator
 ) -> tuple[Feature, ...]:
-    """Return absorption edges and bands of K/S drawn around the ``rows`` of `HUES`."""
+    # absorption edges and bands of K/S drawn around the ``rows`` of `HUES`
     return tuple(
         (Edge if kind == "edge" else Bump)(
             centre + rng.normal(0.0, centre_range / 2.0),
@@ -433,35 +510,20 @@ DIRT = Octaves((0.6, 0.20, 0.06, 0.02), (0.4, 0.25, 0.2, 0.15))
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
 
+# The paint of a car of the fleet
 @dataclass(frozen=True)
 class FleetPaint:
-    """The paint of a car of the fleet.
-
-    Attributes
-    ----------
-    colour, finish
-        Colour and finish in words; the finish is "solid", "metallic" or "pearl".
-    pigments
-        Pigments of the base coat.
-    flake_share, flop
-        Share of the light in the paint that meets flakes, and the flop index, see
-        `hyperpaint.simulation.rendering.appearance.flop_index`; 0 for a solid paint.
-    age
-        Age of the car [years].
-    cover
-        Share of the car covered by dust [1].
-    index
-        Refractive index of its clear coat.
-    """
-
+    # colour, finish: colour and finish in words; the finish is "solid", "metallic" or "pearl"
     colour: str
     finish: str
-    pigments: Pigments
+    pigments: Pigments  # pigments of the base coat
+    # flake_share, flop: share of the light in the paint that meets flakes, and the flop index, see
+    # `hyperpaint.simulation.rendering.materials.flop_index`; 0 for a solid paint
     flake_share: float
     flop: float
-    age: float
-    cover: float
-    index: float
+    age: float  # age of the car [years]
+    cover: float  # share of the car covered by dust [1]
+    index: float  # refractive index of its clear coat
 
     def base(self, wavelength: Floats) -> Floats:
         # reflectance of its base under dust at many positions on the car, (member, wavelength)
@@ -563,6 +625,8 @@ class PaintSpec:
         The clear coat.
     flakes
         Flakes in the base; None in a solid paint.
+    pigments
+        Pigments of the base coat of a generated paint; None for the catalogue.
     """
 
     name: str
@@ -571,6 +635,7 @@ class PaintSpec:
     trade_name: str
     coat: Coat = Coat()  # noqa: RUF009  (frozen)
     flakes: Flakes | None = None
+    pigments: Pigments | None = None
 
     def reflectance(self, wavelength: Floats) -> Floats:
         """Return the near-normal reflectance, specular component excluded, at ``wavelength`` [nm].
@@ -670,6 +735,7 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
     return tuple(f"fleet-{number}" for number in range(first, first + count))
 
 
+@functools.lru_cache(maxsize=4096)
 def generate_paint(family: str, number: int) -> PaintSpec:
     """Return a paint of a family; the same number always gives the same paint.
 
@@ -691,15 +757,6 @@ def generate_paint(family: str, number: int) -> PaintSpec:
     >>> black.reflectance(np.array([550.0, 900.0])).round(2)
     array([0.02, 0.29])
     """
-    return _generate(family, number)[0]
-
-
-def pigments_of(family: str, number: int) -> Pigments:
-    return _generate(family, number)[1]
-
-
-@functools.lru_cache(maxsize=4096)
-def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     one_of(family, FAMILIES, "family")
     if not 0 <= number < 10**9:
         raise SchemaError(
@@ -717,9 +774,8 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
         min_share, max_share = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
         flop = float(rng.uniform(4.0, 15.0))
         flakes = _flakes(name, finish, float(rng.uniform(min_share, max_share)), flop, pigments)
-    return PaintSpec(
-        name, finish, colour, f"{adjective} {colour.title()}", Coat(roughness=roughness), flakes
-    ), pigments
+    trade_name, coat = f"{adjective} {colour.title()}", Coat(roughness=roughness)
+    return PaintSpec(name, finish, colour, trade_name, coat, flakes, pigments)
 
 
 def _flakes(name: str, finish: str, share: float, flop: float, pigments: Pigments) -> Flakes:
@@ -802,7 +858,8 @@ def spectrum_of(name: str) -> Spectrum:
     if parsed := _NAME.fullmatch(name):
         family, _, digits, of_flakes, turned = parsed.groups()
         car = None if family else fleet_paint(int(digits))
-        pigments = pigments_of(family, int(digits)) if car is None else car.pigments
+        paint: Any = car or generate_paint(family, int(digits))
+        pigments: Pigments = paint.pigments
         if of_flakes:
             return _limited(functools.partial(pigments.flakes, turned=turned is not None))
         if car is not None:

@@ -1,7 +1,7 @@
-"""From a scene to the weights of its paths of light, lazily, block of lines by block of lines.
+"""Tracing: the weights of the paths of light through a scene, lazily, in blocks of lines.
 
-Nothing here knows a spectrum: `relighting` brings them in. A pixel's random numbers follow from the seed and
-its place in the flight line alone, so that blocks, threads and machines change no bit.
+Tracing needs no spectra; `relighting` applies them. The random numbers of a pixel depend only on the seed and
+its position in the flight line, so that results have the same bits for all blocks, threads and machines.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 from .four_curves import Atmosphere, preset_atmosphere
 from .platforms import Platform
 from .scene import Scene
-from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
+from .scene_record import LabelTable, SceneRecord, TraceSettings, label_layers, sun_vectors
 
 Sun = tuple[float, float] | Atmosphere | str
 
 
-# A scene as the kernel takes it; prepared once, shared by all tasks.
+# Arguments of the kernel for a scene; prepared once and shared by all tasks.
 class PreparedScene(NamedTuple):
     geometry: Geometry
     surfaces: Surfaces
     sources: Sources
-    codes: PathCodes  # how paths are numbered
+    codes: PathCodes  # layout of the codes of paths
     settings: TraceSettings
-    labels: LabelTables  # what follows from the number of a material or an instance
+    labels: dict[str, LabelTable]
 
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
-    """Build the hierarchy of a scene's triangles, and the tables of its surfaces."""
+    # build the hierarchy of a scene's triangles, and the tables of its surfaces
     record = SceneRecord.of(scene)
     geometry = build_geometry(
         scene.vertices, scene.faces, scene.normals, scene.face_material, scene.face_instance
@@ -66,7 +66,6 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
     if settings.clear:
         shapes = np.stack([function_shapes(zenith) for zenith, _ in settings.suns])
         sources = sources._replace(shapes=shapes)
-    labels = LabelTables.of(record)
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     # numbers of the factors of every material: base, flakes, transmittance, turned flakes
@@ -83,11 +82,11 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
         *factors[:3],
         turned_factor=factors[3],
     )
-    return PreparedScene(geometry, surfaces, sources, record.codes(settings), settings, labels)
+    return PreparedScene(geometry, surfaces, sources, record.codes(settings), settings, record.labels())
 
 
 def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: int) -> Block:
-    """Trace the lines from ``start`` to before ``stop`` of a whole flight line, now."""
+    # trace the lines from ``start`` to before ``stop`` of a whole flight line, now
     here = slice(start, stop)
     edges = platform.column_edges, platform.along_edges
     return _trace_rays(prepared, platform.origin[here], platform.rotation[here], edges, start)
@@ -121,40 +120,39 @@ def trace(
 ) -> xr.Dataset:
     r"""Trace the paths of light through a scene, without their spectra.
 
-    What comes out serves any paints, atmosphere and camera response (`hyperpaint.simulation.relight`),
-    without tracing again: only geometry, sun directions and coats are fixed. Store it with
-    `hyperpaint.to_store`.
+    The result can be relit with any paints, atmosphere and camera (`hyperpaint.simulation.relight`); only
+    geometry, sun directions and coats are fixed. `hyperpaint.to_store` stores it.
 
     Parameters
     ----------
     scene
-        What is seen.
+        The scene.
     platform
-        Where the camera flies and looks.
+        Path, attitude and pixels of the camera.
     suns
-        Directions from which direct light may come, at most 6: (zenith, azimuth clockwise from north)
-        [degree], an `Atmosphere`, or the name of a preset one ("noon", "near_sunset", "cloudy"). Equal ones
-        are traced once.
+        Up to six directions of direct light: (zenith, azimuth clockwise from north) [degree], an
+        `Atmosphere`, or the name of a preset one ("noon", "near_sunset", "cloudy"). Equal directions are
+        traced once.
     samples
-        Paths of a pixel, spread over its footprint and the exposure.
+        Number of paths of a pixel, spread over its footprint and the exposure.
     depth
-        Most scatterings of a path.
+        Maximum number of reflections of a path.
     seed
-        The same seed gives the same bits, whatever the chunks and the scheduler.
+        Random seed; equal seeds give equal bits for all chunks and schedulers.
     slots
-        Different paths that a pixel holds; by default 24 for each sun and sky at 64 samples, and more with
-        their square root. Where there are more, the heaviest are kept as they are and the others are
-        represented by some of them, drawn without bias: too few slots are seen as noise.
+        Maximum number of different paths stored for a pixel; by default 24 for each sun and sky, times the
+        square root of ``samples`` / 64. Of more paths the heaviest are kept, and a random, unbiased choice
+        represents the others; few slots cause noise.
     overcast
-        Also record a sky of radiance proportional to the cosine of the zenith angle, for atmospheres with
-        an ``overcast_share``; such an atmosphere among ``suns`` asks for it too.
+        Also record a sky whose radiance is proportional to the cosine of the zenith angle, for atmospheres
+        with an ``overcast_share``; recorded as well if ``suns`` contains such an atmosphere.
     clear
         Also record the functions of every sun's clear sky (`hyperpaint.light.sky_functions`); without them
-        only atmospheres whose sky is uniform or overcast can be used.
+        only atmospheres with a uniform or overcast sky can be used.
     sun_radius
-        Angular radius of the suns [degree], by default that of the sun; 0 for a point: sharp shadows.
+        Angular radius of the suns [degree]; 0 for a point with sharp shadows.
     chunk_lines
-        Lines of a dask chunk, which is one task.
+        Number of lines of a dask chunk, which is one task.
 
     Returns
     -------
@@ -162,7 +160,7 @@ def trace(
         Lazy. ``transport_weight`` and ``transport_path`` (along_track, slot, cross_track); labels
         ``material``, ``instance``, ``surface_class``, ``paint_id`` and ``car_id``, ``purity``, ``distance``
         and the position ``east``, ``north``, ``up`` (along_track, cross_track) [m]; ``sun_visibility`` and
-        ``sun_incidence`` (along_track, sun, cross_track). Attributes say what numbers mean.
+        ``sun_incidence`` (along_track, sun, cross_track). Attributes explain the numbers.
 
     Raises
     ------
@@ -225,7 +223,7 @@ def trace(
     sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
     layout = {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}
     arrays = split_outputs(blocks, "l", layout, sizes)
-    labels = LabelTables.of(record)
+    labels = record.labels()
     utc = platform.utc.astype("datetime64[ns]")
     coords = {
         "time": (ALONG_TRACK, utc),
@@ -243,7 +241,9 @@ def trace(
             "time_coverage_end": str(utc.max()),
         },
     )
-    return traced.assign({name: label(traced[name], name, **labels.attrs(name)) for name in arrays})
+    return traced.assign(
+        {name: label(traced[name], name, **(labels[name].attrs if name in labels else {})) for name in arrays}
+    )
 
 
 def _directions(suns: Any) -> tuple[Any, bool]:
@@ -290,5 +290,5 @@ def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array
         "distance": block.distance,
         "sun_visibility": block.sun_visibility,
         "sun_incidence": block.incidence,
-        **prepared.labels.layers(block.material, block.instance),
+        **label_layers(prepared.labels, block.material, block.instance),
     }

@@ -30,20 +30,11 @@ _OWEN_0, _OWEN_1, _OWEN_2, _OWEN_3 = _OWEN
 
 @borrowing_kernel
 def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
-    """Return four words of 32 bits: Philox4x32-10.
-
-    Parameters
-    ----------
-    c0, c1, c2, c3
-        The counter, words of 32 bits in uint64.
-    k0, k1
-        The key, words of 32 bits in uint64.
-
-    Notes
-    -----
-    J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11
-    (2011). Products of two 32-bit words fit 64 bits, so that nothing overflows, compiled or not.
-    """
+    # four words of 32 bits: Philox4x32-10
+    # c0, c1, c2, c3: the counter, words of 32 bits in uint64
+    # k0, k1: the key, words of 32 bits in uint64
+    # J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11
+    # (2011). Products of two 32-bit words fit 64 bits, so that nothing overflows, compiled or not.
     for _ in range(10):
         product_0 = _MULTIPLIER_0 * c0
         product_1 = _MULTIPLIER_1 * c2
@@ -58,16 +49,10 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 
 @borrowing_kernel
 def uniforms(seed: Any, line: Any, column: Any, sample: Any, draw: Any) -> tuple[float, float, float, float]:
-    """Return four numbers inside (0, 1) for a draw of a sample of a pixel.
-
-    Parameters
-    ----------
-    seed
-        Non-negative integer.
-    line, column, sample, draw
-        Non-negative integers below 2^32: scan line of the flight line, column, sample of the pixel, and
-        number of the draw.
-    """
+    # four numbers inside (0, 1) for a draw of a sample of a pixel
+    # seed: non-negative integer
+    # line, column, sample, draw: non-negative integers below 2^32: scan line of the flight line, column,
+    # sample of the pixel, and number of the draw
     key = np.uint64(seed)
     a, b, c, d = philox(
         np.uint64(line), np.uint64(column), np.uint64(sample), np.uint64(draw), key & _MASK, key >> _WORD_BITS
@@ -92,26 +77,15 @@ def pixel_key(seed: Any, line: Any, column: Any) -> Any:
 
 @borrowing_kernel
 def even_pair(key: Any, sample: Any, draw: Any, mask: Any) -> tuple[float, float]:
-    """Return two numbers inside (0, 1): a point of a sequence that fills the square evenly.
-
-    Parameters
-    ----------
-    key
-        Key of the pixel.
-    sample
-        Number of the point.
-    draw
-        Number of the draw, which changes the order of the points.
-    mask
-        A power of two minus 1, at least the number of the last sample.
-
-    Notes
-    -----
-    The first two dimensions of Sobol's sequence, scrambled as by A. B. Owen, "Randomly permuted (t,m,s)-nets
-    and (t,s)-sequences" (1995), in an order scrambled in the same way: B. Burley, "Practical hash-based Owen
-    scrambling", JCGT 9 (2020). A single point is distributed uniformly, so that means over pixels have no
-    bias.
-    """
+    # two numbers inside (0, 1): a point of a sequence that fills the square evenly
+    # key: key of the pixel
+    # sample: number of the point
+    # draw: number of the draw, which changes the order of the points
+    # mask: a power of two minus 1, at least the number of the last sample
+    # The first two dimensions of Sobol's sequence, scrambled as by A. B. Owen, "Randomly permuted
+    # (t,m,s)-nets and (t,s)-sequences" (1995), in an order scrambled in the same way: B. Burley, "Practical
+    # hash-based Owen scrambling", JCGT 9 (2020). A single point is distributed uniformly, so that means over
+    # pixels have no bias.
     seed = _hashed((np.uint64(key) ^ (np.uint64(draw) * _WEYL_0)) & _MASK)
     number = _reversed(_scrambled(_reversed(np.uint64(sample)), seed)) & np.uint64(mask)
     x = _scrambled(number, _hashed(seed ^ _1))  # the radical inverse is the reversed number
@@ -150,12 +124,10 @@ def _scrambled(x: Any, seed: Any) -> Any:
 
 @borrowing_kernel
 def _sobol_reversed(place: Any) -> Any:
-    """Return the second dimension of Sobol's sequence with its 32 bits reversed.
-
-    Its direction numbers are (1 + s)^k with the shift s by a bit. With the bits of the argument as
-    coefficients of a polynomial p(x), the result is p(x + 1): halves are combined by p = a(x) + x^16 b(x) and
-    (x + 1)^16 = x^16 + 1, and so on for quarters.
-    """
+    # second dimension of Sobol's sequence with its 32 bits reversed.
+    # Its direction numbers are (1 + s)^k with the shift s by a bit. With the bits of the argument as
+    # coefficients of a polynomial p(x), the result is p(x + 1): halves are combined by p = a(x) + x^16 b(x)
+    # and (x + 1)^16 = x^16 + 1, and so on for quarters.
     place ^= place >> _16
     place ^= (place >> _8) & _BYTES
     place ^= (place >> _4) & _NIBBLES

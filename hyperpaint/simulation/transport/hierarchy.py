@@ -41,10 +41,8 @@ def unit(a: Vector) -> Vector:
 
 @borrowing_kernel
 def frame_of(z: Vector) -> Frame:
-    """Return three orthonormal vectors, the last one given.
-
-    T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6 (2017).
-    """
+    # three orthonormal vectors, the last one given.
+    # T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6 (2017).
     sign = math.copysign(1.0, z[2])
     a = -1.0 / (sign + z[2])
     b = z[0] * z[1] * a
@@ -212,35 +210,19 @@ _MISS = 1e300  # distance for a ray that misses a box
 _ROUND_UP = 1.0 + 8e-16  # more than six rounding errors: T. Ize, "Robust BVH ray traversal", JCGT 2 (2013)
 
 
+# Triangles sorted for ray tracing, from `build_geometry`; lengths [m]
 class Geometry(NamedTuple):
-    """Triangles sorted for ray tracing, from `build_geometry`; lengths [m].
-
-    Attributes
-    ----------
-    nodes : (node * 12,) float64
-        Boxes of both children: minimum and maximum of x, y and z.
-    links : (node * 2,) int64
-        Node of a child; for a leaf -(16 first + count) - 1, with its first triangle and their number.
-    triangles : (face * 9,) float64
-        Corners of the triangles.
-    face_normal : (face * 3,) float64
-        Unit normals.
-    corner_normals : (face * 9,) float64
-        Unit normals at the corners; zero where a face is flat.
-    face_material, face_instance : (face,) int32
-        Labels.
-    face_number : (face,) int64
-        Number of the face in the input.
-    """
-
-    nodes: Array
+    nodes: Array  # (node * 12,) float64: boxes of both children: minimum and maximum of x, y and z
+    # (node * 2,) int64: node of a child; for a leaf -(16 first + count) - 1, with its first triangle and
+    # their number
     links: Array
-    triangles: Array
-    face_normal: Array
-    corner_normals: Array
+    triangles: Array  # (face * 9,) float64: corners of the triangles
+    face_normal: Array  # (face * 3,) float64: unit normals
+    corner_normals: Array  # (face * 9,) float64: unit normals at the corners; zero where a face is flat
+    # face_material, face_instance: (face,) int32: labels
     face_material: Array
     face_instance: Array
-    face_number: Array
+    face_number: Array  # (face,) int64: number of the face in the input
 
 
 def build_geometry(
@@ -327,8 +309,9 @@ def build_geometry(
     if len(shading):
         corner_normals = shading[corners[order]]
         length = np.sqrt((corner_normals**2).sum(axis=2, keepdims=True))
-        is_smooth = (length > 0).all(axis=1, keepdims=True)
-        corner_normals = np.where(is_smooth, corner_normals / np.where(length > 0, length, 1.0), 0.0)
+        corner_normals = np.where(
+            (length > 0).all(axis=1, keepdims=True), corner_normals / np.where(length > 0, length, 1.0), 0.0
+        )
     return Geometry(
         # minimum and maximum of an axis are neighbours
         nodes[:entry_count, [0, 3, 1, 4, 2, 5]].ravel(),
@@ -443,24 +426,13 @@ def _prepared_ray(origin: Vector, direction: Vector) -> _Ray:
 def closest(
     geometry: Geometry, stack: Array, entries: Array, origin: Vector, direction: Vector, limit: float
 ) -> tuple[float, int, Vector]:
-    """Return the nearest triangle hit by a ray.
-
-    Parameters
-    ----------
-    geometry
-        Triangles.
-    stack, entries
-        Memory for `STACK` nodes: int64 and float64.
-    origin, direction
-        Origin of the ray [m], and its direction of any length.
-    limit
-        Maximum distance, in units of this length.
-
-    Returns
-    -------
-    distance, face, weights
-        Face -1 for a miss; otherwise the hit is the sum of the face's corners with these weights.
-    """
+    # nearest triangle hit by a ray
+    # geometry: triangles
+    # stack, entries: memory for `STACK` nodes: int64 and float64
+    # origin, direction: origin of the ray [m], and its direction of any length
+    # limit: maximum distance, in units of this length
+    # returns distance, face, weights: face -1 for a miss; otherwise the hit is the sum of the face's corners
+    # with these weights
     return _traverse(geometry, stack, entries, _prepared_ray(origin, direction), limit, False)
 
 
@@ -531,17 +503,10 @@ WAVES = _waves()
 
 @borrowing_kernel
 def waved(normal: Vector, point: Vector, slope: float) -> Vector:
-    """Return the normal of a wavy surface.
-
-    Parameters
-    ----------
-    normal
-        Normal of the surface without waves.
-    point
-        Position [m]; the waves are fixed in space, so that a position always has the same normal.
-    slope
-        Root mean square of the slope, over all directions of the normal [rad].
-    """
+    # normal of a wavy surface
+    # normal: normal of the surface without waves
+    # point: position [m]; the waves are fixed in space, so that a position always has the same normal
+    # slope: root mean square of the slope, over all directions of the normal [rad]
     gradient = (0.0, 0.0, 0.0)
     for k in range(WAVES.shape[0]):
         x, y, z, phase = WAVES[k, 0], WAVES[k, 1], WAVES[k, 2], WAVES[k, 3]
@@ -626,10 +591,8 @@ def _on_smooth_surface(
 def hit_at(
     geometry: Geometry, face: int, weights: Vector, direction: Vector, slope: float
 ) -> tuple[Hit, Vector]:
-    """Return the hit from which a path continues, and the point on the triangle.
-
-    ``slope``: slope of the waves of the coat [rad], 0 for a flat coat.
-    """
+    # hit from which a path continues, and the point on the triangle.
+    # ``slope``: slope of the waves of the coat [rad], 0 for a flat coat.
     face_normal, normal = _normals(geometry, face, weights, direction)
     point = _interpolated(geometry.triangles, face, weights)
     origin = point

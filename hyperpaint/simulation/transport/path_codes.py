@@ -15,8 +15,8 @@ A negative code is an empty slot.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -82,8 +82,7 @@ class PathCodes:
     >>> codes = PathCodes.of(factors=14, depth=4)
     >>> codes.digit_bits
     4
-    >>> code = codes.code(source=2, factors=(3, 11), mirror=True, indirect=True)
-    >>> codes.factors(np.array([code]))
+    >>> codes.factors(np.array([2 + (12 << 7) + (4 << 11)]))  # source 2, factors 11 and 3
     array([[11,  3, -1, -1]])
     """
 
@@ -91,7 +90,7 @@ class PathCodes:
     digit_bits: int
 
     @classmethod
-    def of(cls, factors: int, depth: int) -> PathCodes:
+    def of(cls, factors: int, depth: int) -> Self:
         """Return the codes for a number of factors and of scatterings.
 
         Raises
@@ -110,14 +109,6 @@ class PathCodes:
                 code="path-code-too-long",
             )
         return cls(depth, bits)
-
-    def code(
-        self, source: int, factors: Sequence[int] = (), *, mirror: bool = False, indirect: bool = False
-    ) -> int:
-        code = source | (MIRROR if mirror else 0) | (INDIRECT if indirect else 0)
-        for place, factor in enumerate(sorted(factors, reverse=True)):
-            code |= (factor + 1) << (FIRST_DIGIT + place * self.digit_bits)
-        return code
 
     def factors(self, codes: Ints) -> Ints:
         # factors of every code, shape (code, depth); -1 for no factor

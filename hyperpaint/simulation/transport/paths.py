@@ -12,7 +12,7 @@ pixel are summed.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -71,85 +71,45 @@ from .surfaces import (
 )
 
 
+# Camera position and view for the lines of a block
 class Rays(NamedTuple):
-    """Camera position and view for the lines of a block.
-
-    Attributes
-    ----------
-    origin : (line, 2, 3) float64
-        Positions at start and end of the exposure [m].
-    rotation : (line, 2, 3, 3) float64
-        Rotations from the camera's axes (forward, right, down) to the scene's, at start and end.
-    column_edges : (column + 1,) float64
-        Tangents of the edges of columns, across the track.
-    along_edges : (2,) float64
-        Tangents of the rear and front edge of a line, along the track.
-    """
-
-    origin: Array
+    origin: Array  # (line, 2, 3) float64: positions at start and end of the exposure [m]
+    # (line, 2, 3, 3) float64: rotations from the camera's axes (forward, right, down) to the scene's, at
+    # start and end
     rotation: Array
-    column_edges: Array
-    along_edges: Array
+    column_edges: Array  # (column + 1,) float64: tangents of the edges of columns, across the track
+    along_edges: Array  # (2,) float64: tangents of the rear and front edge of a line, along the track
 
 
+# Light sources besides the uniform sky
 class Sources(NamedTuple):
-    """Light sources besides the uniform sky.
-
-    Attributes
-    ----------
-    suns : (sun, 3) float64
-        Unit vectors towards the suns.
-    sun_radius : (sun,) float64
-        Angular radius [rad]; 0 for a point.
-    overcast : bool
-        Whether to record the overcast sky besides the uniform sky.
-    shapes : (sun, function, 8) float64
-        Coefficients of the functions of clear skies, see `hyperpaint.light.sky_functions`; empty without
-        clear skies.
-    """
-
-    suns: Array
-    sun_radius: Array
-    overcast: bool
+    suns: Array  # (sun, 3) float64: unit vectors towards the suns
+    sun_radius: Array  # (sun,) float64: angular radius [rad]; 0 for a point
+    overcast: bool  # whether to record the overcast sky besides the uniform sky
+    # (sun, function, 8) float64: coefficients of the functions of clear skies, see
+    # `hyperpaint.light.sky_functions`; empty without clear skies
     shapes: Array = np.zeros((0, CLEAR_SKY_FUNCTIONS, 8))
 
 
+# Recorded paths and labels, allocated by the caller. NaN (labels: -1) if all samples show the sky.
 class Block(NamedTuple):
-    """Recorded paths and labels, allocated by the caller. NaN (labels: -1) if all samples show the sky.
-
-    Attributes
-    ----------
-    weight : (line, slot, column) float32
-        Weights w [1]; 0 in empty slots.
-    code : (line, slot, column) int64
-        Codes, ascending; -1 in empty slots, which are the last.
-    material, instance : (line, column) int32
-        Labels of the pair that most samples hit first; the smaller numbers if several pairs have as many
-        samples.
-    purity : (line, column) float32
-        Share of the samples that hit this pair first [1].
-    distance : (line, column) float32
-        Mean distance of the first hits [m].
-    position : (line, 3, column) float64
-        Mean position of the first hits [m].
-    sun_visibility : (line, sun, column) float32
-        Share of the first hits that face a sun which is not occluded [1].
-    incidence : (line, sun, column) float32
-        Mean over the first hits of the cosine between normal and sun, 0 for hits that face away [1].
-    """
-
-    weight: Array
-    code: Array
+    weight: Array  # (line, slot, column) float32: weights w [1]; 0 in empty slots
+    code: Array  # (line, slot, column) int64: codes, ascending; -1 in empty slots, which are the last
+    # material, instance: (line, column) int32: labels of the pair that most samples hit first; the smaller
+    # numbers if several pairs have as many samples
     material: Array
     instance: Array
-    purity: Array
-    distance: Array
-    position: Array
+    purity: Array  # (line, column) float32: share of the samples that hit this pair first [1]
+    distance: Array  # (line, column) float32: mean distance of the first hits [m]
+    position: Array  # (line, 3, column) float64: mean position of the first hits [m]
+    # (line, sun, column) float32: share of the first hits that face a sun which is not occluded [1]
     sun_visibility: Array
+    # (line, sun, column) float32: mean over the first hits of the cosine between normal and sun, 0 for hits
+    # that face away [1]
     incidence: Array
 
     @classmethod
-    def empty(cls, lines: int, slots: int, columns: int, suns: int) -> Block:
+    def empty(cls, lines: int, slots: int, columns: int, suns: int) -> Self:
         """Return an uninitialised block.
 
         Examples
@@ -160,28 +120,14 @@ class Block(NamedTuple):
         return cls(*(np.empty(shape, kind) for shape, kind in _layout(lines, slots, columns, suns)))
 
 
+# Plain numbers of a trace
 class Settings(NamedTuple):
-    """Plain numbers of a trace.
-
-    Attributes
-    ----------
-    first_line
-        Number of the block's first line in the flight line, so that random numbers do not depend on blocks.
-    samples
-        Number of paths of a pixel.
-    depth
-        Maximum number of scatterings.
-    digit_bits
-        Bits of a factor in a code.
-    seed
-        Non-negative integer.
-    """
-
+    # number of the block's first line in the flight line, so that random numbers do not depend on blocks
     first_line: int
-    samples: int
-    depth: int
-    digit_bits: int
-    seed: int
+    samples: int  # number of paths of a pixel
+    depth: int  # maximum number of scatterings
+    digit_bits: int  # bits of a factor in a code
+    seed: int  # non-negative integer
 
 
 def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple[int, ...], type]]:
@@ -298,8 +244,9 @@ def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
     place = FIRST_DIGIT
     while (code >> place) & max_digit > digit:
         place += digit_bits
-    lower_digits = code & ((np.int64(1) << place) - 1)
-    return lower_digits | (digit << place) | ((code >> place) << (place + digit_bits))
+    return (
+        (code & ((np.int64(1) << place) - 1)) | (digit << place) | ((code >> place) << (place + digit_bits))
+    )
 
 
 @borrowing_kernel
@@ -308,8 +255,7 @@ def add_path(table: PathTable, code: int, weight: float) -> None:
         return
     codes, sums, in_use = table.codes, table.sums, table.in_use
     mask = codes.size - 1
-    folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
-    place = np.int64(folded >> np.uint64(16)) & mask
+    place = np.int64((np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER) >> np.uint64(16)) & mask
     while codes[place] != code:
         if codes[place] < 0:
             codes[place] = code
@@ -379,21 +325,12 @@ def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
 def write_paths(
     table: PathTable, scale: float, draw: float, weight: Array, code: Array, line: int, column: int
 ) -> None:
-    """Write the table of a pixel in ascending order of codes.
-
-    Parameters
-    ----------
-    table
-        Table of the pixel.
-    scale
-        Multiplier of the weights.
-    draw
-        A random number inside (0, 1), for pixels with more codes than slots: see `_thin`.
-    weight, code : (line, slot, column), float32 and int64
-        Output.
-    line, column
-        The pixel.
-    """
+    # write the table of a pixel in ascending order of codes
+    # table: table of the pixel
+    # scale: multiplier of the weights
+    # draw: a random number inside (0, 1), for pixels with more codes than slots: see `_thin`
+    # weight, code : (line, slot, column), float32 and int64: output
+    # line, column: the pixel
     slots = weight.shape[1]
     number = table.in_use[0]
     if number > slots:
@@ -410,19 +347,11 @@ def write_paths(
 
 @borrowing_kernel
 def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direction: Vector) -> None:
-    """Add an escaped path for every sky: its weight times the relative radiance of the sky in its direction.
-
-    Parameters
-    ----------
-    table
-        Table of the pixel.
-    sources
-        Sources whose skies are recorded; ``shapes`` is an array, empty without clear skies.
-    code, beta
-        Code of the path without a source, and its weight.
-    direction
-        Unit vector of the escaping path, upwards, because there is no sky below the horizon.
-    """
+    # add an escaped path for every sky: its weight times the relative radiance of the sky in its direction
+    # table: table of the pixel
+    # sources: sources whose skies are recorded; ``shapes`` is an array, empty without clear skies
+    # code, beta: code of the path without a source, and its weight
+    # direction: unit vector of the escaping path, upwards, because there is no sky below the horizon
     add_path(table, code | SKY, beta)
     cos_zenith = direction[2]
     if sources.overcast:
@@ -439,8 +368,9 @@ def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direc
             power = (
                 u * (c[0] + u * (c[1] + u * c[2])) + t * (c[3] + t * (c[4] + t * c[5])) + c[6] * u * t + c[7]
             )
-            number = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function
-            add_path(table, code | number, beta * math.exp(power))
+            add_path(
+                table, code | (FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function), beta * math.exp(power)
+            )
 
 
 # numbers of draws: even pairs for the first two surfaces, independent numbers from the third surface
@@ -629,8 +559,7 @@ def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Workspace, bloc
                 block.sun_visibility[line, sun, column] = room.lit_hits[sun] * share
                 block.incidence[line, sun, column] = room.cosines[sun] * share
             draw, _, _, _ = uniforms(settings.seed, number, column, 0, _SLOT)
-            scale = 1.0 / max(first_hits[0], 1.0)
-            write_paths(table, scale, draw, block.weight, block.code, line, column)
+            write_paths(table, 1.0 / max(first_hits[0], 1.0), draw, block.weight, block.code, line, column)
             if first_hits[0] == 0.0:  # no sample hits a surface
                 block.weight[line, 0, column], block.code[line, 0, column] = np.nan, SKY
 

@@ -39,32 +39,21 @@ _SINGLE = 7  # first node of the single reflection of a coat, relative to a smoo
 _LOST = _SINGLE + _NODES  # first node of the share of light that does not leave flakes directly
 
 
+# Properties of all materials in a few arrays; see `surfaces_of`
 class Surfaces(NamedTuple):
-    """Properties of all materials in a few arrays; see `surfaces_of`.
-
-    Attributes
-    ----------
-    numbers : (material, column) float64
-        Refractive index of the clear coat (0 without a coat), its GGX alpha, the root mean square slope of
-        its orange peel [rad]; share of the light entering the paint that meets flakes, GGX alpha of the
-        flakes; share of diffuse light that passes the coat, and the part of it that does not leave flakes
-        directly; tables over the cosine: single reflection of the coat relative to a smooth coat, and share
-        of the entering light that does not leave flakes directly.
-    base_factor : (material,) int32
-        Number of the spectrum of the diffuse base.
-    flake_factor : (material,) int32
-        Number of the spectrum of the flakes; -1 without flakes.
-    through_factor : (material,) int32
-        Number of the spectrum of diffuse transmittance of a thin plate, such as a leaf; -1 for opaque
-        surfaces.
-    turned_factor : (material,) int32
-        Number of the spectrum of flakes with light and view at right angles; -1 if angles do not matter.
-    """
-
+    # (material, column) float64: refractive index of the clear coat (0 without a coat), its GGX alpha, the
+    # root mean square slope of its orange peel [rad]; share of the light entering the paint that meets
+    # flakes, GGX alpha of the flakes; share of diffuse light that passes the coat, and the part of it that
+    # does not leave flakes directly; tables over the cosine: single reflection of the coat relative to a
+    # smooth coat, and share of the entering light that does not leave flakes directly
     numbers: Array
-    base_factor: Array
-    flake_factor: Array
+    base_factor: Array  # (material,) int32: number of the spectrum of the diffuse base
+    flake_factor: Array  # (material,) int32: number of the spectrum of the flakes; -1 without flakes
+    # (material,) int32: number of the spectrum of diffuse transmittance of a thin plate, such as a leaf; -1
+    # for opaque surfaces
     through_factor: Array
+    # (material,) int32: number of the spectrum of flakes with light and view at right angles; -1 if angles do
+    # not matter
     turned_factor: Array
 
 
@@ -122,8 +111,7 @@ def surfaces_of(
 @borrowing_kernel
 def fresnel(cosine: float, index: float) -> float:
     # reflectance of a smooth dielectric for unpolarised light from outside
-    g2 = index * index - 1.0 + cosine * cosine
-    g = math.sqrt(g2)
+    g = math.sqrt(index * index - 1.0 + cosine * cosine)
     a = (g - cosine) / (g + cosine)
     b = (cosine * (g + cosine) - 1.0) / (cosine * (g - cosine) + 1.0)
     return 0.5 * a * a * (1.0 + b * b)
@@ -137,11 +125,9 @@ def refracted_cosine(cosine: float, index: float) -> float:
 
 @borrowing_kernel
 def facet_density(cosine: float, alpha: float) -> float:
-    """Return the GGX density D of facets [sr-1], by the cosine of their normals to the surface normal.
-
-    B. Walter, S. R. Marschner, H. Li, K. E. Torrance, "Microfacet models for refraction through rough
-    surfaces", EGSR (2007), equation 33.
-    """
+    # GGX density D of facets [sr-1], by the cosine of their normals to the surface normal.
+    # B. Walter, S. R. Marschner, H. Li, K. E. Torrance, "Microfacet models for refraction through rough
+    # surfaces", EGSR (2007), equation 33.
     square = alpha * alpha
     # 1 + (a^2 - 1) cos^2, written without cancellation near the normal
     root = (1.0 - cosine * cosine) + square * cosine * cosine
@@ -150,22 +136,18 @@ def facet_density(cosine: float, alpha: float) -> float:
 
 @borrowing_kernel
 def facet_lambda(cosine: float, alpha: float) -> float:
-    """Return Smith's Lambda of GGX: G1 = 1 / (1 + Lambda), G2 = 1 / (1 + Lambda_o + Lambda_i).
-
-    E. Heitz, "Understanding the masking-shadowing function in microfacet-based BRDFs", JCGT 3 (2014),
-    equations 72 and 99 (height-correlated).
-    """
+    # Smith's Lambda of GGX: G1 = 1 / (1 + Lambda), G2 = 1 / (1 + Lambda_o + Lambda_i).
+    # E. Heitz, "Understanding the masking-shadowing function in microfacet-based BRDFs", JCGT 3 (2014),
+    # equations 72 and 99 (height-correlated).
     square = cosine * cosine
     return 0.5 * (math.sqrt(1.0 + alpha * alpha * (1.0 - square) / square) - 1.0)
 
 
 @borrowing_kernel
 def sample_facet(view: Vector, alpha: float, u: float, v: float) -> Vector:
-    """Return the normal of a random GGX facet that is visible from a direction.
-
-    E. Heitz, "Sampling the GGX distribution of visible normals", JCGT 7 (2018). Reflection
-    by this facet has the weight F G2 / G1.
-    """
+    # normal of a random GGX facet that is visible from a direction.
+    # E. Heitz, "Sampling the GGX distribution of visible normals", JCGT 7 (2018). Reflection by this facet
+    # has the weight F G2 / G1.
     # stretched, so that the facets are those of a sphere
     x, y, z = unit((alpha * view[0], alpha * view[1], view[2]))
     plane = math.sqrt(x * x + y * y)
@@ -241,17 +223,10 @@ def _transmitted(numbers: Array, material: int, cosine: float, index: float) -> 
 
 @borrowing_kernel
 def lobes_at(surfaces: Surfaces, material: int, view: Vector, mirrored: Vector, least_alpha: float) -> Lobes:
-    """Return the lobes of a material.
-
-    Parameters
-    ----------
-    surfaces, material
-        Number of the material in the surfaces.
-    view, mirrored
-        Direction of view, in the frame of the surface and in that of its coat.
-    least_alpha
-        Minimum roughness of mirrors for light of a sun.
-    """
+    # lobes of a material
+    # surfaces, material: number of the material in the surfaces
+    # view, mirrored: direction of view, in the frame of the surface and in that of its coat
+    # least_alpha: minimum roughness of mirrors for light of a sun
     numbers = surfaces.numbers
     index = max(numbers[material, _INDEX], 1.0)
     share = numbers[material, _SHARE] if surfaces.flake_factor[material] >= 0 else 0.0
@@ -274,13 +249,11 @@ def lobes_at(surfaces: Surfaces, material: int, view: Vector, mirrored: Vector, 
 
 @borrowing_kernel
 def _mirror(view: Vector, light: Vector, alpha: float, radius: float) -> tuple[float, float]:
-    """Return pi f cos_i of a GGX mirror of reflectance 1, and the cosine at its facets.
-
-    The result is the mean over a disc of light of an angular radius [rad] around a direction. In the plane of
-    slopes in units of alpha, GGX is the stereographic image of a uniform sphere, 1 / (pi (1 + m^2)^2), and a
-    disc is the image of a cap: the share of facets that mirror the disc is the area of the cap over that of
-    the sphere.
-    """
+    # pi f cos_i of a GGX mirror of reflectance 1, and the cosine at its facets.
+    # The result is the mean over a disc of light of an angular radius [rad] around a direction. In the plane
+    # of slopes in units of alpha, GGX is the stereographic image of a uniform sphere, 1 / (pi (1 + m^2)^2),
+    # and a disc is the image of a cap: the share of facets that mirror the disc is the area of the cap over
+    # that of the sphere.
     half = unit((view[0] + light[0], view[1] + light[1], view[2] + light[2]))
     cosine = dot(view, half)
     shadow = 1.0 / (1.0 + facet_lambda(view[2], alpha) + facet_lambda(light[2], alpha))
@@ -304,14 +277,12 @@ def _refracted(direction: Vector, index: float) -> Vector:
 
 @borrowing_kernel
 def turned_part(lobes: Lobes, light: Vector) -> float:
-    r"""Return the share of the flakes' turned spectrum for light from a direction, 0 to 1.
-
-    A film of optical thickness d on a flake has the phase :math:`2 \pi d \cos\theta_f / \lambda`, with
-    :math:`1 - \cos\theta_f \approx \sin^2\theta_f / 2` in proportion to :math:`\sin^2\theta` of light that
-    meets the flake at an angle :math:`\theta`; that is half the angle between light and view in the coat,
-    :math:`2 \sin^2\theta = 1 - \cos 2\theta`. Spectra are mixed in this proportion, so that no light is
-    lost, and light and view may change places.
-    """
+    # share of the flakes' turned spectrum for light from a direction, 0 to 1.
+    # A film of optical thickness d on a flake has the phase :math:`2 \pi d \cos\theta_f / \lambda`, with
+    # :math:`1 - \cos\theta_f \approx \sin^2\theta_f / 2` in proportion to :math:`\sin^2\theta` of light that
+    # meets the flake at an angle :math:`\theta`; that is half the angle between light and view in the coat,
+    # :math:`2 \sin^2\theta = 1 - \cos 2\theta`. Spectra are mixed in this proportion, so that no light is
+    # lost, and light and view may change places.
     cosine = dot(_refracted(lobes.outgoing, lobes.refraction), _refracted(light, lobes.refraction))
     return min(1.0, max(0.0, 1.0 - cosine))
 
@@ -320,17 +291,10 @@ def turned_part(lobes: Lobes, light: Vector) -> float:
 def sun_weights(
     numbers: Array, lobes: Lobes, light: Vector, mirrored: Vector, radius: float
 ) -> tuple[float, float, float, float]:
-    """Return pi f cos_i of base, coat, flakes and recycled light for a sun, without the factors.
-
-    Parameters
-    ----------
-    numbers, lobes
-        Properties of all materials, and the lobes of a surface in the direction of view.
-    light, mirrored
-        Directions to the sun, in the frame of the surface and in that of its coat.
-    radius
-        Angular radius of the sun [rad]; 0 for a point.
-    """
+    # pi f cos_i of base, coat, flakes and recycled light for a sun, without the factors
+    # numbers, lobes: properties of all materials, and the lobes of a surface in the direction of view
+    # light, mirrored: directions to the sun, in the frame of the surface and in that of its coat
+    # radius: angular radius of the sun [rad]; 0 for a point
     cosine = light[2]
     entered, coat, flakes, recycled = 1.0, 0.0, 0.0, 0.0
     if lobes.refraction > 1.0:
@@ -359,11 +323,9 @@ def _returned(numbers: Array, material: int, cosine: float, entered: float) -> f
 
 @borrowing_kernel
 def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    """Return the lobe that a path follows, its new direction, and the factor of its weight.
-
-    Directions of the coat are in the frame of the coat. Intervals of ``u`` belong to lobes and are scaled to
-    0 to 1, so that points which fill a square evenly also fill the directions of every lobe evenly.
-    """
+    # lobe that a path follows, its new direction, and the factor of its weight.
+    # Directions of the coat are in the frame of the coat. Intervals of ``u`` belong to lobes and are scaled
+    # to 0 to 1, so that points which fill a square evenly also fill the directions of every lobe evenly.
     chance = 0.0
     if lobes.refraction > 1.0:
         chance = (1.0 - lobes.passed) / (1.0 - lobes.passed + _BASE_PREFERENCE * lobes.passed)

@@ -5,8 +5,6 @@ Bombs in stores change a small store, which a calibration, a record of irradianc
 chunks that unpack to far more than their array declares are not among them: only zarr reads chunks.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import json
@@ -23,8 +21,6 @@ import numpy as np
 
 from hyperpaint.io.store.stage import _MARK_TEXT
 
-__all__ = ["BOMBS", "STORE_DOORS", "Bomb", "whole_store"]
-
 MEGA = 10**6
 #: Every door that takes a store.
 STORE_DOORS = "open-store verify info calibration irradiance library"
@@ -35,23 +31,14 @@ FOLDER = None
 
 
 class Bomb(NamedTuple):
-    """A row of the table.
-
-    Attributes
-    ----------
-    doors
-        That it is put through, separated by blanks.
-    path
-        What a door is given, in a folder of its own.
-    files
-        By place: a text, bytes or function of the place, all of a file; a dict, entries of a JSON document
-        that change; a path that is linked to; ``PIPE``, ``FOLDER``; a number, the bytes of a sparse file.
-    store
-        The store that the files change: of Zarr format 3 or 2, or of `hyperpaint.to_store`.
-    then
-        What is done to the path at last; returns what the door is given.
-    """
-
+    # A row of the table
+    # doors: That it is put through, separated by blanks
+    # path: What a door is given, in a folder of its own
+    # files: By place: a text, bytes or function of the place, all of a file; a dict, entries of a JSON
+    # document that change; a path that is linked to; ``PIPE``, ``FOLDER``; a number, the bytes of a sparse
+    # file
+    # store: The store that the files change: of Zarr format 3 or 2, or of `hyperpaint.to_store`
+    # then: What is done to the path at last; returns what the door is given
     doors: str
     path: str
     files: Mapping[str, Any]
@@ -360,8 +347,8 @@ ARRAYS: dict[str, dict[str, Any]] = {
     "index_of_a_terabyte:irradiance_wavelength": {"shape": [2**37], "chunk_grid": grid(2**37)},
     "index_of_a_gigabyte:irradiance_wavelength": {"shape": [2**27], "chunk_grid": grid(2**20)},
     "times_of_a_gigabyte:irradiance_time": {"shape": [2**27], "chunk_grid": grid(2**20)},
-    "texts_of_a_gigabyte:paint": {"shape": [2**27], "chunk_grid": grid(2**20)},
-    "texts_in_a_chunk_of_10_to_9:paint": {"shape": [10**9], "chunk_grid": grid(10**9)},
+    "texts_of_a_gigabyte:signature": {"shape": [2**27], "chunk_grid": grid(2**20)},
+    "texts_in_a_chunk_of_10_to_9:signature": {"shape": [10**9], "chunk_grid": grid(10**9)},
 }
 #: The same of a ``.zarray``.
 ARRAYS_2: dict[str, dict[str, Any]] = {
@@ -508,8 +495,8 @@ STORES: dict[str, tuple[str, dict[str, Any], dict[str, Any], Callable[[Path], Pa
     "text_of_four_billion_items": (
         "calibration",
         {
-            "paint/zarr.json": {"codecs": [{"name": "vlen-utf8"}]},
-            "paint/c/0": (2**32 - 1).to_bytes(4, "little"),
+            "signature/zarr.json": {"codecs": [{"name": "vlen-utf8"}]},
+            "signature/c/0": (2**32 - 1).to_bytes(4, "little"),
         },
         {},
         None,

@@ -6,8 +6,6 @@ tells whether any code of the file was run, and a bait whether a path of the fil
 folder.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import json
@@ -27,8 +25,6 @@ from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintW
 from .bomb_table import BOMBS, Bomb
 from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, begin_peak, in_parallel, parts_of, resident
 from .parsers import SKY, exposure, reader
-
-__all__ = ["DOORS", "Door", "campaign", "run_bomb", "tries", "warm_up"]
 
 #: A child that runs longer is stopped [s].
 _HANGS = 10

@@ -1,7 +1,5 @@
 """Children that are disturbed at work: by signals, at a call that changes files, or as common users."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import multiprocessing
@@ -15,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import PaintError
-
-__all__ = ["CONTEXT", "DONE", "ENDED_AT_A_CALL", "REFUSED", "SIGNALS", "Fault", "end_of", "start"]
 
 DONE, REFUSED, ENDED_AT_A_CALL = 0, 3, 9
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
@@ -88,17 +84,11 @@ def start(
     folder: Path | None = None,
     common: bool = False,
 ) -> Any:
-    """Start a child; return its process when it is at work.
-
-    Parameters
-    ----------
-    work, *arguments
-        What it does.
-    fault, folder
-        What happens to it, below which folder; without a fault its calls there are counted only.
-    common
-        Let it heed permissions as a common user does.
-    """
+    # Start a child; return its process when it is at work
+    # work, *arguments: What it does
+    # fault, folder: What happens to it, below which folder; without a fault its calls there are counted
+    # only
+    # common: Let it heed permissions as a common user does
     receiver, sender = CONTEXT.Pipe(duplex=False)
     process = CONTEXT.Process(target=_run, args=(sender, fault, folder, common, work, *arguments))
     process.start()

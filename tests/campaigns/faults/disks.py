@@ -7,8 +7,6 @@ gone. What a disk itself loses after it has confirmed it cannot be shown so. All
 Elsewhere only sources are tried, and the campaign says so by failing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os
@@ -27,16 +25,11 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
-from hyperpaint.io.store import is_complete, open_store
+from hyperpaint.io.store import chunks, is_complete, open_store
 
 from .children import DONE, REFUSED, end_of, start
 from .interruptions import GROUP, _slab as slab_of, chunks_of, scene_line
 from .outcome import Outcome, each, numbers_of
-
-__all__ = [
-    "FOLDERS", "SOURCES", "can_cut", "can_mount", "cuts", "disks", "looks_finished", "processed", "run_cut",
-    "run_folder", "run_full", "run_source", "undisturbed",
-]  # fmt: skip
 
 LEVELS, CUTS = 30, 60
 OTHER = "flightlines/raw_1"
@@ -137,8 +130,6 @@ def store(path: Path, log: Path, at: int = -1, share: float = 1.0, total: int = 
 
 def process_slowly(collect: Path, out: Path, delay: float = 0.0) -> None:
     # Process a collect, slowly enough for something to happen meanwhile
-    from hyperpaint.io.store import chunks
-
     plain = chunks.write_chunk
 
     def slow(folder: Path, *rest: Any) -> None:

@@ -9,8 +9,6 @@ home of the product holds the older version, the newer, or what nobody takes for
 it, to the bytes of an undisturbed one. The old and the new version differ in every file.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import functools
@@ -32,23 +30,10 @@ from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
-from hyperpaint.io.store import is_complete, open_store
+from hyperpaint.io.store import is_complete, open_store, stage
 
 from .children import CONTEXT, DONE, ENDED_AT_A_CALL, REFUSED, SIGNALS, Fault, end_of, start
 from .outcome import SCRATCH, Outcome, each, numbers_of
-
-__all__ = [
-    "WORKS",
-    "Work",
-    "Writer",
-    "calls",
-    "digest_of",
-    "kills",
-    "races",
-    "run_call",
-    "run_kills",
-    "run_race",
-]
 
 GROUP = "flightlines/raw_0"
 RACES = 50
@@ -100,15 +85,13 @@ def _group(
     slabs: int, delay: float, group: str | None, exchanging: bool, _: Path, version: str, home: Path
 ) -> None:
     # Store a scene; without ``exchanging`` the system cannot let two folders change places at once
-    from hyperpaint.io.store import stage
-
     if not exchanging:
         stage.exchange = lambda *_: False  # type: ignore[assignment]
     line = scene_line(1 + VERSIONS.index(version), slabs, delay)
     hp.to_store(line, home / "lot.zarr", group, overwrite=True)
 
 
-def _collects(lines: int, folder: Path) -> None:
+def collects(lines: int, folder: Path) -> None:
     newer = tiny_collect(folder / "raw", lines)
     newer.with_name("newer.toml").write_text(newer.read_text())
     newer.with_name("older.toml").write_text(newer.read_text().replace('"uW cm-2', '"W m-2'))
@@ -174,11 +157,6 @@ def chunks_of(path: Path) -> dict[str, bytes]:
     return {str(file.relative_to(path)): file.read_bytes() for file in files}
 
 
-def digest_of(path: Path) -> str:
-    # Return a checksum of all chunks below a folder
-    return hashlib.sha256(repr(chunks_of(path)).encode()).hexdigest()
-
-
 def stored(group: str | None, home: Path) -> str:
     # Return a checksum of the chunks of a store, empty where no reader takes it for whole
     # ``group`` is the one that was written, "" the root, None all of a tree
@@ -197,7 +175,7 @@ def stored(group: str | None, home: Path) -> str:
         return f"open_store: {opened}, is_complete: {not opened}"
     if opened and (wrong := [text for text in problems if not text.startswith(UNLISTED)]):
         return f"it is opened, but verify says {wrong[0]}"
-    return digest_of(path) if opened or not problems else ""
+    return hashlib.sha256(repr(chunks_of(path)).encode()).hexdigest() if opened or not problems else ""
 
 
 def files(places: tuple[str, ...], home: Path) -> str:
@@ -233,28 +211,16 @@ def files(places: tuple[str, ...], home: Path) -> str:
 
 @dataclass(frozen=True)
 class Work:
-    """A product, and how often its writer is disturbed.
-
-    Attributes
-    ----------
-    write
-        Writes a version: takes the folder of the inputs, the version and the home of the product.
-    content
-        Returns what a home holds: a checksum of the product, empty where there is none.
-    inputs
-        Writes the inputs of both versions into a folder.
-    replacing
-        The home holds the older version already.
-    absent
-        A kill may leave no product that is whole; else the older one stays until the newer is in its place.
-    kills, in_a_row
-        At random instants; each run of a row goes on where the last was ended.
-    calls
-        Kills before a call that changes files: how many; None before every one.
-    codes
-        What happens at such a call: None, a kill; or the errno with which it fails.
-    """
-
+    # A product, and how often its writer is disturbed
+    # write: Writes a version: takes the folder of the inputs, the version and the home of the product
+    # content: Returns what a home holds: a checksum of the product, empty where there is none
+    # inputs: Writes the inputs of both versions into a folder
+    # replacing: The home holds the older version already
+    # absent: A kill may leave no product that is whole; else the older one stays until the newer is in its
+    # place
+    # kills, in_a_row: At random instants; each run of a row goes on where the last was ended
+    # calls: Kills before a call that changes files: how many; None before every one
+    # codes: What happens at such a call: None, a kill; or the errno with which it fails
     write: Callable[[Path, str, Path], object]
     content: Callable[[Path], str]
     inputs: Callable[[Path], None] = lambda _: None
@@ -300,15 +266,15 @@ WORKS: Mapping[str, Work] = {
     "root replaced": Work(_of(_group, *_QUICK, None, True), _of(stored, ""), calls=None),
     "by two renames": Work(_of(_group, *_QUICK, GROUP, False), _IN_GROUP, absent=True, calls=None),
     "run of 40 lines": Work(
-        _of(_process, False), _WHOLE, _of(_collects, 40), replacing=False, absent=True, kills=250, in_a_row=5
+        _of(_process, False), _WHOLE, _of(collects, 40), replacing=False, absent=True, kills=250, in_a_row=5
     ),
     "run of 40 lines replaced": Work(
-        _of(_process, True), _WHOLE, _of(_collects, 40), absent=True, kills=250, in_a_row=5
+        _of(_process, True), _WHOLE, _of(collects, 40), absent=True, kills=250, in_a_row=5
     ),
     "run of 2 lines": Work(
-        _of(_process, False), _WHOLE, _of(_collects, 2), replacing=False, absent=True, **_BOTH
+        _of(_process, False), _WHOLE, _of(collects, 2), replacing=False, absent=True, **_BOTH
     ),
-    "run of 2 lines replaced": Work(_of(_process, True), _WHOLE, _of(_collects, 2), absent=True, **_BOTH),
+    "run of 2 lines replaced": Work(_of(_process, True), _WHOLE, _of(collects, 2), absent=True, **_BOTH),
     **{
         name: Work(
             _of(_command, words), _of(files, places), _lots, absent=len(places) > 1, kills=10, calls=10
@@ -408,8 +374,7 @@ def run_kills(number: int, folder: Path, writer: Writer, outcome: Outcome) -> No
         fault = f"{writer.name}, kill {kill} ({which.name})"
         if status not in (-which, 128 + which, DONE):
             outcome.wrong.append(f"{fault}: exits with {status}: {text:.300}")
-        last = kill == number + writer.work.in_a_row - 1
-        writer.judge(fault, home, outcome, again=last)
+        writer.judge(fault, home, outcome, again=kill == number + writer.work.in_a_row - 1)
 
 
 def run_call(number: int, folder: Path, writer: Writer, code: int | None, outcome: Outcome) -> None:

@@ -4,8 +4,6 @@ Each text is read by a process of its own. A reader may refuse it, with its own 
 more than 256 MB beside what is imported, or 2 s for 10 MB, or time that grows faster than size ** 1.2.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import math
@@ -19,8 +17,6 @@ from typing import Any
 
 from . import parsers
 from .outcome import MOST_BYTES, Outcome, begin_peak, resident
-
-__all__ = ["campaign", "judge"]
 
 SIZES = (12 * 10**6, 24 * 10**6, 48 * 10**6, 100 * 10**6)
 MOST_SECONDS_A_BYTE = 2.0 / 10e6
@@ -41,8 +37,7 @@ def text_of(piece: str, seed: bytes, size: int) -> bytes:
     # Return a text of ``size`` bytes: of one piece, or a whole file whose last lines come again
     if piece != "beginning":
         return (PIECES[piece] * (size // len(PIECES[piece]) + 1))[:size]
-    lines = seed.splitlines(keepends=True)[-2:]
-    last = b"".join(lines)
+    last = b"".join(seed.splitlines(keepends=True)[-2:])
     return (seed + last * (max(size - len(seed), 0) // max(len(last), 1)))[:size]
 
 

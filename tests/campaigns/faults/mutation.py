@@ -1,12 +1,8 @@
 """Damaged versions of a file, each a function of the file and a number."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable
-
-__all__ = ["mutated"]
 
 _TOKEN = re.compile(rb"[0-9A-Za-z_.+-]+")
 _LARGEST = 2 * 2**20

@@ -1,7 +1,5 @@
 """What a campaign counts, and the table it is shown in."""
 
-from __future__ import annotations
-
 import collections
 import contextlib
 import multiprocessing
@@ -12,18 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
-
-__all__ = [
-    "HEADER",
-    "Outcome",
-    "begin_peak",
-    "each",
-    "in_parallel",
-    "numbers_of",
-    "parts_of",
-    "resident",
-    "total",
-]
 
 _Part = TypeVar("_Part")
 
@@ -37,25 +23,14 @@ HEADER = f"{'campaign':<34} {'count':>9} {'wrong':>6} {'worst s':>8} {'worst MB'
 
 @dataclass
 class Outcome:
-    """Result of a campaign, or of a part of one.
-
-    Attributes
-    ----------
-    campaign
-        Its row of the table.
-    count
-        Faults tried.
-    wrong
-        Faults that nothing reported, or that were reported in a wrong way: number and what happened.
-    seconds, memory
-        Of the worst fault: processor time [s] and growth of the resident memory [byte]; None where no limit
-        is set.
-    allowed
-        Wrong ones that the campaign may have.
-    notes
-        What else was counted.
-    """
-
+    # Result of a campaign, or of a part of one
+    # campaign: Its row of the table
+    # count: Faults tried
+    # wrong: Faults that nothing reported, or that were reported in a wrong way: number and what happened
+    # seconds, memory: Of the worst fault: processor time [s] and growth of the resident memory [byte]; None
+    # where no limit is set
+    # allowed: Wrong ones that the campaign may have
+    # notes: What else was counted
     campaign: str
     count: int = 0
     wrong: list[str] = field(default_factory=list)

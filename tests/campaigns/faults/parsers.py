@@ -1,7 +1,5 @@
 """Mutated inputs: a parser may refuse a file with its own error, within a second and 256 MB, or read it."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os
@@ -39,8 +37,6 @@ from .outcome import (
 )
 from .seed_files import prepare, sentences_mended, sixs_text
 
-__all__ = ["PARSERS", "Parser", "campaign", "complaint", "limits", "placed", "prepare", "reader", "run_part"]
-
 COUNT = 200_000
 SHARED_DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 _PART = 500
@@ -52,22 +48,14 @@ _HANGS = 30
 
 @dataclass(frozen=True)
 class Parser:
-    """What reads a file, the errors that its documentation names, and whole files to start from.
-
-    Attributes
-    ----------
-    read
-        Takes a path.
-    errors
-        May be raised.
-    seeds
-        Files in the folder of `prepare`; the mutated one takes the place of a copy, beside its neighbours.
-    real
-        Files in the folder of real samples, used where that is present; at most `_MOST_SEED_BYTES` each.
-    mended
-        Makes every other damaged file right again in what a reader checks before it looks at anything else.
-    """
-
+    # What reads a file, the errors that its documentation names, and whole files to start from
+    # read: Takes a path
+    # errors: May be raised
+    # seeds: Files in the folder of `prepare`; the mutated one takes the place of a copy, beside its
+    # neighbours
+    # real: Files in the folder of real samples, used where that is present; at most `_MOST_SEED_BYTES` each
+    # mended: Makes every other damaged file right again in what a reader checks before it looks at anything
+    # else
     read: Callable[[Path], object]
     errors: tuple[type[PaintError], ...]
     seeds: tuple[str, ...]
@@ -89,17 +77,10 @@ class Parser:
 def reader(
     place: str, *calls: dict[str, Any], then: Callable[[Any, Path], object] | None = None
 ) -> Callable[[Path], object]:
-    """Return a reader that is imported when it is first called.
-
-    Parameters
-    ----------
-    place
-        Module below hyperpaint and name, with a colon between.
-    *calls
-        Keyword arguments of each call; one without any where there are none.
-    then
-        Takes what was read, and the path.
-    """
+    # Return a reader that is imported when it is first called
+    # place: Module below hyperpaint and name, with a colon between
+    # *calls: Keyword arguments of each call; one without any where there are none
+    # then: Takes what was read, and the path
     module, _, name = place.partition(":")
 
     def read(path: Path) -> None:

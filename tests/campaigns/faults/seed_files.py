@@ -1,14 +1,10 @@
 """Whole files that mutations start from: a small collect, and what other programs write; see `parsers`."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path
 
 import numpy as np
-
-__all__ = ["RADCAL", "prepare", "sentences_mended", "sixs_text"]
 
 _CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], np.float64)
 _QUADS = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))

@@ -1,7 +1,5 @@
 """Damaged stores: nothing that was changed on disk may be taken for what was written."""
 
-from __future__ import annotations
-
 import json
 import random
 import shutil
@@ -17,8 +15,6 @@ from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store.manifest import OWN_ATTRS
 
 from .outcome import Outcome, in_parallel, numbers_of, parts_of
-
-__all__ = ["COUNTS", "build", "campaign", "run_part"]
 
 #: Faults of each kind at full count.
 COUNTS: Mapping[str, int] = {

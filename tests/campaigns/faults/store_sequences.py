@@ -4,8 +4,6 @@ A model knows what the store is to hold and what it holds; after every step `ope
 the sets must say the same, and `verify` must not say more.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil
@@ -36,8 +34,6 @@ from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.manifest import store_state
 
 from .outcome import SCRATCH, Outcome
-
-__all__ = ["StoreSequence", "campaign", "run_sequences"]
 
 SEQUENCES = 300
 

@@ -1,7 +1,5 @@
 """Flights with one fault of time each: reflectance that is wrong by a hundredth must say so."""
 
-from __future__ import annotations
-
 import datetime as dt
 import random
 import shutil
@@ -18,8 +16,6 @@ from hyperpaint.base.errors import PaintError
 from hyperpaint.base.schema import Quality
 
 from .outcome import Outcome, in_parallel, numbers_of, parts_of
-
-__all__ = ["FAULTS", "campaign", "run_part"]
 
 FAULTY, CLEAN = 1000, 500
 FALSE_ALARMS = 5
@@ -209,12 +205,8 @@ FAULTS: dict[str, _Change] = {
 
 
 def _simulate(folder: Path, rng: random.Random, *, cloudy: bool, known_clock: float | None = None) -> float:
-    """Write a collect of ten seconds, during which a cloud covers the sun.
-
-    Returns
-    -------
-    An upper bound of the relative change of the light in a second.
-    """
+    # Write a collect of ten seconds, during which a cloud covers the sun
+    # Returns: An upper bound of the relative change of the light in a second
     from hyperpaint.simulation import simulate_collect
 
     ramp = rng.uniform(5.0, 120.0)
@@ -241,8 +233,7 @@ def _process(folder: Path) -> tuple[Any, list[str]]:
     # Return the line with its reflectance, in memory, and the warnings on the way
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
-        tree = hp.open_collect(folder / "collect.toml")
-        line = tree["flightlines/raw_0"].to_dataset()
+        line = hp.open_collect(folder / "collect.toml")["flightlines/raw_0"].to_dataset()
         made = line.paint.reflectance()[["reflectance", "quality", "frame"]].compute()
     return made, [str(warning.message) for warning in heard]
 

@@ -1,7 +1,5 @@
 """Workers of a cluster that are killed amid a run: the store is right, or an error names the block."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import logging
@@ -16,6 +14,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import dask
+
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store import is_complete, list_groups
@@ -23,8 +23,6 @@ from hyperpaint.simulation import simulate_collect, simulate_line
 
 from .interruptions import GROUP, chunks_of
 from .outcome import Outcome, each, numbers_of
-
-__all__ = ["RUNS", "Cluster", "Task", "campaign", "kills_in", "processing", "run_kills", "storing"]
 
 RUNS = 30
 _LINES, _DELAY = 768, 0.12
@@ -48,8 +46,7 @@ def kills_in(number: int) -> int:
 
 class Cluster(contextlib.ExitStack):
     # Two workers, each with a nanny that starts it again; a context manager
-    def __enter__(self) -> Cluster:
-        import dask
+    def __enter__(self) -> "Cluster":
         from distributed import Client, LocalCluster
         from distributed.utils import get_mp_context
 
@@ -80,8 +77,6 @@ class Cluster(contextlib.ExitStack):
 class Task:
     # What is written, what an undisturbed run writes, and how long that takes on the cluster
     def __init__(self, write: Callable[[Path], Any], folder: Path, seconds: float | None = None) -> None:
-        import dask
-
         self.write, place = write, folder / f"whole-{id(self)}.zarr"
         with dask.config.set(scheduler="threads"):
             write(place)

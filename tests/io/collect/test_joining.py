@@ -1,7 +1,5 @@
 """Cubes of one flight: one line where the recording goes on, else lines of their own, with the reason."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path
@@ -42,8 +40,7 @@ def with_lines(path: Path, *tables: str) -> Path:
 @pytest.mark.parametrize("cubes", ['"flight/raw_*.hdr"', '"flight"', '"flight/"'])
 def test_a_flight_that_goes_on_is_one_line(whole: xr.Dataset, cut: Path, tmp_path: Path, cubes: str) -> None:
     shutil.copytree(cut.parent, tmp_path / "raw")
-    path = with_lines(tmp_path / "raw" / "collect.toml", f"cube = {cubes}")
-    lines = hp.open_collect(path)["flightlines"]
+    lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", f"cube = {cubes}"))["flightlines"]
     assert set(lines.children) == {"raw_0"}
     line = lines["raw_0"].to_dataset()
     assert line.attrs["source"] == "raw_0.hdr, raw_12.hdr, raw_24.hdr, raw_36.hdr, raw_48.hdr"
@@ -87,8 +84,7 @@ def test_a_store_of_joined_cubes_is_the_store_of_one(cut: Path, whole: xr.Datase
 
 def test_blank_lines_of_lost_frames_do_not_part_a_flight(tmp_path: Path) -> None:
     # They have no time: the period is that of the lines that have one, and blank ones take a period each
-    path = hp.simulate_collect(tmp_path, cubes=3, **CAMERA)
-    tree = hp.open_collect(path)["flightlines"]
+    tree = hp.open_collect(hp.simulate_collect(tmp_path, cubes=3, **CAMERA))["flightlines"]
     lines = {name: tree[name].to_dataset() for name in ("raw_0", "raw_20", "raw_40")}
     for name, lost in (("raw_0", [5, 17, 18, 19]), ("raw_20", [0, 1, 2])):
         times = lines[name]["time"].values.copy()
@@ -98,8 +94,7 @@ def test_blank_lines_of_lost_frames_do_not_part_a_flight(tmp_path: Path) -> None
     assert flown.members == ("raw_0", "raw_20", "raw_40")
     assert int(np.isnat(flown.line["time"].values).sum()) == 7
     # a pause is one all the same
-    late = lines["raw_20"]["time"] + np.timedelta64(1, "s")
-    lines["raw_20"] = lines["raw_20"].assign_coords(time=late)
+    lines["raw_20"] = lines["raw_20"].assign_coords(time=lines["raw_20"]["time"] + np.timedelta64(1, "s"))
     assert next(len(each.members) for each in join_lines(lines, None)) == 1
 
 
@@ -155,8 +150,7 @@ def test_a_frame_lost_between_two_cubes_is_a_blank_line_as_within_one(
     for name in ("raw_20", "raw_20.hdr", "frameIndex_20.txt"):
         (folder / name).unlink()
     (line,) = hp.open_collect(with_lines(path, 'cube = "flight"'))["flightlines"].children.values()
-    assert line.attrs["dropped_frames"] == 1
-    assert line.sizes["along_track"] == 60
+    assert (line.attrs["dropped_frames"], line.sizes["along_track"]) == (1, 60)
     np.testing.assert_array_equal(line["along_track"], np.arange(60))
     np.testing.assert_array_equal(line["frame"], whole["frame"])
     there = np.arange(60) != 20

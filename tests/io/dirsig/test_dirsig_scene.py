@@ -1,7 +1,5 @@
 """A scene of triangles for DIRSIG: every file reads back, every name leads somewhere."""
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ElementTree
@@ -16,7 +14,7 @@ from support.dirsig_exports import files, strict_ems
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.dirsig import read_materials, write_dirsig_scene
-from hyperpaint.io.dirsig.dirsig_scene import texture_picture
+from hyperpaint.io.dirsig.dirsig_writing import texture_picture
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance
 from hyperpaint.simulation.rendering.mesh_files import parse_obj
@@ -35,8 +33,7 @@ def library(names: list[str], members: int = 0, **attrs: Any) -> xr.Dataset:
         level = np.random.default_rng(1).uniform(0.7, 1.0, (len(names), members, 1))
         population = (values[:, None] * level).astype(np.float32)
         variables["member_reflectance"] = (("signature", "member", "band"), population, UNITS)
-    coords = {"signature": names, "wavelength": ("band", NM, {"units": "nm"})}
-    return xr.Dataset(variables, coords)
+    return xr.Dataset(variables, {"signature": names, "wavelength": ("band", NM, {"units": "nm"})})
 
 
 def boxes() -> Scene:
@@ -118,8 +115,7 @@ def test_every_name_leads_somewhere(written: tuple[Path, xr.Dataset]) -> None:
         assert text is not None
         return folder / text.removeprefix("$SCENE_DIR/")
 
-    lists = [place("gdbdirectory") / str(each.text) for each in root.iter("geometrylistinclude")]
-    (geometry,) = lists
+    (geometry,) = [place("gdbdirectory") / str(each.text) for each in root.iter("geometrylistinclude")]
     names = [str(each.text) for each in ElementTree.parse(geometry).getroot().iter("filename")]
     assert [name for name in names if not (place("gdbdirectory") / name).is_file()] == []
     obj = (place("gdbdirectory") / names[0]).read_text()
@@ -136,8 +132,7 @@ def test_every_name_leads_somewhere(written: tuple[Path, xr.Dataset]) -> None:
         str(each.findtext("matidlist/matid")): str(each.findtext("bandlist/band/image/filename"))
         for each in root.iter("texturemap")
     }
-    populations = summary.material_id.values[summary.curves.values > 1]
-    assert set(maps) == set(populations.tolist())
+    assert set(maps) == set(summary.material_id.values[summary.curves.values > 1].tolist())
     assert len(maps) > 5
     assert all((place("mapdirectory") / name).is_file() for name in maps.values())
     assert {path.name for path in place("mapdirectory").iterdir()} == set(maps.values())
@@ -168,10 +163,8 @@ def test_a_texture_draws_its_population(written: tuple[Path, xr.Dataset]) -> Non
     means = np.array([1.0 - np.interp(grid, micrometre, curve).mean() for curve in emissivity])
     # the manual's rule: the curve whose standard score is nearest to the pixel's
     pixels = (picture - picture.mean()) / picture.std()
-    scores = (means - means.mean()) / means.std()
-    drawn = np.abs(pixels[..., None] - scores).argmin(axis=-1)
-    count = np.bincount(drawn.ravel(), minlength=16)
-    assert count.min() > 0.97 * picture.size / 16
+    drawn = np.abs(pixels[..., None] - ((means - means.mean()) / means.std())).argmin(axis=-1)
+    assert np.bincount(drawn.ravel(), minlength=16).min() > 0.97 * picture.size / 16
     reflectance = 1.0 - emissivity
     np.testing.assert_allclose(reflectance[drawn.ravel()].mean(axis=0), reflectance.mean(axis=0), rtol=1e-3)
     np.testing.assert_allclose(reflectance[drawn.ravel()].std(axis=0), reflectance.std(axis=0), rtol=0.01)
@@ -266,8 +259,7 @@ def test_a_coat_as_a_brdf_reflects_what_its_curve_says(tmp_path: Path) -> None:
     # the peak is that of the renderer's own lobe, F D / (4 cos^2), D = 1 / (pi alpha^2)
     angle = np.radians(20.0)
     inward = np.array([np.sin(angle), 0.0, np.cos(angle)])
-    mirrored = inward * [-1.0, 1.0, 1.0]
-    peak = float(beard_maxwell(fits[0], inward.copy(), mirrored)[0])
+    peak = float(beard_maxwell(fits[0], inward.copy(), (inward * [-1.0, 1.0, 1.0]))[0])
     alpha = boxes().materials[0].coat.roughness  # type: ignore[union-attr]
     ggx = float(fresnel_reflectance(np.cos(angle))) / (4.0 * np.pi * alpha**2 * np.cos(angle) ** 2)
     assert peak == pytest.approx(ggx, rel=0.02)
@@ -290,8 +282,7 @@ def test_names_and_normals(tmp_path: Path) -> None:
         (upright, [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]),
     ):
         assert [places[int(corner[1]) - 1] for corner in face] == expected
-    root = ElementTree.parse(tmp_path / "out/Two_cars_Ae.scene").getroot()
-    assert root.attrib["name"] == "Two cars, Ä"
+    assert ElementTree.parse(tmp_path / "out/Two_cars_Ae.scene").getroot().attrib["name"] == "Two cars, Ä"
 
 
 def test_a_car_can_be_repainted(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Materials for DIRSIG, judged by a parser that shares nothing with the package."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import tempfile
@@ -92,8 +90,7 @@ def test_write_read_write_is_byte_stable(tmp_path: Path) -> None:
     for name in first:
         if name.endswith(".ems"):
             assert first[name] == second[name]
-    third = library()
-    hp.write_dirsig(third, tmp_path / "three")
+    hp.write_dirsig(library(), tmp_path / "three")
     assert files(tmp_path / "three") == first
 
 
@@ -192,8 +189,7 @@ def test_any_library_is_written_strictly_or_refused(paints: xr.Dataset, options:
 def test_other_units_and_order_give_the_same_bytes(tmp_path: Path) -> None:
     paints = library()
     hp.write_dirsig(paints, tmp_path / "plain")
-    backwards = paints.isel(band=slice(None, None, -1))
-    hp.write_dirsig(backwards, tmp_path / "backwards")
+    hp.write_dirsig(paints.isel(band=slice(None, None, -1)), tmp_path / "backwards")
     micro = paints.assign_coords(wavelength=("band", NM / 1000, {"units": "um"}))
     hp.write_dirsig(micro, tmp_path / "micro")
     percent = paints.copy(deep=True)
@@ -329,8 +325,7 @@ def test_holes_of_the_centre_are_no_less_refused(tmp_path: Path) -> None:
     _, centre = np.loadtxt(tmp_path / "out/reflectance/paint_1.txt").T
     own = paints.reflectance.values[1].astype(float)
     np.testing.assert_allclose(centre[3:5], own[2] + (own[5] - own[2]) * np.array([1, 2]) / 3, atol=6e-7)
-    row = (tmp_path / "out/README.txt").read_text().split("paint_1 ")[1].splitlines()[0]
-    assert "0 + 2" in row
+    assert "0 + 2" in (tmp_path / "out/README.txt").read_text().split("paint_1 ")[1].splitlines()[0]
 
 
 def test_nothing_is_extrapolated_unasked(tmp_path: Path) -> None:
@@ -358,8 +353,9 @@ def test_detectors_that_overlap(tmp_path: Path) -> None:
     nm = NM.copy()
     nm[5:] -= 160.0
     paints = library().assign_coords(wavelength=("band", nm, {"units": "nm"}))
-    with pytest.warns(PaintWarning, match="wavelength-unordered"):
+    with pytest.warns(PaintWarning, match="wavelength-unordered") as noted:
         hp.write_dirsig(paints, tmp_path / "out")
+    assert noted[0].filename == __file__  # the line of the caller
     micrometres = strict_ems(tmp_path / "out/emissivity/paint_0.ems")[1]
     np.testing.assert_allclose(micrometres, np.sort(nm) / 1000, atol=6e-8)
     nm[5] = nm[2]
@@ -395,8 +391,7 @@ def test_the_diffuse_part_is_the_body(attrs: dict[str, str], tmp_path: Path) -> 
     paints["member_reflectance"].attrs["units"] = "1"
     made = hp.write_dirsig(paints, tmp_path / "out", specular=0.15)
     assert made.specular_fraction.values.tolist() == [0.15] * 3
-    emissivity = strict_ems(tmp_path / "out/emissivity/paint_1.ems")[2]
-    body = (1 - 0.15) * (1 - emissivity)
+    body = (1 - 0.15) * (1 - strict_ems(tmp_path / "out/emissivity/paint_1.ems")[2])
     np.testing.assert_allclose(body, paints.member_reflectance.values[1].astype(float), atol=6e-7)
     assert read_materials(tmp_path / "out/materials.mat")[1].specular_fraction == 0.15
     assert "SPECULAR_FRACTION of 0.15" in (tmp_path / "out/README.txt").read_text()

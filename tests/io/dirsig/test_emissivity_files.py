@@ -1,12 +1,11 @@
 """Spectral emissivity files: the real ones with their known values, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.dirsig import open_emissivity, read_emissivity
@@ -65,8 +64,7 @@ def test_water_shines_less_at_the_horizon(shared_data: Path) -> None:
 
 @pytest.mark.real_data
 def test_grass_as_a_paint_library(shared_data: Path) -> None:
-    path = shared_data / "dirsig/emissivity/grass_texture.ems"
-    grass = open_emissivity(path)
+    grass = open_emissivity(shared_data / "dirsig/emissivity/grass_texture.ems")
     assert dict(grass.sizes) == {"signature": 1, "band": 396, "member": 43}
     assert grass.member_reflectance.dtype == grass.reflectance.dtype == np.float32
     assert (grass["signature"].item(), grass.wavelength.attrs["units"]) == ("grass_texture", "nm")
@@ -83,8 +81,7 @@ def test_a_new_file_may_have_tabs_and_blank_lines(tmp_path: Path, end: str) -> N
     found = read_emissivity(written(tmp_path, NEW, end))
     assert [curve.wavelength.tolist() for curve in found.curves] == [[0.4, 0.5], [0.4, 0.6]]
     assert [curve.emissivity.tolist() for curve in found.curves] == [[0.9, 0.8], [0.7, 0.1]]
-    with pytest.raises(FormatError, match="grid-mismatch"):
-        open_emissivity(tmp_path / "paint.ems")
+    expect_errors((FormatError, "grid-mismatch", lambda: open_emissivity(tmp_path / "paint.ems")))
     # the last line needs no end
     assert len(read_emissivity(written(tmp_path, NEW[:-2])).curves) == 2
 
@@ -124,8 +121,7 @@ def test_a_new_file_may_have_tabs_and_blank_lines(tmp_path: Path, end: str) -> N
     ],
 )  # fmt: skip
 def test_a_damaged_file_is_refused(line: int, text: str, said: str, tmp_path: Path) -> None:
-    is_old = (line, text) in [(92, "1"), (93, "39849 0.5")] or line > 99
-    lines = OLD.copy() if is_old else NEW.copy()
+    lines = OLD.copy() if ((line, text) in [(92, "1"), (93, "39849 0.5")] or line > 99) else NEW.copy()
     lines[line] = text
     with pytest.raises(FormatError, match="DIRSIG emissivity") as caught:
         read_emissivity(written(tmp_path, lines))
@@ -148,10 +144,10 @@ def test_all_problems_are_told_at_once(tmp_path: Path) -> None:
 def test_what_is_no_such_file_is_refused(data: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.ems"
     path.write_bytes(data)
-    with pytest.raises(FormatError, match=r"x\.ems"):
-        read_emissivity(path)
-    with pytest.raises(FormatError, match="file-unreadable"):
-        read_emissivity(tmp_path / "missing.ems")
+    expect_errors(
+        (FormatError, r"x\.ems", lambda: read_emissivity(path)),
+        (FormatError, "file-unreadable", lambda: read_emissivity(tmp_path / "missing.ems")),
+    )
 
 
 # --- text --------------------------------------------------------------------------------------------------
@@ -178,5 +174,4 @@ def test_text_is_what_formatting_one_by_one_gives(wavelength, count, random) -> 
 
 
 def test_wavelengths_that_are_written_alike_are_refused() -> None:
-    with pytest.raises(SchemaError, match="wavelength-unordered"):
-        ColumnText([400.0, 400.00001])
+    expect_errors((SchemaError, "wavelength-unordered", lambda: ColumnText([400.0, 400.00001])))

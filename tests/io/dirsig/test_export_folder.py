@@ -1,7 +1,5 @@
 """A call of `write_dirsig` that makes no sense, and the folder that it fills: whole, or not at all."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.dirsig_exports import BANDS, NM, files, library
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
@@ -66,8 +65,7 @@ def test_all_wrong_options_are_told_at_once(tmp_path: Path, max_curves: Any) -> 
     ],
 )
 def test_what_is_no_library_is_refused(change: Any, said: str, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match=said):
-        hp.write_dirsig(change(library()), tmp_path / "out")
+    expect_errors((SchemaError, said, lambda: hp.write_dirsig(change(library()), tmp_path / "out")))
     assert not list(tmp_path.iterdir())
 
 
@@ -92,8 +90,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     out = tmp_path / "out"
     hp.write_dirsig(library(), out)
     before = files(out)
-    with pytest.raises(StoreError, match="overwrite=True"):
-        hp.write_dirsig(library(seed=1), out)
+    expect_errors((StoreError, "overwrite=True", lambda: hp.write_dirsig(library(seed=1), out)))
     assert files(out) == before
     hp.write_dirsig(library(paints=2, seed=1), out, overwrite=True)
     assert not (out / "emissivity/paint_2.ems").exists()
@@ -115,8 +112,7 @@ def test_files_of_others_are_never_replaced(tmp_path: Path) -> None:
     ):
         with pytest.raises(StoreError, match=message):
             hp.write_dirsig(library(), tmp_path / name, overwrite=True)
-    with pytest.raises(StoreError, match="folder-is-url"):
-        hp.write_dirsig(library(), "s3://bucket/out")
+    expect_errors((StoreError, "folder-is-url", lambda: hp.write_dirsig(library(), "s3://bucket/out")))
     assert files(tmp_path) == before
     (tmp_path / "empty").mkdir()
     hp.write_dirsig(library(), tmp_path / "empty")
@@ -159,7 +155,7 @@ def test_what_a_killed_writer_leaves_is_cleared_up(tmp_path: Path) -> None:
 
 
 def test_a_large_library_is_written_block_by_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperpaint.io.dirsig.paint_curves._BLOCK_BYTES", 4 * 5 * BANDS)
+    monkeypatch.setattr("hyperpaint.io.dirsig.dirsig_writing._BLOCK_BYTES", 4 * 5 * BANDS)
     hp.write_dirsig(library(paints=7), tmp_path / "one")
     steps: list[tuple[int, int]] = []
     hp.write_dirsig(library(paints=7).chunk({"signature": 3}), tmp_path / "two",

@@ -1,11 +1,10 @@
 """Material lists: the real one with its known values, the grammar, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.dirsig import Section, materials_text, read_materials
@@ -91,8 +90,7 @@ def test_what_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
     ids=["twice", "empty", "long"],
 )
 def test_ids_and_lines_are_counted(text: str, message: str, tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match=message):
-        read_materials(written(tmp_path, text))
+    expect_errors((FormatError, message, lambda: read_materials(written(tmp_path, text))))
 
 
 _KEYS = st.from_regex(r"[A-Z][A-Z0-9_]{0,12}", fullmatch=True).filter(lambda key: not key.endswith("_NAME"))

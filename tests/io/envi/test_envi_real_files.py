@@ -1,7 +1,5 @@
 """Real ENVI cubes: their known values, and other readers as oracles."""
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from pathlib import Path
@@ -19,10 +17,8 @@ from hyperpaint.io.envi.envi_cubes import open_envi
 def test_real_headwall_dark_reference(shared_data: Path) -> None:
     for name in ("darkReference.hdr", "darkReference"):
         counts = open_envi(shared_data / "envi_cube" / name).counts
-        assert counts.shape == (1, 978, 1600)
-        assert counts.dtype == np.uint16
-        assert counts.attrs["units"] == "count"
-        assert (int(counts.min()), int(counts.max())) == (2, 47)
+        assert (counts.shape, counts.dtype) == ((1, 978, 1600), np.uint16)
+        assert (counts.attrs["units"], int(counts.min()), int(counts.max())) == ("count", 2, 47)
         assert float(counts.mean(dtype="f8")) == pytest.approx(13.97111260, abs=5e-9)
 
 
@@ -30,18 +26,15 @@ def test_real_headwall_dark_reference(shared_data: Path) -> None:
 def test_real_cube_without_byte_order(shared_data: Path) -> None:
     with pytest.warns(PaintWarning, match="header-doubtful"):
         counts = open_envi(shared_data / "envi_cube/corn-kernel-hyperspectral.hdr", quantity="counts").counts
-    assert counts.shape == (31, 580, 43)
-    assert (int(counts.min()), int(counts.max())) == (0, 2887)
+    assert (counts.shape, int(counts.min()), int(counts.max())) == ((31, 580, 43), 0, 2887)
     assert float(counts.mean(dtype="f8")) == pytest.approx(601.543934, abs=5e-7)
     assert counts.wavelength.values[[0, -1]].tolist() == [366.551, 1048.421]
 
 
 @pytest.mark.real_data
 def test_real_rotated_bip_cube(shared_data: Path) -> None:
-    line = open_envi(next((shared_data / "envi_cube").glob("ang*.img")))
-    array = line["values"]
-    assert array.dims == ("y", "x", "band")
-    assert array.shape == (10, 10, 432)
+    array = open_envi(next((shared_data / "envi_cube").glob("ang*.img")))["values"]
+    assert (array.dims, array.shape) == (("y", "x", "band"), (10, 10, 432))
     assert float(array.min()) == pytest.approx(-1.98575, abs=5e-6)
     assert float(array.max()) == pytest.approx(1.09767, abs=5e-6)
     assert float(array.mean(dtype="f8")) == pytest.approx(0.162651, abs=5e-7)
@@ -51,8 +44,7 @@ def test_real_rotated_bip_cube(shared_data: Path) -> None:
 @pytest.mark.real_data
 def test_real_prism_radiance(shared_data: Path) -> None:
     array = open_envi(shared_data / "envi_cube" / "prm20231110t071521_rdn_two_px")["values"]
-    assert array.dims == schema.CUBE
-    assert array.shape == (2, 246, 1)
+    assert (array.dims, array.shape) == (schema.CUBE, (2, 246, 1))
     assert float(array.min()) == pytest.approx(0.0429913, abs=5e-8)
     assert float(array.max()) == pytest.approx(7.78472, abs=5e-6)
     assert float(array.mean(dtype="f8")) == pytest.approx(2.54413724, abs=2e-7)

@@ -1,7 +1,5 @@
 """Slabs of raw cubes as runs of bytes, and the parser of VirtualiZarr that offers them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, strategies as st
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.envi.envi_cubes import EnviParser, slab_lines, slab_offsets
@@ -18,8 +17,7 @@ SHAPE = (40, 3, 5)
 
 @given(st.lists(st.integers(1, 5000), min_size=1, max_size=4))
 def test_slabs_that_are_broken_are_as_few_as_can_be(sizes: list[int]) -> None:
-    ends = np.cumsum(sizes).tolist()
-    chosen = slab_lines(ends)
+    chosen = slab_lines(np.cumsum(sizes).tolist())
     assert 8 <= chosen <= 64
 
     def broken(lines: int) -> int:
@@ -89,11 +87,8 @@ def test_the_parser_serves_virtualizarr(tmp_path: Path, registry: Any) -> None:
 def test_the_parser_refuses_what_would_be_read_wrongly(tmp_path: Path, registry: Any) -> None:
     _cube(tmp_path, "bil", 12, "<u2", 0)
     url = f"file://{tmp_path}/raw_0"
-    with pytest.raises(FormatError, match="length-mismatch"):
-        EnviParser(lines=32)(url, registry)
+    expect_errors((FormatError, "length-mismatch", lambda: EnviParser(lines=32)(url, registry)))
     (tmp_path / "raw_0").write_bytes(bytes(1198))
-    with pytest.raises(FormatError, match="file-size"):
-        EnviParser()(url, registry)
+    expect_errors((FormatError, "file-size", lambda: EnviParser()(url, registry)))
     (tmp_path / "raw_0.hdr").write_text("ENVI\nsamples = 5\n")
-    with pytest.raises(FormatError, match="key-missing"):
-        EnviParser()(url, registry)
+    expect_errors((FormatError, "key-missing", lambda: EnviParser()(url, registry)))

@@ -1,7 +1,5 @@
 """Patterns find what glob finds, within bounds."""
 
-from __future__ import annotations
-
 import glob
 from pathlib import Path
 

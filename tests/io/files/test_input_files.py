@@ -1,7 +1,5 @@
 """Names that no door may open: each is refused in words, at once."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -159,8 +157,7 @@ def test_a_door_refuses_what_is_no_plain_file(
 def test_a_plain_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "sky.csv"
     path.write_bytes(b"time,550\n")
-    assert input_path(path) == path
-    assert read_limited(path, 9, "a series") == b"time,550\n"
+    assert (input_path(path), read_limited(path, 9, "a series")) == (path, b"time,550\n")
     assert head_of(path, 4) == b"time"
     expect_refusals(
         (

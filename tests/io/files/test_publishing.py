@@ -1,7 +1,5 @@
 """Files and folders appear whole or not at all, and nothing of others is replaced."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -166,8 +164,7 @@ def test_a_failing_rename_brings_the_old_files_back(
     assert texts(tmp_path) == before
     assert not [found for found in names(tmp_path) if found.startswith(".partial")]
     write(tmp_path, "new")
-    assert texts(tmp_path) == ["new"] * 3
-    assert names(tmp_path) == WHOLE
+    assert (texts(tmp_path), names(tmp_path)) == (["new"] * 3, WHOLE)
 
 
 def killed(home: Path, call: int) -> bool:
@@ -246,8 +243,7 @@ def planted(home: Path) -> Path:
 )
 def test_a_planted_journal_is_refused(tmp_path: Path, journal: str) -> None:
     write(tmp_path, "old")
-    swap = planted(tmp_path)
-    (swap / "journal").write_text(journal)
+    (planted(tmp_path) / "journal").write_text(journal)
     with pytest.raises(StoreError, match="staging-foreign"):
         write(tmp_path, "new")
     assert texts(tmp_path) == ["old"] * 3
@@ -261,8 +257,7 @@ def test_a_planted_journal_reaches_no_other_folder(tmp_path: Path) -> None:
     (swap / "0.old").write_text("planted")
     (swap / "journal").write_text(json.dumps([["seams", "map.geojson"], [".", "map.tif"]]))
     check_place(tmp_path / "map.tif", "the map", example="map.tif", overwrite=True)
-    assert texts(tmp_path) == ["old"] * 3
-    assert names(tmp_path) == WHOLE
+    assert (texts(tmp_path), names(tmp_path)) == (["old"] * 3, WHOLE)
 
 
 def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Counts, and the folder of a flight of one cube, its dark cube and navigation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,30 +1,41 @@
 """A flight line from a Headwall folder made here by hand."""
 
-from __future__ import annotations
-
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import dask
 import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given, settings, strategies as st
+from support.codecs import plain_zarr
 from support.headwall_flights import (
     BANDS,
     COLUMNS,
     ELEMENT,
+    GAIN,
     LINES,
+    NM,
     T0,
     make_calibration,
     make_irradiance,
     open_line,
     write_cube,
     write_index,
-)  # fmt: skip
+    write_nav,
+)
+from support.refusals import expect_refusals
 
+import hyperpaint as hp
 from hyperpaint.base import schema
-from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, StoreError, TimeError
 from hyperpaint.io.envi.envi_cubes import EnviArray
+from hyperpaint.io.flightline.calibration_store import open_calibration
+from hyperpaint.io.flightline.flightline_opening import open_flightline
 from hyperpaint.io.navigation.navigation_records import read_imu_gps
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
@@ -53,17 +64,25 @@ def test_a_line_has_everything_that_calibrates_it(folder: Path, counts: np.ndarr
     assert (line.attrs["name"], line.attrs["dropped_frames"]) == ("raw_0", 0)
     assert json.loads(line.attrs["envi_comments"])["Serial Number"] == "G4-426"
     json.dumps(line.attrs)
-
-
-def test_lines_and_columns_are_numbered_and_bands_are_not(folder: Path) -> None:
-    line = open_line(folder)
-    assert set(line.indexes) >= {"along_track", "cross_track"}
+    # lines and columns are numbered; an index would join two cameras by the number of a band, in silence
     for dim in ("along_track", "cross_track"):
         np.testing.assert_array_equal(line[dim], np.arange(line.sizes[dim]))
-        assert line[dim].dtype == np.int64
-    # an index would join two cameras by the number of a band, in silence
+        assert line.indexes[dim].dtype == np.int64
     assert "band" not in line.coords
     assert line.isel(along_track=[2, 3])["along_track"].values.tolist() == [2, 3]
+    # a slab is one task; other chunks are those asked for
+    (optimised,) = dask.optimize(line["counts"].data)
+    assert len(optimised.__dask_graph__()) <= 3 + 1
+    whole = open_line(folder, chunks=None, exposure_time=np.full(LINES, 0.005))
+    assert (whole["counts"].chunks, whole["exposure_time"].dims) == (None, ("along_track",))
+    np.testing.assert_array_equal(whole["counts"].values, counts)
+    assert open_line(folder, chunks={"along_track": 50})["counts"].chunks[0] == (50, 20)
+    # the exposure is in the settings, or else in the header
+    assert line.attrs["exposure_source"] == "settings.txt"
+    (folder / "flight" / "settings.txt").unlink()
+    other = open_line(folder, irradiance=None)
+    assert (float(other["exposure_time"]), other.attrs["exposure_source"]) == (0.005, "header comments")
+    assert "irradiance" not in other
 
 
 def test_nothing_of_the_cube_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch, no_compute: Any) -> None:
@@ -79,23 +98,9 @@ def test_nothing_of_the_cube_is_read(folder: Path, monkeypatch: pytest.MonkeyPat
     assert line["counts"].chunks == ((32, 32, 6), (BANDS,), (COLUMNS,))
 
 
-def test_chunks_are_those_asked_for(folder: Path, counts: np.ndarray[Any, Any]) -> None:
-    assert open_line(folder, chunks=None)["counts"].chunks is None
-    line = open_line(folder, chunks={"along_track": 50})
-    assert line["counts"].chunks is not None
-    assert line["counts"].chunks[0] == (50, 20)
-    np.testing.assert_array_equal(open_line(folder, chunks=None)["counts"].values, counts)
-
-
-def test_a_line_costs_one_task_a_slab(folder: Path) -> None:
-    import dask
-
-    line = open_line(folder)
-    (optimised,) = dask.optimize(line["counts"].data)
-    assert len(optimised.__dask_graph__()) <= 3 + 1
-
-
-def test_a_dataset_serves_as_cube(folder: Path, counts: np.ndarray[Any, Any]) -> None:
+def test_a_dataset_or_eight_bits_serve_as_cube(folder: Path, counts: np.ndarray[Any, Any]) -> None:
+    small = write_cube(folder / "flight", "raw_0", (counts % 256).astype(np.uint8), ";Exposure (ms) = 5\n")
+    assert open_line(folder, cube=small, bit_depth=8)["counts"].compute().dtype == np.uint16
     cube = xr.Dataset({"counts": (("line", "bands", "sample"), counts, {"units": "count"})})
     line = open_line(folder, cube=cube, exposure_time=0.005, name="mine")
     np.testing.assert_array_equal(line["counts"].values, counts)
@@ -109,8 +114,7 @@ def test_dropped_frames_by_row(folder: Path, counts: np.ndarray[Any, Any]) -> No
     frames = np.delete(np.arange(LINES + 3), [5, 6, 40])
     write_index(folder / "flight" / "frameIndex_0.txt", frames)
     line = open_line(folder)
-    assert line["frame"].values.tolist() == frames.tolist()
-    assert line.attrs["dropped_frames"] == 3
+    assert (line["frame"].values.tolist(), line.attrs["dropped_frames"]) == (frames.tolist(), 3)
     assert not np.isnat(line["time"].values[1:]).any()
     assert (line["time"].values[5] - line["time"].values[4]) == np.timedelta64(21, "ms")
     np.testing.assert_array_equal(line["counts"].values, counts)
@@ -145,71 +149,32 @@ def test_cubes_of_one_flight_share_their_navigation(folder: Path, counts: np.nda
     assert first["frame"].values[-1] == 69
 
 
-def test_a_frame_index_of_another_cube_is_refused(folder: Path) -> None:
-    write_index(folder / "flight" / "frameIndex_0.txt", np.arange(LINES - 1))
-    with pytest.raises(FormatError, match="frame-index-mismatch"):
-        open_line(folder)
-
-
 def test_a_cube_cut_short_in_flight(folder: Path, counts: np.ndarray[Any, Any]) -> None:
     counts[:60].tofile(folder / "flight" / "raw_0")
     with pytest.raises(FormatError, match="shorter"):
         open_line(folder)
     with pytest.warns(PaintWarning, match="60 whole lines"):
         line = open_line(folder, keep_whole_lines=True)
-    assert line.sizes["along_track"] == 60
-    assert line["frame"].values[-1] == 59
+    assert (line.sizes["along_track"], line["frame"].values[-1]) == (60, 59)
 
 
 # --- exposure ----------------------------------------------------------------------------------------------
-
-
-def test_exposure_from_settings_then_from_the_header(folder: Path) -> None:
-    assert open_line(folder).attrs["exposure_source"] == "settings.txt"
-    (folder / "flight" / "settings.txt").unlink()
-    line = open_line(folder)
-    assert (float(line["exposure_time"]), line.attrs["exposure_source"]) == (0.005, "header comments")
 
 
 def test_the_given_exposure_wins_with_a_warning(folder: Path) -> None:
     with pytest.warns(PaintWarning) as caught:
         line = open_line(folder, exposure_time=0.004)
     assert "exposure_time 4 ms is used; settings.txt 5 ms, header comments 5 ms" in str(caught[0].message)
-    assert float(line["exposure_time"]) == 0.004
-    assert line["time"].values[1] == T0 + np.timedelta64(5, "ms")
-
-
-def test_exposure_of_every_line(folder: Path) -> None:
-    line = open_line(folder, exposure_time=np.full(LINES, 0.005))
-    assert line["exposure_time"].dims == ("along_track",)
-    with pytest.raises(SchemaError, match="70 lines"):
-        open_line(folder, exposure_time=[0.005, 0.005])
-
-
-@pytest.mark.parametrize("exposure", [-0.005, 0.0, float("nan"), float("inf")])
-def test_exposure_must_be_positive(folder: Path, exposure: float) -> None:
-    with pytest.raises(SchemaError, match="positive"):
-        open_line(folder, exposure_time=exposure)
-
-
-def test_exposure_from_nowhere(folder: Path, counts: np.ndarray[Any, Any]) -> None:
-    (folder / "flight" / "settings.txt").unlink()
-    write_cube(folder / "flight", "raw_0", counts)
-    with pytest.raises(SchemaError, match="exposure-missing"):
-        open_line(folder)
+    assert (float(line["exposure_time"]), line["time"].values[1]) == (0.004, T0 + np.timedelta64(5, "ms"))
 
 
 # --- irradiance --------------------------------------------------------------------------------------------
 
 
 def test_the_irradiance_is_cut_to_the_line(folder: Path) -> None:
-    line = open_line(folder)
-    seconds = (line["irradiance_time"].values - T0) / np.timedelta64(1, "s")
+    seconds = (open_line(folder)["irradiance_time"].values - T0) / np.timedelta64(1, "s")
     assert (seconds[0], seconds[-1]) == (-60, 60)
-    assert "irradiance" not in open_line(folder, irradiance=None)
-
-
-def test_at_least_the_bracketing_samples_are_kept() -> None:
+    # at least the bracketing samples are kept
     sky = make_irradiance(-500, 1000, 500)
     made = cut_irradiance(sky, T0 + np.array([1, 2]) * np.timedelta64(1, "s"))
     assert ((made["irradiance_time"].values - T0) / np.timedelta64(1, "s")).tolist() == [0, 500]
@@ -222,18 +187,7 @@ def test_mixed_datetime_units_are_one(unit: str) -> None:
     sky = make_irradiance()
     sky = sky.assign_coords(irradiance_time=sky["irradiance_time"].values.astype(f"datetime64[{unit}]"))
     made = cut_irradiance(sky, np.array([T0], "datetime64[ns]"))
-    assert made["irradiance_time"].dtype == "datetime64[ns]"
-    assert made.sizes["irradiance_time"] == 61
-
-
-def test_a_record_of_another_time_is_refused(folder: Path) -> None:
-    sky = make_irradiance()
-    for hours in (-5, 5):
-        away = sky.assign_coords(irradiance_time=sky["irradiance_time"] + np.timedelta64(hours, "h"))
-        with pytest.raises(TimeError, match="utc_offset_h"):
-            open_line(folder, irradiance=away)
-    with pytest.raises(TimeError, match="time-unordered"):
-        open_line(folder, irradiance=sky.isel(irradiance_time=slice(None, None, -1)))
+    assert (made["irradiance_time"].dtype, made.sizes["irradiance_time"]) == ("datetime64[ns]", 61)
 
 
 # --- a vendor's radiance -----------------------------------------------------------------------------------
@@ -254,12 +208,67 @@ def test_a_radiance_cube_is_a_start(folder: Path) -> None:
     assert line["fwhm"].values.tolist() == [6.0] * BANDS
 
 
-def test_radiance_without_units_or_reflectance_is_refused(folder: Path) -> None:
-    values = np.ones((LINES, BANDS, COLUMNS), np.float32)
-    for level, match in (("RADIANCE", "radiance_units"), ("REFLECTANCE", "holds reflectance")):
-        cube = write_cube(folder / "flight", "raw_0_x", values, description=f"{{[HEADWALL],{level}}}")
-        with pytest.raises(FormatError, match=match):
-            open_line(folder, cube=cube, calibration=None)
+# --- refusals ----------------------------------------------------------------------------------------------
+
+WORDLESS = {"description": "{hood}"}
+
+
+def cube_of(folder: Path, counts: np.ndarray[Any, Any], place: str = "flight", **fields: str) -> None:
+    write_cube(folder / place, "raw_0", counts, **{**WORDLESS, **fields})
+
+
+def _away(**steps: int) -> xr.Dataset:
+    sky = make_irradiance()
+    return sky.assign_coords(irradiance_time=sky["irradiance_time"] + np.timedelta64(steps["h"], "h"))
+
+
+def _without_exposure(folder: Path, counts: np.ndarray[Any, Any]) -> None:
+    (folder / "flight" / "settings.txt").unlink()
+    write_cube(folder / "flight", "raw_0", counts)
+
+
+_RADIANCE = {"description": "{[HEADWALL Hyperspec III],RADIANCE}"}
+_VALUES = np.ones((LINES, BANDS, COLUMNS), np.float32)
+
+
+@pytest.mark.filterwarnings("ignore:.*is used; settings.txt")
+@pytest.mark.parametrize(
+    ("change", "options", "error", "match"),
+    [
+        (lambda f, _: write_index(f / "flight/frameIndex_0.txt", np.arange(LINES - 1)), {}, FormatError,
+         "frame-index-mismatch"),
+        *((None, {"exposure_time": wrong}, SchemaError, "positive")
+          for wrong in (-0.005, 0.0, np.nan, np.inf)),
+        (None, {"exposure_time": [0.005, 0.005]}, SchemaError, "70 lines"),
+        (None, {"exposure_time": []}, SchemaError, "70 lines"),
+        (None, {"exposure_time": 1e19}, TimeError, "value-out-of-range"),
+        (_without_exposure, {}, SchemaError, "exposure-missing"),
+        *((None, {"irradiance": _away(h=hours)}, TimeError, "utc_offset_h") for hours in (-5, 5)),
+        (None, {"irradiance": make_irradiance().isel(irradiance_time=slice(None, None, -1))}, TimeError,
+         "time-unordered"),
+        (lambda f, _: cube_of(f, _VALUES, **_RADIANCE), {"calibration": None}, FormatError, "radiance_units"),
+        (lambda f, _: cube_of(f, _VALUES, description="{[HEADWALL],REFLECTANCE}"), {"calibration": None},
+         FormatError, "holds reflectance"),
+        *((lambda f, c, end=end: (f / "flight/raw_0").write_bytes(c.tobytes() + end), {}, FormatError,
+           "file-size") for end in (b"\0\0", b"x" * 4)),
+        (lambda f, c: (f / "flight/raw_0").write_bytes(c.tobytes()[:-3]), {}, FormatError, "file-size"),
+        (lambda f, c: write_cube(f / "flight", "raw_0", c.astype(np.int16)), {}, FormatError, "int16"),
+        (None, {"calibration": make_calibration().isel(band=slice(2))}, SchemaError, "grid-mismatch"),
+        (cube_of, {"dark": None}, FormatError, "quantity-ambiguous"),
+        (lambda f, c: cube_of(f, c, "dark", **_RADIANCE), {}, FormatError, "counts-missing"),
+        (None, {"quantity": "radiance", "radiance_units": "W m-2 sr-1 nm-1"}, FormatError,
+         r"header.* counts"),
+        (None, {"dark": None}, SchemaError, 'dark="none"'),
+        (None, {"dark": "calibration"}, SchemaError, "'dark_counts' is missing"),
+    ],
+)  # fmt: skip
+def test_what_is_no_flight_line(
+    folder: Path, counts: np.ndarray[Any, Any], change: Any, options: dict[str, Any], error: Any, match: str
+) -> None:
+    if change is not None:
+        change(folder, counts)
+    with pytest.raises(error, match=match):
+        open_line(folder, **options)
 
 
 # --- everything at once ------------------------------------------------------------------------------------
@@ -282,23 +291,273 @@ def test_all_problems_come_in_one_message(folder: Path, counts: np.ndarray[Any, 
     assert all(part in text for part in expected)
 
 
-@pytest.mark.parametrize("change", [b"", b"\0\0", b"x" * 4])
-def test_over_long_and_truncated_cubes(folder: Path, counts: np.ndarray[Any, Any], change: bytes) -> None:
-    data = counts.tobytes()
-    (folder / "flight" / "raw_0").write_bytes(data + change if change else data[:-3])
-    with pytest.raises(FormatError, match="file-size"):
-        open_line(folder)
+# --- the calibration and the dark of a flight line --------------------------------------------------------
 
 
-def test_counts_of_another_type_are_refused(folder: Path, counts: np.ndarray[Any, Any]) -> None:
-    cube = write_cube(folder / "flight", "raw_0", counts.astype(np.int16), ";Exposure (ms) = 5\n")
-    with pytest.raises(FormatError, match="int16"):
-        open_line(folder, cube=cube)
-    cube = write_cube(folder / "flight", "raw_0", (counts % 256).astype(np.uint8), ";Exposure (ms) = 5\n")
-    assert open_line(folder, cube=cube, bit_depth=8)["counts"].compute().dtype == np.uint16
+# --- calibration -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore:.*is used; settings.txt")
-def test_an_exposure_of_years_is_refused(folder: Path) -> None:
-    with pytest.raises(TimeError, match="value-out-of-range"):
-        open_line(folder, exposure_time=1e19)
+def test_wavelengths_of_the_calibration_win(folder: Path) -> None:
+    own = make_calibration().assign_coords(wavelength=("band", [500.5, 600.5, 701.0], NM))
+    with pytest.warns(PaintWarning, match="wavelength-conflict"):
+        line = open_line(folder, calibration=own)
+    assert line["wavelength"].values.tolist() == [500.5, 600.5, 701.0]
+
+
+def test_gain_in_microwatts_is_converted(folder: Path) -> None:
+    gain = make_calibration()["radiance_gain"].copy(data=np.full((BANDS, COLUMNS), 2e-4))
+    gain.attrs["units"] = "uW cm-2 sr-1 nm-1 s count-1"
+    line = open_line(folder, calibration=make_calibration(radiance_gain=gain))
+    np.testing.assert_allclose(line["radiance_gain"], 2e-6, rtol=1e-7)
+
+
+TABULATED = make_calibration(srf=(("band", "srf_offset"), np.ones((BANDS, 5)), {"units": "1"})).assign_coords(
+    srf_offset=("srf_offset", np.arange(-2.0, 3.0), NM)
+)
+
+
+def test_bad_elements_line_shapes_noise_and_dark_of_a_calibration(folder: Path) -> None:
+    calibration = make_calibration()
+    calibration["radiance_gain"].values[0, 0] = np.nan
+    del calibration.attrs["srf_shape"]
+    with pytest.warns(PaintWarning, match="Gaussian"):
+        opened = open_calibration(calibration)
+    assert (opened.attrs["srf_shape"], int(opened["radiance_gain"].isnull().sum())) == ("gaussian", 1)
+    line = open_line(folder, calibration=TABULATED.assign_attrs(srf_shape="tabulated"))
+    assert (line["srf"].dtype, line["srf_offset"].values.tolist()) == (np.float64, [-2, -1, 0, 1, 2])
+    assert (line["srf"].dims, line.attrs["srf_shape"]) == (("band", "srf_offset"), "tabulated")
+    stored = make_calibration(
+        read_noise=((), 0.5, {"units": "count"}),
+        dark_counts=(ELEMENT, np.full((BANDS, COLUMNS), 42.5), {"units": "count"}),
+    )
+    line = open_line(folder, dark="calibration", calibration=stored)
+    assert float(line["read_noise"]) == 0.5
+    assert (line["dark_counts"] == 42.5).all()
+
+
+def _gain(value: float) -> xr.Dataset:
+    calibration = make_calibration()
+    calibration["radiance_gain"].values[:, 0 if np.isfinite(value) else slice(None)] = value
+    return calibration
+
+
+def test_what_is_no_calibration(tmp_path: Path) -> None:
+    (tmp_path / "a.nc").write_bytes(b"CDF\x01 is not enough")
+    told = {0.0: "zero, negative", -1.0: "zero, negative", np.inf: "infinite"}
+    expect_refusals(
+        (FormatError, "file-not-found", lambda: open_calibration(tmp_path / "none.zarr")),
+        (FormatError, "file-unreadable", lambda: open_calibration(tmp_path)),
+        (FormatError, "file-unreadable", lambda: open_calibration(tmp_path / "a.nc")),
+        (SchemaError, "not-finite", "NaN everywhere", lambda: open_calibration(_gain(np.nan))),
+        *(
+            (SchemaError, "value-out-of-range", text, lambda gain=gain: open_calibration(_gain(gain)))
+            for gain, text in told.items()
+        ),
+        (
+            SchemaError,
+            "variable-missing",
+            lambda: open_calibration(make_calibration().assign_attrs(srf_shape="tabulated")),
+        ),
+    )
+
+
+def test_a_calibration_says_all_that_is_wrong_with_it() -> None:
+    wrong = make_calibration()
+    del wrong["radiance_gain"].attrs["units"]
+    wrong = wrong.assign_coords(fwhm=("band", [6.0, -6.0, 6.0], NM)).drop_vars("wavelength")
+    wrong.attrs["srf_shape"] = "box"
+    with pytest.raises(SchemaError) as caught:
+        open_calibration(wrong)
+    text = str(caught.value)
+    assert all(
+        part in text for part in ("no units", "'fwhm' is not finite", "'wavelength' is missing", "'box'")
+    )
+
+
+@pytest.mark.parametrize("suffix", [".zarr", ".nc"])
+def test_calibration_stores(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"calibration{suffix}"
+    calibration = make_calibration(radiance_gain_u=(ELEMENT, np.ones((BANDS, COLUMNS))))
+    if suffix == ".zarr":
+        plain_zarr(calibration, path)
+    else:
+        pytest.importorskip("h5netcdf")
+        calibration.to_netcdf(path, engine="h5netcdf")
+    opened = open_calibration(path)
+    assert opened["radiance_gain"].dtype == np.float32
+    assert "radiance_gain_u" in opened
+    xr.testing.assert_allclose(opened.drop_attrs(), open_calibration(calibration).drop_attrs())
+
+
+# --- dark --------------------------------------------------------------------------------------------------
+
+
+def test_dark_is_the_mean_of_its_lines(folder: Path) -> None:
+    frames = np.fromfile(folder / "dark" / "raw_0", "u2").reshape(40, BANDS, COLUMNS).astype(np.float64)
+    line = open_line(folder)
+    np.testing.assert_allclose(line["dark_counts"], frames.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(line["read_noise"] ** 2, frames.var(axis=0, ddof=1) - 1 / 12, rtol=1e-5)
+    assert line.attrs["dark_source"] == "raw_0.hdr (40 lines)"
+    none = open_line(folder, dark="none")
+    assert (none["dark_counts"] == 0).all()
+    assert (none["dark_counts"].dtype, none.attrs["dark_source"]) == (np.float32, "none")
+
+
+def test_darks_of_known_times_are_kept_apart(folder: Path) -> None:
+    paths = []
+    for name, frames, level in (("after", np.arange(60, 70), 30), ("before", np.arange(10), 10)):
+        cube = np.full((10, BANDS, COLUMNS), level, np.uint16)
+        paths.append(write_cube(folder / name, f"raw_{frames[0]}", cube, ";Exposure (ms) = 5\n"))
+        write_index(folder / name / f"frameIndex_{frames[0]}.txt", frames)
+        write_nav(folder / name / "imu_gps.txt")
+    line = open_line(folder, dark=paths)
+    assert line["dark_counts"].dims == ("dark_time", "band", "cross_track")
+    assert line["dark_counts"].values[:, 0, 0].tolist() == [10, 30]
+    assert line["dark_time"].dtype == "datetime64[ns]"
+    assert ((line["dark_time"].values - T0) / np.timedelta64(1, "ms")).tolist() == [31.5, 451.5]
+    assert line["dark_exposure_time"].values.tolist() == [0.005, 0.005]
+
+
+@pytest.mark.real_data
+def test_the_real_headwall_dark_is_a_dark(shared_data: Path, tmp_path: Path) -> None:
+    shape = (978, 1600)
+    calibration = xr.Dataset(
+        {"radiance_gain": (ELEMENT, np.ones(shape, np.float32), GAIN)},
+        {"wavelength": ("band", np.linspace(379, 1001, 978), NM), "fwhm": ("band", np.full(978, 3.0), NM)},
+        {"srf_shape": "gaussian"},
+    )  # fmt: skip
+    path = shared_data / "envi_cube" / "darkReference.hdr"
+    line = open_flightline(
+        path, dark=path, calibration=calibration, exposure_time=0.005, start_time=T0, frame_period=0.007
+    )
+    assert float(line["dark_counts"].mean(dtype="float64")) == pytest.approx(13.97111260, abs=5e-9)
+    assert line["counts"].shape == (1, *shape)
+    assert json.loads(line.attrs["envi_comments"])["Serial Number"]
+
+
+# --- calibration stores that hyperpaint wrote must be whole; those of others are in test_any_zarr ---------
+
+
+@pytest.mark.parametrize("where", [None, "calibration"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda group: shutil.rmtree(group / "radiance_gain" / "c"),
+        lambda group: shutil.rmtree(group / "fwhm"),
+        lambda group: replace(group / "zarr.json", b"slit", b"gaussian"),
+        lambda group: replace(group / "fwhm/c/0", (group / "fwhm/c/0").read_bytes()[-1:], b""),
+    ],
+    ids=["chunk lost", "array lost", "attributes changed", "chunk damaged"],
+)
+def test_what_we_wrote_must_be_whole(
+    damage: Callable[[Path], None], where: str | None, tmp_path: Path
+) -> None:
+    path, calibration = tmp_path / "cal.zarr", make_calibration()
+    hp.to_store(calibration, path, where)
+    np.testing.assert_array_equal(
+        open_calibration(path).radiance_gain, open_calibration(calibration).radiance_gain
+    )
+    damage(path / (where or ""))
+    with pytest.raises(FormatError, match="file-unreadable"):
+        open_calibration(path)
+
+
+def replace(path: Path, old: bytes, new: bytes) -> None:
+    path.write_bytes(path.read_bytes().replace(old, new))
+
+
+# --- integers are counts of a flight line where their header, a dark or the user says so ------------------
+
+
+def test_a_dark_says_that_integers_are_counts(folder: Path, counts: np.ndarray[Any, Any]) -> None:
+    cube_of(folder, counts)
+    write_cube(folder / "dark", "raw_0", np.full_like(counts, 100), **WORDLESS)
+    line = open_line(folder)
+    np.testing.assert_array_equal(line["counts"].values, counts)
+    assert float(line["dark_counts"].mean()) == 100
+    # so does the user
+    for said in ({"quantity": "counts"}, {}):
+        assert open_line(folder, dark="none", **said)["counts"].shape == counts.shape
+
+
+@pytest.mark.parametrize("said", [{}, {"quantity": "radiance"}])
+def test_integers_with_units_of_radiance_are_no_counts(
+    folder: Path, counts: np.ndarray[Any, Any], said: dict[str, Any]
+) -> None:
+    # Rationale: a vendor's radiance in integers opened as counts, and its units were of no account
+    cube_of(folder, counts)
+    said = {"radiance_units": "uW m-2 sr-1 nm-1", "dark": None, "calibration": None, **said}
+    line = open_line(folder, **said, fwhm_nm=6.0)
+    assert "counts" not in line
+    assert line["radiance"].shape == (LINES, BANDS, counts.shape[2])
+    np.testing.assert_allclose(line["radiance"].values[3, 1, 2], counts[3, 1, 2] * 1e-6, rtol=1e-6)
+
+
+# --- the line table: every number keeps its bits, and the pose is read again as navigation ----------------
+
+
+POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
+START = np.datetime64("2024-06-01T12:00:00.000000001", "ns")
+
+
+def line_of(pose: dict[str, Any], lines: int = 3) -> xr.Dataset:
+    coords = {
+        name: ("along_track", np.asarray(pose[name], float), schema.VARIABLES[name].attrs) for name in POSE
+    }
+    return xr.Dataset(
+        {
+            "reflectance": (schema.CUBE, np.zeros((lines, 2, 4), "f4"), {"units": "1"}),
+            "irradiance_age": ("along_track", np.linspace(0, 1, lines, dtype="f4"), {"units": "s"}),
+            "exposure_time": ((), 5e-3, {"units": "s"}),
+            "wavelength_note": ("band", ["a", "b"]),
+        },
+        {
+            "time": ("along_track", START + np.arange(lines) * np.timedelta64(7, "ms")),
+            "frame": ("along_track", np.arange(10, 10 + lines)),
+            "comment": ("along_track", ["x,y"] * lines),
+            **coords,
+        },
+        Convention(column_order="left_to_right", stamp_reference="end").to_attrs(),
+    )
+
+
+def test_a_table_of_lines(tmp_path: Path) -> None:
+    line = line_of({name: [0.1, np.nan, 1 / 3] for name in POSE})
+    line["time"] = line.time.where(line.frame != 11)
+    text = hp.io.write_line_table(line, tmp_path / "lines.csv").read_text().splitlines()
+    assert "# convention_column_order: left_to_right" in text
+    rows = [row for row in text if not row.startswith("#")]
+    assert rows[0] == (
+        "line,frame,time,latitude [degree],longitude [degree],altitude [m],roll [degree],pitch [degree],"
+        "heading [degree],exposure_time [s],irradiance_age [s]"
+    )
+    assert rows[1] == "0,10,2024-06-01T12:00:00.000000001Z,0.1,0.1,0.1,0.1,0.1,0.1,0.005,0.0"
+    assert rows[2] == "1,11,,,,,,,,0.005,0.5"
+    flight = hp.open_navigation(tmp_path / "lines.csv")
+    assert flight.attrs["rows_without_time"] == 1
+    assert Convention.from_attrs(flight.attrs) == Convention.from_attrs(line.attrs)
+    assert "assumed" not in flight.attrs
+
+
+@settings(max_examples=30)
+@given(st.data())
+def test_the_pose_comes_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    lines = data.draw(st.integers(1, 8))
+    number = st.floats(-90.0, 90.0) | st.just(float("nan"))
+    pose = {name: data.draw(st.lists(number, min_size=lines, max_size=lines)) for name in POSE}
+    line = line_of(pose, lines)
+    flight = hp.open_navigation(hp.io.write_line_table(line, tmp_path_factory.mktemp("table") / "lines.csv"))
+    for name in POSE:
+        np.testing.assert_array_equal(flight[name], line[name])
+    np.testing.assert_array_equal(flight.navigation_time, line.time)
+
+
+def test_what_is_no_line_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match="dim-missing"):
+        hp.io.write_line_table(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lines.csv")
+    path = hp.io.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), tmp_path / "lines.csv")
+    with pytest.raises(StoreError, match="overwrite=True"):
+        hp.io.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), path)
+    assert [one.name for one in tmp_path.iterdir()] == ["lines.csv"]

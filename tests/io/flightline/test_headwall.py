@@ -1,17 +1,17 @@
 """Settings, frame indices and dark cubes of a Headwall folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 from support.refusals import expect_refusals
 
-from hyperpaint.base.errors import FormatError, TimeError
+from hyperpaint.base.errors import FormatError, SchemaError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, read_table
+from hyperpaint.io.flightline.dark import DARK_NONE, open_dark
 from hyperpaint.io.flightline.headwall import (
     FrameIndex,
     exposure_seconds,
@@ -20,6 +20,7 @@ from hyperpaint.io.flightline.headwall import (
     read_settings,
     sum_dark,
 )
+from hyperpaint.io.flightline.timing import Timing
 
 
 def write(path: Path, text: str, newline: str = "\n") -> Path:
@@ -91,8 +92,7 @@ def test_frame_index_in_microseconds(tmp_path: Path, newline: str) -> None:
         tmp_path / "frameIndex_458.txt", "Frame#\tTimestamp\n458\t10\n459\t7010\n461\t21010\n", newline
     )
     index = read_frame_index(path)
-    assert index.frame.tolist() == [458, 459, 461]
-    assert index.stamp.tolist() == [10, 7010, 21010]
+    assert (index.frame.tolist(), index.stamp.tolist()) == ([458, 459, 461], [10, 7010, 21010])
     assert (index.clock, index.fitted) == ("instrument", False)
     assert index.frame.dtype == index.stamp.dtype == np.int64
 
@@ -100,8 +100,7 @@ def test_frame_index_in_microseconds(tmp_path: Path, newline: str) -> None:
 def test_frame_index_by_time_of_day_across_midnight(tmp_path: Path) -> None:
     text = "Frame#\tTime\n0\t23:59:59 993000\n1\t00:00:00 0\n2\t00:00:00 7000\n"
     index = read_frame_index(write(tmp_path / "f.txt", text))
-    assert index.clock == "time of day"
-    assert (index.stamp - 86_400_000_000).tolist() == [-7000, 0, 7000]
+    assert (index.clock, (index.stamp - 86_400_000_000).tolist()) == ("time of day", [-7000, 0, 7000])
 
 
 def test_frame_index_in_whole_seconds_is_straightened(tmp_path: Path) -> None:
@@ -115,14 +114,6 @@ def test_frame_index_in_whole_seconds_is_straightened(tmp_path: Path) -> None:
     assert index.fitted
     assert np.abs(index.stamp - true).max() < 30_000
     assert (np.diff(index.stamp) > 0).all()
-
-
-def test_whole_seconds_need_a_steady_rate(tmp_path: Path) -> None:
-    with pytest.raises(TimeError, match="frame-rate-unknown"):
-        read_frame_index(write(tmp_path / "f.txt", "Frame#\tTime\n0\t10:00:00\n1\t10:00:00\n2\t10:00:01\n"))
-    text = "Frame#\tTime\n0\t10:00:00\n1\t10:00:01\n2\t10:00:02\n3\t10:00:30\n"
-    with pytest.raises(TimeError, match="steady"):
-        read_frame_index(write(tmp_path / "f.txt", text))
 
 
 @pytest.mark.parametrize(
@@ -142,6 +133,9 @@ def test_whole_seconds_need_a_steady_rate(tmp_path: Path) -> None:
         ("", FormatError, "header"),
         ("Frame#\tTime\n0\t25:00:00 1\n", FormatError, "line 2"),
         ("Frame#\tTimestamp\n0\t5\n\0\0", FormatError, "binary"),
+        # whole seconds need a steady rate
+        ("Frame#\tTime\n0\t10:00:00\n1\t10:00:00\n2\t10:00:01\n", TimeError, "frame-rate-unknown"),
+        ("Frame#\tTime\n0\t10:00:00\n1\t10:00:01\n2\t10:00:02\n3\t10:00:30\n", TimeError, "steady"),
     ],
 )
 def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], match: str) -> None:
@@ -151,8 +145,7 @@ def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], 
 
 def test_trailing_tabs_and_blank_lines_are_no_cells(tmp_path: Path) -> None:
     table = read_table(write(tmp_path / "t.txt", "a\tb\t\n1\t2\t\n\n3\t4\n"), "table", needs=["a"])
-    assert table.columns == {"a": ["1", "3"], "b": ["2", "4"]}
-    assert table.rows.tolist() == [2, 4]
+    assert (table.columns, table.rows.tolist()) == ({"a": ["1", "3"], "b": ["2", "4"]}, [2, 4])
 
 
 # --- lines of a cube ---------------------------------------------------------------------------------------
@@ -218,19 +211,18 @@ def test_sums_of_a_dark_cube_are_exact() -> None:
 
 
 def test_sum_dark_refuses_what_is_no_raw_cube() -> None:
-    dims = ("along_track", "band", "cross_track")
-    with pytest.raises(FormatError, match="float32"):
-        sum_dark(xr.DataArray(np.zeros((2, 2, 2), np.float32), dims=dims), "dark")
-    with pytest.raises(FormatError, match="empty-input"):
-        sum_dark(xr.DataArray(np.zeros((0, 2, 2), np.uint16), dims=dims), "dark")
-    with pytest.raises(FormatError, match="expected"):
-        sum_dark(xr.DataArray(np.zeros((2, 2), np.uint16), dims=("y", "x")), "dark")
+    for values, dims, match in (
+        (np.zeros((2, 2, 2), np.float32), CUBE, "float32"),
+        (np.zeros((0, 2, 2), np.uint16), CUBE, "empty-input"),
+        (np.zeros((2, 2), np.uint16), ("y", "x"), "expected"),
+    ):
+        with pytest.raises(FormatError, match=match):
+            sum_dark(xr.DataArray(values, dims=dims), "dark")
 
 
 @pytest.mark.real_data
 def test_the_real_headwall_dark_cube(shared_data: Path) -> None:
-    opened = open_envi(shared_data / "envi_cube" / "darkReference")
-    frames = sum_dark(opened["counts"], "darkReference")
+    frames = sum_dark(open_envi(shared_data / "envi_cube" / "darkReference")["counts"], "darkReference")
     assert frames.lines == 1
     assert frames.mean.shape == (978, 1600)
     assert frames.mean.mean() == pytest.approx(13.97111260, abs=5e-9)
@@ -242,3 +234,117 @@ def test_a_record_of_too_many_rows_has_a_mend(tmp_path: Path) -> None:
     path.write_bytes(b"Frame#\tTimestamp\n" + b"\n" * MAX_TABLE_ROWS)
     with pytest.raises(FormatError, match="at most 2000000"):
         read_table(path, "frame index", needs=["frame#"])
+
+
+# --- dark references, against plain means of the frames ---------------------------------------------------
+
+
+BANDS, COLUMNS = 3, 4
+CUBE = ("along_track", "band", "cross_track")
+ELEMENT = ("band", "cross_track")
+LINE = xr.DataArray(np.zeros((2, BANDS, COLUMNS), np.uint16), dims=CUBE)
+NOON = np.datetime64("2024-06-01T12:00:00", "ns")
+
+
+def frames(lines: int, seed: int = 0) -> np.ndarray[Any, Any]:
+    return np.random.default_rng(seed).integers(10, 60, (lines, BANDS, COLUMNS)).astype(np.uint16)
+
+
+def cube(
+    counts: np.ndarray[Any, Any], second: int | None = None, exposure: float | None = None
+) -> xr.Dataset:
+    made = xr.Dataset({"counts": (CUBE, counts, {"units": "count"})})
+    if second is not None:
+        made = made.assign_coords(
+            time=("along_track", np.full(len(counts), NOON + np.timedelta64(second, "s")))
+        )
+    if exposure is not None:
+        made["exposure_time"] = ((), exposure, {"units": "s"})
+    return made
+
+
+def test_one_cube_is_the_mean_of_its_lines_and_their_spread() -> None:
+    counts = frames(20)
+    dark = open_dark(cube(counts, exposure=0.005), Timing(), None, LINE)
+    assert (dark.counts.dims, dark.counts.dtype, dark.read_noise.dtype) == (ELEMENT, np.float32, np.float32)
+    np.testing.assert_allclose(dark.counts, counts.mean(axis=0, dtype="f8"), rtol=1e-6)
+    variance = counts.var(axis=0, ddof=1, dtype="f8")
+    np.testing.assert_allclose(dark.read_noise, np.sqrt(variance - 1 / 12), rtol=1e-6)
+    np.testing.assert_allclose(dark.uncertainty, np.sqrt(variance / 20), rtol=1e-6)
+    made = dark.variables(needs_noise=True)
+    assert (float(made["dark_exposure_time"]), set(dark.variables(needs_noise=False))) == (
+        0.005,
+        {*("dark_counts", "dark_exposure_time", "dark_counts_u_random")},
+    )
+
+
+def test_few_lines_measure_no_noise_of_elements() -> None:
+    counts = frames(15)
+    dark = open_dark(cube(counts), Timing(), None, LINE)
+    assert dark.read_noise is None
+    # their mean is less sure than that of many, which must not be unsaid
+    assert set(dark.variables(needs_noise=True)) == {"dark_counts", "dark_counts_u_random"}
+    own = counts.var(axis=0, ddof=1, dtype="f8")
+    np.testing.assert_allclose(dark.uncertainty, np.sqrt(((14 * own + 16 * own.mean()) / 30) / 15), rtol=1e-6)
+    single = open_dark(cube(frames(1)), Timing(), None, LINE)
+    assert set(single.variables(needs_noise=True)) == {"dark_counts"}
+
+
+def test_cubes_of_known_times_stay_apart_in_order() -> None:
+    late, early = frames(2, 1), frames(3, 2)
+    dark = open_dark([cube(late, 60, 0.004), cube(early, 0, 0.005)], Timing(), None, LINE)
+    assert dark.counts.dims == ("dark_time", *ELEMENT)
+    np.testing.assert_allclose(dark.counts[0], early.mean(axis=0, dtype="f8"), rtol=1e-6)
+    np.testing.assert_allclose(dark.counts[1], late.mean(axis=0, dtype="f8"), rtol=1e-6)
+    assert dark.counts["dark_time"].dtype == "datetime64[ns]"
+    assert (dark.counts["dark_time"].values - NOON).astype("timedelta64[s]").astype(int).tolist() == [0, 60]
+    assert dark.variables(needs_noise=False)["dark_exposure_time"].values.tolist() == [0.005, 0.004]
+
+
+def test_cubes_of_unknown_times_are_averaged_line_by_line() -> None:
+    one, two = frames(2, 1), frames(5, 2)
+    dark = open_dark([cube(one), cube(two, 0)], Timing(), None, LINE)
+    np.testing.assert_allclose(dark.counts, np.concatenate([one, two]).mean(axis=0, dtype="f8"), rtol=1e-6)
+    assert "averaged" in dark.source
+
+
+def test_none_and_the_calibrations() -> None:
+    none = open_dark(DARK_NONE, Timing(), None, LINE)
+    assert none.counts.dtype == np.float32
+    assert not none.counts.any()
+    assert none.counts.attrs["dark"] == "none"
+    calibration = xr.Dataset(
+        {
+            "dark_counts": (ELEMENT, np.full((BANDS, COLUMNS), 12.5), {"units": "count"}),
+            "dark_exposure_time": ((), 5.0, {"units": "ms"}),
+        }
+    )
+    given = open_dark("calibration", Timing(), calibration, LINE)
+    assert (given.counts == 12.5).all()
+    assert given.counts.dtype == np.float32
+    assert given.exposures == (0.005,)
+
+
+def test_what_failed_to_open_is_not_reported_again() -> None:
+    assert open_dark(DARK_NONE, Timing(), None, None) is None
+    assert open_dark("calibration", Timing(), None, LINE) is None
+
+
+HOLLOW = {"dark_counts": (ELEMENT, np.full((BANDS, COLUMNS), np.nan), {"units": "count"})}
+
+
+@pytest.mark.parametrize(
+    ("source", "columns", "error", "match"),
+    [
+        *((missing, COLUMNS, SchemaError, "dark-missing") for missing in (None, [], ())),
+        ([cube(frames(2), exposure=0.005), cube(frames(2))], COLUMNS, SchemaError,
+         r"5 ms.*unknown.*exposure-conflict"),
+        (cube(frames(2)), 5, SchemaError, "grid-mismatch"),
+        (xr.Dataset({"radiance": (CUBE, np.ones((2, BANDS, COLUMNS), np.float32))}), COLUMNS, FormatError,
+         "counts-missing"),
+        (xr.Dataset(HOLLOW), COLUMNS, SchemaError, "not-finite"),
+    ],
+)  # fmt: skip
+def test_what_is_no_dark(source: Any, columns: int, error: Any, match: str) -> None:
+    with pytest.raises(error, match=match):
+        open_dark(source, Timing(), None, xr.DataArray(np.zeros((2, BANDS, columns), np.uint16), dims=CUBE))

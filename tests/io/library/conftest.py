@@ -1,7 +1,5 @@
 """The library that tests of this folder write."""
 
-from __future__ import annotations
-
 import pytest
 import xarray as xr
 from support.library_examples import make_library

@@ -4,8 +4,6 @@ Whoever writes another reader or checker tries it on them. They change with the 
 alone: what is written today has their bytes. ``python`` and the path of this file wrote them.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -74,8 +72,7 @@ def test_what_is_written_today_has_their_bytes(tmp_path: Path) -> None:
     write(tmp_path)
     stored = {path.relative_to(FILES) for path in FILES.rglob("*") if path.is_file()}
     stored -= {path for path in stored if path.parts[0] == "ecostress"}
-    written = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
-    assert written == stored
+    assert {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()} == stored
     for name in sorted(stored):
         if name.suffix != ".parquet":  # its bytes are those of pyarrow's version
             assert (tmp_path / name).read_bytes() == (FILES / name).read_bytes(), name

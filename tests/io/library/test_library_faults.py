@@ -1,7 +1,5 @@
 """Damaged libraries are refused with an error of ours, or read; the campaign tries thousands."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,7 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder: Path = tmp_path_factory.mktemp("seeds")
-    parsers = importlib.import_module("campaigns.faults.parsers")
-    parsers.prepare(folder)
+    importlib.import_module("campaigns.faults.parsers").prepare(folder)
     return folder
 
 

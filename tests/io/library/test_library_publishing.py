@@ -1,7 +1,5 @@
 """What is written appears whole or not at all, and nothing is replaced unasked."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.io.files import publishing
-from hyperpaint.io.library import envi_library
+from hyperpaint.io.library import spectra_files
 from hyperpaint.io.store.stage import _MARK_TEXT
 
 NAMES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr"}
@@ -122,8 +121,7 @@ def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
         patched.setattr(publishing, "_settle", lambda _: None)  # as a process that is killed
         with pytest.raises(Power):
             hp.write_library(new, path, overwrite=overwrite)
-    with pytest.raises(FormatError, match=r"no header|no such file"):
-        hp.open_library(path)
+    expect_errors((FormatError, r"no header|no such file", lambda: hp.open_library(path)))
     hp.write_library(new, path, overwrite=overwrite)
     assert hp.open_library(path).sizes["signature"] == 5
     assert sorted(p.name for p in tmp_path.iterdir()) == ["paints.hdr", "paints.sli", "paints.sli.json"]
@@ -145,8 +143,7 @@ def test_one_writer_at_a_time(library: xr.Dataset, tmp_path: Path) -> None:
     def second(done: int, total: int) -> None:
         if done == total:  # it is there by now
             return
-        with pytest.raises(StoreError, match="is being written"):
-            hp.write_library(library, path)
+        expect_errors((StoreError, "is being written", lambda: hp.write_library(library, path)))
 
     hp.write_library(library, path, progress=second)
     assert hp.open_library(path).sizes["signature"] == 5
@@ -155,7 +152,7 @@ def test_one_writer_at_a_time(library: xr.Dataset, tmp_path: Path) -> None:
 def test_a_header_too_large_to_be_read__is_refused(
     library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(envi_library, "MAX_LIBRARY_HEADER_BYTES", 500)
+    monkeypatch.setattr(spectra_files, "MAX_LIBRARY_HEADER_BYTES", 500)
     with pytest.raises(ValueError, match="file-too-large"):
         hp.write_library(library, tmp_path / "paints.sli")
     assert list(tmp_path.iterdir()) == []

@@ -1,14 +1,12 @@
 """Files as programs write them, and what is wrong with others, said in a sentence."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.refusals import expect_refusals, refusal
+from support.refusals import expect_errors, expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, StoreError
@@ -235,7 +233,10 @@ Additional Information: none
 
 
 def test_ecostress__spellings_of_units(tmp_path: Path) -> None:
-    library = hp.open_library(write_text(tmp_path, ECOSTRESS))
+    ours = ': hyperpaint metadata {"matt": true, "n": 7, "year": null}'
+    library = hp.open_library(write_text(tmp_path, ECOSTRESS.replace(": none", ours)))
+    assert [library[name].item() for name in ("matt", "n")] == [True, 7]
+    assert np.isnan(library["year"]).all()
     np.testing.assert_allclose(library["reflectance"].values, [[0.3, 0.2, 0.1]], rtol=1e-6)
     np.testing.assert_allclose(library["wavelength"].values, [650, 550, 450])
     fraction = ECOSTRESS.replace("percentage", "fraction").replace(" 30", " .3").replace(" 20", " .2")
@@ -333,8 +334,7 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
 
 def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> None:
     one = write_sli(tmp_path, ROWS, NAMES + NM + "fwhm = {5, 5, 5}\n")
-    two = write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n")
-    library = hp.open_library([one, two])
+    library = hp.open_library([one, write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n")])
     assert "fwhm" not in library.variables
     assert "fwhm differs from file to file and is left out" in library.attrs["notes"]
 
@@ -342,8 +342,7 @@ def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> No
 def test_several__one_bad_file_is_an_error_that_names_it(tmp_path: Path) -> None:
     write_text(tmp_path, "450,0.1\n550,0.2\n", "a.txt")
     write_text(tmp_path, "nothing\n", "b.txt")
-    with pytest.raises(FormatError, match=r"b.txt.*table-missing"):
-        hp.open_library(tmp_path)
+    expect_errors((FormatError, r"b.txt.*table-missing", lambda: hp.open_library(tmp_path)))
 
 
 def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_path: Path) -> None:
@@ -367,8 +366,7 @@ def test_zarr__that_is_no_library_is_refused(tmp_path: Path) -> None:
     import xarray as xr
 
     hp.to_store(xr.Dataset({"x": ("y", [1.0])}), tmp_path / "x.zarr")
-    with pytest.raises(FormatError, match="library-missing"):
-        hp.open_library(tmp_path / "x.zarr")
+    expect_errors((FormatError, "library-missing", lambda: hp.open_library(tmp_path / "x.zarr")))
     with pytest.raises(StoreError):
         hp.open_library(tmp_path / "absent.zarr")
 
@@ -386,8 +384,7 @@ def ecostress(x: list[float], y: list[float], units: str, x_units: str = "Wavele
 
 def test_nanometres_that_are_called_micrometres_are_refused(tmp_path: Path) -> None:
     path = write_text(tmp_path, ecostress([400.0, 500.0, 590.0], [10.0] * 3, "Reflectance (percent)"))
-    with pytest.raises(FormatError, match="wavelength-range"):
-        hp.open_library(path)
+    expect_errors((FormatError, "wavelength-range", lambda: hp.open_library(path)))
     assert hp.open_library(path, wavelength=[400, 500, 590])["wavelength"].values.tolist() == [400, 500, 590]
     far = write_text(tmp_path, ecostress([1.2, 20.0, 216.0], [10.0] * 3, "Reflectance (percent)"), "far.txt")
     assert hp.open_library(far)["wavelength"].values.max() == 216_000.0
@@ -403,8 +400,9 @@ def test_a_dark_paint_in_percent_is_no_bright_one(tmp_path: Path) -> None:
 
 def test_a_bright_paint_among_dark_ones_tells_of_percent(tmp_path: Path) -> None:
     text = "wavelength (nm),black,soot,white\n450,0.8,0.7,80\n550,0.9,0.6,81\n650,0.8,0.6,82\n"
-    with pytest.warns(PaintWarning, match="scale-missing"):
+    with pytest.warns(PaintWarning, match="scale-missing") as noted:
         hp.open_library(write_text(tmp_path, text, "few.csv"))
+    assert noted[0].filename == __file__  # the line of the caller
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """What is written comes back: bit for bit, and byte for byte when it is written again."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -14,6 +12,7 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 from support import painted_lines
 from support.library_examples import NAMES, make_library
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
@@ -95,8 +94,7 @@ def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path:
     assert head[:3] == ["signature", "variable", "place"]
     first = len(head) - library.sizes["band"]
     assert [float(cell) for cell in head[first:]] == library["wavelength"].values.tolist()
-    assert {len(row) for row in rows} == {len(head)}
-    assert [row[0] for row in rows[:5]] == NAMES
+    assert ({len(row) for row in rows}, [row[0] for row in rows[:5]]) == ({len(head)}, NAMES)
     assert [np.float32(cell) for cell in rows[1][first:]] == library["reflectance"].values[1].tolist()
     members = [row for row in rows if row[1] == "member_reflectance"]
     assert [(row[0], row[2]) for row in members if row[0] == "Grün"] == [
@@ -190,8 +188,7 @@ def test_csv__edited_in_a_spreadsheet(library: xr.Dataset, tmp_path: Path) -> No
 )
 def test_csv__what_is_no_table_is_said(first: str, row: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text(f"{first}\n{row}\n")
-    with pytest.raises(FormatError, match=said):
-        hp.open_library(tmp_path / "x.csv")
+    expect_errors((FormatError, said, lambda: hp.open_library(tmp_path / "x.csv")))
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
@@ -200,8 +197,9 @@ def test_without_metadata__spectra_and_members_still_lead_back(
 ) -> None:
     path = hp.write_library(library, tmp_path / name, curves="all")
     path.with_name(path.name + ".json").unlink()
-    with pytest.warns(PaintWarning, match="metadata-missing"):
+    with pytest.warns(PaintWarning, match="metadata-missing") as noted:
         found = hp.open_library(path)
+    assert noted[0].filename == __file__  # the line of the caller
     for variable in ("reflectance", "member_reflectance", "reflectance_quantiles", "reflectance_sd"):
         np.testing.assert_array_equal(found[variable].values, library[variable].values)
         assert found[variable].dims == library[variable].dims
@@ -215,12 +213,16 @@ def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path:
     shifted = library.assign_coords(wavelength=library["wavelength"] + 1.0)
     other = hp.write_library(shifted, tmp_path / "other" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
-    with pytest.raises(FormatError, match="grid-mismatch"):
-        hp.open_library(path)
+    expect_errors((FormatError, "grid-mismatch", lambda: hp.open_library(path)))
     fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
-    with pytest.raises(FormatError, match="metadata-damaged"):
-        hp.open_library(path)
+    # an axis without values, which an index would fill the memory with
+    metadata = json.loads(whole := path.with_name(path.name + ".json").read_text(encoding="utf-8"))
+    metadata["coords"]["x"] = {"dims": ["x"], "attrs": {}, "dtype": "float32", "shape": [2**31 - 1]}
+    for text, message in ((whole, "sizes"), (json.dumps(metadata), "'x': expected values")):
+        path.with_name(path.name + ".json").write_text(text, encoding="utf-8")
+        with pytest.raises(FormatError, match=rf"{message}.*metadata-damaged"):
+            hp.open_library(path)
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])

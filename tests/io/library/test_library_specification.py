@@ -1,7 +1,5 @@
 """A library against its specification: planted faults are found by their rules, right libraries pass."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -173,8 +171,7 @@ def test_a_word_that_is_none_is_refused(library):
 def test_metadata_pass_the_schema_and_libraries_come_back(library, tmp_path, suffix):
     path = hp.write_library(library, tmp_path / f"paints.{suffix}", curves="all")
     jsonschema.validate(json.loads(path.with_name(f"{path.name}.json").read_text(encoding="utf-8")), SCHEMA)
-    back = hp.open_library(path)
-    xr.testing.assert_identical(back, library)
+    xr.testing.assert_identical(hp.open_library(path), library)
     assert hp.io.check_library(path).ok
 
 

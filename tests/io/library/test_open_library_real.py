@@ -1,13 +1,12 @@
 """Real libraries with their known values, and against SPy, which reads them by its own code."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
@@ -36,8 +35,7 @@ SPY_ON_NUMPY_2_5 = pytest.mark.filterwarnings("ignore:Setting the shape on a Num
 
 
 def spy_library(path: Path) -> Any:
-    envi = pytest.importorskip("spectral.io.envi")
-    return envi.open(str(path.with_suffix(".hdr")), str(path))
+    return pytest.importorskip("spectral.io.envi").open(str(path.with_suffix(".hdr")), str(path))
 
 
 def assert_is_library(library: xr.Dataset) -> None:
@@ -82,8 +80,7 @@ def test_usgs_aviris__has_two_records_that_are_no_spectra_and_error_bars(sli: Pa
         signature=[at for at, n in enumerate(library["signature"].values) if "GDS398" in n][:1]
     )
     np.testing.assert_allclose(toy["reflectance"].values[0, [20, 50]], [0.10421019, 0.670282], rtol=1e-6)
-    falls = np.flatnonzero(np.diff(library["wavelength"].values) < 0)
-    assert falls.tolist() == [31, 95]
+    assert np.flatnonzero(np.diff(library["wavelength"].values) < 0).tolist() == [31, 95]
     assert float(library["reflectance"].min()) > -0.1
     assert float(library["reflectance_u_random"].min()) >= 0.0
 
@@ -142,8 +139,7 @@ def test_aster__values_that_wrap_are_whole(text: Path) -> None:
 @pytest.mark.parametrize("name", [METAL, CEMENT, SOIL])
 def test_ecostress_and_aster__are_as_spy_reads_them(text: Path, name: str) -> None:
     module, function = ("ecostress", "read_ecostress_file") if name == SOIL else ("aster", "read_aster_file")
-    spy = pytest.importorskip(f"spectral.database.{module}")
-    theirs = getattr(spy, function)(str(text / name))
+    theirs = getattr(pytest.importorskip(f"spectral.database.{module}"), function)(str(text / name))
     ours = hp.open_library(text / name).sortby("wavelength")
     np.testing.assert_allclose(ours["wavelength"].values, np.array(theirs.x) * 1e3)
     np.testing.assert_allclose(ours["reflectance"].values[0], np.array(theirs.y) / 100.0, rtol=1e-6)
@@ -172,13 +168,11 @@ def test_usgs_text__without_wavelengths_says_what_is_missing(text: Path, tmp_pat
     alone = tmp_path / "a" / "b" / "c" / USGS
     alone.parent.mkdir(parents=True)
     alone.write_bytes((text / USGS).read_bytes())
-    with pytest.raises(FormatError, match="wavelength-missing"):
-        hp.open_library(alone)
+    expect_errors((FormatError, "wavelength-missing", lambda: hp.open_library(alone)))
 
 
 def test_wavelengths_are_no_spectrum(text: Path) -> None:
-    with pytest.raises(FormatError, match="quantity-wrong"):
-        hp.open_library(text / WAVELENGTHS)
+    expect_errors((FormatError, "quantity-wrong", lambda: hp.open_library(text / WAVELENGTHS)))
 
 
 @pytest.mark.parametrize(("name", "first"), [("PVC_Red", (344.200012, 0.367868)), ("R90", (250.0, 0.942517))])

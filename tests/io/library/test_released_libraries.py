@@ -4,8 +4,6 @@
 ``released/version_2.zip`` with the metadata that followed, under today's names.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import warnings
@@ -17,6 +15,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from support.library_examples import declared_library
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning
@@ -152,5 +151,4 @@ def test_our_table_comes_back_through_pandas_with_its_index(
     assert opened["signature"].values.tolist() == ["red", "blue", "black"]
     np.testing.assert_array_equal(opened["reflectance"], library["reflectance"])
     pd.read_csv(path).iloc[::-1].to_csv(tmp_path / "turned.csv")
-    with pytest.raises(FormatError, match="column-name-missing"):
-        hp.open_library(tmp_path / "turned.csv")
+    expect_errors((FormatError, "column-name-missing", lambda: hp.open_library(tmp_path / "turned.csv")))

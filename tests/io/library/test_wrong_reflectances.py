@@ -1,7 +1,5 @@
 """Texts and libraries that hold no reflectance are refused or warned of; those that do open in silence."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import partial
@@ -10,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.refusals import expect_errors
 from support.wrong_quantities import NM, Case, objection, remarks, sunlight, table
 
 import hyperpaint as hp
@@ -17,6 +16,7 @@ from hyperpaint.base.errors import FormatError
 
 GREY = 0.3 + 0.1 * np.sin(NM / 90.0)
 LIGHT = sunlight()
+SIGNALLING = np.array(0x7F800001, np.uint32).view(np.float32)
 
 
 def tabled(
@@ -63,6 +63,13 @@ def ecostress(values: Any, y: str, x: str = "Wavelength (micrometers)") -> Calla
     return opened
 
 
+# flat reflectance with a dip of 6, 15 and 50 % at the oxygen band; wavelengths of which 7 % come again
+DIP_6, DIP_15, DIP_50 = (
+    np.where(np.abs(NM - 762) <= 5, 0.5 * (1 - depth), 0.5) for depth in (0.06, 0.15, 0.5)
+)
+AGAIN = np.r_[400.0:600.0, 584.0:600.0]
+PLACES = np.arange(NM.size)
+
 WRONG_LIBRARIES = [
     Case("radiance by its heading", text(LIGHT / 9, heading="wavelength (nm),radiance"), "radiance"),
     Case("radiance by its unit", text(LIGHT / 9, heading="nm,W m-2 sr-1 nm-1"), "W m-2"),
@@ -99,6 +106,13 @@ WRONG_LIBRARIES = [
     Case("one wavelength, two values", tabled(TWICE, np.linspace(0.2, 0.3, TWICE.size)), "averaged"),
     Case("micrometres said to be nanometres", text(GREY, heading="nm,hood", wavelength=NM / 1e3), "nm"),
     Case("nanometres said to be micrometres", text(GREY, heading="um,hood"), "nanometres"),
+    Case("a shallow oxygen band", text(DIP_15), "oxygen band"),
+    Case("an oxygen band at 4 nm", tabled(NM[::2], DIP_50[::2]), "oxygen band"),
+    Case("a spread of a third", text(GREY, 0.35 * GREY), "standard deviation"),
+    Case("7 % of the wavelengths again", tabled(AGAIN, 0 * AGAIN + 0.3), "side by side"),
+    Case("a median above one", text(0 * NM + 1.15), "scale"),
+    Case("a seventh of bright values", text(np.where(PLACES % 7 == 0, 1.3, 0.5)), "radiance"),
+    Case("a paint that is too black", text(0 * NM + 0.7, heading="nm,black (percent)"), "scale="),
     Case("wavenumbers", text(GREY, heading="wavenumber (cm-1),hood"), "wavenumber"),
     Case("a library of radiance", sli(LIGHT / 9, "z plot titles = {Wavelength, Radiance}"), "Radiance"),
     Case("a library of light, no word", sli(LIGHT / 9), "oxygen band"),
@@ -114,6 +128,10 @@ RIGHT_LIBRARIES = [
     Case("percent, named", text(100 * GREY, heading="wavelength (nm),reflectance (%)"), ""),
     Case("percent of a black paint, named", text(0 * NM + 1.5, heading="nm,black (percent)"), ""),
     Case("percent, told", text(100 * GREY, scale=100), ""),
+    Case("a dip of 6 % at the oxygen band", text(DIP_6), ""),
+    Case("a dip at a step of 10 nm", tabled(NM[::5], DIP_50[::5]), ""),
+    Case("a darker paint", text(GREY, 0.7 * GREY), ""),
+    Case("a fifteenth of bright values", text(np.where(PLACES % 15 == 0, 1.3, 0.5)), ""),
     Case("a white panel", text(0 * NM + 0.99, heading="nm,panel"), ""),
     Case("a fluorescent paint", text(GREY + 1.1 * np.exp(-(((NM - 610) / 12) ** 2))), ""),
     Case("a paint and its spread", text(GREY, 0.05 * GREY, heading="nm,hood,std"), ""),
@@ -126,6 +144,7 @@ RIGHT_LIBRARIES = [
     Case("a sharp dip elsewhere", text(GREY * (1 - 0.5 * np.exp(-(((NM - 690) / 3) ** 2)))), ""),
     Case("vegetation", text(0.04 + 0.4 / (1 + np.exp(-(NM - 715) / 9))), ""),
     Case("a library", sli(GREY), ""),
+    Case("a library with a signalling NaN", sli(np.where(NM == 700, SIGNALLING, np.float32(GREY))), ""),
     Case("a library in percent", sli(100 * GREY, "z plot titles = {Wavelength, Reflectance (%)}"), ""),
     Case("ECOSTRESS text", ecostress(100 * GREY, "Reflectance (percent)"), ""),
 ]  # fmt: skip
@@ -153,8 +172,7 @@ def test_reflectance__opens_without_a_word(case: Case, tmp_path: Path) -> None:
     ],
 )
 def test_real_texts_of_light__are_refused(shared_data: Path, name: str, word: str) -> None:
-    with pytest.raises(FormatError, match=word):
-        hp.open_library(shared_data / name)
+    expect_errors((FormatError, word, lambda: hp.open_library(shared_data / name)))
 
 
 def test_columns_of_spread__are_those_of_the_paint_before_them(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """ENVI and GeoTIFF exports: bit for bit, in the right place, whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 from typing import Any
@@ -11,12 +9,12 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.envi.envi_cubes import open_envi
-from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.envi.envi_cubes import open_envi, read_header
 from hyperpaint.io.maps.map_grids import Grid, envi_map_info, grid_of, nearest_bands
 
 NM = np.array([450.25, 550.0, 640.125, 700.0, 850.0])
@@ -67,8 +65,7 @@ def map_of(
         attrs["crs_wkt"] = pytest.importorskip("pyproj").CRS(crs).to_wkt()
     data = da.from_array(array, chunks=chunks) if chunks else array
     reflectance = (("y", "x", "band"), data, schema.VARIABLES["reflectance"].attrs)
-    made = xr.Dataset({"reflectance": reflectance}, line.coords)
-    return made.assign_coords(spatial_ref=((), 0, attrs))
+    return xr.Dataset({"reflectance": reflectance}, line.coords).assign_coords(spatial_ref=((), 0, attrs))
 
 
 def place(transform: tuple[float, ...], column: Any, row: Any) -> tuple[Any, Any]:
@@ -128,8 +125,7 @@ def test_reflectance_as_integers(tmp_path: Path) -> None:
 def test_a_plane_is_one_band(tmp_path: Path) -> None:
     line = line_of(values(8))
     line["quality"] = (("along_track", "cross_track"), np.arange(240, dtype=np.uint16).reshape(8, 30))
-    header = hp.io.write_envi(line, tmp_path / "flags", variable="quality")
-    found = read_header(header)
+    found = read_header(hp.io.write_envi(line, tmp_path / "flags", variable="quality"))
     assert (found.bands, found.band_names, found.wavelength) == (1, ("quality",), None)
     np.testing.assert_array_equal(np.fromfile(tmp_path / "flags.img", "<u2"), np.arange(240))
 
@@ -163,8 +159,7 @@ def test_blocks_are_written_as_they_are_computed(tmp_path: Path) -> None:
     hp.io.write_envi(line, tmp_path / "line", progress=lambda *_: events.append("written"))
     assert events.count("computed") == events.count("written") == 64
     # no more blocks are waiting than there are threads
-    waiting = np.cumsum([1 if event == "computed" else -1 for event in events])
-    assert waiting.max() <= 32
+    assert np.cumsum([1 if event == "computed" else -1 for event in events]).max() <= 32
 
 
 def test_a_full_disk_is_told_before_anything_is_computed(
@@ -187,8 +182,7 @@ def test_a_full_disk_is_told_before_anything_is_computed(
 def test_gdal_finds_an_envi_map_in_its_place(tmp_path: Path, degrees: float, mirrored: bool) -> None:
     rasterio = pytest.importorskip("rasterio")
     cube, transform = values(), turned(degrees, mirrored=mirrored)
-    header = hp.io.write_envi(map_of(cube, transform), tmp_path / "map")
-    opened = open_envi(header)["reflectance"]
+    opened = open_envi(hp.io.write_envi(map_of(cube, transform), tmp_path / "map"))["reflectance"]
     assert opened.dims == ("y", "x", "band")
     expected = np.moveaxis(cube, 1, -1)[:: -1 if mirrored else 1]
     np.testing.assert_array_equal(opened, expected)
@@ -294,19 +288,16 @@ def test_coordinates_that_no_grid_has_are_refused() -> None:
     distances = {"x": 0.25 * (np.arange(30) + 0.5), "y": 0.25 * (np.arange(40) + 0.5)}
     made = map_of(values(), turned(37.0), None).assign_coords(distances)
     assert grid_of(made) is not None
-    with pytest.raises(SchemaError, match="place-ambiguous"):
-        grid_of(made.isel(x=slice(3, None)))
+    expect_errors((SchemaError, "place-ambiguous", lambda: grid_of(made.isel(x=slice(3, None)))))
     col, row = np.meshgrid(np.arange(30) + 0.5, np.arange(40) + 0.5)
     east, north = place(turned(37.0), col, row)
     placed = made.drop_vars(["x", "y"]).assign_coords(east=(("y", "x"), east), north=(("y", "x"), north))
     part = grid_of(placed.isel(x=slice(4, None, 2)))
     assert part is not None
     np.testing.assert_allclose(place(part.transform, 0.5, 0.5), (east[0, 4], north[0, 4]), rtol=0, atol=1e-7)
-    with pytest.raises(SchemaError, match=r"'east'.*spacing-uneven"):
-        grid_of(placed.isel(x=[0, 1, 5]))
+    expect_errors((SchemaError, r"'east'.*spacing-uneven", lambda: grid_of(placed.isel(x=[0, 1, 5]))))
     unknown = placed.assign_coords(east=placed["east"].where(col != 7.5))
-    with pytest.raises(SchemaError, match=r"'east'.*spacing-uneven"):
-        grid_of(unknown)
+    expect_errors((SchemaError, r"'east'.*spacing-uneven", lambda: grid_of(unknown)))
 
 
 def test_places_are_written_to_the_last_bit(tmp_path: Path) -> None:
@@ -335,16 +326,14 @@ def test_places_are_written_to_the_last_bit(tmp_path: Path) -> None:
     ],
 )
 def test_grids_that_envi_cannot_tell(transform: Any, match: str) -> None:
-    with pytest.raises(SchemaError, match=match):
-        envi_map_info(Grid(transform, None))
+    expect_errors((SchemaError, match, lambda: envi_map_info(Grid(transform, None))))
 
 
 @pytest.mark.parametrize("text", ["1 2 3", "a b c d e f", "0 1 0 0 0 nan", "0 1 1 0 1 1", 5])
 def test_a_geotransform_that_is_none_is_refused(tmp_path: Path, text: Any) -> None:
     made = map_of(values(), turned(0.0), None)
     made["spatial_ref"].attrs["GeoTransform"] = text
-    with pytest.raises(SchemaError, match="transform-wrong"):
-        hp.io.write_envi(made, tmp_path / "map")
+    expect_errors((SchemaError, "transform-wrong", lambda: hp.io.write_envi(made, tmp_path / "map")))
 
 
 # --- whole or not at all -----------------------------------------------------------------------------------
@@ -366,8 +355,7 @@ def test_an_interrupted_export_leaves_what_was_there(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="power cut"):
         hp.io.write_envi(_failing(), tmp_path / "line", overwrite=True)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-    with pytest.raises(StoreError, match="power cut"):
-        hp.io.write_envi(_failing(), tmp_path / "other")
+    expect_errors((StoreError, "power cut", lambda: hp.io.write_envi(_failing(), tmp_path / "other")))
     assert sorted(before) == sorted(path.name for path in tmp_path.iterdir())
 
 
@@ -416,12 +404,10 @@ def test_geotiff_holds_every_band_in_its_place(
             raster.read().view("u4"), np.ascontiguousarray(np.moveaxis(cube, 1, 0)).view("u4")
         )
         np.testing.assert_allclose(raster.transform.to_gdal(), transform, rtol=1e-14)
-        assert raster.crs.to_epsg() == 32617
-        assert raster.descriptions[0] == "450.25 nm"
+        assert (raster.crs.to_epsg(), raster.descriptions[0]) == (32617, "450.25 nm")
         assert raster.tags(3)["wavelength"] == "640.125"
         assert (raster.block_shapes[0], bool(raster.overviews(1))) == ((256, 256), cog)
-        layout = raster.tags(ns="IMAGE_STRUCTURE").get("LAYOUT")
-        assert (layout == "COG") == cog
+        assert (raster.tags(ns="IMAGE_STRUCTURE").get("LAYOUT") == "COG") == cog
 
 
 def test_a_picture_is_true_colour(tmp_path: Path) -> None:
@@ -436,10 +422,8 @@ def test_a_picture_is_true_colour(tmp_path: Path) -> None:
         shown = raster.read()
         assert raster.dtypes == ("uint8",) * 3
         assert [one.name for one in raster.colorinterp] == ["red", "green", "blue"]
-        assert raster.nodata == 0
-        assert raster.descriptions == ("640.125 nm", "550 nm", "450.25 nm")
-    assert shown[:, 5, 5].tolist() == [255, 1, 1]
-    assert shown[:, 5, 25].tolist() == [1, 255, 1]
+        assert (raster.nodata, raster.descriptions) == (0, ("640.125 nm", "550 nm", "450.25 nm"))
+    assert (shown[:, 5, 5].tolist(), shown[:, 5, 25].tolist()) == ([255, 1, 1], [1, 255, 1])
     assert shown[:, 5, 45].tolist() == [1, 1, 255]
     assert (shown[:, 0, 0].tolist(), shown[:, 1:].min()) == ([0, 0, 0], 1)
 

@@ -1,7 +1,5 @@
 """Where other programs place our maps: rioxarray and GDAL against the truth that stands in the cells."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -14,8 +12,7 @@ from support.flown_lines import EAST, GSD, MAP, NORTH, fly, located
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
-from hyperpaint.io.maps.map_grids import grid_of
-from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
+from hyperpaint.io.maps.map_grids import geozarr_attrs, grid_of, stac_item, with_own_transform
 from hyperpaint.workflows.maps import write_map
 
 pyproj = pytest.importorskip("pyproj")
@@ -54,8 +51,7 @@ def misplacement(cells: np.ndarray, x: Any, y: Any, crs: Any) -> np.ndarray:
     east, north = back.transform(
         np.broadcast_to(x, shown.shape)[shown], np.broadcast_to(y, shown.shape)[shown]
     )
-    away = np.hypot(cells[0][shown] + EAST - east, cells[1][shown] + NORTH - north)
-    return away / GSD
+    return np.hypot(cells[0][shown] + EAST - east, cells[1][shown] + NORTH - north) / GSD
 
 
 def centres(transform: Any, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -178,8 +174,7 @@ def test_a_stac_item_says_where_and_when(line: xr.Dataset, tmp_path: Path) -> No
     assert x.min() == pytest.approx(float(made["x"].min()) - GSD / 2, abs=1e-3)
     assert y.max() == pytest.approx(float(made["y"].max()) + GSD / 2, abs=1e-3)
     about = item["properties"]
-    assert about["proj:code"] == MAP
-    assert about["proj:shape"] == [made.sizes["y"], made.sizes["x"]]
+    assert (about["proj:code"], about["proj:shape"]) == (MAP, [made.sizes["y"], made.sizes["x"]])
     assert about["start_datetime"] == "2021-07-20T17:10:00.000Z"
     assert about["start_datetime"] < about["datetime"] < about["end_datetime"]
     bands = item["assets"]["data"]["bands"]
@@ -206,5 +201,4 @@ def test_the_command_writes_overviews_an_item_and_attributes(line: xr.Dataset, t
     assert opened.attrs["proj:code"] == MAP
     assert opened["spatial_ref"].attrs["crs_wkt"]
     assert hp.verify(tmp_path / "map.zarr").ok
-    refused = CliRunner().invoke(main, [*call, str(tmp_path / "other.tif"), "--geozarr"])
-    assert refused.exit_code == 2
+    assert CliRunner().invoke(main, [*call, str(tmp_path / "other.tif"), "--geozarr"]).exit_code == 2

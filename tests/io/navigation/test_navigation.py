@@ -1,8 +1,7 @@
 """Navigation records, clocks and leap seconds, and their join to the lines of a cube."""
 
-from __future__ import annotations
-
 import datetime
+import zoneinfo
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,14 @@ import pytest
 
 from hyperpaint.base.errors import FormatError, PaintWarning, TimeError
 from hyperpaint.io.flightline.timing import Timing, line_times, utc_of
+from hyperpaint.io.navigation.clocks import (
+    LEAP_SECONDS,
+    LEAP_SECONDS_EXPIRY,
+    Clock,
+    ClockCorrection,
+    gps_to_utc,
+)
+from hyperpaint.io.navigation.control_points import read_control_points
 from hyperpaint.io.navigation.navigation_records import read_gps_time, read_imu_gps
 
 T0 = np.datetime64("2021-07-23T12:00:00", "ns")
@@ -60,7 +67,6 @@ def write_index(path: Path, stamps: list[Any], first: int = 0, column: str = "Ti
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_variant_a(tmp_path: Path, newline: str) -> None:
     nav = read_imu_gps(write_a(tmp_path / "imu_gps.txt", steady(3), newline))
-    assert nav.utc is not None
     assert nav.utc.astype("datetime64[ns]").tolist() == [(T0 + i * 10 * MS).astype(int) for i in range(3)]
     assert nav.stamps["timestamp"].tolist() == [500, 10_500, 20_500]
     assert {name: value[0] for name, value in nav.values.items()} == {
@@ -130,9 +136,7 @@ def test_rows_before_alignment_have_no_attitude_and_no_foreign_date(tmp_path: Pa
     assert np.isnan(nav.values["roll"]).tolist() == [True, False, False, False, False]
     assert nav.values["roll"][-1] == 0.0  # level in flight
     assert nav.values["latitude"][0] == -34.53
-
-
-def test_a_record_that_never_aligned_is_told(tmp_path: Path) -> None:
+    # a record that never aligned
     with pytest.warns(PaintWarning, match="never aligned"):
         nav = read_imu_gps(write_a(tmp_path / "imu_gps.txt", steady(3, roll=0.0)))
     assert np.isnan(nav.values["heading"]).all()
@@ -152,6 +156,7 @@ def test_a_record_that_never_aligned_is_told(tmp_path: Path) -> None:
         ({"stamp": 7}, TimeError, "line 4"),
         ({"utc": T0 - MS}, TimeError, "line 4.*time-unordered"),
         ({"utc": T0 + np.timedelta64(18, "s")}, TimeError, "time-unordered"),
+        ({}, TimeError, "clock-step"),
     ],
 )
 def test_damaged_rows_are_named(
@@ -159,19 +164,12 @@ def test_damaged_rows_are_named(
 ) -> None:
     rows = steady(5)
     rows[2] = {**rows[2], **change}
+    if match == "clock-step":  # a receiver that learns its leap seconds
+        rows[3:] = [{**row, "utc": row["utc"] + np.timedelta64(18, "s")} for row in rows[3:]]
     path = write_a(tmp_path / "imu_gps.txt", rows)
     index = write_index(tmp_path / "f.txt", [600, 7600])
     with pytest.raises(error, match=match):
         line_times(Path("raw_0"), 2, Timing(frame_index=index, nav=path))
-
-
-def test_a_receiver_that_learns_its_leap_seconds_is_refused(tmp_path: Path) -> None:
-    rows = steady(5)
-    for row in rows[3:]:
-        row["utc"] += np.timedelta64(18, "s")
-    path = write_a(tmp_path / "imu_gps.txt", rows)
-    with pytest.raises(TimeError, match=r"line 5.*clock-step"):
-        line_times(Path("raw_0"), 1, Timing(frame_index=write_index(tmp_path / "f.txt", [600]), nav=path))
 
 
 def test_a_slow_receiver_repeats_its_time(tmp_path: Path) -> None:
@@ -263,8 +261,7 @@ def test_lines_outside_the_record_have_no_time(tmp_path: Path) -> None:
 def test_without_navigation_lines_follow_the_frame_period_or_the_stamps(tmp_path: Path) -> None:
     timing = Timing(start_time="2021-07-23T14:00:00+02:00", frame_period=0.007)
     made = line_times(Path("raw_100"), 3, timing, 0.005)
-    assert made.frame.tolist() == [100, 101, 102]
-    assert ((made.time - T0) / MS).tolist() == [-2.5, 4.5, 11.5]
+    assert (made.frame.tolist(), ((made.time - T0) / MS).tolist()) == ([100, 101, 102], [-2.5, 4.5, 11.5])
     assert made.pose == {}
     index = write_index(tmp_path / "f.txt", [100, 7100, 21_100])
     made = line_times(Path("raw_0"), 3, Timing(frame_index=index, start_time=T0, stamp="mid"))
@@ -310,8 +307,7 @@ def test_two_sources_of_utc_are_one_too_many_and_files_beside_a_cube_are_named(t
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
 def test_any_datetime_unit_becomes_nanoseconds(unit: str) -> None:
     made = utc_of(np.datetime64("2021-07-23T12:00:00", unit), "start_time")
-    assert made == T0
-    assert made.dtype == "datetime64[ns]"
+    assert (made, made.dtype) == (T0, "datetime64[ns]")
 
 
 def test_zones_are_needed_of_texts_and_datetimes() -> None:
@@ -326,3 +322,174 @@ def test_zones_are_needed_of_texts_and_datetimes() -> None:
     ):
         with pytest.raises(TimeError):
             utc_of(value, "t")
+
+
+# --- gPS time, leap seconds, corrections, and clocks tied to UTC ------------------------------------------
+
+
+def gps_clock(text: str) -> np.ndarray[Any, Any]:
+    return np.array([text], "datetime64[ns]").astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    ("gps", "utc"),
+    [
+        ("1980-01-06T00:00:00", "1980-01-06T00:00:00"),
+        ("2016-12-31T23:59:59", "2016-12-31T23:59:42"),
+        ("2017-01-01T00:00:17.999", "2017-01-01T00:00:00.999"),  # the leap second itself has no other label
+        ("2017-01-01T00:00:18", "2017-01-01T00:00:00"),
+        ("2024-06-01T12:00:18", "2024-06-01T12:00:00"),
+    ],
+)
+def test_gps_time_to_utc(gps: str, utc: str) -> None:
+    assert gps_to_utc(gps_clock(gps)) == gps_clock(utc)
+
+
+def test_the_table_of_leap_seconds_rises_by_one_and_is_that_of_the_system() -> None:
+    assert (list(LEAP_SECONDS.values()), list(LEAP_SECONDS)) == (list(range(19)), sorted(LEAP_SECONDS))
+    assert all(day[5:] in ("01-01", "07-01") for day in list(LEAP_SECONDS)[1:])
+    found = [path for folder in zoneinfo.TZPATH if (path := Path(folder, "leap-seconds.list")).is_file()]
+    if not found:
+        pytest.skip("this system has no leap-seconds.list")
+    rows = [line.split()[:2] for line in found[0].read_text().splitlines() if line and line[0].isdigit()]
+    epoch = datetime.date(1900, 1, 1)
+    official = {str(epoch + datetime.timedelta(int(s) // 86400)): int(tai) - 19 for s, tai in rows}
+    ours = {day: offset for day, offset in LEAP_SECONDS.items() if offset}
+    assert (ours, max(official)) == ({day: official[day] for day in ours}, max(ours))
+
+
+def test_beyond_the_table_the_user_is_asked() -> None:
+    late = gps_clock(f"{LEAP_SECONDS_EXPIRY}T12:00:00")
+    with pytest.warns(PaintWarning, match="gps_leap_seconds"):
+        assert gps_to_utc(late) == late - 18 * 10**9
+    assert gps_to_utc(late, 19) == late - 19 * 10**9
+    with pytest.raises(TimeError, match="1980"):
+        gps_to_utc(gps_clock("1970-01-01"))
+
+
+def test_corrections_are_checked() -> None:
+    stamp = gps_clock("2024-06-01T12:00:00")
+    assert ClockCorrection(37.25).apply(stamp) == gps_clock("2024-06-01T12:00:37.25")
+    assert ClockCorrection(-0.5, "gps").apply(stamp) == gps_clock("2024-06-01T11:59:41.5")
+    with pytest.raises(TimeError, match="nan"):
+        ClockCorrection(float("nan"))
+    with pytest.raises(TimeError, match="local"):
+        ClockCorrection(0.0, "local")  # type: ignore[arg-type]
+
+
+def test_a_clock_is_exact_to_the_nanosecond_and_extrapolates_nothing() -> None:
+    stamp = np.array([10**15, 10**15 + 3], np.int64)
+    utc = np.array([1_600_000_000_123_456_789, 1_600_000_000_123_456_789 + 3000], np.int64)
+    made = Clock(stamp, utc, "x").at(np.array([10**15 - 1, 10**15, 10**15 + 1, 10**15 + 3, 10**15 + 4]))
+    assert (made.dtype, np.isnat(made).tolist()) == ("datetime64[ns]", [True, False, False, False, True])
+    assert (made[1:4].astype(np.int64) - utc[0]).tolist() == [0, 1000, 3000]
+
+
+# --- tables of control points: read, or refused as FormatError and nothing else ---------------------------
+
+
+TABLE = """# crs: EPSG:32617
+Name;Flightline;Line;Sample;Easting [m];Northing [m];Height_m
+A;raw_0;10.5;3;500000.25;3700000.5;-20
+B;raw_1;11;4;500001;3700001;-19.5
+"""
+
+
+def test_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(TABLE)
+    points = read_control_points(path)
+    assert points.attrs == {"source": "points.csv", "crs": "EPSG:32617"}
+    assert points.along_track_pixel.values.tolist() == [10.5, 11.0]
+    assert points.east.values.tolist() == [500000.25, 500001.0]
+    assert points.height.attrs["units"] == "m"
+    assert points.flightline.values.tolist() == ["raw_0", "raw_1"]
+    assert {points[name].dtype for name in points.data_vars} == {np.dtype(np.float64)}
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "0 points"),
+        ("line,sample,east,north,height\n", "0 points"),
+        ("line,sample,east,north\n1,2,3,4\n", "'height'"),
+        ("line,row,sample,east,north,height\n1,1,2,3,4,5\n", "'along_track'.*column-missing"),
+        ("line,sample,east,north,height\n1,2,3,4\n", "line 2 without 5 cells"),
+        ("line,sample,east,north,height\n1,2,3,nan,5\n", "line 2.*not-finite"),
+        ("line,sample,east,north,height\n1,2,x,4,inf\n", "line 2.*value-out-of-range"),
+        ("line (1-based),sample,east,north,height\n1,2,3,4,50\n", "pixel-origin"),
+        *(
+            (
+                f"line,sample,east {unit},north,height\n1,2,3,4,50\n",
+                f"'east' in '{unit[1:-1]}'.*units-unknown",
+            )
+            for unit in ("[s]", "[degree]", "[2 m]", "[yd]", "(in)", "[miles]", "(feet of the grid)")
+        ),
+        ("line [m],sample,east,north,height\n1,2,3,4,50\n", "'along_track' in 'm'.*units-unknown"),
+        *(
+            (f"# crs: {crs}\nline,sample,east [{unit}],north,height\n1,2,3,4,50\n", match)
+            for crs, unit, match in (
+                ("EPSG:4326", "m", "'east'.*units-conflict"),
+                ("EPSG:2263", "degree", "'east'.*units-unknown"),
+                ("EPSG:0", "ft", "'EPSG:0'.*crs-unknown"),
+            )
+        ),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "points.csv"
+    with pytest.raises(FormatError, match="file-unreadable"):
+        read_control_points(path)
+    if "# crs" in text:
+        pytest.importorskip("pyproj")
+    path.write_text(text)
+    with pytest.raises(FormatError, match=told):
+        read_control_points(path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [
+        ("[ft]", 0.3048),
+        ("(feet)", 0.3048),
+        ("[km]", 1000.0),
+        ("(FT)", 0.3048),
+        ("(M)", 1.0),
+        ("[KM]", 1e3),
+        ("[US survey feet]", 1200 / 3937),
+        ("[ftUS]", 1200 / 3937),
+        ("(us-ft)", 1200 / 3937),
+        ("(UTM 17N)", 1.0),
+        ("(grid) [ft]", 0.3048),
+        ("(E)", 1.0),
+        ("(m above the grid)", 1.0),
+        ("(in UTM)", 1.0),
+        ("(8/h)", 1.0),
+    ],
+)
+def test_a_unit_in_a_heading_is_converted(tmp_path: Path, unit: str, metres: float) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"line (0-based);sample [px];east {unit};north_m;height (ft, ellipsoidal)\n1;2;3;4;50\n")
+    points = read_control_points(path)
+    assert points.east.item() == pytest.approx(3 * metres, rel=1e-11)
+    assert (points.north.item(), points.height.item()) == (4.0, 50 * 0.3048)
+
+
+@pytest.mark.parametrize(
+    ("crs", "unit", "east"),
+    [
+        ("EPSG:2263", "ft", 3.0), ("EPSG:2263", "US survey feet", 3.0), ("EPSG:2263", "m", 3 * 3937 / 1200),
+        ("EPSG:2263", "UTM", 3.0), ("EPSG:32617", "ft", 3 * 0.3048), ("EPSG:32617", "m", 3.0),
+        ("EPSG:2222", "ft", 3.0), ("EPSG:4326", "degrees", 3.0),
+    ],
+)  # fmt: skip
+def test_east_and_north_come_in_the_unit_of_their_map(
+    tmp_path: Path, crs: str, unit: str, east: float
+) -> None:
+    pytest.importorskip("pyproj")
+    path = tmp_path / "points.csv"
+    path.write_text(f"# crs: {crs}\nline,sample,east [{unit}],north [{unit}],height [ft]\n1,2,3,3,50\n")
+    points = read_control_points(path)
+    assert points.east.item() == points.north.item() == pytest.approx(east, rel=1e-11)
+    assert points.height.item() == 50 * 0.3048
+    assert (points.east.attrs["units"] == "m") == (crs == "EPSG:32617" or unit == "UTM")

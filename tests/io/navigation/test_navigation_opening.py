@@ -1,13 +1,15 @@
 """Navigation files of every kind: known values, clocks, conventions, and what is refused."""
 
-from __future__ import annotations
-
 import datetime
+import re
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, settings, strategies as st
 from support.navigation_files import (
     CSV_HEADER,
@@ -22,8 +24,10 @@ from support.refusals import expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.cli.info_command import describe_path
+from hyperpaint.io.collect.collect_toml import open_collect
+from hyperpaint.simulation import simulate_collect
 
 # --- SBET --------------------------------------------------------------------------------------------------
 
@@ -66,8 +70,7 @@ def test_seconds_of_the_week_become_utc(tmp_path: Path) -> None:
 
 
 def test_a_date_gives_the_week_and_is_checked(tmp_path: Path) -> None:
-    noon_of_thursday = 4 * 86_400 + 43_200
-    path = write_sbet(tmp_path / "flight.sbet", [noon_of_thursday])
+    path = write_sbet(tmp_path / "flight.sbet", [4 * 86_400 + 43_200])
     for date in ("2021-05-20", datetime.date(2021, 5, 20), "2021-05-19", "2021-05-21"):  # dates may be local
         flight = hp.open_navigation(path, date=date)
         assert flight.attrs["gps_week"] == 2158
@@ -112,11 +115,15 @@ def test_times_beyond_the_table_of_leap_seconds_are_told(tmp_path: Path) -> None
         ({"longitude": 1e308}, "value-out-of-range"),  # in degrees beyond float64, and still no warning
         ({"roll": [0.0, np.inf]}, "roll is inf in record 2"),
         ({"altitude": 1e6}, "altitude is 1.*value-out-of-range"),
+        # all problems at once
+        ({"seconds": [-1.0, 2.0], "latitude": 3.0, "heading": 50.0}, "(?s)time is -1.*latitude.*heading"),
     ],
 )
 def test_sbet_with_impossible_values_is_refused(tmp_path: Path, columns: dict[str, Any], match: str) -> None:
     with pytest.raises(FormatError, match=match):
-        hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [1.0, 2.0], **columns), week=2158)
+        hp.open_navigation(
+            write_sbet(tmp_path / "flight.sbet", **{"seconds": [1.0, 2.0], **columns}), week=2158
+        )
 
 
 def test_sbet_of_part_records_or_backward_times_is_refused(tmp_path: Path) -> None:
@@ -127,13 +134,6 @@ def test_sbet_of_part_records_or_backward_times_is_refused(tmp_path: Path) -> No
             hp.open_navigation(path, week=2158)
     with pytest.raises(TimeError, match=r"record 3.*time-unordered"):
         hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [5.0, 6.0, 5.5]), week=2158)
-
-
-def test_all_problems_of_an_sbet_are_told_at_once(tmp_path: Path) -> None:
-    path = write_sbet(tmp_path / "flight.sbet", [-1.0, 2.0], latitude=3.0, heading=50.0)
-    with pytest.raises(FormatError) as caught:
-        hp.open_navigation(path, week=2158)
-    assert all(word in str(caught.value) for word in ("time is -1", "latitude", "heading"))
 
 
 @settings(max_examples=40)
@@ -193,14 +193,18 @@ def test_lcf_has_its_right_wing_up(tmp_path: Path) -> None:
         ("1e9 0 0 0 0 0 0\n5 0 0 0 0 0 0\n1e9 0 0 0 0 0 0\n", "line 2.*time-origin-conflict"),
         ("-5 0 0 0 0 0 0\n", "time is -5 s in line 1.*value-out-of-range"),
         ("1e9 0 0 0 0 0 0\nnan 0 0 0 0 0 0\n", "time is nan s in line 2.*value-out-of-range"),
+        ("-1 0 0 0 0 0 0\n5 0 0 0 0 0 0\n1e9 0 0 0 0 0 0\n", "time is -1 s in line 1"),
+        ("5 0 0 0 0 0 0\nnoon 0 0 0 0 0 0\n", "'time'.*line 2"),
+        ("5 0 0 0 0 0 0\n8e9 0 0 0 0 0 0\n", "'time'.*line 2"),
         ("1e9 0 0 0 0 0 0 \0", "binary"),
     ],
 )
 def test_lcf_that_is_none_is_refused(tmp_path: Path, text: str, match: str) -> None:
     path = tmp_path / "line.lcf"
     path.write_text(text)
-    with pytest.raises(FormatError, match=match):
+    with pytest.raises(FormatError, match=match) as caught:
         hp.open_navigation(path, leap_seconds=18)
+    assert len(caught.value.problems) <= 1  # no cell is listed twice
 
 
 # --- csv ---------------------------------------------------------------------------------------------------
@@ -240,8 +244,7 @@ def test_csv_units_are_converted_but_angles_stay(tmp_path: Path, separator: str)
     flight = hp.open_navigation(write_csv(tmp_path / "f.csv", separator.join(header), separator.join(row)))
     values = [float(flight[name].values[0]) for name in POSE]
     np.testing.assert_allclose(values, [np.degrees(0.75), -77.6, 30.48, 0.1, np.nan, -3.0], rtol=1e-12)
-    assert flight["roll"].attrs["units"] == "radian"
-    assert flight.attrs["convention_angle_unit"] == "radian"
+    assert (flight["roll"].attrs["units"], flight.attrs["convention_angle_unit"]) == ("radian", "radian")
     assert str(flight.navigation_time.values[0]) == "2024-06-01T12:00:00.250000000"
 
 
@@ -287,6 +290,15 @@ def test_csv_clocks(tmp_path: Path, column: str, cell: str, expected: str) -> No
         (["# declination: west", CSV_HEADER, CSV_ROWS[0]], "'declination' is 'west'"),
         ([CSV_HEADER.replace("time", "unix_time"), "12,43,-77,150,0,0,0"], "units-missing"),
         ([CSV_HEADER.replace("time", "unix_time [s]"), "-12,43,-77,150,0,0,0"], "is negative"),
+        # all problems at once
+        (
+            [
+                "# time_scale: tai",
+                CSV_HEADER.replace("roll [degree]", "roll").replace("pitch [", "tilt ["),
+                CSV_ROWS[0],
+            ],
+            "(?s)time_scale.*'roll' has no unit.*no column of pitch",
+        ),
     ],
 )
 def test_csv_that_is_none_is_refused(tmp_path: Path, lines: list[str], match: str) -> None:
@@ -294,20 +306,9 @@ def test_csv_that_is_none_is_refused(tmp_path: Path, lines: list[str], match: st
         hp.open_navigation(write_csv(tmp_path / "flight.csv", *lines))
 
 
-def test_all_problems_of_a_csv_are_told_at_once(tmp_path: Path) -> None:
-    header = CSV_HEADER.replace("roll [degree]", "roll").replace("pitch [degree]", "tilt")
-    with pytest.raises(FormatError) as caught:
-        hp.open_navigation(write_csv(tmp_path / "f.csv", "# time_scale: tai", header, CSV_ROWS[0]))
-    assert all(
-        word in str(caught.value) for word in ("time_scale", "'roll' has no unit", "no column of pitch")
-    )
-
-
 def test_rows_without_a_time_are_counted(tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "f.csv", CSV_HEADER, ",,,,,,", *CSV_ROWS)
-    flight = hp.open_navigation(path)
-    assert flight.sizes["navigation_time"] == 2
-    assert flight.attrs["rows_without_time"] == 1
+    flight = hp.open_navigation(write_csv(tmp_path / "f.csv", CSV_HEADER, ",,,,,,", *CSV_ROWS))
+    assert (flight.sizes["navigation_time"], flight.attrs["rows_without_time"]) == (2, 1)
 
 
 # --- Headwall, AVIRIS, several files -----------------------------------------------------------------------
@@ -368,8 +369,7 @@ def write_eph(folder: Path, interleave: str = "bip", **header: str) -> Path:
 @pytest.mark.parametrize("interleave", ["bip", "bil", "bsq"])
 def test_eph_att_is_read_by_its_band_names(tmp_path: Path, interleave: str) -> None:
     flight = hp.open_navigation(write_eph(tmp_path, interleave))
-    assert flight["roll"].values.tolist() == [0.2, 0.4]
-    assert flight.pitch.values.tolist() == [0.1, 0.3]
+    assert (flight["roll"].values.tolist(), flight.pitch.values.tolist()) == ([0.2, 0.4], [0.1, 0.3])
     assert flight.latitude.values.tolist() == [31.5, 31.6]
     # the name says the week, and agrees with the stamps
     assert flight.attrs["gps_week"] == 1941
@@ -395,10 +395,8 @@ def test_a_name_that_contradicts_the_stamps_says_no_week(tmp_path: Path) -> None
 
 def test_several_files_follow_one_another(tmp_path: Path) -> None:
     first = write_sbet(tmp_path / "a.sbet", [1.0, 2.0], roll=0.1)
-    second = write_sbet(tmp_path / "b.sbet", [3.0], roll=0.2)
-    flight = hp.open_navigation([second, first], week=2158)
-    assert flight["roll"].values.tolist() == [0.1, 0.1, 0.2]
-    assert flight.attrs["source"] == "a.sbet, b.sbet"
+    flight = hp.open_navigation([write_sbet(tmp_path / "b.sbet", [3.0], roll=0.2), first], week=2158)
+    assert (flight["roll"].values.tolist(), flight.attrs["source"]) == ([0.1, 0.1, 0.2], "a.sbet, b.sbet")
     overlapping = write_sbet(tmp_path / "c.sbet", [1.5])
     with refusal(TimeError, "time-overlap", "a.sbet", "c.sbet"):
         hp.open_navigation([first, overlapping], week=2158)
@@ -407,15 +405,12 @@ def test_several_files_follow_one_another(tmp_path: Path) -> None:
         hp.open_navigation([table, write_imu(tmp_path / "imu_gps.txt")])
     with pytest.raises(FormatError, match="empty-input"):
         hp.open_navigation([])
-
-
-def test_every_bad_file_is_named(tmp_path: Path) -> None:
-    bad = [tmp_path / "a.sbet", tmp_path / "b.sbet"]
+    # every bad file is named
+    bad = [tmp_path / "d.sbet", tmp_path / "e.sbet"]
     for path in bad:
         path.write_bytes(bytes(137))
-    with pytest.raises(FormatError) as caught:
-        hp.open_navigation([*bad, write_sbet(tmp_path / "c.sbet", [1.0])], week=2158)
-    assert all(path.name in str(caught.value) for path in bad)
+    with pytest.raises(FormatError, match=r"(?s)d\.sbet.*e\.sbet"):
+        hp.open_navigation([*bad, overlapping], week=2158)
 
 
 def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
@@ -427,10 +422,13 @@ def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
         column_order="right_to_left",
         stamp_reference="end",
     )
-    expect_refusals(
-        (SchemaError, "units-conflict", "radian", lambda: hp.open_navigation(path, convention=Convention())),
-        (SchemaError, "key-unknown", lambda: hp.open_navigation(path, convention={"colour": "red"})),
-    )
+    # a stored record is held to its declarations like a file
+    store = hp.to_store(flight, tmp_path / "line.zarr")
+    assert hp.open_navigation(store, convention={"declination": 2.0}).attrs["convention_declination"] == 2.0
+    for source in (path, store):
+        for code, convention in (("units-conflict", Convention()), ("key-unknown", {"colour": "red"})):
+            with refusal(SchemaError, code):
+                hp.open_navigation(source, convention=convention)
 
 
 def test_files_of_no_known_kind_are_refused(tmp_path: Path) -> None:
@@ -457,3 +455,326 @@ def test_info_tells_what_navigation_is(tmp_path: Path) -> None:
     text = describe_path(write_eph(tmp_path))
     assert "AVIRIS-NG eph_att" in text
     assert "GPS week 1941" in text
+
+
+# --- logs of NMEA sentences, and tables without a header --------------------------------------------------
+
+
+def sentence(text: str) -> str:
+    return f"${text}*{reduce(xor, text.encode()):02X}"
+
+
+def log_of(path: Path, *texts: str) -> Path:
+    path.write_text("".join(sentence(text) + "\r\n" for text in texts))
+    return path
+
+
+def gga(clock: str, place: str = "4330.0000,N,07736.0000,W", height: str = "150.0,M,-34.5,M") -> str:
+    return f"GPGGA,{clock},{place},4,12,0.8,{height},,"
+
+
+def test_a_real_log(shared_data: Path) -> None:
+    with pytest.warns(PaintWarning, match="attitude-missing"):
+        flight = hp.open_navigation(shared_data / "gps_imu" / "asd_nmea_042122gps.log", date="2022-04-21")
+    assert flight.sizes["navigation_time"] == 185
+    row = flight.sel(navigation_time="2022-04-21T10:49:07")
+    assert float(row.latitude) == pytest.approx(48.25090667, abs=1e-8)
+    assert float(row.longitude) == pytest.approx(11.70987500, abs=1e-8)
+    assert float(row.altitude) == pytest.approx(475.4 + 46.8)
+    assert np.isnan(flight.heading).all()
+
+
+def test_position_date_and_attitude(tmp_path: Path) -> None:
+    path = log_of(
+        tmp_path / "flight.txt",
+        "GPRMC,235959.50,A,4330.0000,N,07736.0000,W,11.2,87.0,310524,,,A",
+        "PASHR,235959.50,359.25,T,+1.50,-2.25,,0.01,0.01,0.02,1,1",
+        gga("235959.50"),
+        gga("000000.00", "4330.0060,N,07736.0000,W"),
+        "PASHR,000000.00,0.25,T,-1.25,2.00,,0.01,0.01,0.02,1,1",
+        gga("000000.50", "3330.0000,S,15112.0000,E", "20.0,M,,M"),
+        "GPHDT,12.5,T",
+        "GPGGA,000001.00,,,,,0,00,,,M,,M,,",
+    )
+    flight = hp.open_navigation(path)
+    assert flight.format == "NMEA 0183"
+    expected = np.array(["2024-05-31T23:59:59.5", "2024-06-01T00:00:00", "2024-06-01T00:00:00.5"], "M8[ns]")
+    np.testing.assert_array_equal(flight.navigation_time, expected)
+    np.testing.assert_allclose(flight.latitude, [43.5, 43.5001, -33.5])
+    np.testing.assert_allclose(flight.longitude, [-77.6, -77.6, 151.2])
+    np.testing.assert_allclose(flight.altitude, [150.0, 150.0, 20.0])
+    np.testing.assert_allclose(flight.heading, [359.25, 0.25, 12.5])
+    np.testing.assert_allclose(flight["roll"], [1.5, -1.25, np.nan])
+    # the third says no height of the geoid: all heights are above that
+    assert flight.convention_height_reference == "geoid"
+    assert "roll_positive" in flight.assumed
+
+
+def test_late_sentences_headings_first_and_positions_that_are_none(tmp_path: Path) -> None:
+    path = log_of(
+        tmp_path / "flight.txt",
+        "GPHDT,90.0,T",
+        "GPZDA,235959.00,31,05,2024,00,00",
+        gga("235959.00"),
+        "GPHDT,100.0,T",
+        gga("000000.00"),
+        "PASHR,235959.50,,T,+1.50,-2.25,,0.01,0.01,0.02,1,1",  # late, and without a heading
+        "GPHDT,110.0,T",
+        gga("000001.00"),
+        gga("000002.00").replace(",4,12,", ",8,12,"),  # simulated
+    )
+    flight = hp.open_navigation(path)
+    expected = np.array(["2024-05-31T23:59:59", "2024-06-01T00:00:00", "2024-06-01T00:00:01"], "M8[ns]")
+    np.testing.assert_array_equal(flight.navigation_time, expected)
+    np.testing.assert_allclose(flight.heading, [90.0, 100.0, 110.0])
+
+
+def test_damage_is_counted_or_refused(tmp_path: Path) -> None:
+    path = log_of(
+        tmp_path / "flight.nmea", "GPZDA,120000.00,01,06,2024,00,00", gga("120000.00"), gga("120001.00")
+    )
+    damaged = path.read_text().replace("120001.00,4330", "120001.00,4331")
+    path.write_text(damaged)
+    with pytest.warns(PaintWarning) as warned:
+        flight = hp.open_navigation(path, format="nmea")
+    texts = [str(each.message) for each in warned]
+    assert any("1 of 3 sentences have a wrong checksum" in text for text in texts), texts
+    assert flight.sizes["navigation_time"] == 1
+    path.write_text(damaged.replace(",2024,", ",2023,").replace("120000.00,4330", "120000.00,4332"))
+    with pytest.raises(FormatError, match=r"sentence.*checksum-wrong"):
+        hp.open_navigation(path, format="nmea")
+
+
+ZDA = "GPZDA,115959.00,01,06,2024,00,00"
+
+
+@pytest.mark.parametrize(
+    ("texts", "error", "problem"),
+    [
+        ((gga("120000.00"),), TimeError, "date-missing"),
+        ((ZDA, gga("120000.00", "4399.0000,X,07736.0000,W")), FormatError, "row-unreadable"),
+        ((ZDA,), FormatError, "position-missing"),
+        ((ZDA, gga("120000.00", "9930.0000,N,07736.0000,W")), FormatError, "latitude is 99.5"),
+    ],
+)
+def test_what_is_no_log_is_refused(
+    tmp_path: Path, texts: tuple[str, ...], error: type[Exception], problem: str
+) -> None:
+    with pytest.raises(error, match=problem):
+        hp.open_navigation(log_of(tmp_path / "log.txt", *texts), format="nmea")
+
+
+COLUMNS = (
+    "time_of_week [s]",
+    "lat [rad]",
+    "lon [rad]",
+    "alt [m]",
+    "-",
+    "roll [degree]",
+    "pitch [degree]",
+    "yaw [degree]",
+)
+
+
+@pytest.mark.parametrize("separator", [" ", "  ", ",", "\t", ";"])
+def test_columns_of_a_table_without_a_header(tmp_path: Path, separator: str) -> None:
+    path = tmp_path / "poses.txt"
+    rows = "302400.5 0.76 -1.35 150 x 0.5 -1 359.5", "302401 0.76 -1.35 151 y 0.4 -1 0.5"
+    path.write_text("".join(row.replace(" ", separator) + "\n" for row in rows))
+    flight = hp.open_navigation(path, columns=COLUMNS, week=2316)
+    np.testing.assert_allclose(flight.latitude, np.degrees([0.76, 0.76]))
+    np.testing.assert_allclose(flight.heading, [359.5, 0.5])
+    assert flight.navigation_time.values[0] == np.datetime64("2024-05-29T11:59:42.5")
+    with pytest.raises(FormatError, match="header-missing"):
+        hp.open_navigation(path, format="csv")
+
+
+def test_wrong_columns_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text("302400.5 43.1 -77.6 150 0.5 -1\n")
+    few = ["utc", "lat [deg]", "lon [deg]", "alt [m]", "roll [deg]", "pitch [deg]"]
+    for options, error, match in (
+        ({"columns": COLUMNS, "week": 2316}, FormatError, "line 1 without 8 cells"),
+        ({"columns": few}, FormatError, "column-missing"),
+        ({"columns": COLUMNS, "format": "sbet"}, SchemaError, "option-conflict"),
+    ):
+        with pytest.raises(error, match=match):
+            hp.open_navigation(path, **options)
+
+
+# --- navigation files of others: values known from other programs, signs, and what is refused -------------
+
+
+@pytest.mark.real_data
+def test_the_two_records_of_pdal(shared_data: Path) -> None:
+    flight = hp.open_navigation(shared_data / "nav/2-points.sbet", week=1947)
+    # radians of PDAL's test; its degrees have a slip in the first latitude, within its tolerance of 1e-4
+    expected = {
+        "roll": [-2.813407149321339e-02, -2.813856631423094e-02],
+        "pitch": [-2.429905393889139e-02, -2.425215669392169e-02],
+        "platform_heading": [3.046773230278662, 3.047131105236811],
+        "wander_angle": [-2.198414736922658e-02, -2.198416007932108e-02],
+        "altitude": [107.7152953296560, 107.7151424357507],
+    }
+    for name, values in expected.items():
+        np.testing.assert_allclose(flight[name], values, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.radians(flight.latitude), [5.680211852972264e-01, 5.680211834722869e-01], atol=1e-12
+    )
+    np.testing.assert_allclose(flight.longitude, [-116.978180, -116.978180], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(np.degrees(flight["roll"][0]), -1.611964, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(np.degrees(flight.pitch[0]), -1.392233, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(np.degrees(flight.platform_heading[0]), 174.567247, rtol=0, atol=1e-6)
+    week = GPS_EPOCH + np.timedelta64(1947 * 7, "D") - np.timedelta64(18, "s")
+    assert seconds_since(flight.navigation_time.values, week) == pytest.approx(
+        [151631.0028360710, 151631.0078318641], abs=1e-8
+    )
+
+
+@pytest.mark.real_data
+def test_the_sign_of_the_wander_angle(shared_data: Path) -> None:
+    # velocities are along the axes of the wander frame (north, west, up): turned by the wander angle they
+    # must point where the platform went
+    stored = np.fromfile(shared_data / "nav/2-points.sbet", "<f8").reshape(2, 17)
+    north = (stored[1, 1] - stored[0, 1]) * 6.3540e6
+    track = np.degrees(np.arctan2((stored[1, 2] - stored[0, 2]) * 6.3843e6 * np.cos(stored[0, 1]), north))
+    velocity = stored[:, 4:6].mean(axis=0)
+    in_frame = np.degrees(np.arctan2(-velocity[1], velocity[0]))
+    wander = np.degrees(stored[0, 10])
+    assert abs(in_frame - wander - track) < 0.5
+    assert abs(in_frame + wander - track) > 2.0
+
+
+@pytest.mark.real_data
+def test_a_line_of_aviris(shared_data: Path) -> None:
+    flight = hp.open_navigation(shared_data / "nav/ang20170323t202244_eph_att")
+    assert flight.sizes["navigation_time"] == 17_540
+    # the name says 20:22:44
+    assert str(flight.navigation_time.values[0]).startswith("2017-03-23T20:22:39.004")
+    assert flight.attrs["gps_week"] == 1941
+    steps = np.diff(flight.navigation_time.values) / np.timedelta64(1, "ms")
+    assert 92.0 < steps.min() < steps.max() < 101.0
+    assert float(flight["roll"].max()) == pytest.approx(11.2, abs=0.05)
+    assert -17.6 < float(flight.heading.min()) < float(flight.heading.max()) < -6.6
+    # an aircraft that banks turns: with the right wing down, clockwise, by g tan(roll) / speed
+    time = (flight.navigation_time.values - flight.navigation_time.values[0]) / np.timedelta64(1, "s")
+    smooth = np.ones(51) / 51
+    turn = np.convolve(np.gradient(np.unwrap(flight.heading.values, period=360.0), time), smooth, "valid")
+    slope = np.polyfit(np.convolve(flight["roll"].values, smooth, "valid"), turn, 1)[0]
+    north = np.gradient(flight.latitude.values, time) * 110.9e3
+    east = np.gradient(flight.longitude.values, time) * 111.3e3 * np.cos(np.radians(flight.latitude.values))
+    assert slope == pytest.approx(9.8 / np.hypot(north, east).mean(), rel=0.1)
+
+
+@pytest.mark.real_data
+def test_a_truncated_sbet_and_attitude_alone_are_refused(shared_data: Path) -> None:
+    with pytest.raises(FormatError, match="file-truncated"):
+        hp.open_navigation(shared_data / "nav/badfile.sbet", week=1947)
+    with pytest.raises(FormatError) as caught:
+        hp.open_navigation(shared_data / "gps_imu/px4_attitude_69s.csv")
+    assert all(f"no column of {name}" in str(caught.value) for name in ("latitude", "longitude", "altitude"))
+
+
+@pytest.mark.real_data
+def test_real_attitude_through_every_format(shared_data: Path, tmp_path: Path) -> None:
+    table = np.loadtxt(shared_data / "gps_imu/px4_attitude_69s.csv", delimiter=",", skiprows=1)[
+        :, [0, 5, 6, 7]
+    ]
+    seconds, angles = table[:, 0] / 1e6, np.radians(table[:, 1:]).T
+    sbet = write_sbet(
+        tmp_path / "a.sbet", seconds, latitude=0.75, longitude=-1.35,
+        roll=angles[0], pitch=angles[1], heading=angles[2],
+    )  # fmt: skip
+    names = "tow [s],lat [rad],lon [rad],alt [m],roll [rad],pitch [rad],yaw [rad]"
+    rows = zip(seconds.tolist(), *angles.tolist(), strict=True)
+    csv = write_csv(
+        tmp_path / "a.csv", names, *(f"{t!r},0.75,-1.35,0,{r!r},{p!r},{y!r}" for t, r, p, y in rows)
+    )
+    one, other = (hp.open_navigation(path, week=2158) for path in (sbet, csv))
+    for name in POSE:
+        np.testing.assert_array_equal(one[name], other[name])
+    np.testing.assert_array_equal(one.navigation_time, other.navigation_time)
+    assert float(np.degrees(one["roll"].min())) == pytest.approx(-22.2, abs=0.05)
+
+
+# --- what the poses of a flight line mean is kept with them -----------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("meaning")
+    return simulate_collect(folder, scene="plan", lines=40, bands=4, columns=6, stamp="mid")
+
+
+def opened(collect: Path, **options: object) -> xr.Dataset:
+    flight = collect.parent / "flight"
+    return hp.open_flightline(
+        flight / "raw_0.hdr",
+        frame_index=flight / "frameIndex_0.txt",
+        nav=flight / "imu_gps.txt",
+        dark="none",
+        calibration=collect.parent / "calibration.zarr",
+        stamp="mid",
+        **options,
+    )
+
+
+def changed(collect: Path, old: str, new: str) -> Path:
+    text, count = re.subn(old, new, collect.read_text(), flags=re.MULTILINE)
+    assert count == 1
+    path = collect.with_name("changed.toml")
+    path.write_text(text)
+    return path
+
+
+def test_what_nobody_declares_is_listed(collect: Path) -> None:
+    line = opened(collect)
+    assert Convention.from_attrs(line.attrs) == Convention(stamp_reference="mid")
+    assert set(line.attrs["navigation_assumed"].split(", ")) == {
+        "roll_positive", "pitch_positive", "heading_positive", "heading_reference", "angle_unit",
+        "euler_order", "height_reference",
+    }  # fmt: skip
+
+
+def test_what_is_declared_is_kept(collect: Path) -> None:
+    declared = {"roll_positive": "right_wing_up", "height_reference": "geoid", "geoid_undulation": -34.2}
+    line = opened(collect, convention=declared)
+    assert Convention.from_attrs(line.attrs) == Convention(stamp_reference="mid", **declared)
+    assert "roll_positive" not in line.attrs["navigation_assumed"]
+    assert "pitch_positive" in line.attrs["navigation_assumed"]
+
+
+@pytest.mark.parametrize(
+    ("declared", "told"),
+    [
+        ({"roll": "up"}, "key-unknown"),
+        ({"angle_unit": "radian"}, "key-unknown"),
+        ({"stamp_reference": "mid"}, "key-unknown"),
+        ({"column_order": "backwards"}, "column_order='backwards'"),
+    ],
+)
+def test_what_does_not_exist_is_refused(collect: Path, declared: dict[str, str], told: str) -> None:
+    with pytest.raises(SchemaError, match=re.escape(told)):
+        opened(collect, convention=declared)
+
+
+def test_collect_declares_it(collect: Path) -> None:
+    line = open_collect(changed(collect, "^column_order = .*", 'column_order = "right_to_left"'))
+    meant = Convention.from_attrs(line["flightlines/raw_0"].attrs)
+    assert meant == Convention(stamp_reference="mid", column_order="right_to_left")
+
+
+def test_mistakes_in_a_collect_are_told(collect: Path) -> None:
+    with pytest.raises(CollectError) as caught:
+        open_collect(changed(collect, "^roll_positive = .*", 'roll_positive = "up"\nwander = 3'))
+    assert "[navigation] roll_positive = 'up', expected one of right_wing_down" in str(caught.value)
+    assert "wander" in str(caught.value)
+
+
+def test_a_line_without_navigation_means_nothing(collect: Path) -> None:
+    flight = collect.parent / "flight"
+    line = hp.open_flightline(
+        flight / "raw_0.hdr", start_time="2024-06-01T12:00:00Z", frame_period=0.007, dark="none",
+        calibration=collect.parent / "calibration.zarr",
+    )  # fmt: skip
+    assert Convention.from_attrs(line.attrs) is None

@@ -1,7 +1,5 @@
 """Files of other programs' skies, as their documents and sources word them, and skies fitted to tables."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +39,9 @@ def uvspec_text(order: int = 1) -> str:
     for nm, edir, edn in ((450.0, 500.0, 180.0), (850.0, 420.0, 40.0)):
         lines.append(f" {nm:.3f} {edir:.4e} {edn:.4e} 6.1e+01 7.9e+01 4.5e+01 1.2e+01")
         lines.append("     " + " ".join(f"{phi + 30.0:.4f}" for phi in AZIMUTHS))
-        radiance = sky_of(nm) * edn / np.pi
         rows = [
             f" {-np.cos(np.radians(zenith)):.8f} 0.0 " + " ".join(f"{value:.6e}" for value in row)
-            for zenith, row in zip(ZENITHS, radiance, strict=True)
+            for zenith, row in zip(ZENITHS, sky_of(nm) * edn / np.pi, strict=True)
         ]
         lines += rows[::order]
         lines.append(" 0.50000000 0.0 " + " ".join("1.0e+00" for _ in AZIMUTHS))  # looks down

@@ -1,7 +1,4 @@
-import contextlib
 import datetime as dt
-import random
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,10 +76,11 @@ def test_the_real_skyward_exports_make_a_series(shared_data):
         series["irradiance"].sel(irradiance_wavelength=slice(400, 1000)).integrate("irradiance_wavelength")
     )
     np.testing.assert_allclose(integral, [391.381, 391.411], atol=6e-4)
-    # those of the detector: 3 nm of the first, which a camera up to 1000 nm sees
+    # those of the detectors: 3 nm of the first, which a camera up to 1000 nm sees
     assert (series["irradiance_fwhm"].sel(irradiance_wavelength=slice(350, 1000)) == 3.0).all()
-    assert series["irradiance_max_gap"] == 15.0
-    assert series.attrs["irradiance_srf_shape"] == "gaussian"
+    assert (series["irradiance_fwhm"].sel(irradiance_wavelength=slice(1001, 2500)) == 10.0).all()
+    assert "other detectors" in series.attrs["irradiance_fwhm_source"]
+    assert (series["irradiance_max_gap"], series.attrs["irradiance_srf_shape"]) == (15.0, "gaussian")
     assert "assumed" in series.attrs["irradiance_fwhm_source"]
     assert "assumed" in series.attrs["irradiance_units_source"]
 
@@ -266,11 +264,8 @@ def test_csv_series(tmp_path):
         series["irradiance_time"].values, utc("2024-05-21T09:00", "2024-05-21T09:00:02")
     )
     np.testing.assert_allclose(series["irradiance"].values, [[0.89, np.nan], [0.9, 0.8]], rtol=1e-6)
-    assert series["irradiance_fwhm"] == 2.5
-    assert series["irradiance"].dtype == np.float32
-
-
-def test_csv_stamps_may_each_have_their_zone(tmp_path):
+    assert (series["irradiance_fwhm"], series["irradiance"].dtype) == (2.5, np.float32)
+    # stamps may each have their zone
     rows = "2024-05-21T12:00:02+03:00,0.9\n2024-05-21T09:00:00Z,0.8\n"
     (tmp_path / "sky.csv").write_text("# units: W m-2 nm-1\n# fwhm_nm: 3\ntime,500\n" + rows)
     series = open_irradiance(tmp_path / "sky.csv")
@@ -285,10 +280,10 @@ def test_csv_needs_zone_units_and_width(tmp_path):
         open_irradiance(path)
     assert open_irradiance(path, utc_offset_h=-5)["irradiance_time"].values[0] == utc("2024-05-21T17:00")[0]
     path.write_text("time,500,600\n2024-05-21T12:00:02Z,0.9,0.8\n2024-05-21T12:00:00Z,0.9,0.8\n")
-    with pytest.raises(UnitsError, match="units="):
-        open_irradiance(path)
-    with pytest.raises(SchemaError, match="fwhm_nm="):
-        open_irradiance(path, units="W m-2 nm-1")
+    expect_refusals(
+        (UnitsError, "units-missing", "units=", lambda: open_irradiance(path)),
+        (SchemaError, "fwhm-missing", "fwhm_nm=", lambda: open_irradiance(path, units="W m-2 nm-1")),
+    )
     assert open_irradiance(path, units="W m-2 nm-1", fwhm_nm=3)["irradiance_fwhm"] == 3.0
 
 
@@ -313,27 +308,12 @@ def test_damaged_csv(tmp_path, text, problem):
         read_irradiance_csv(tmp_path / "sky.csv")
 
 
-def test_mutated_csv_raises_nothing_but_format_errors(tmp_path):
-    generator = random.Random(7)
-    pieces = ["\0", "\n", ",", "nan", "1e999", "-", "9" * 400, "\xff", "time,", "_", "#", "Z", ":"]
-    for _ in range(300):
-        mutant = CSV.format(z="Z")
-        for _ in range(generator.randint(1, 5)):
-            start = generator.randrange(len(mutant))
-            mutant = mutant[:start] + generator.choice(pieces) + mutant[start + generator.randint(0, 8) :]
-        (tmp_path / "sky.csv").write_text(mutant, "utf-8")
-        with contextlib.suppress(FormatError):
-            table = read_irradiance_csv(tmp_path / "sky.csv")
-            assert table.values.shape == (len(table.times), len(table.wavelength))
-
-
 # --- xarray and its stores
 
 
 @pytest.mark.parametrize("resolution", ["s", "ms", "us", "ns"])
 def test_every_time_resolution_comes_out_in_nanoseconds(resolution):
-    times = np.array(["2024-05-21T12:00:04", "2024-05-21T12:00:00"], f"datetime64[{resolution}]")
-    data = sky(times)
+    data = sky(np.array(["2024-05-21T12:00:04", "2024-05-21T12:00:00"], f"datetime64[{resolution}]"))
     series = open_irradiance(data, fwhm_nm=3)
     assert series["irradiance_time"].dtype == np.dtype("datetime64[ns]")
     np.testing.assert_array_equal(
@@ -409,12 +389,3 @@ def test_a_damaged_store_is_named(tmp_path):
         (FormatError, "file-unreadable", lambda: open_irradiance(tmp_path / "sky.zarr")),
         (FormatError, "file-unreadable", "gone.zarr", lambda: open_irradiance(tmp_path / "gone.zarr")),
     )
-
-
-@pytest.mark.real_data
-def test_detectors_of_a_real_asd_have_widths_of_their_own(shared_data: Path) -> None:
-    path = shared_data / "asd_ascii" / "asd-e-irrad-sky.tsv"
-    series = open_irradiance(path, "irradiance", utc_offset_h=3.0, max_gap_s=5.0)
-    at = series.irradiance_fwhm.sel(irradiance_wavelength=[700.0, 1000.0, 1001.0, 2100.0])
-    assert at.values.tolist() == [3.0, 3.0, 10.0, 10.0]
-    assert "other detectors" in series.attrs["irradiance_fwhm_source"]

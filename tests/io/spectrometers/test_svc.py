@@ -1,10 +1,9 @@
 """Dialects of ``.sig`` files, what is refused, and the way back from the simulator's own writer."""
 
-from __future__ import annotations
-
-import contextlib
+import datetime as dt
 import json
 import os
+import re
 import warnings
 from pathlib import Path
 
@@ -19,7 +18,19 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.cli.info_command import describe_path
-from hyperpaint.io.spectrometers.svc import SVC_JOINS, dialect_of, open_svc, position_of, read_svc
+from hyperpaint.io.spectrometers import svc
+from hyperpaint.io.spectrometers.reference_files import open_references
+from hyperpaint.io.spectrometers.svc import (
+    SVC_JOINS,
+    dialect_of,
+    open_svc,
+    orders_of,
+    position_of,
+    read_gps_time,
+    read_stamp,
+    read_svc,
+    utc_of,
+)
 from hyperpaint.simulation.instruments import svc_wavelengths, write_svc
 
 VENDORS = conversion_factor("1e-10 W cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1")
@@ -45,8 +56,7 @@ def test_a_reflectance(write) -> None:
     assert found["reflectance"].dims == ("spectrum", "wavelength")
     np.testing.assert_array_equal(found["reflectance"].values[0], SURFACE / PANEL)
     np.testing.assert_array_equal(found["wavelength"].values, GRID)
-    assert found["wavelength"].attrs["units"] == "nm"
-    assert found.attrs == {"instrument": "SVC"}
+    assert (found["wavelength"].attrs["units"], found.attrs) == ("nm", {"instrument": "SVC"})
     assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50.357", "ns")
     assert found["reference_time"].values[0] == np.datetime64("2025-05-27T07:39:23.357", "ns")
     assert found["latitude"].attrs["units"] == "degree"
@@ -68,8 +78,7 @@ def test_every_quantity_of_either_scan(write, scan, scanned, quantity, factor, u
     path = write(units=f"{quantity.capitalize()}, {quantity.capitalize()}")
     found = open_svc(path, None if scan == "reference" else quantity, scan=scan)
     np.testing.assert_allclose(found[quantity].values[0], scanned * factor, rtol=1e-14)
-    assert found[quantity].attrs["units"] == units
-    assert found.attrs["scan"] == scan
+    assert (found[quantity].attrs["units"], found.attrs["scan"]) == (units, scan)
     clock = {"target": "07:42:50.357", "reference": "07:39:23.357"}[scan]
     assert found["time"].values[0] == np.datetime64(f"2025-05-27T{clock}", "ns")
     assert "reference_time" not in found.coords
@@ -103,12 +112,10 @@ def test_the_detectors_are_told_apart(write) -> None:
     # of a file without overlap by its joins; of one that says nothing, not at all
     flat = np.arange(400.0, 2500.0, 10.0)
     removed = {"wavelength": flat, "panel": flat, "surface": flat / 2}
-    path = write(
-        "b.sig", **removed, factors="1.0, 1.0, 1.0 [Overlap: Remove @ 990,1900, Matching Type: None]"
-    )
-    names = open_svc(path)["detector"].values
-    assert flat[names == "VNIR"].max() == 990.0
-    assert flat[names == "SWIR2"].min() == 1910.0
+    names = open_svc(
+        write("b.sig", **removed, factors="1.0, 1.0, 1.0 [Overlap: Remove @ 990,1900, Matching Type: None]")
+    )["detector"].values
+    assert (flat[names == "VNIR"].max(), flat[names == "SWIR2"].min()) == (990.0, 1910.0)
     assert "detector" not in open_svc(write("c.sig", **removed, factors=None)).coords
 
 
@@ -168,6 +175,40 @@ def test_ways_to_write_the_same(write, fields) -> None:
     np.testing.assert_array_equal(open_svc(write(**fields))["reflectance"].values[0], SURFACE / PANEL)
 
 
+def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
+    row = svc.Dialect(
+        "PSR",
+        re.compile(rb"Comment:"),
+        "'Comment:' of a .sed file",
+        suffix=".sed",
+        assigns=":",
+        headings=1,
+        keys={"model": "instrument", "gps clock": "gpstime"},
+        units={"w/m^2/sr/nm": "radiance"},
+        columns=(0, 2, 1, 3),
+        scale={"radiance": 1.0},
+    )
+    monkeypatch.setattr(svc, "DIALECTS", (*svc.DIALECTS, row))
+    path = tmp_path / "door.sed"
+    header = "Comment: left door\nModel: PSR-3500\nUnits: W/m^2/sr/nm\nGPS clock: 073923, 074250\nTime: "
+    stamps = "27.05.2025 09:39:32, 27.05.2025 09:42:59\nData:\nWvl Target Reference Percent\n"
+    path.write_text(header + stamps + "350 0.04 0.08 50\n351 0.02 0.08 25\n")
+    found = open_svc(tmp_path)
+    assert (found.attrs["instrument"], found["instrument"].item()) == ("PSR", "PSR-3500")
+    assert found["reflectance"].values.tolist() == [[0.5, 0.25]]
+    assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50")
+    assert open_svc(path, "radiance", scan="reference")["radiance"].values.tolist() == [[0.08, 0.08]]
+    # its content is enough, whatever its name
+    other = path.rename(tmp_path / "door.txt")
+    references = open_references([other, write()])
+    assert [reference.attrs["instrument"] for reference in references] == ["PSR", "SVC"]
+    assert "PSR spectrum, PSR-3500" in describe_path(other)
+    path.write_text("nothing to see")
+    for read in (open_svc, describe_path):
+        with refusal(FormatError, "format-unknown", "SVC .sig file or 'Comment:' of a .sed file"):
+            read(path)
+
+
 def test_a_file_that_was_resampled(write) -> None:
     grid = np.arange(350.0, 2501.0)
     path = write(wavelength=grid, panel=grid, surface=grid / 4, instrument="HI: 1152050 (HR-1024i)")
@@ -202,12 +243,9 @@ def test_a_reference_of_zero_is_nan_and_said(tmp_path, word) -> None:
     text = svc_text(panel=panel, percent=np.where(panel == 0, 12345.0, 100 * SURFACE / PANEL))
     path = tmp_path / "a.sig"
     path.write_text(text.replace("12345.00", word), "utf-8")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)
+    with pytest.warns(PaintWarning, match="samples-undefined"):
         found = open_svc(path)["reflectance"]
     np.testing.assert_array_equal(np.isnan(found.values[0]), GRID == 500.0)
-    with pytest.warns(PaintWarning, match="samples-undefined"):
-        open_svc(path)
 
 
 def test_a_column_that_contradicts_the_scans_is_flagged(write) -> None:
@@ -383,42 +421,10 @@ def test_any_scans_come_back(tmp_path, values, comma) -> None:
         np.testing.assert_array_equal(open_svc(path)["reflectance"].values[0], surface / panel)
 
 
-@settings(
-    max_examples=150,
-    derandomize=True,
-)
-@given(data=st.data())
-@pytest.mark.slow
-def test_mutated_files_raise_nothing_but_format_errors(tmp_path, data) -> None:
-    dates = {"time": "5/27/2025 9:39:32 AM, 5/27/2025 9:42:59 AM"}
-    text = svc_text(GRID[::12], PANEL[::12], SURFACE[::12], **dates)
-    mutant = bytearray((german(text) if data.draw(st.booleans()) else text).encode())
-    for _ in range(data.draw(st.integers(1, 6))):
-        place = data.draw(st.integers(0, len(mutant)))
-        length = data.draw(st.integers(0, 12))
-        mutant[place : place + length] = data.draw(
-            st.one_of(
-                st.binary(max_size=6),
-                st.sampled_from([b",", b"=", b"\n", b"[", b"1e400", b"nan", b"9" * 400, b"-", b"data=\n"]),
-            )
-        )
-    path = Path(tmp_path, "mutant.sig")
-    path.write_bytes(mutant)
-    with warnings.catch_warnings(), contextlib.suppress(FormatError):
-        warnings.simplefilter("ignore", PaintWarning)
-        for options in ({}, {"overlap": "trim"}):
-            found = open_svc(path, **options)
-            (values,) = found.data_vars.values()
-            assert values.shape == (1, found["wavelength"].size)
-            assert not np.isinf(values.values).any()
-        describe_path(path)
-
-
 @given(latitude=st.floats(-90, 90), longitude=st.floats(-180, 180), comma=st.booleans(), blanks=st.booleans())
 def test_any_position_comes_back(latitude, longitude, comma, blanks) -> None:
     def text(angle, width, letters):
-        minutes = round(abs(angle) * 60e4)
-        degrees, rest = divmod(minutes, 600_000)
+        degrees, rest = divmod(round(abs(angle) * 60e4), 600_000)
         made = f"{degrees:0{width}d}{rest // 10_000:02d}.{rest % 10_000:04d}{letters[angle < 0]}"
         return (made.replace(".", ",") if comma else made).ljust(16 if blanks else 0)
 
@@ -454,3 +460,346 @@ def test_what_the_simulator_writes_comes_back(tmp_path, position, zone) -> None:
     assert (found["overlap"].item(), found["overlap_matched"].item()) == ("preserved", False)
     trimmed = open_svc(tmp_path, overlap="trim")
     assert np.all(np.diff(trimmed["wavelength"].values) > 0.0)
+
+
+# --- clocks of SVC files: stamps of any locale, and UTC by the GPS ----------------------------------------
+
+
+MARCH = dt.datetime(2024, 3, 5, 17, 8, 9)
+
+
+@pytest.mark.parametrize(
+    ("texts", "expected"),
+    [
+        (("05.03.2024 17:08:09", "5.3.24 17:08:09", "2024-03-05 17:08:09", "2024-03-05T17:08:09",
+          "2024/03/05 5:08:09 PM", "05-Mar-24 17.08.09", "05-m\u00e4r-24 17.08.09", "5-mar-2024 17.08.09",
+          "05-03-2024 17:08:09", "2024/3/5 17:08:09.000"), MARCH),
+        (("7/29/2017 1:54:23 AM",), dt.datetime(2017, 7, 29, 1, 54, 23)),
+        (("16/10/2024 10:47:58",), dt.datetime(2024, 10, 16, 10, 47, 58)),
+        (("7/18/10 9:47:09 AM",), dt.datetime(2010, 7, 18, 9, 47, 9)),
+        (("4/4/2024 12:00:00 AM",), dt.datetime(2024, 4, 4)),
+        (("4/4/2024 12:00:00 p.m.",), dt.datetime(2024, 4, 4, 12)),
+        (("11-lug-15 13.08.32", "11-juil.-15 13.08.32"), dt.datetime(2015, 7, 11, 13, 8, 32)),
+        (("11-\u00b2\u00b2\u00b2-15 13.08.32", "11 juillet 2015", "", "now", "32/13/2024 10:00:00",
+          "2024-02-30 10:00:00", "4/4/2024 13:00:00 PM", "4/4/2024 25:00:00", "4/4/0 10:00:00",
+          "0000-00-00 00:00:00", "\u0664/\u0664/2024 10:00:00x", "1/2/2024" + " " * 200), None),
+    ],
+)  # fmt: skip
+def test_stamps(texts, expected) -> None:
+    stamps = [read_stamp(text) for text in texts]
+    assert [stamp and stamp.read(None) for stamp in stamps] == [expected] * len(texts)
+
+
+@given(moment=st.datetimes(dt.datetime(1995, 1, 1), dt.datetime(2090, 1, 1)))
+def test_every_date_is_read_in_either_order(moment) -> None:
+    moment = moment.replace(microsecond=0)
+    european = read_stamp(f"{moment:%d/%m/%Y %H:%M:%S}")
+    american = read_stamp(f"{moment:%m/%d/%Y %I:%M:%S %p}")
+    assert european.read(True) == american.read(False) == moment
+    is_ambiguous = moment.day <= 12 and moment.day != moment.month
+    assert european.read(None) == american.read(None) == (None if is_ambiguous else moment)
+
+
+def test_other_files_of_an_instrument_settle_the_order() -> None:
+    def orders(*dates):
+        return orders_of((name, read_stamp(f"{date} 10:00:00")) for name, date in dates)
+
+    assert orders(("a", "5/6/2024"), ("a", "5/16/2024"), ("b", "5/6/2024")) == {"a": False}
+    assert orders(("a", "16/5/2024"), ("b", "5/16/2024")) == {"a": True, "b": False}
+    assert orders(("a", "16/5/2024"), ("a", "5/16/2024")) == {}
+    assert orders(("a", "16.05.2024")) == {}  # another way to write, which tells nothing about slashes
+
+
+def test_gps_times() -> None:
+    times = [read_gps_time(text) for text in ("090724.786", "235960.000", "90724,5", "")]
+    at = dt.timedelta(hours=9, minutes=7)
+    assert times == [
+        at + dt.timedelta(seconds=24.786),
+        dt.timedelta(days=1),
+        at + dt.timedelta(seconds=24.5),
+        None,
+    ]
+    for text in ("noon", "2460", "240000", "106000", "100061", "-10000", "1e5", "9" * 500):
+        with pytest.raises(ValueError, match="time of day, HHMMSS"):
+            read_gps_time(text)
+
+
+@given(
+    moment=st.datetimes(dt.datetime(1995, 1, 2), dt.datetime(2090, 1, 1)),
+    zone=st.integers(-48, 56),
+    wrong=st.integers(-1800, 1800),
+)
+def test_gps_time_finds_its_date(moment, zone, wrong) -> None:
+    # Anywhere on earth, with a local clock that is up to half an hour wrong
+    hours = zone / 4.0
+    longitude = max(-180.0, min(180.0, 15.0 * hours))
+    local = moment + dt.timedelta(hours=hours, seconds=wrong)
+    gps = moment - dt.datetime.combine(moment.date(), dt.time())
+    assert (utc_of(local, gps, longitude, None), utc_of(local, gps, float("nan"), hours)) == (moment, moment)
+    assert utc_of(local, None, longitude, hours) == local - dt.timedelta(hours=hours)
+    assert utc_of(local, None, longitude, None) is None
+
+
+def test_times_of_several_files(tmp_path) -> None:
+    blank = {"gpstime": " , ", "latitude": " , ", "longitude": " , "}
+    for name, date in {"a": "5/6/2025", "b": "5/27/2025"}.items():
+        (tmp_path / f"{name}.sig").write_text(svc_text(time=f"{date} 9:39:32 AM, {date} 9:42:59 AM", **blank))
+    with pytest.warns(PaintWarning, match="a.sig.*date-ambiguous"):
+        assert np.isnat(open_svc(tmp_path / "a.sig", utc_offset_h=-5)["time"].values).all()
+    found = open_svc(tmp_path, utc_offset_h=-5)["time"].values
+    expected = np.array(["2025-05-06T14:42:59", "2025-05-27T14:42:59"], "datetime64[ns]")
+    np.testing.assert_array_equal(found, expected)
+    found = open_svc(tmp_path, utc_offset_h=-5, dayfirst=True)["time"].values
+    assert found[0] == np.datetime64("2025-06-05T14:42:59")
+    with pytest.warns(PaintWarning, match=r"a\.sig, b\.sig \[zone-"):
+        assert np.isnat(open_svc(tmp_path)["time"].values).all()
+
+
+def test_gps_wins_over_a_zone_that_contradicts_it(tmp_path) -> None:
+    path = tmp_path / "a.sig"
+    path.write_text(svc_text())
+    with pytest.warns(PaintWarning, match="utc-offset-conflict"):
+        found = open_svc(path, utc_offset_h=-7)
+    assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50.357")
+    assert open_svc(path, utc_offset_h=2)["time"].values[0] == found["time"].values[0]
+
+
+@pytest.mark.parametrize("time", [None, "", "long ago, yesterday", "27.05.2025 09:39:32"])
+def test_times_that_are_missing(tmp_path, time) -> None:
+    path = tmp_path / "a.sig"
+    path.write_text(svc_text(time=time))
+    with pytest.warns(PaintWarning, match="time-unreadable"):
+        found = open_svc(path)
+    assert np.isnat(found["reference_time"].values[0])
+    # one stamp alone is the target's
+    assert np.isnat(found["time"].values[0]) == (time != "27.05.2025 09:39:32")
+
+
+# --- every real ``.sig`` file beside the project, against values known from elsewhere ---------------------
+
+
+NAMES = [
+    "241016_1051_R009_T014", "ACPL_D2_P1_B_1_001", "ACPL_D2_P1_T_1_WR_000", "BNL13001_000",
+    "BNL13001_000_moc", "BNL13002_000", "BNL13002_000_moc", "HR.020824.0000", "gr070214_003",
+]  # fmt: skip
+DATE = {"dayfirst": False}  # of the files whose dates make sense both ways; their names settle it
+
+
+@pytest.fixture
+def folder(shared_data: Path) -> Path:
+    return shared_data / "svc_sig"
+
+
+def opened(paths: object, **options: object) -> xr.Dataset:
+    # Open files whose clocks are no matter, without the warnings that they deserve
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        return open_svc(paths, **options)
+
+
+@pytest.mark.real_data
+def test_every_file_is_tested(folder: Path) -> None:
+    assert sorted(path.stem for path in folder.iterdir()) == sorted(NAMES)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", NAMES)
+def test_reflectance_is_the_files_own_with_more_digits(folder: Path, name: str) -> None:
+    path = folder / f"{name}.sig"
+    found = opened(path)
+    table = np.loadtxt(
+        [line for line in path.read_text("latin-1").splitlines() if line[:1].isdigit()], dtype=np.float64
+    )
+    np.testing.assert_array_equal(found["wavelength"].values, table[:, 0])
+    np.testing.assert_allclose(found["reflectance"].values[0], table[:, 2] / table[:, 1], rtol=1e-15)
+    np.testing.assert_allclose(found["reflectance"].values[0], table[:, 3] / 100.0, atol=5.5e-5)
+    assert 0.0 < found["column_difference"].item() < 5.5e-5
+    assert found["reflectance"].dtype == found["wavelength"].dtype == np.float64
+    assert found["reflectance"].attrs["units"] == "1"
+    assert found["reflectance"].attrs["reflectance_scale"] == "relative"
+    assert found["spectrum"].values.tolist() == [name]
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "nm", "panel", "surface", "percent"),
+    [
+        ("ACPL_D2_P1_B_1_001", 549.4, 71380.57, 5034.72, 7.05),
+        ("gr070214_003", 550.0, 14675.44, 298.75, 2.04),
+        ("241016_1051_R009_T014", 549.4, 446383.30, 41219.13, 9.23),
+        ("ACPL_D2_P1_T_1_WR_000", 549.4, None, None, 100.02),
+        ("BNL13001_000", 550.1, None, None, 8.49),
+        ("BNL13001_000_moc", 550.1, None, None, 8.35),
+        ("BNL13002_000", 550.1, None, None, 14.53),
+        ("BNL13002_000_moc", 550.1, None, None, 14.40),
+    ],
+)
+def test_known_values(
+    folder: Path, name: str, nm: float, panel: float | None, surface: float | None, percent: float
+) -> None:
+    path = folder / f"{name}.sig"
+    assert opened(path)["reflectance"].sel(wavelength=nm).item() == pytest.approx(percent / 100, abs=5e-5)
+    if panel is not None:
+        target = opened(path, quantity="radiance")["radiance"]
+        white = opened(path, quantity="radiance", scan="reference")["radiance"]
+        assert target.sel(wavelength=nm).item() == pytest.approx(surface * VENDORS, rel=1e-12)
+        assert white.sel(wavelength=nm).item() == pytest.approx(panel * VENDORS, rel=1e-12)
+        assert target.attrs["units"] == "W m-2 sr-1 nm-1"
+
+
+@pytest.mark.real_data
+def test_a_white_panel_is_white(folder: Path) -> None:
+    white = opened(folder / "ACPL_D2_P1_T_1_WR_000.sig")["reflectance"]
+    assert white.where((white.wavelength > 450) & (white.wavelength < 900)).mean().item() == pytest.approx(
+        1.0, abs=0.002
+    )
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "rows", "overlap", "matched", "factors", "errors"),
+    [
+        ("ACPL_D2_P1_B_1_001", 1024, "preserved", False, (1.080, 1.133), (7, 3)),
+        ("BNL13001_000", 1024, "preserved", False, (0.800, 0.844), (6, 1)),
+        ("BNL13001_000_moc", 982, "removed @ 970, 1901 nm", True, (0.795, 0.848), (6, 1)),
+        ("gr070214_003", 991, "removed @ 985, 1906 nm", True, (0.993, 0.990), (1, 1)),
+        ("HR.020824.0000", 1024, "preserved", False, (1.0, 1.0), (0, 0)),
+        ("241016_1051_R009_T014", 1024, "preserved", False, (1.1, 1.1), (0, 0)),
+    ],
+)
+def test_what_files_say_of_overlap_and_errors(
+    folder: Path, name: str, rows: int, overlap: str, matched: bool, factors: tuple, errors: tuple
+) -> None:
+    found = opened(folder / f"{name}.sig")
+    assert found.sizes == {"spectrum": 1, "wavelength": rows}
+    assert (found["overlap"].item(), found["overlap_matched"].item()) == (overlap, matched)
+    assert (found["factor_reference"].item(), found["factor_target"].item()) == factors
+    assert (found["error_reference"].item(), found["error_target"].item()) == errors
+    assert np.all(np.diff(found["wavelength"].values) > 0) == overlap.startswith("removed")
+    header = json.loads(found["header"].item())
+    assert (header["factors"], found["instrument"].item()) == (found["factors"].item(), header["instrument"])
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", ["BNL13001_000", "BNL13002_000", "ACPL_D2_P1_B_1_001", "HR.020824.0000"])
+def test_factors_are_the_first_detector_over_the_second_of_both_scans(folder: Path, name: str) -> None:
+    # they belong to reference and target, not to detectors: the ratio of radiances where these overlap
+    file = read_svc(folder / f"{name}.sig")
+    first, second = slice(0, file.starts[1]), slice(file.starts[1], file.starts[2])
+    at = np.arange(978.0, 1009.0)
+    found = opened(folder / f"{name}.sig")
+    for scan, key in ((file.reference, "factor_reference"), (file.target, "factor_target")):
+        ratio = np.interp(at, file.wavelength[first], scan[first]) / np.interp(
+            at, file.wavelength[second], scan[second]
+        )
+        assert found[key].item() == pytest.approx(ratio.mean(), abs=0.012)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", ["BNL13001_000", "BNL13002_000"])
+def test_matching_scales_the_first_detector_by_a_ramp(folder: Path, name: str) -> None:
+    raw = folder / f"{name}.sig"
+    matched = folder / f"{name}_moc.sig"
+    for scan in ("reference", "target"):
+        before = opened(raw, quantity="radiance", scan=scan, overlap="trim", joins=(970, 1901))["radiance"]
+        after = opened(matched, quantity="radiance", scan=scan)["radiance"]
+        np.testing.assert_array_equal(before["wavelength"], after["wavelength"])
+        np.testing.assert_array_equal(before["detector"], after["detector"])
+        vnir = (before["detector"] == "VNIR").values
+        # within the matching zone (976 to 1010 nm) the vendor fades one detector into the other
+        beyond = (before["wavelength"] > 1010.0).values
+        np.testing.assert_array_equal(before.values[0, beyond], after.values[0, beyond])
+        zone = ~vnir & ~beyond
+        assert np.all(np.abs(after.values[0, zone] / before.values[0, zone] - 1.0) < 0.06)
+        sure = vnir & (before.values[0] > 0.0)
+        ratio = after.values[0, sure] / before.values[0, sure]
+        rounding = 0.02e-6 / before.values[0, sure]
+        assert np.all(np.diff(ratio) > -(rounding[1:] + rounding[:-1]))
+        assert ratio[0] == pytest.approx(1.0, abs=2e-3)
+        assert 1.1 < ratio[-1] < 1.3
+
+
+@pytest.mark.real_data
+def test_raw_and_matched_files_do_not_mix_unless_trimmed_alike(folder: Path) -> None:
+    both = [folder / "BNL13001_000.sig", folder / "BNL13001_000_moc.sig"]
+    with pytest.raises(FormatError) as raised:
+        opened(both)
+    for part in ("1024 from", "overlap kept: BNL13001_000.sig", "982 from", "joins=(970, 1901)"):
+        assert part in str(raised.value)
+    with pytest.raises(FormatError, match="grid-mismatch"):
+        opened([folder / "ACPL_D2_P1_B_1_001.sig", both[0]])
+    found = opened(both, overlap="trim", joins=(970, 1901))
+    assert found.sizes == {"spectrum": 2, "wavelength": 982}
+    assert found["overlap"].values.tolist() == ["trimmed @ 970, 1901 nm", "removed @ 970, 1901 nm"]
+    assert found["overlap_matched"].values.tolist() == [False, True]
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", NAMES)
+def test_trimmed_wavelengths_increase(folder: Path, name: str) -> None:
+    kept, trimmed = opened(folder / f"{name}.sig"), opened(folder / f"{name}.sig", overlap="trim")
+    at = trimmed["wavelength"].values
+    assert np.all(np.diff(at) > 0.0)
+    assert at.size == (kept["wavelength"].size if "removed" in kept["overlap"].item() else at.size)
+    for detector in ("VNIR", "SWIR1", "SWIR2"):
+        ours = trimmed["reflectance"].isel(wavelength=(trimmed["detector"] == detector).values)
+        theirs = kept["reflectance"].isel(wavelength=(kept["detector"] == detector).values)
+        np.testing.assert_array_equal(ours, theirs.sel(wavelength=ours["wavelength"]))
+
+
+@pytest.mark.real_data
+def test_times_and_places(folder: Path) -> None:
+    found = open_svc(folder / "HR.020824.0000.sig", **DATE)
+    assert found["time"].values[0] == np.datetime64("2024-02-08T09:07:53.786", "ns")
+    assert found["reference_time"].values[0] == np.datetime64("2024-02-08T09:07:24.786", "ns")
+    assert found["latitude"].item() == pytest.approx(52 + 25.9416 / 60, abs=1e-9)
+    assert found["longitude"].item() == pytest.approx(13 + 32.0176 / 60, abs=1e-9)
+    found = open_svc(folder / "ACPL_D2_P1_B_1_001.sig", **DATE)
+    assert found["longitude"].item() == pytest.approx(-(92 + 31.1626 / 60), abs=1e-9)
+    assert found["time"].values[0] == np.datetime64("2015-08-06T14:37:08", "ns")
+    assert found["time"].dtype == np.dtype("datetime64[ns]")
+    # no fix: day first is plain, the zone is not
+    with pytest.warns(PaintWarning, match="zone-missing"):
+        found = open_svc(folder / "241016_1051_R009_T014.sig")
+    assert np.isnat(found["time"].values[0])
+    assert np.isnan(found["latitude"].item())
+    found = open_svc(folder / "241016_1051_R009_T014.sig", utc_offset_h=2)
+    assert found["time"].values[0] == np.datetime64("2024-10-16T08:51:32", "ns")
+    # a date that may be either is no date
+    with pytest.warns(PaintWarning, match="date-ambiguous"):
+        found = open_svc(folder / "HR.020824.0000.sig")
+    assert np.isnat(found["time"].values[0])
+    found = open_svc(folder / "HR.020824.0000.sig", dayfirst=True)
+    assert found["time"].values[0] == np.datetime64("2024-08-02T09:07:53.786", "ns")
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", ["gr070214_003", "ACPL_D2_P1_B_1_001", "BNL13001_000_moc"])
+def test_the_german_twin_is_the_same(folder: Path, tmp_path: Path, name: str) -> None:
+    path = tmp_path / f"{name}.sig"
+    path.write_text(german((folder / path.name).read_text("latin-1")), "latin-1")
+    assert "0,99" in path.read_text() or "1,0" in path.read_text() or "0,8" in path.read_text()
+    ours = opened(folder / path.name, **DATE, utc_offset_h=-5)
+    twin = opened(path, utc_offset_h=-5)
+    header = {key: coord for key, coord in ours.coords.items() if key not in ("header", "factors")}
+    for key, coord in header.items():
+        xr.testing.assert_identical(coord.variable, twin[key].variable)
+    np.testing.assert_array_equal(ours["reflectance"], twin["reflectance"])
+    assert not np.isnat(twin["time"].values).any()
+
+
+@pytest.mark.real_data
+def test_info(folder: Path) -> None:
+    text = describe_path(folder / "BNL13001_000_moc.sig")
+    for part in (
+        "SVC spectrum, HI: 6142041 (HR-1024i)",
+        "338.2 to 2517.2 nm, 982 channels",
+        "removed @ 970, 1901 nm",
+        "Radiance @ 976 - 1010 / NIR-SWIR On (factors 0.795, 0.848, 1.000)",
+        "7/29/2017 1:55:32 AM",
+        "reference 6, target 1",
+    ):
+        assert part in text
+    text = describe_path(folder / "HR.020824.0000.sig")
+    assert "52.432360, 13.533627" in text
+    assert "090753.786 UTC" in text

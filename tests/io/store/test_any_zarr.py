@@ -1,7 +1,5 @@
 """Any Zarr that xarray opens is a store, calibration, sweep, record, library and set of references."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 from collections.abc import Callable
@@ -198,8 +196,7 @@ def test_a_collect_names_any_zarr(zarr_format: int, container: str, tmp_path: Pa
 @pytest.mark.parametrize("zarr_format", [2, 3])
 @pytest.mark.parametrize("container", ["folder", "zip", "url"])
 def test_groups_are_listed_opened_and_verified(zarr_format: int, container: str, tmp_path: Path) -> None:
-    whole = xr.Dataset()
-    place = contained(whole, "folder", tmp_path, zarr_format=zarr_format)
+    place = contained(xr.Dataset(), "folder", tmp_path, zarr_format=zarr_format)
     plain = {"zarr_format": zarr_format, "consolidated": False}
     for group in ("flightlines/a", "flightlines/b"):
         cube().to_zarr(place, group=group, **plain)

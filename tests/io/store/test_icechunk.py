@@ -1,7 +1,5 @@
 """An existing engine for shared object stores, tried for real: the README's section on icechunk holds."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -53,8 +51,7 @@ def repository(plain: Path) -> Any:
 
 
 def open_group(repository: Any, group: str) -> xr.Dataset:
-    store = repository.readonly_session("main").store
-    return xr.open_zarr(store, group=group, consolidated=False)
+    return xr.open_zarr(repository.readonly_session("main").store, group=group, consolidated=False)
 
 
 def computed(line: xr.Dataset) -> xr.Dataset:
@@ -155,8 +152,7 @@ sys.stdin.read()
 
 def test_a_killed_writer_leaves_the_older_commit(plain: Path, tmp_path: Path) -> None:
     storage = icechunk.local_filesystem_storage(str(tmp_path / "lot.icechunk"))
-    repository = ingest(plain, storage)
-    before = repository.lookup_branch("main")
+    before = ingest(plain, storage).lookup_branch("main")
     command = [sys.executable, "-c", _WRITER, str(tmp_path / "lot.icechunk"), LINE]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as writer:
         assert writer.stdout is not None

@@ -1,7 +1,5 @@
 """The manifest: what a store is to hold is what it holds, or the difference is named."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -114,8 +112,7 @@ def test_the_manifest_names_what_lies_on_the_disk(store: Path) -> None:
 
 
 @pytest.mark.parametrize("stop", [1, 2])
-def test_a_run_that_was_cut_short_is_unfinished(stop: int, tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_a_run_that_was_cut_short_is_unfinished(stop: int, path: Path) -> None:
     run(path, stop=stop)
     said = problems(path)
     assert f"unfinished: {stop} of 3 groups are written" in said
@@ -251,8 +248,7 @@ def test_a_half_written_tree_is_finished_by_itself_alone(
     assert hp.verify(store).ok
 
 
-def test_a_run_does_not_finish_another(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_a_run_does_not_finish_another(path: Path) -> None:
     run(path, stop=1)
     with pytest.raises(IncompleteStoreError, match="store-unfinished"):
         run(path, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}")
@@ -261,8 +257,7 @@ def test_a_run_does_not_finish_another(tmp_path: Path) -> None:
     assert hp.verify(path).ok
 
 
-def test_a_run_that_could_not_be_sealed_says_so(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_a_run_that_could_not_be_sealed_says_so(path: Path) -> None:
     with pytest.raises(IncompleteStoreError, match="store-unfinished"):
         run(path, last=lambda: shutil.rmtree(path / LINES[0]))
     run(path)
@@ -292,8 +287,7 @@ def test_what_came_from_another_store_is_whole_where_it_goes(store: Path, tmp_pa
         assert report.ok, str(report)
 
 
-def test_what_a_user_adds_does_not_finish_a_run(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_what_a_user_adds_does_not_finish_a_run(path: Path) -> None:
     run(path, stop=1)
     hp.to_store(line(7), path, "signatures")
     hp.to_store(line(8), path, "signatures", overwrite=True)
@@ -338,8 +332,9 @@ def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_a_tree_is_whole_when_all_of_it_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "lot.zarr"
+def test_a_tree_is_whole_when_all_of_it_is_there(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"name": "lot"}), "/a": line(1), "/b/c": line(2)})
     with monkeypatch.context() as patch:
         patch.setattr(writer._StoreWriter, "finish", _interrupt)
@@ -348,13 +343,11 @@ def test_a_tree_is_whole_when_all_of_it_is_there(tmp_path: Path, monkeypatch: py
     assert hp.open_store(path, "a").counts.values[0, 0, 0] == 1  # each is there; the list in the root is not
     hp.to_store(tree, path)
     assert hp.verify(path).ok
-    stored = hp.open_store(path)
-    hp.to_store(stored, tmp_path / "copy.zarr")
+    hp.to_store(hp.open_store(path), tmp_path / "copy.zarr")
     assert hp.verify(tmp_path / "copy.zarr").ok
 
 
-def test_a_root_with_arrays_names_the_groups_below(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_a_root_with_arrays_names_the_groups_below(path: Path, tmp_path: Path) -> None:
     hp.to_store(xr.DataTree.from_dict({"/": line(1), "/a": line(2)}), path)
     assert hp.verify(path).ok
     alone = tmp_path / "alone.zarr"

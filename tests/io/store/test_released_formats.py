@@ -1,7 +1,5 @@
 """Stores of every format that was released, and of the present one, are read: one of each is kept."""
 
-from __future__ import annotations
-
 import shutil
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Chunks, codec and encodings on disk."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What stands in a group's place, and around it, is not lost; what is damaged there can be mended."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The bar counts blocks, says what time is left, and leaves nothing of a longer line."""
 
-from __future__ import annotations
-
 import re
 
 import dask.array as da

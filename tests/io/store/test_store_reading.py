@@ -1,7 +1,5 @@
 """What readers get of a store: what was written, an error, or what `verify` alone can tell."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle
@@ -169,22 +167,14 @@ def test_what_others_add_is_opened_and_noted(
     np.testing.assert_array_equal(opened.ndvi, ndvi.ndvi)
     xr.testing.assert_equal(opened.drop_vars("ndvi"), scene())
     report = verify(store)
+    assert report.ok, str(report)
     assert f"/{GROUP}/ndvi: added by another program" in str(report)
+    assert {note.partition(":")[0] for note in report.notes} == {f"/{GROUP}", f"/{GROUP}/ndvi", "/of_others"}
+    with pytest.warns(PaintWarning, match="attributes-replaced"):
+        xr.testing.assert_equal(open_store(store)["of_others"].to_dataset(), ndvi)
     # their chunks are read as well
     cut(store / "of_others/ndvi/c/0/0")
     assert "/of_others/ndvi: chunk (0, 0) cannot be read" in str(verify(store))
-
-
-@pytest.mark.filterwarnings("ignore:Consolidated metadata", "ignore::hyperpaint.base.errors.PaintWarning")
-def test_what_others_add_leaves_the_rest_whole(store: Path) -> None:
-    ndvi = xr.Dataset({"ndvi": (("along_track", "cross_track"), np.ones((128, 5)))})
-    ndvi.to_zarr(store, group=GROUP, mode="a")
-    ndvi.to_zarr(store, group="of_others")
-    report = verify(store)
-    assert report.ok, str(report)
-    places = sorted(note.partition(":")[0] for note in report.notes)
-    assert places == [f"/{GROUP}", f"/{GROUP}/ndvi", "/of_others"]
-    xr.testing.assert_equal(open_store(store)["of_others"].to_dataset(), ndvi)
 
 
 # --- attributes and strays ---------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """Runs cut short are taken up: nothing finished is made again, nothing damaged is believed."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -22,7 +20,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.store import open_store, to_store, verify
+from hyperpaint.io.store import chunks, open_store, to_store, verify
 from hyperpaint.io.store.location import MANIFEST_NODE
 
 CUBE = ("along_track", "band", "cross_track")
@@ -181,19 +179,16 @@ def test_killed_at_a_random_instant(seed: int, tmp_path: Path, whole: dict[str, 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt(), MemoryError()])
 def test_finished_blocks_are_not_computed_again(
-    error: BaseException, tmp_path: Path, whole: dict[str, Any]
+    error: BaseException, path: Path, tmp_path: Path, whole: dict[str, Any]
 ) -> None:
-    path = tmp_path / "lot.zarr"
     left = cut_short(path, 7, error)
-    assert len(left) == BLOCKS - 7
-    assert os.listdir(tmp_path) == [".partial-lot.zarr"]
+    assert (len(left), os.listdir(tmp_path)) == (BLOCKS - 7, [".partial-lot.zarr"])
     to_store(line(), path, GROUP, source_token=TOKEN)
     assert sorted(asked) == left
     assert_whole(path, whole)
 
 
-def test_cut_short_again_and_again(tmp_path: Path, whole: dict[str, Any]) -> None:
-    path = tmp_path / "lot.zarr"
+def test_cut_short_again_and_again(path: Path, whole: dict[str, Any]) -> None:
     for count in (2, 0, 3, 6):
         cut_short(path, count)
         leftover(path)
@@ -203,9 +198,8 @@ def test_cut_short_again_and_again(tmp_path: Path, whole: dict[str, Any]) -> Non
 
 
 def test_stopped_just_before_the_end(
-    tmp_path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "lot.zarr"
     with monkeypatch.context() as patch:
         patch.setattr("hyperpaint.io.store.writer.flush_group", interrupt)
         with pytest.raises(KeyboardInterrupt):
@@ -217,9 +211,8 @@ def test_stopped_just_before_the_end(
 
 
 def test_stopped_while_it_is_taken_up(
-    tmp_path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "lot.zarr"
     left = cut_short(path)
     with monkeypatch.context() as patch:
         patch.setattr("hyperpaint.io.store.writer.discard", interrupt)
@@ -233,8 +226,7 @@ def test_stopped_while_it_is_taken_up(
 
 
 @pytest.mark.parametrize("lines", [64, 96, 32 * BLOCKS])
-def test_other_dask_chunks(lines: int, tmp_path: Path, whole: dict[str, Any]) -> None:
-    path = tmp_path / "lot.zarr"
+def test_other_dask_chunks(lines: int, path: Path, whole: dict[str, Any]) -> None:
     left = cut_short(path)
     touched = {number * 32 // lines for number in left}
     to_store(line(lines=lines), path, GROUP, source_token=TOKEN)
@@ -248,23 +240,19 @@ def _flip(chunk: Path) -> None:
     chunk.write_bytes(raw)
 
 
-def _truncate(chunk: Path) -> None:
-    chunk.write_bytes(chunk.read_bytes()[:50])
-
-
-def _empty(chunk: Path) -> None:
-    chunk.write_bytes(b"")
-
-
-def _delete(chunk: Path) -> None:
-    chunk.unlink()
-
-
-@pytest.mark.parametrize("damage", [_flip, _truncate, _empty, _delete])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        _flip,
+        lambda chunk: chunk.write_bytes(chunk.read_bytes()[:50]),
+        lambda chunk: chunk.write_bytes(b""),
+        Path.unlink,
+    ],
+    ids=["flipped", "truncated", "empty", "deleted"],
+)
 def test_damaged_leftovers_are_made_again(
-    damage: Callable[[Path], None], tmp_path: Path, whole: dict[str, Any]
+    damage: Callable[[Path], object], path: Path, whole: dict[str, Any]
 ) -> None:
-    path = tmp_path / "lot.zarr"
     left = cut_short(path)
     chosen = [number for number in range(BLOCKS) if number not in left][2]
     damage(leftover(path) / f"counts/c/{chosen}/0/0")
@@ -273,8 +261,7 @@ def test_damaged_leftovers_are_made_again(
     assert_whole(path, whole)
 
 
-def test_leftovers_of_other_content_are_discarded(tmp_path: Path, whole: dict[str, Any]) -> None:
-    path = tmp_path / "lot.zarr"
+def test_leftovers_of_other_content_are_discarded(path: Path, whole: dict[str, Any]) -> None:
     cut_short(path)
     to_store(line(), path, GROUP, source_token="other inputs")
     assert sorted(asked) == list(range(BLOCKS))
@@ -282,9 +269,8 @@ def test_leftovers_of_other_content_are_discarded(tmp_path: Path, whole: dict[st
 
 
 def test_leftovers_of_another_version_are_discarded(
-    tmp_path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "lot.zarr"
     with monkeypatch.context() as patch:
         patch.setattr("hyperpaint.io.store.writer.version_of_program", lambda: "0.0")
         cut_short(path)
@@ -293,16 +279,14 @@ def test_leftovers_of_another_version_are_discarded(
     assert_whole(path, whole)
 
 
-def test_leftovers_of_another_group_are_discarded(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_leftovers_of_another_group_are_discarded(path: Path, tmp_path: Path) -> None:
     cut_short(path)
     to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
     assert os.listdir(tmp_path) == ["lot.zarr"]
 
 
 @pytest.mark.parametrize("error", [RuntimeError("broken"), SchemaError("not of this shape")])
-def test_wrong_data_leave_nothing(error: Exception, tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_wrong_data_leave_nothing(error: Exception, path: Path, tmp_path: Path) -> None:
     cut_short(path)
     before.append(fail_after(2, error))
     with pytest.raises(type(error)):
@@ -310,9 +294,8 @@ def test_wrong_data_leave_nothing(error: Exception, tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-def test_one_group_of_a_tree_is_taken_up(tmp_path: Path, whole: dict[str, Any]) -> None:
+def test_one_group_of_a_tree_is_taken_up(path: Path, whole: dict[str, Any]) -> None:
     tree = xr.DataTree.from_dict({"/flightlines/raw_0": line(), "/irradiance": line()[["wavelength"]]})
-    path = tmp_path / "lot.zarr"
     before.append(fail_after(7, OSError(errno.EROFS, "read-only")))
     for _ in range(2):
         with pytest.raises(StoreError, match="read-only"):
@@ -328,8 +311,7 @@ def test_one_group_of_a_tree_is_taken_up(tmp_path: Path, whole: dict[str, Any]) 
     assert verify(path).ok
 
 
-def test_tasks_that_outlive_their_run_harm_nothing(tmp_path: Path, whole: dict[str, Any]) -> None:
-    path = tmp_path / "lot.zarr"
+def test_tasks_that_outlive_their_run_harm_nothing(path: Path, whole: dict[str, Any]) -> None:
     waiting, go = threading.Event(), threading.Event()
 
     def late(block: int) -> None:
@@ -351,8 +333,7 @@ def test_tasks_that_outlive_their_run_harm_nothing(tmp_path: Path, whole: dict[s
     assert_whole(path, whole)
 
 
-def test_resumed_blocks_are_the_values(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_resumed_blocks_are_the_values(path: Path) -> None:
     cut_short(path)
     to_store(line(), path, GROUP, source_token=TOKEN)
     expected = line().compute()
@@ -382,7 +363,6 @@ except hp.errors.StoreError:
 @pytest.mark.slow
 def test_process_is_resumed_by_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import hyperpaint as hp
-    from hyperpaint.io.store import chunks
 
     collect, path = tmp_path / "raw/collect.toml", tmp_path / "lot.zarr"
     hp.simulate_collect(collect.parent, scene="plan", lines=320, bands=20, columns=12, cubes=1, seed=3)

@@ -1,7 +1,5 @@
 """Disks that are full or vanish, and power cuts: told before or told cleanly, and nothing looks finished."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -62,10 +60,11 @@ def test_what_is_there_already_needs_no_room(tmp_path: Path, monkeypatch: pytest
         to_store(line(160), tmp_path / "lot.zarr", GROUP, overwrite=True)
 
 
-def test_only_what_is_taken_up_is_taken_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_what_is_taken_up_is_taken_off(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     whole = {"one": line()}
     needed = disk_needed(whole["one"])
-    path = tmp_path / "lot.zarr"
     content = writer.Job("one", whole["one"], writer._token(whole["one"], "token")).build
     free(monkeypatch, needed - 500)
     with pytest.raises(StoreError, match="disk-short"):
@@ -176,7 +175,9 @@ class Flushed:
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="open files are named in Linux's /proc")
-def test_everything_is_flushed_before_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_everything_is_flushed_before_the_place(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     flushed, states = Flushed(monkeypatch), []
     plain = writer.Staging.publish
 
@@ -185,7 +186,6 @@ def test_everything_is_flushed_before_the_place(tmp_path: Path, monkeypatch: pyt
         plain(stage, build, group)
 
     monkeypatch.setattr(writer.Staging, "publish", publish)
-    path = tmp_path / "lot.zarr"
     to_store(line().assign_coords(frame=("along_track", np.arange(128))), path, GROUP)
     ((_, count, present),) = states
     before = flushed.order[:count]

@@ -1,7 +1,5 @@
 """A run's groups get their places beside one another: in order, and none is left behind."""
 
-from __future__ import annotations
-
 import errno
 import os
 import threading
@@ -77,9 +75,8 @@ def test_a_group_gets_its_place_while_the_next_is_computed(tmp_path: Path, publi
 
 @pytest.mark.parametrize("which", LINES)
 def test_what_goes_wrong_in_the_background_ends_the_run(
-    which: str, tmp_path: Path, publish: list[Any]
+    which: str, path: Path, tmp_path: Path, publish: list[Any]
 ) -> None:
-    path = tmp_path / "lot.zarr"
 
     def full(group: str) -> None:
         if group == which:
@@ -98,9 +95,8 @@ def test_what_goes_wrong_in_the_background_ends_the_run(
 
 
 def test_the_store_is_held_until_the_last_group_has_its_place(
-    tmp_path: Path, publish: list[Any], monkeypatch: pytest.MonkeyPatch
+    path: Path, tmp_path: Path, publish: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "lot.zarr"
     begun, waits, plain = threading.Event(), [], writer.wait
 
     def slow(group: str) -> None:
@@ -122,8 +118,7 @@ def test_the_store_is_held_until_the_last_group_has_its_place(
     monkeypatch.setattr(writer, "wait", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(path, stop)
-    assert len(waits) == 3
-    assert set(list_groups(path)) == {LINES[0]}
+    assert (len(waits), set(list_groups(path))) == (3, {LINES[0]})
     assert not (tmp_path / ".partial-lot.zarr" / "lock").exists()
     monkeypatch.undo()
     run(path)

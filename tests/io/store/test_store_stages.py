@@ -1,7 +1,5 @@
 """Maps are computed stage by stage: every task once, and what is shared is held no longer than needed."""
 
-from __future__ import annotations
-
 import dask
 import dask.array as da
 import numpy as np
@@ -30,8 +28,7 @@ def test_tasks_that_stages_share_are_computed_once_and_in_turn() -> None:
         seen.append(tile)
         assert (value == 2 * tile + 1).all()
         assert max(counted) == tile + 1, "no slab is read ahead of its stage"
-    assert seen == list(range(5))
-    assert sorted(counted) == list(range(6))
+    assert (seen, sorted(counted)) == (list(range(5)), list(range(6)))
 
 
 def test_one_stage_is_one_call() -> None:
@@ -67,5 +64,4 @@ def test_a_wide_map_is_stored_by_columns(tmp_path) -> None:
         hp.to_store(cells(4, 2), tmp_path / "high.zarr")
     assert order != sorted(order)
     stored = hp.open_store(tmp_path / "wide.zarr").red.values
-    assert stored[0, 300] == 1.0
-    assert stored[300, 900] == 13.0
+    assert (stored[0, 300], stored[300, 900]) == (1.0, 13.0)

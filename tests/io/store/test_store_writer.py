@@ -1,7 +1,5 @@
 """`to_store`: what goes in comes out, and nothing else in the store changes."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -19,7 +17,7 @@ import zarr
 from support.codecs import plain_zarr
 
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
+from hyperpaint.io.store import is_complete, list_groups, open_store, open_unverified, to_store, verify
 from hyperpaint.io.store.groups import reads_from
 
 CUBE = ("along_track", "band", "cross_track")
@@ -68,8 +66,7 @@ def flightline(lines: int = 70, seed: int = 0, *, lazy: bool = True) -> xr.Datas
 
 def assert_same(stored: xr.Dataset, source: xr.Dataset) -> None:
     # Bit for bit, dtypes included
-    assert set(stored.variables) == set(source.variables)
-    assert set(stored.coords) == set(source.coords)
+    assert (set(stored.variables), set(stored.coords)) == (set(source.variables), set(source.coords))
     for name, variable in source.variables.items():
         found = stored.variables[name]
         assert found.dims == variable.dims
@@ -97,8 +94,7 @@ def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
         warnings.simplefilter("error")
         stored = xr.open_zarr(tmp_path / "lot.zarr", group=group)
         assert stored.counts.chunks == ((32, 32, 6), (3,), (5,))
-        assert stored.quality.chunks == ((32, 32, 6), (5,))
-        assert stored.time.chunks == ((70,),)
+        assert (stored.quality.chunks, stored.time.chunks) == (((32, 32, 6), (5,)), ((70,),))
         assert "wavelength" not in stored.indexes
         assert_same(stored, source)
         assert_same(open_store(tmp_path / "lot.zarr", group), source)
@@ -110,11 +106,8 @@ def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
 def test_attributes(tmp_path: Path) -> None:
     to_store(flightline().assign_attrs(history="2026-01-01 flown"), tmp_path / "lot.zarr", GROUP)
     attrs = xr.open_zarr(tmp_path / "lot.zarr", group=GROUP).attrs
-    assert attrs["hyperpaint_format"] == 3
-    assert attrs["Conventions"] == "CF-1.11"
-    assert attrs["srf_shape"] == "gaussian"
-    assert attrs["gain"] == 2
-    assert attrs["bands"] == [0, 1, 2]
+    assert (attrs["hyperpaint_format"], attrs["Conventions"]) == (3, "CF-1.11")
+    assert (attrs["srf_shape"], attrs["gain"], attrs["bands"]) == ("gaussian", 2, [0, 1, 2])
     assert attrs["history"].startswith("2026-01-01 flown\n20")
     assert attrs["created"] > "2024-01-01T00:00:00+00:00"
     assert zarr.open_group(tmp_path / "lot.zarr", mode="r").attrs["hyperpaint_format"] == 3
@@ -168,8 +161,7 @@ def test_stale_encoding_is_dropped(tmp_path: Path) -> None:
     assert source.counts.encoding["chunks"] == (5, 1, 1)
 
 
-def test_same_content_writes_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_same_content_writes_nothing(path: Path, tmp_path: Path) -> None:
     to_store(flightline(), path, GROUP)
     before = files(tmp_path)
     to_store(flightline(), path, GROUP)
@@ -177,8 +169,7 @@ def test_same_content_writes_nothing(tmp_path: Path) -> None:
     assert files(tmp_path) == before
 
 
-def test_other_content_needs_overwrite(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_other_content_needs_overwrite(path: Path, tmp_path: Path) -> None:
     to_store(flightline(), path, GROUP)
     to_store(flightline(seed=5), path, "flightlines/raw_1")
     before = files(tmp_path)
@@ -192,8 +183,7 @@ def test_other_content_needs_overwrite(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["lot.zarr"]
 
 
-def test_source_token_names_the_content(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_source_token_names_the_content(path: Path) -> None:
 
     def unnamed() -> xr.Dataset:
         values = da.random.default_rng(3).random((40, 2, 2), chunks=20).astype("float32")
@@ -211,8 +201,6 @@ def test_source_token_names_the_content(tmp_path: Path) -> None:
 @pytest.mark.parametrize("url", ["memory://{}.zarr", "{}/source.zarr"])
 @pytest.mark.parametrize("guarded", [True, False])
 def test_a_source_that_was_rewritten_is_other_content(url: str, guarded: bool, tmp_path: Path) -> None:
-    from hyperpaint.io.store import open_unverified
-
     url = url.format(tmp_path if url.startswith("{") else os.urandom(4).hex())
 
     def rewrite(seed: int) -> None:
@@ -259,8 +247,7 @@ def test_a_copy_of_our_own_group_is_known_again(tmp_path: Path) -> None:
     assert files(tmp_path) == before
 
 
-def test_refuses_to_overwrite_what_it_reads(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_refuses_to_overwrite_what_it_reads(path: Path, tmp_path: Path) -> None:
     to_store(flightline(), path, GROUP)
     before = files(tmp_path)
     for opened in (
@@ -279,10 +266,9 @@ def test_refuses_to_overwrite_what_it_reads(tmp_path: Path) -> None:
     to_store(xr.open_zarr(path, group=GROUP).compute(), path, GROUP, overwrite=True)
 
 
-def test_finds_the_source_through_a_rewritten_graph(tmp_path: Path) -> None:
+def test_finds_the_source_through_a_rewritten_graph(path: Path, tmp_path: Path) -> None:
     from hyperpaint.io.store.location import Location
 
-    path = tmp_path / "lot.zarr"
     to_store(flightline(), path, GROUP)
     (optimised,) = dask.optimize(xr.open_zarr(path, group=GROUP)[["counts"]].reset_coords(drop=True) + 1)
     assert reads_from(optimised, Location.of(path), GROUP) == ["counts"]
@@ -311,8 +297,7 @@ def test_refusals(prepare: Callable[[Path], Any], group: str | None, message: st
     assert files(tmp_path) == before
 
 
-def test_source_that_fails_leaves_everything_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_source_that_fails_leaves_everything_as_it_was(path: Path, tmp_path: Path) -> None:
     to_store(flightline(), path, GROUP)
     before = files(tmp_path)
 
@@ -338,8 +323,7 @@ def test_folder_that_must_not_be_written(tmp_path: Path) -> None:
         to_store(flightline(), tmp_path / "file" / "lot.zarr")
 
 
-def test_datatree(tmp_path: Path) -> None:
-    path = tmp_path / "lot.zarr"
+def test_datatree(path: Path, tmp_path: Path) -> None:
     tree = xr.DataTree.from_dict(
         {
             "/": xr.Dataset(attrs={"name": "parking-lot"}),

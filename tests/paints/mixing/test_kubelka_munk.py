@@ -1,16 +1,18 @@
 """The thick layer, its interface, and what they are worth against another way to the same numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.paints.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
-from hyperpaint.simulation.paint_spectra import Paint
+from hyperpaint.paints.mixing.synthetic_paints import (
+    Interface,
+    absorption_to_scattering,
+    thick_layer_reflectance,
+)
 from hyperpaint.simulation.rendering.materials import fresnel_reflectance, internal_reflectance
+from hyperpaint.simulation.rendering.scene_spectra import Paint
 
 
 @pytest.mark.parametrize("ratio", [0.003, 0.2, 1.5, 20.0])
@@ -22,9 +24,24 @@ def test_a_thick_layer_is_what_the_two_streams_end_at(ratio: float) -> None:
     assert thick_layer_reflectance(ratio) == pytest.approx(found.y[0, -1], rel=1e-8)
 
 
-def test_judds_table() -> None:
+def test_judds_table_and_the_interface() -> None:
     # Judd & Wyszecki, Color in Business, Science and Industry: K/S of 0.5, 0.1 and 0.9
     np.testing.assert_allclose(absorption_to_scattering([0.5, 0.1, 0.9]), [0.25, 4.05, 0.005556], rtol=1e-4)
+    interface, layer = Interface(), 0.7
+    light, left = 1.0 - interface.k1, 0.0
+    for _ in range(200):
+        up = light * layer
+        left += up * (1.0 - interface.k2)
+        light = up * interface.k2
+    assert interface.outside(layer) == pytest.approx(left, rel=1e-12)
+    assert Interface().k1 == pytest.approx(float(fresnel_reflectance(1.0, 1.5)))
+    assert Interface().k2 == pytest.approx(internal_reflectance(1.5), abs=0.005)
+    ratio = np.array([0.01, 0.3, 12.0])
+    simulated = np.array([Paint(q)(np.array([550.0]))[0] for q in ratio])
+    mine = Interface().k1 + Interface().outside(thick_layer_reflectance(ratio))
+    np.testing.assert_allclose(mine, simulated, rtol=1e-12)
+    with pytest.raises(SchemaError, match=r"(?s)k1=1\.0.*k2=-0\.1"):
+        Interface(1.0, -0.1)
 
 
 @settings(max_examples=60)
@@ -35,30 +52,3 @@ def test_both_are_undone_and_bounded(layer: float, k1: float, k2: float) -> None
     assert 0.0 <= seen <= (1.0 - k1) * (1.0 + 1e-12)
     assert interface.layer(seen) == pytest.approx(layer, rel=1e-9)
     assert thick_layer_reflectance(absorption_to_scattering(layer)) == pytest.approx(layer, rel=1e-7)
-
-
-def test_the_interface_is_the_sum_over_returns() -> None:
-    interface, layer = Interface(), 0.7
-    light, left = 1.0 - interface.k1, 0.0
-    for _ in range(200):
-        up = light * layer
-        left += up * (1.0 - interface.k2)
-        light = up * interface.k2
-    assert interface.outside(layer) == pytest.approx(left, rel=1e-12)
-
-
-def test_the_defaults_are_those_of_an_index_of_one_and_a_half() -> None:
-    assert Interface().k1 == pytest.approx(float(fresnel_reflectance(1.0, 1.5)))
-    assert Interface().k2 == pytest.approx(internal_reflectance(1.5), abs=0.005)
-
-
-def test_it_agrees_with_the_simulator() -> None:
-    ratio = np.array([0.01, 0.3, 12.0])
-    simulated = np.array([Paint(q)(np.array([550.0]))[0] for q in ratio])
-    mine = Interface().k1 + Interface().outside(thick_layer_reflectance(ratio))
-    np.testing.assert_allclose(mine, simulated, rtol=1e-12)
-
-
-def test_an_impossible_interface_is_refused_with_all_reasons() -> None:
-    with pytest.raises(SchemaError, match=r"(?s)k1=1\.0.*k2=-0\.1"):
-        Interface(1.0, -0.1)

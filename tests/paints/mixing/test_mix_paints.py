@@ -1,7 +1,5 @@
 """Mixtures and shades against numbers worked out by hand."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,11 @@ from support.library_examples import make_library
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.paints.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
+from hyperpaint.paints.mixing.synthetic_paints import (
+    Interface,
+    absorption_to_scattering,
+    thick_layer_reflectance,
+)
 
 WHITE, BLACK, RED = "Synthetic Polar White", "Synthetic Carbon Black", "Synthetic Signal Red"
 
@@ -37,20 +39,24 @@ def paints() -> xr.Dataset:
     return hp.paints.starter_library(members=6)
 
 
-def test_a_mixture_by_hand() -> None:
+def test_mixtures_by_hand() -> None:
     # without an interface: R = 0.5 has K/S 0.25, R = 0.2 has 1.6; a half of each 0.925
     library = library_of({"a": [0.5, 0.5], "b": [0.2, 0.5]})
     made = hp.paints.mix_paints(library, {"c": {"a": 1.0, "b": 1.0}}, k1=0.0, k2=0.0)
     expected = [1.925 - np.sqrt(1.925**2 - 1.0), 0.5]
     np.testing.assert_allclose(made.reflectance.values[0], expected, rtol=1e-6)
-
-
-def test_scattering_weighs_duncans_sums() -> None:
     library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
     thrice = hp.paints.mix_paints(library, {"c": {"a": 1, "b": 1}}, scattering={"a": 3.0})
     parts = hp.paints.mix_paints(library, {"c": {"a": 3, "b": 1}})
     np.testing.assert_array_equal(thrice.reflectance, parts.reflectance)
     assert (thrice.attrs["scattering"], json.loads(thrice.weights.item())) == ("a 3", [0.5, 0.5])
+    turned = (library * 100.0).transpose("band", "signature")
+    turned["reflectance"].attrs = {"units": "percent", "mirror_reflection": "excluded"}
+    made, other = (hp.paints.mix_paints(one, {"c": {"a": 1, "b": 1}}) for one in (library, turned))
+    np.testing.assert_allclose(made.reflectance, other.reflectance, rtol=1e-6)
+    library = library_of({"a": [0.5, np.nan, 0.5], "b": [0.2, 0.3, 0.4], "c": [0.1, 0.1, 0.1]})
+    made = hp.paints.mix_paints(library, {"ab": {"a": 1, "b": 1}, "bc": {"a": 0, "b": 1, "c": 1}})
+    assert np.isnan(made.reflectance.values).tolist() == [[False, True, False], [False] * 3]
 
 
 @pytest.mark.parametrize("mirror", ["excluded", "included"])
@@ -66,13 +72,10 @@ def test_mirrored_light_is_taken_off_and_put_back(mirror: str) -> None:
     assert made.reflectance.attrs["mirror_reflection"] == mirror
 
 
-def test_linear_mixing_is_a_mean(paints: xr.Dataset) -> None:
+def test_linear_mixing_is_a_mean_and_pigments_darken_more(paints: xr.Dataset) -> None:
     made = hp.paints.mix_paints(paints, {"pink": {WHITE: 3, RED: 1}}, method="linear")
     own = paints.reflectance.values.astype(np.float64)
     np.testing.assert_allclose(made.reflectance.values[0], 0.75 * own[0] + 0.25 * own[5], rtol=1e-6)
-
-
-def test_pigments_darken_more_than_areas(paints: xr.Dataset) -> None:
     recipe = {"grey": {WHITE: 0.9, BLACK: 0.1}}
     pot, side = (
         hp.paints.mix_paints(paints, recipe, method=m).reflectance for m in ("kubelka-munk", "linear")
@@ -118,20 +121,6 @@ def test_provenance_is_told_and_survives_stores(paints: xr.Dataset, tmp_path: Pa
         assert back.reflectance.attrs["mirror_reflection"] == "excluded"
 
 
-def test_a_missing_band_of_a_parent_is_missing() -> None:
-    library = library_of({"a": [0.5, np.nan, 0.5], "b": [0.2, 0.3, 0.4], "c": [0.1, 0.1, 0.1]})
-    made = hp.paints.mix_paints(library, {"ab": {"a": 1, "b": 1}, "bc": {"a": 0, "b": 1, "c": 1}})
-    assert np.isnan(made.reflectance.values).tolist() == [[False, True, False], [False] * 3]
-
-
-def test_percent_and_any_order_of_dims_are_taken() -> None:
-    library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
-    turned = (library * 100.0).transpose("band", "signature")
-    turned["reflectance"].attrs = {"units": "percent", "mirror_reflection": "excluded"}
-    made, other = (hp.paints.mix_paints(one, {"c": {"a": 1, "b": 1}}) for one in (library, turned))
-    np.testing.assert_allclose(made.reflectance, other.reflectance, rtol=1e-6)
-
-
 def test_what_cannot_be_mixed_is_refused_all_at_once() -> None:
     twins = make_library()
     with pytest.raises(SchemaError) as told:
@@ -172,11 +161,15 @@ def test_less_light_than_the_coat_mirrors_is_refused_with_a_way_out() -> None:
     assert (made.reflectance > 0.02).all()
 
 
-def test_noise_below_black_and_above_white_is_replaced_with_a_warning() -> None:
+def test_impossible_reflectance_is_replaced_with_a_warning() -> None:
     library = library_of({"black": [-0.01, 0.02, 0.02], "white": [0.8, 0.99, 0.8]})
     with pytest.warns(PaintWarning, match=r"1 of 6 .*outside-model"):
         made = hp.paints.mix_paints(library, {"grey": {"black": 1, "white": 9}})
     assert ((made.reflectance > 0.0) & (made.reflectance < 1.0)).all()
+    library = library_of({"a": [1.2, 0.5, np.nan], "b": [-0.02, 0.5, 0.5]})
+    with pytest.warns(PaintWarning, match=r"2 of 5.*-clipped"):
+        mixed = hp.paints.mix_paints(library, {"x": {"a": 1.0}, "y": {"b": 1.0}}, method="linear")
+    np.testing.assert_array_equal(mixed.reflectance, np.float32([[1.0, 0.5, np.nan], [0.0, 0.5, 0.5]]))
 
 
 # --- shades ---
@@ -192,9 +185,6 @@ def test_depths_multiply_absorption(paints: xr.Dataset) -> None:
     np.testing.assert_allclose(ratio[2] / ratio[0], 16.0, rtol=1e-4)
     assert (np.diff(ladder.reflectance, axis=0) < 0.0).all()
     assert ladder.member_reflectance.shape == (3, 6, 272)
-
-
-def test_a_tint_is_a_mixture_with_what_absorbs_nothing() -> None:
     library = library_of({"a": [0.5, 0.3], "ideal": [0.96, 0.96]})
     tint = hp.paints.shade_paints(library.isel(signature=[0]), [0.1])
     mixed = hp.paints.mix_paints(library, {"m": {"a": 1, "ideal": 9}})
@@ -251,13 +241,6 @@ def test_members_without_a_partner_are_left_out_with_a_warning(method: Any) -> N
     with pytest.warns(PaintWarning, match="members-unpaired"):
         alone = hp.paints.mix_paints(library, {"e": {"all": 1.0, "none": 1.0}}, method=method)
     assert "member_reflectance" not in alone
-
-
-def test_areas_that_cannot_be_are_clipped_with_a_warning() -> None:
-    library = library_of({"a": [1.2, 0.5, np.nan], "b": [-0.02, 0.5, 0.5]})
-    with pytest.warns(PaintWarning, match=r"2 of 5.*-clipped"):
-        mixed = hp.paints.mix_paints(library, {"x": {"a": 1.0}, "y": {"b": 1.0}}, method="linear")
-    np.testing.assert_array_equal(mixed.reflectance, np.float32([[1.0, 0.5, np.nan], [0.0, 0.5, 0.5]]))
 
 
 def test_a_coat_in_percent_is_converted(paints: xr.Dataset) -> None:

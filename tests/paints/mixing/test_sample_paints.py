@@ -1,7 +1,5 @@
 """Variants keep what their population is: mean, covariance, tails, bounds."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,7 @@ def population(count: int = 60, seed: int = 3) -> np.ndarray:
     # Return pixels of a red paint: brightness, hue and noise vary, and a third is in half shade
     rng = np.random.default_rng(seed)
     nm = np.linspace(400.0, 1000.0, 40)
-    edge = 605.0 + 3.0 * rng.standard_normal((count, 1))
-    spectra = 0.03 + 0.5 / (1.0 + np.exp(-(nm - edge) / 8.0))
+    spectra = 0.03 + 0.5 / (1.0 + np.exp(-(nm - (605.0 + 3.0 * rng.standard_normal((count, 1)))) / 8.0))
     spectra *= np.where(np.arange(count) % 3 == 0, 0.5, 1.0)[:, None] * np.exp(
         0.05 * rng.standard_normal((count, 1))
     )
@@ -41,7 +38,7 @@ def library_of(*members: np.ndarray) -> xr.Dataset:
     )
 
 
-def test_mean_and_covariance_are_kept() -> None:
+def test_mean_covariance_and_groups_are_kept() -> None:
     own = population()
     drawn = draw_variants(own, 40_000, np.random.default_rng(0))
     mean, spread = own.mean(axis=0), own.std(axis=0, ddof=1)
@@ -50,9 +47,6 @@ def test_mean_and_covariance_are_kept() -> None:
     covariance, other = np.cov(own.T), np.cov(drawn.T)
     assert np.linalg.norm(other - covariance) < 0.06 * np.linalg.norm(covariance)
     assert np.abs(drawn.std(axis=0, ddof=1) / spread - 1.0).max() < 0.06
-
-
-def test_groups_of_the_population_stay() -> None:
     level = draw_variants(population(), 4000, np.random.default_rng(0))[:, -1]
     # half shade at 0.27, light at 0.53: little between, which a normal distribution would fill
     between = ((level > 0.35) & (level < 0.42)).mean()
@@ -79,17 +73,6 @@ def test_variants_stay_between_nothing_and_all(level: float) -> None:
     assert drawn.std() == pytest.approx(own.std(), rel=0.4)
 
 
-def test_a_paint_has_its_own_variants_whatever_is_beside_it() -> None:
-    both = library_of(population(), population(seed=5))
-    drawn, alone = hp.paints.sample_paints(both, 12), hp.paints.sample_paints(both.isel(signature=[1]), 12)
-    np.testing.assert_array_equal(drawn.member_reflectance[1], alone.member_reflectance[0])
-    np.testing.assert_array_equal(
-        hp.paints.sample_paints(both, 12).member_reflectance, drawn.member_reflectance
-    )
-    other = hp.paints.sample_paints(both, 12, seed=1)
-    assert not np.array_equal(other.member_reflectance, drawn.member_reflectance)
-
-
 def test_members_and_paints_are_the_same_draws() -> None:
     library = library_of(population(), population(seed=5))
     library["reflectance"].attrs["mirror_reflection"] = "included"
@@ -102,9 +85,17 @@ def test_members_and_paints_are_the_same_draws() -> None:
     assert (paints.parents.values[8], set(paints.provenance.values)) == ('["paint 1"]', {"synthetic"})
     assert paints.make.values.tolist() == ["VW"] * 14
     assert paints.reflectance.attrs["mirror_reflection"] == "included"
+    both = library_of(population(), population(seed=5))
+    drawn, alone = hp.paints.sample_paints(both, 12), hp.paints.sample_paints(both.isel(signature=[1]), 12)
+    np.testing.assert_array_equal(drawn.member_reflectance[1], alone.member_reflectance[0])
+    np.testing.assert_array_equal(
+        hp.paints.sample_paints(both, 12).member_reflectance, drawn.member_reflectance
+    )
+    other = hp.paints.sample_paints(both, 12, seed=1)
+    assert not np.array_equal(other.member_reflectance, drawn.member_reflectance)
 
 
-def test_missing_bands_and_members() -> None:
+def test_members_left_out_and_clipped_are_warned_of() -> None:
     own = population()
     own[:40, 5] = np.nan  # most lack this band
     own[50, 20] = np.nan  # one lacks another
@@ -112,10 +103,6 @@ def test_missing_bands_and_members() -> None:
     with pytest.warns(PaintWarning, match=r"1 members .*left-out"):
         drawn = hp.paints.sample_paints(library_of(own), 9)
     assert np.isnan(drawn.member_reflectance.values[0]).any(axis=0).nonzero()[0].tolist() == [5]
-
-
-def test_reflectance_that_cannot_be_is_clipped_with_a_warning() -> None:
-    own = population()
     own[3, 4] = 1.2
     with pytest.warns(PaintWarning, match=r"1 values .*left-out"):
         drawn = hp.paints.sample_paints(library_of(own), 9)
@@ -136,6 +123,11 @@ def test_a_library_without_a_population_is_refused() -> None:
         hp.paints.sample_paints(hp.paints.starter_library(members=0), 3)
     with pytest.raises(SchemaError, match=r"(?s)0' has 1.*1' has 0"):
         hp.paints.sample_paints(library_of(population()[:1], np.full((1, 40), np.nan)), 3)
+    library = library_of(population())
+    library["specular_reflectance"] = xr.full_like(library.reflectance, 4.0).assign_attrs(units="percent")
+    drawn = hp.paints.sample_paints(library, 3)
+    np.testing.assert_allclose(drawn.specular_reflectance, 0.04, rtol=1e-6)
+    assert drawn.specular_reflectance.attrs["units"] == "1"
 
 
 @pytest.mark.parametrize(("level", "noise"), [(0.015, 0.01), (0.02, 0.006), (0.985, 0.01)])
@@ -151,11 +143,3 @@ def test_noise_near_black_and_white_is_kept(level: float, noise: float) -> None:
     beyond = own.std(axis=0)  # Silverman's rule never gives more than one of these
     assert (drawn <= own.max(axis=0) + beyond).all()
     assert (drawn >= own.min(axis=0) - beyond).all()
-
-
-def test_a_coat_in_percent_is_converted() -> None:
-    library = library_of(population())
-    library["specular_reflectance"] = xr.full_like(library.reflectance, 4.0).assign_attrs(units="percent")
-    drawn = hp.paints.sample_paints(library, 3)
-    np.testing.assert_allclose(drawn.specular_reflectance, 0.04, rtol=1e-6)
-    assert drawn.specular_reflectance.attrs["units"] == "1"

@@ -1,7 +1,5 @@
 """Means over pixels: what shrinks in them, what does not, and what nobody knows."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 from support.refusals import expect_refusals

@@ -1,7 +1,5 @@
 """Noise of an irradiance record, from the record, and what bands see of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.noisy_collects import BANDS, noisy_collect

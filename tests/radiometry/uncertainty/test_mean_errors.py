@@ -1,7 +1,5 @@
 """Means over regions: each source of error against how means really scatter, and against its closed form."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Photon transfer against simulated cameras of known noise."""
 
-from __future__ import annotations
-
 import time as clock
 import warnings
 from typing import Any

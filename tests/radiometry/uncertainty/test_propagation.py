@@ -1,7 +1,5 @@
 """How sure reflectance is: coverage against simulated truth, laziness, refusals, what obsarray reads."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import dask

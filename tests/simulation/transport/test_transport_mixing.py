@@ -1,7 +1,5 @@
 """Mixing spectra against einsum."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.transport_scenes import COMPILED

@@ -1,7 +1,5 @@
 """Traced scenes against geometry by hand, exact where chance plays no part."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from concurrent.futures import ThreadPoolExecutor
@@ -46,7 +44,7 @@ LINES, COLUMNS, SAMPLES = (12, 16, 16) if COMPILED else (2, 3, 3)
 
 @functools.cache
 def car_park() -> tuple:
-    """Return a ground, three boxes and a wall, of five materials, coated and bare, with flakes."""
+    # Return a ground, three boxes and a wall, of five materials, coated and bare, with flakes
     wall = rectangle([-3, 2.5, 0], [6, 0, 0], [0, 0, 2])
     boxes = [(*box(x, y, 0.8, 1.0), label) for x, y, label in ((-2, 0, 1), (0, 0.3, 2), (2, -0.5, 3))]
     surfaces = materials(None, (1.5, 0.05), (1.5, 0.1), (1.6, 0.02), None)
@@ -86,8 +84,7 @@ def test_parts_have_their_types_and_empty_slots_come_last() -> None:
     assert [part.dtype.str[1:] for part in found] == ["f4", "i8", "i4", "i4", "f4", "f4", "f8", "f4", "f4"]
     used = found.code >= 0
     assert (np.diff(used.astype(int), axis=1) <= 0).all()
-    rising = np.diff(found.code, axis=1)
-    assert (rising[used[:, 1:]] > 0).all()
+    assert (np.diff(found.code, axis=1)[used[:, 1:]] > 0).all()
     assert (found.weight[used] > 0).all()
     assert (found.weight[~used] == 0).all()
     assert set(np.unique(found.code[used] & 31)) == {SKY, SUN, SUN + 1}
@@ -180,12 +177,10 @@ def test_a_view_of_the_sky_has_no_labels() -> None:
     found = traced(joined(PLANE), materials(None), suns(sun(30), overcast=True), rays._replace(
         origin=np.full((1, 2, 3), 5.0)
     ))  # fmt: skip
-    assert (found.material == -1).all()
-    assert (found.instance == -1).all()
-    assert np.isnan(found.distance).all()
-    assert np.isnan(found.position).all()
-    assert np.isnan(found.sun_visibility).all()
-    assert np.isnan(found.weight[:, 0]).all()
+    for labels in (found.material, found.instance):
+        assert (labels == -1).all()
+    for part in (found.distance, found.position, found.sun_visibility, found.weight[:, 0]):
+        assert np.isnan(part).all()
     assert (found.weight[:, 1:] == 0).all()
     assert (found.code[:, 0] == code(SKY)).all()
 
@@ -198,7 +193,7 @@ def test_rays_that_meet_nothing_are_no_part_of_a_pixel() -> None:
 
 
 def test_light_from_below_the_horizon_ends_at_the_ground() -> None:
-    """An upright wall without ground gets half of the even sky, and none through the earth."""
+    # An upright wall without ground gets half of the even sky, and none through the earth
     wall = (rectangle([0, -50, 0], [0, 100, 0], [0, 0, 50]), QUAD, 0)
     count = 2048 if COMPILED else 64
     found = traced(joined(wall), materials(None), suns(), staring([0, 0, 25.0], sun(80), 4), samples=count)
@@ -210,8 +205,9 @@ def test_shadows_hide_the_sun_only() -> None:
     towards = sun(45)
     shaded, lit = [-3.0, 0, 0], [3.0, 0, 0]  # the sun stands in the east: the shadow falls west
     for point, seen in ((shaded, 0.0), (lit, 1.0)):
-        rays = staring(point, sun(10, 180), 2)
-        found = traced(joined(PLANE, roof), materials(None, None), suns(towards), rays)
+        found = traced(
+            joined(PLANE, roof), materials(None, None), suns(towards), staring(point, sun(10, 180), 2)
+        )
         np.testing.assert_array_equal(found.sun_visibility, seen)
         np.testing.assert_allclose(found.incidence, np.sqrt(0.5), rtol=1e-6)
         np.testing.assert_allclose(weight_of(found, code(SUN, 0)), seen * np.sqrt(0.5), rtol=1e-6)
@@ -229,8 +225,7 @@ def test_surfaces_are_seen_from_both_sides() -> None:
 
 
 def test_smooth_normals_turn_the_light_and_not_the_shape() -> None:
-    tilted = np.tile([np.sin(0.2), 0, np.cos(0.2)], (4, 1))
-    geometry = build_geometry(ground(), QUAD, tilted, [0, 0], [0, 0])
+    geometry = build_geometry(ground(), QUAD, np.tile([np.sin(0.2), 0, np.cos(0.2)], (4, 1)), [0, 0], [0, 0])
     found = traced(geometry, materials(None), suns(sun(60)), staring([0, 0, 0.0], sun(5), 2))
     np.testing.assert_allclose(weight_of(found, code(SUN, 0)), np.cos(np.pi / 3 - 0.2), rtol=1e-6)
     np.testing.assert_allclose(found.incidence, np.cos(np.pi / 3 - 0.2), rtol=1e-6)
@@ -239,7 +234,7 @@ def test_smooth_normals_turn_the_light_and_not_the_shape() -> None:
 
 
 def test_codes_tell_the_mirror_from_the_diffuse_way() -> None:
-    """A smooth coat shows a sun-lit wall: sun, wall's factor, through the mirror, more than one surface."""
+    # A smooth coat shows a sun-lit wall: sun, wall's factor, through the mirror, more than one surface
     wall = (rectangle([-200, 4.0, 0], [400, 0, 0], [0, 0, 300]), QUAD, 1)
     towards = sun(60, 180)  # behind the camera's back: on the wall's face
     rays = staring([0, 0, 0.0], sun(50, 180), 8)
@@ -253,13 +248,12 @@ def test_codes_tell_the_mirror_from_the_diffuse_way() -> None:
     a, b = (g - cosine) / (g + cosine), (cosine * (g + cosine) - 1) / (cosine * (g - cosine) + 1)
     expected = 0.5 * a**2 * (1 + b**2) * np.sin(np.radians(60))  # F x cosine of the sun on the wall
     assert mirrored == pytest.approx(expected, rel=0.03 if COMPILED else 0.5)
-    diffuse = weight_of(found, code(SUN, 0, 1, indirect=True)).mean()
-    assert diffuse > 0
+    assert weight_of(found, code(SUN, 0, 1, indirect=True)).mean() > 0
     assert (weight_of(found, code(SUN, 1, indirect=True)) == 0).all()
 
 
 def test_white_grooves_lose_nothing_but_the_last_bounce() -> None:
-    """With every factor 1, Lambert surfaces under an even sky are as bright as the sky, of any shape."""
+    # With every factor 1, Lambert surfaces under an even sky are as bright as the sky, of any shape
     left = (rectangle([0, -50, 0], [-1, 0, 1], [0, 100, 0]), QUAD, 0)
     right = (rectangle([0, -50, 0], [1, 0, 1], [0, 100, 0]), QUAD, 0)
     rays = nadir(2, 4, width=1.6)
@@ -298,11 +292,12 @@ def test_what_loops_would_run_wild_on_is_refused(change: dict, words: str) -> No
 
 
 def test_all_faults_are_told_at_once() -> None:
-    block = Block.empty(1, 4, 3, 0)
     rays = nadir(1, 2, width=1.0)
     rays.origin[:] = np.nan
     with pytest.raises(ValueError, match=r"finite.*block.weight"):
-        trace_lines(joined(PLANE), materials(None), suns(), rays, Settings(0, 1, 1, 4, 0), block)
+        trace_lines(
+            joined(PLANE), materials(None), suns(), rays, Settings(0, 1, 1, 4, 0), Block.empty(1, 4, 3, 0)
+        )
     with pytest.raises(ValueError, match="materials 3 to 3 of 1"):
         traced(joined((ground(), QUAD, 3)), materials(None), suns(), nadir(1, 2, width=1.0))
 
@@ -343,7 +338,7 @@ def test_every_part_of_the_key_matters() -> None:
 
 @pytest.mark.parametrize("count", [16, 64, 100, 256])
 def test_even_pairs_share_out_the_square(count: int) -> None:
-    """Any 2^m points of a (0, 2)-sequence: one in each of 2^m boxes, of every shape of a power of two."""
+    # Any 2^m points of a (0, 2)-sequence: one in each of 2^m boxes, of every shape of a power of two
     mask = (1 << (count - 1).bit_length()) - 1
     whole = 1 << (count.bit_length() - 1)
     for draw in range(3):
@@ -351,8 +346,9 @@ def test_even_pairs_share_out_the_square(count: int) -> None:
         points = np.array([even_pair(key, sample, draw, mask) for sample in range(count)])
         assert ((points > 0) & (points < 1)).all()
         for across in (1 << power for power in range(whole.bit_length())):
-            boxes = (points[:whole] * (across, whole // across)).astype(int)
-            assert len({tuple(box) for box in boxes}) == whole
+            assert (
+                len({tuple(box) for box in (points[:whole] * (across, whole // across)).astype(int)}) == whole
+            )
 
 
 def test_even_pairs_of_other_draws_and_pixels_are_others() -> None:
@@ -367,8 +363,7 @@ def test_even_pairs_of_other_draws_and_pixels_are_others() -> None:
         points(pixel_key(0, 1, 3), 0),
         points(pixel_key(1, 1, 2), 0),
     ):
-        together = np.corrcoef(np.hstack([one, other]).T)
-        assert np.abs(together[:2, 2:]).max() < 5 / np.sqrt(count)
+        assert np.abs(np.corrcoef(np.hstack([one, other]).T)[:2, 2:]).max() < 5 / np.sqrt(count)
     places = np.array([even_pair(pixel_key(9, 0, column), 7, 2, 63) for column in range(count)])
     np.testing.assert_allclose(places.mean(axis=0), 0.5, atol=5 / np.sqrt(12 * count))
 
@@ -441,8 +436,7 @@ def test_any_pixel_fits_its_slots(weights: list[float], slots: int, draw: float)
     assert (codes >= 0).sum() == min(slots, len(weights))
     assert found.sum() == pytest.approx(sum(weights), rel=1e-5)
     assert (found[codes >= 0] > 0).all()
-    kept = codes[codes >= 0]
-    assert (np.diff(kept) > 0).all()
+    assert (np.diff(codes[codes >= 0]) > 0).all()
 
 
 def test_a_table_is_used_again() -> None:

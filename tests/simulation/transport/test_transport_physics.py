@@ -1,7 +1,5 @@
 """Many samples against analytic radiometry: what the recorder must get right to be used as truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.transport_scenes import (
@@ -29,17 +27,15 @@ EAST = 90.0
 
 
 def glint(view: np.ndarray, light: np.ndarray, index: float, alpha: float) -> float:
-    """Return F D G / (4 cos_o) of a level surface [sr-1], from angles and tangents.
-
-    Walter et al. 2007, equation 33; Heitz 2014, equation 99 (height-correlated G); Fresnel by Snell's angles.
-    """
+    # Return F D G / (4 cos_o) of a level surface [sr-1], from angles and tangents
+    # Walter et al. 2007, equation 33; Heitz 2014, equation 99 (height-correlated G); Fresnel by Snell's
+    # angles.
     half = (view + light) / np.linalg.norm(view + light)
     outside = np.arccos(view @ half)
     inside = np.arcsin(np.sin(outside) / index)
     s = (np.cos(outside) - index * np.cos(inside)) / (np.cos(outside) + index * np.cos(inside))
     p = (index * np.cos(outside) - np.cos(inside)) / (index * np.cos(outside) + np.cos(inside))
-    tilt = np.tan(np.arccos(half[2]))
-    density = alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + tilt**2) ** 2)
+    density = alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + np.tan(np.arccos(half[2])) ** 2) ** 2)
     smith = [(np.sqrt(1 + (alpha * np.tan(np.arccos(a[2]))) ** 2) - 1) / 2 for a in (view, light)]
     return float((s**2 + p**2) / 2 * density / (1 + sum(smith)) / (4 * view[2]))
 
@@ -57,11 +53,9 @@ def test_the_glint_of_a_flat_coat(view: tuple[float, float], alpha: float) -> No
 
 
 def share_seen(height: float, width: float, distance: float) -> float:
-    """Return the view factor from a level element to a rectangle that stands upright, element at its middle.
-
-    J. R. Howell, "A catalog of radiation heat transfer configuration factors", B-4 (the element faces a
-    corner of the rectangle), twice.
-    """
+    # Return the view factor from a level element to a rectangle that stands upright, element at its middle
+    # J. R. Howell, "A catalog of radiation heat transfer configuration factors", B-4 (the element faces a
+    # corner of the rectangle), twice.
     b, root = width / 2, np.hypot(height, distance)
     return float((np.arctan(b / distance) - distance / root * np.arctan(b / root)) / np.pi)
 
@@ -69,26 +63,24 @@ def share_seen(height: float, width: float, distance: float) -> float:
 def test_the_view_factor_is_a_sum_over_the_wall() -> None:
     n = 1000
     y, z = np.meshgrid(((np.arange(n) + 0.5) / n - 0.5) * 6, (np.arange(n) + 0.5) / n)
-    square = 0.3**2 + y**2 + z**2
-    summed = (z * 0.3 / (np.pi * square**2)).sum() * 6 / n**2
-    assert share_seen(1.0, 6.0, 0.3) == pytest.approx(summed, rel=1e-5)
+    assert share_seen(1.0, 6.0, 0.3) == pytest.approx(
+        (z * 0.3 / (np.pi * (0.3**2 + y**2 + z**2) ** 2)).sum() * 6 / n**2, rel=1e-5
+    )
 
 
 def test_a_red_wall_beside_a_grey_panel() -> None:
     grey, red = 0, 1
     panel = (rectangle([0.2, -0.1, 0], [0.2, 0, 0], [0, 0.2, 0]), QUAD, grey)
     wall = (rectangle([0, -3, 0], [0, 6, 0], [0, 0, 1]), QUAD, red)
-    light = sun(60, EAST)
     rays = staring([0.3, 0, 0.0], sun(20, EAST), 64)
     found = traced(
-        joined(panel, wall), materials(None, None), suns(light), rays, samples=8192, depth=3, seed=1
+        joined(panel, wall), materials(None, None), suns(sun(60, EAST)), rays, samples=8192, depth=3, seed=1
     )
-    adjacent = weight_of(found, code(SUN, grey, red, indirect=True)).mean()
-    assert adjacent == pytest.approx(share_seen(1.0, 6.0, 0.3) * np.sin(np.radians(60)), rel=5e-3)
-    own = weight_of(found, code(SUN, grey))
-    np.testing.assert_allclose(own, 0.5, rtol=1e-6)
-    sky = weight_of(found, code(SKY, grey)).mean()
-    assert sky == pytest.approx(1 - share_seen(1.0, 6.0, 0.3), rel=5e-3)
+    assert weight_of(found, code(SUN, grey, red, indirect=True)).mean() == pytest.approx(
+        share_seen(1.0, 6.0, 0.3) * np.sin(np.radians(60)), rel=5e-3
+    )
+    np.testing.assert_allclose(weight_of(found, code(SUN, grey)), 0.5, rtol=1e-6)
+    assert weight_of(found, code(SKY, grey)).mean() == pytest.approx(1 - share_seen(1.0, 6.0, 0.3), rel=5e-3)
 
 
 def white_furnace(alpha: float, zenith: float, flakes: float = 0.0, flake_alpha: float = 0.35) -> float:
@@ -118,7 +110,7 @@ def test_overcast_sky_brings_the_same_light_to_a_plane() -> None:
 
 
 def test_overcast_sky_favours_what_looks_up() -> None:
-    """An upright wall gets 1 / pi of the light of a level surface; of an even sky it would be 1 / 2."""
+    # An upright wall gets 1 / pi of the light of a level surface; of an even sky it would be 1 / 2
     wall = (rectangle([0, -50, 0], [0, 100, 0], [0, 0, 50]), QUAD, 0)
     rays = staring([0, 0, 25.0], sun(80, EAST), 64)
     found = traced(joined(wall), materials(None), suns(overcast=True), rays, samples=4096)
@@ -130,22 +122,19 @@ def test_overcast_sky_favours_what_looks_up() -> None:
 
 
 def test_noise_falls_faster_than_the_root_of_the_samples() -> None:
-    blocks = [(*box(x, 0.4, 0.5, 1.0), 1) for x in (-1.1, 1.1)]
-    geometry = joined(PLANE, *blocks)
+    geometry = joined(PLANE, *[(*box(x, 0.4, 0.5, 1.0), 1) for x in (-1.1, 1.1)])
     rays = staring([0, 0, 0.0], sun(10, 180), 2000)
     counts = np.array([4, 16, 64, 256])
     spread = []
     for samples in counts:
         found = traced(geometry, materials(None, None), suns(), rays, samples=int(samples), seed=5)
         spread.append(weight_of(found, code(SKY, 0)).std())
-    slope = np.polyfit(np.log(counts), np.log(spread), 1)[0]
-    assert -1.0 < slope < -0.6
+    assert -1.0 < np.polyfit(np.log(counts), np.log(spread), 1)[0] < -0.6
 
 
 def test_a_sun_with_a_disc_has_a_half_shadow() -> None:
     light, radius = sun(0), 0.02
-    roof = (rectangle([0, -50, 10], [50, 0, 0], [0, 100, 0]), QUAD, 1)
-    scene = joined(PLANE, roof)
+    scene = joined(PLANE, ((rectangle([0, -50, 10], [50, 0, 0], [0, 100, 0]), QUAD, 1)))
     places, shares = [-0.25, -0.1, 0.0, 0.1, 0.25], []
     for x in places:
         rays = staring([x, 0, 0.0], sun(30, 270), 16)
@@ -155,12 +144,11 @@ def test_a_sun_with_a_disc_has_a_half_shadow() -> None:
         shares.append(found.sun_visibility.mean())
     # share of a disc, seen from 10 m under a straight edge
     t = np.clip(np.array(places) / 10 / radius, -1, 1)
-    expected = 0.5 - (t * np.sqrt(1 - t**2) + np.arcsin(t)) / np.pi
-    np.testing.assert_allclose(shares, expected, atol=0.01)
+    np.testing.assert_allclose(shares, 0.5 - (t * np.sqrt(1 - t**2) + np.arcsin(t)) / np.pi, atol=0.01)
 
 
 def test_light_between_floor_and_endless_wall_follows_the_series() -> None:
-    """In a right angle that goes on for ever each face sees the other by half, whatever the distance."""
+    # In a right angle that goes on for ever each face sees the other by half, whatever the distance
     floor = (rectangle([-1e6, -1e6, 0], [2e6, 0, 0], [0, 1e6, 0]), QUAD, 0)
     wall = (rectangle([-1e6, 0, 0], [2e6, 0, 0], [0, 0, 1e6]), QUAD, 1)
     rays = staring([0, -0.5, 0.0], sun(30, 180), 64)
@@ -171,8 +159,7 @@ def test_light_between_floor_and_endless_wall_follows_the_series() -> None:
 
 
 def test_slots_that_are_few_keep_the_total_and_the_mean() -> None:
-    blocks = [(*box(x, 0.4, 0.5, 1.0), 1 + k) for k, x in enumerate((-1.1, 0.0, 1.1))]
-    geometry = joined(PLANE, *blocks)
+    geometry = joined(PLANE, *[(*box(x, 0.4, 0.5, 1.0), 1 + k) for k, x in enumerate((-1.1, 0.0, 1.1))])
     surfaces = materials(None, (1.5, 0.05), (1.5, 0.1), None)
     rays = nadir(24, 64, width=4.0)
     full = traced(geometry, surfaces, suns(sun(50)), rays, samples=64, slots=200)

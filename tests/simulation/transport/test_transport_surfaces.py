@@ -1,7 +1,5 @@
 """Fresnel, GGX and the lobes of a paint against their textbook forms and against sums over directions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.transport_scenes import COMPILED, materials
@@ -28,7 +26,7 @@ from hyperpaint.simulation.transport.surfaces import (
 
 
 def fresnel_by_angles(cosine: np.ndarray, index: float) -> np.ndarray:
-    """Return the mean of both polarisations from Snell's angles."""
+    # Return the mean of both polarisations from Snell's angles
     outside = np.arccos(cosine)
     inside = np.arcsin(np.sin(outside) / index)
     s = (np.cos(outside) - index * np.cos(inside)) / (np.cos(outside) + index * np.cos(inside))
@@ -37,14 +35,14 @@ def fresnel_by_angles(cosine: np.ndarray, index: float) -> np.ndarray:
 
 
 def glint_by_angles(view: np.ndarray, light: np.ndarray, index: float, alpha: float) -> float:
-    """Return F D G / (4 cos_o), GGX in tangents (Walter et al. 2007; Heitz 2014, height-correlated)."""
-    half = (view + light) / np.linalg.norm(view + light)
-    tan2 = (1 - half[2] ** 2) / half[2] ** 2
-    density = alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + tan2) ** 2)
-    slope = [np.tan(np.arccos(side[2])) for side in (view, light)]
-    smith = [(np.sqrt(1 + alpha**2 * t**2) - 1) / 2 for t in slope]
-    shadow = 1 / (1 + sum(smith))
-    return float(fresnel_by_angles(np.array(view @ half), index) * density * shadow / (4 * view[2]))
+    # Return F D G / (4 cos_o), GGX in tangents (Walter et al. 2007; Heitz 2014, height-correlated), in the
+    # mean over lights (light, 3)
+    half = (view + light) / np.linalg.norm(view + light, axis=-1, keepdims=True)
+    up = half[..., 2]
+    density = alpha**2 / (np.pi * up**4 * (alpha**2 + ((1 - up**2) / up**2)) ** 2)
+    smith = [(np.sqrt(1 + alpha**2 * np.tan(np.arccos(side[..., 2])) ** 2) - 1) / 2 for side in (view, light)]
+    glints = fresnel_by_angles(half @ view, index) * density * (1 / (1 + sum(smith))) / (4 * view[2])
+    return float(np.mean(glints))
 
 
 def direction(zenith: float, azimuth: float = 0.0) -> tuple[float, float, float]:
@@ -53,7 +51,7 @@ def direction(zenith: float, azimuth: float = 0.0) -> tuple[float, float, float]
 
 
 def seen(surfaces: Surfaces, view: tuple[float, float, float], least_alpha: float = 0.0) -> Lobes:
-    """Return the lobes of the first material; its coat has no waves."""
+    # Return the lobes of the first material; its coat has no waves
     return lobes_at(surfaces, 0, view, view, least_alpha)
 
 
@@ -66,30 +64,30 @@ def lit(
 def test_fresnel_is_the_mean_of_both_polarisations() -> None:
     for index in (1.1, 1.5, 2.4):
         for cosine in (1e-6, 0.1, 0.5, 0.9999, 1.0):
-            expected = fresnel_by_angles(np.array(cosine), index)
-            assert fresnel(cosine, index) == pytest.approx(float(expected), rel=1e-9)
+            assert fresnel(cosine, index) == pytest.approx(
+                float(fresnel_by_angles(np.array(cosine), index)), rel=1e-9
+            )
     assert fresnel(1.0, 1.5) == pytest.approx(0.04)
 
 
 @pytest.mark.parametrize("index", [1.2, 1.5, 2.0])
 def test_internal_reflectance_is_an_integral_over_directions(index: float) -> None:
     u = (np.arange(200000) + 0.5) / 200000  # cos^2, even: diffuse light
-    outside = fresnel_by_angles(np.sqrt(u), index).mean()
     sine = np.sqrt(1 - u) * index
     total = sine >= 1
     leaving = np.where(total, 0, 1 - fresnel_by_angles(np.sqrt(np.where(total, 1, 1 - sine**2)), index))
-    assert internal_reflectance(index) == pytest.approx(1 - (1 - outside) / index**2, abs=1e-6)
+    assert internal_reflectance(index) == pytest.approx(
+        1 - (1 - fresnel_by_angles(np.sqrt(u), index).mean()) / index**2, abs=1e-6
+    )
     assert internal_reflectance(index) == pytest.approx(1 - leaving.mean(), abs=1e-5)
 
 
 @pytest.mark.parametrize("alpha", [0.02, 0.1, 0.5])
 def test_facets_cover_the_surface(alpha: float) -> None:
-    tangent = np.tan((np.arange(20000) + 0.5) / 20000 * np.pi / 2)
-    cosine = 1 / np.sqrt(1 + tangent**2)
+    cosine = 1 / np.sqrt(1 + np.tan((np.arange(20000) + 0.5) / 20000 * np.pi / 2) ** 2)
     density = np.array([facet_density(float(c), alpha) for c in cosine[:: 1 if COMPILED else 20]])
     cosine = cosine[:: 1 if COMPILED else 20]
-    step = np.pi / 2 / cosine.size
-    covered = (density * cosine * np.sqrt(1 - cosine**2)).sum() * step * 2 * np.pi
+    covered = (density * cosine * np.sqrt(1 - cosine**2)).sum() * (np.pi / 2 / cosine.size) * 2 * np.pi
     assert covered == pytest.approx(1, rel=2e-3 if COMPILED else 0.5)
 
 
@@ -101,18 +99,19 @@ def test_visible_facets_have_their_density() -> None:
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=1e-12)
     # mean of a function of the facets = its integral over D (v.h) G1 / cos
     n = 400
-    c = (np.arange(n) + 0.5) / n
     a = (np.arange(n) + 0.5) / n * 2 * np.pi
-    cosine, angle = (part.ravel() for part in np.meshgrid(c, a, indexing="ij"))
+    cosine, angle = (part.ravel() for part in np.meshgrid((np.arange(n) + 0.5) / n, a, indexing="ij"))
     sine = np.sqrt(1 - cosine**2)
     half = np.stack([sine * np.cos(angle), sine * np.sin(angle), cosine], axis=1)
-    shadow = 1 / (1 + facet_lambda(view[2], alpha))
     density = alpha**2 / (np.pi * ((alpha**2 - 1) * cosine**2 + 1) ** 2)
-    density *= np.clip(half @ view, 0, None) * shadow / view[2] * 2 * np.pi / n**2
+    density *= (
+        np.clip(half @ view, 0, None) * (1 / (1 + facet_lambda(view[2], alpha))) / view[2] * 2 * np.pi / n**2
+    )
     assert density.sum() == pytest.approx(1, abs=1e-3)
     expected = np.stack([density @ half, density @ half**2])
-    spread = 4 / np.sqrt(count)
-    np.testing.assert_allclose(np.stack([found.mean(axis=0), (found**2).mean(axis=0)]), expected, atol=spread)
+    np.testing.assert_allclose(
+        np.stack([found.mean(axis=0), (found**2).mean(axis=0)]), expected, atol=4 / np.sqrt(count)
+    )
 
 
 @pytest.mark.parametrize(("zenith", "azimuth"), [(40, 180), (43, 180), (40, 150), (20, 180), (75, 180)])
@@ -126,31 +125,31 @@ def test_the_coat_is_the_textbook_glint(zenith: float, azimuth: float) -> None:
 
 
 def disc_around(middle: np.ndarray, radius: float, rings: int = 200) -> np.ndarray:
-    """Return directions that cover a disc evenly, (direction, 3)."""
+    # Return directions that cover a disc evenly, (direction, 3)
     r = radius * np.sqrt((np.arange(rings) + 0.5) / rings)
     a = 2 * np.pi * (np.arange(2 * rings) + 0.5) / (2 * rings)
     r, a = (part.ravel() for part in np.meshgrid(r, a, indexing="ij"))
     x, y, z = frame_of(tuple(middle))
-    local = np.stack([np.sin(r) * np.cos(a), np.sin(r) * np.sin(a), np.cos(r)], axis=1)
-    return local @ np.array([x, y, z])
+    return np.stack([np.sin(r) * np.cos(a), np.sin(r) * np.sin(a), np.cos(r)], axis=1) @ np.array([x, y, z])
 
 
 @pytest.mark.parametrize("alpha", [0.001, 0.004, 0.03])
 @pytest.mark.parametrize(("off", "within"), [(0.0, 0.03), (0.1, 0.03), (0.5, 0.2), (2.0, 0.02), (20.0, 0.02)])
 def test_the_image_of_a_disc_is_the_mean_over_it(alpha: float, off: float, within: float) -> None:
-    """Near its rim a sharp image is in view by half: what is an ellipse there, is taken for a circle."""
+    # Near its rim a sharp image is in view by half: what is an ellipse there, is taken for a circle
     view, radius, paint = direction(30), np.radians(0.267), materials((1.5, alpha))
     middle = direction(30 + off, 180)
     points = disc_around(np.array(middle), radius, 200 if COMPILED else 10)
-    mean = np.mean([glint_by_angles(np.array(view), point, 1.5, alpha) for point in points])
-    got = lit(paint, seen(paint, view), middle, radius)[1]
-    assert got == pytest.approx(np.pi * mean, rel=within if COMPILED else 0.2)
+    mean = glint_by_angles(np.array(view), points, 1.5, alpha)
+    assert lit(paint, seen(paint, view), middle, radius)[1] == pytest.approx(
+        np.pi * mean, rel=within if COMPILED else 0.2
+    )
 
 
 @pytest.mark.parametrize("alpha", [0.001, 0.05, 0.3])
 @pytest.mark.parametrize("radius", [0.0, 0.00466])
 def test_light_goes_both_ways_alike(alpha: float, radius: float) -> None:
-    """f is the same with view and light exchanged: pi f cos_i, over cos_i."""
+    # f is the same with view and light exchanged: pi f cos_i, over cos_i
     paint = materials((1.5, alpha), flakes=0.4, flake_alpha=0.25)
     for first, second in (
         ((20, 0), (50, 160)),
@@ -159,9 +158,8 @@ def test_light_goes_both_ways_alike(alpha: float, radius: float) -> None:
         ((60, 0), (60, 180)),
     ):
         a, b = direction(*first), direction(*second)
-        there = np.array(lit(paint, seen(paint, a), b, radius)) / b[2]
         back = np.array(lit(paint, seen(paint, b), a, radius)) / a[2]
-        np.testing.assert_allclose(there, back, rtol=1e-10)
+        np.testing.assert_allclose(np.array(lit(paint, seen(paint, a), b, radius)) / b[2], back, rtol=1e-10)
 
 
 def test_the_base_is_a_diffuse_surface_under_glass() -> None:
@@ -171,8 +169,9 @@ def test_the_base_is_a_diffuse_surface_under_glass() -> None:
         paint = materials((1.5, 0.001))
         base, _, flakes, recycled = lit(paint, seen(paint, view), light)
         through = np.prod([1 - fresnel_by_angles(np.array(side[2]), 1.5) for side in (view, light)])
-        fi = float(internal_reflectance(1.5))
-        assert base == pytest.approx(through / (1.5**2 * (1 - fi)) * light[2], rel=1e-5)
+        assert base == pytest.approx(
+            through / (1.5**2 * (1 - float(internal_reflectance(1.5)))) * light[2], rel=1e-5
+        )
         assert flakes == recycled == 0
     bare = materials(None)
     assert lit(bare, seen(bare, direction(70)), light) == (light[2], 0.0, 0.0, 0.0)
@@ -184,19 +183,18 @@ def test_flakes_are_mirrors_met_by_refracted_light() -> None:
     flat = [np.array(side[:2]) / 1.5 for side in (view, light)]
     inner = [np.append(side, np.sqrt(1 - side @ side)) for side in flat]
     through = np.prod([1 - fresnel_by_angles(np.array(side[2]), 1.5) for side in (view, light)])
-    half = sum(inner) / np.linalg.norm(sum(inner))
-    full = glint_by_angles(inner[0], inner[1], 1.5, 0.35) / fresnel_by_angles(np.array(inner[0] @ half), 1.5)
-    expected = 0.4 * np.pi * through / 1.5**2 * full / inner[1][2] * light[2]
+    full = glint_by_angles(inner[0], inner[1], 1.5, 0.35) / fresnel_by_angles(
+        np.array(inner[0] @ (sum(inner) / np.linalg.norm(sum(inner)))), 1.5
+    )
     base, _, flakes, _ = lit(paint, seen(paint, view), light)
-    assert flakes == pytest.approx(expected, rel=1e-6)
-    alone = lit(plain, seen(plain, view), light)[0]
-    assert base == pytest.approx(0.6 * alone)
+    assert flakes == pytest.approx(0.4 * np.pi * through / 1.5**2 * full / inner[1][2] * light[2], rel=1e-6)
+    assert base == pytest.approx(0.6 * lit(plain, seen(plain, view), light)[0])
 
 
 @pytest.mark.parametrize("zenith", [0, 35, 70])
 @pytest.mark.parametrize("apart", [False, True])
 def test_paths_follow_the_lobes_as_the_sun_sees_them(zenith: float, apart: bool) -> None:
-    """What is scattered anywhere equals the integral of what is seen of a sun from there, lobe by lobe."""
+    # What is scattered anywhere equals the integral of what is seen of a sun from there, lobe by lobe
     paint = materials((1.5, 0.15), flakes=0.4)
     lobes = seen(paint, direction(zenith, 15))
     rng = np.random.default_rng(2)
@@ -214,10 +212,9 @@ def test_paths_follow_the_lobes_as_the_sun_sees_them(zenith: float, apart: bool)
                 sums[RECYCLED if kind == TWICE else kind] += weight
                 assert np.linalg.norm(towards) == pytest.approx(1)
     n = 150 if COMPILED else 40
-    c = (np.arange(n) + 0.5) / n
     a = (np.arange(2 * n) + 0.5) / n * np.pi
     expected = np.zeros(4)
-    for cosine in c:
+    for cosine in (np.arange(n) + 0.5) / n:
         sine = np.sqrt(1 - cosine**2)
         for angle in a:
             expected += lit(paint, lobes, (sine * np.cos(angle), sine * np.sin(angle), cosine))
@@ -229,8 +226,9 @@ def test_paths_follow_the_lobes_as_the_sun_sees_them(zenith: float, apart: bool)
 def test_paths_follow_a_coat_as_it_is_when_a_sun_sees_it_widened() -> None:
     paint, view = materials((1.5, 0.15), flakes=0.2), direction(50, 15)
     for draw in np.random.default_rng(4).uniform(size=(20, 2)):
-        widened = scatter(paint.numbers, seen(paint, view, WIDENED_ALPHA), *draw)
-        assert widened == scatter(paint.numbers, seen(paint, view), *draw)
+        assert scatter(paint.numbers, seen(paint, view, WIDENED_ALPHA), *draw) == scatter(
+            paint.numbers, seen(paint, view), *draw
+        )
 
 
 def test_frames_are_right_handed_everywhere() -> None:

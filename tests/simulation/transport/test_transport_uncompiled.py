@@ -1,7 +1,5 @@
 """The tests of light transport once more, small, as plain Python."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,17 +1,16 @@
 """A map from the command line."""
 
-from __future__ import annotations
-
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
+from support.commands import hyperpaint
 from support.flown_lines import fly, located
+from support.refusals import expect_words
 
 import hyperpaint as hp
-from hyperpaint.cli.program import main
 
 
 @pytest.fixture
@@ -26,33 +25,22 @@ def store(tmp_path: Path) -> Path:
 
 
 def test_a_map_as_store_and_as_geotiff(store: Path) -> None:
-    done = CliRunner().invoke(
-        main, ["orthorectify", str(store), "--out", str(store.parent / "map.zarr"), "--quiet"]
-    )
-    assert done.exit_code == 0, done.output
+    hyperpaint("orthorectify", store, "--out", store.parent / "map.zarr", "--quiet", status=0)
     made = xr.open_zarr(store.parent / "map.zarr")
     assert {"reflectance", "quality", "line_time", "glt_line", "hits", "gap"} <= set(made.variables)
     rasterio = pytest.importorskip("rasterio")
-    done = CliRunner().invoke(
-        main, ["orthorectify", str(store), "--gsd", "0.01", "--out", str(store.parent / "map.tif"), "--quiet"]
-    )
-    assert done.exit_code == 0, done.output
+    hyperpaint("orthorectify", store, "--gsd", "0.01", "--out", store.parent / "map.tif", "--quiet", status=0)
     with rasterio.open(store.parent / "map.tif") as picture:
-        assert picture.count == 6
-        assert picture.crs.to_epsg() == 32617
-        assert picture.transform.b == 0.0
+        assert (picture.count, picture.crs.to_epsg(), picture.transform.b) == (6, 32617, 0.0)
 
 
 def test_what_is_wrong_is_said(store: Path) -> None:
-    done = CliRunner().invoke(main, ["orthorectify", str(store), "--out", "map.png"])
-    assert done.exit_code == 2
+    done = hyperpaint("orthorectify", store, "--out", "map.png", status=2)
     assert "ends in .tif or .zarr" in done.output
-    done = CliRunner().invoke(main, ["orthorectify", str(store), "--line", "raw_9", "--out", "map.zarr"])
-    assert done.exit_code == 2
+    done = hyperpaint("orthorectify", store, "--line", "raw_9", "--out", "map.zarr", status=2)
     assert "no flight line 'raw_9'" in done.output
     for place in (store, store / "map.tif", store / "flightlines" / "map.zarr"):
-        done = CliRunner().invoke(main, ["orthorectify", str(store), "--out", str(place), "--overwrite"])
-        assert done.exit_code == 2
+        done = hyperpaint("orthorectify", store, "--out", place, "--overwrite", status=2)
         assert "in the store itself" in done.output
         assert hp.verify(store).ok
 
@@ -67,15 +55,14 @@ BORESIGHT = ("--set", f"boresight={','.join(map(str, MOUNTED))}")
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a simulated collect over a level checkerboard, with its DEM, after processing."""
+    # Return the folder of a simulated collect over a level checkerboard, with its DEM, after processing
     pytest.importorskip("pyproj")
     rasterio = pytest.importorskip("rasterio")
     folder = tmp_path_factory.mktemp("board")
     collect = hp.simulate_collect(
         folder / "collect", lines=32, bands=4, columns=24, scene="checkerboard", boresight=MOUNTED
     )
-    done = CliRunner().invoke(main, ["process", str(collect), "--out", str(folder / "lot.zarr"), "--quiet"])
-    assert done.exit_code == 0, done.output
+    hyperpaint("process", collect, "--out", folder / "lot.zarr", "--quiet", status=0)
     truth = xr.open_zarr(folder / "collect" / "truth.zarr")
     corner = float(truth.east.min()) - 5.0, float(truth.north.max()) + 5.0
     size = int(max(np.ptp(truth.east.values), np.ptp(truth.north.values)) + 10.0) + 2
@@ -91,12 +78,11 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def shift(board: Path, *options: str) -> float:
-    """Return how far the pixel of a cell truly lies from it, as the median [cell]."""
+    # Return how far the pixel of a cell truly lies from it, as the median [cell]
     out = board / "map.zarr"
     call = ["orthorectify", str(board / "lot.zarr"), *options, "--grid", "flight", "--out", str(out)]
     call += ["--quiet", "--overwrite"]
-    done = CliRunner().invoke(main, call)
-    assert done.exit_code == 0, done.output
+    hyperpaint(*call, status=0)
     with xr.open_zarr(out) as made, xr.open_zarr(board / "collect" / "truth.zarr") as truth:
         line, sample = made.nearest_line.values, made.nearest_sample.values
         shown = line >= 0
@@ -121,8 +107,7 @@ def test_a_camera_a_dem_and_a_boresight_put_pixels_in_their_place(board: Path) -
 @_OLD_TRANSFORMS
 def test_a_dem_whose_heights_are_above_nothing(board: Path) -> None:
     call = ["orthorectify", str(board / "lot.zarr"), "--dem", str(board / "dem.tif"), *CAMERA]
-    done = CliRunner().invoke(main, [*call, "--out", str(board / "none.zarr"), "--quiet"])
-    assert done.exit_code == 2
+    done = hyperpaint(*call, "--out", board / "none.zarr", "--quiet", status=2)
     assert "dem_heights" in done.output
     assert not (board / "none.zarr").exists()
 
@@ -132,17 +117,66 @@ def test_a_line_that_declares_no_signs_is_not_guessed_at(board: Path, tmp_path: 
     line.attrs = {name: value for name, value in line.attrs.items() if not name.startswith("convention_")}
     hp.to_store(xr.DataTree.from_dict({"/flightlines/raw_0": line}), tmp_path / "bare.zarr")
     call = ["orthorectify", str(tmp_path / "bare.zarr"), "--ground", "0", *CAMERA, "--quiet"]
-    done = CliRunner().invoke(main, [*call, "--out", str(tmp_path / "map.zarr")])
-    assert done.exit_code == 2, done.output
-    assert "roll_positive" in done.output
-    assert "[navigation]" in done.output
+    done = hyperpaint(*call, "--out", tmp_path / "map.zarr", status=2)
+    expect_words(done.output, "roll_positive", "[navigation]")
     assert not (tmp_path / "map.zarr").exists()
 
 
 def test_a_store_of_one_nameless_line_has_no_line_of_a_name(store: Path, tmp_path: Path) -> None:
     hp.to_store(hp.open_store(store, "flightlines/raw_0"), tmp_path / "one.zarr")
     call = ["orthorectify", str(tmp_path / "one.zarr"), "--out", str(tmp_path / "map.zarr"), "--quiet"]
-    done = CliRunner().invoke(main, [*call, "--line", "nope"])
-    assert done.exit_code == 2
+    done = hyperpaint(*call, "--line", "nope", status=2)
     assert "no flight line 'nope'" in done.output
-    assert CliRunner().invoke(main, call).exit_code == 0
+    assert hyperpaint(*call).exit_code == 0
+
+
+# --- A mosaic from the command line ---
+
+
+@pytest.fixture
+def store_mosaic(tmp_path: Path) -> Path:
+    pytest.importorskip("pyproj")
+    lines = {}
+    for number in range(2):
+        flown = fly(40, 20, "calm", heading=30.0 + 90.0 * number, seed=number)
+        values = np.random.default_rng(number).random((40, 6, 20)).astype(np.float32)
+        line = located(flown, reflectance=(("along_track", "band", "cross_track"), values, {"units": "1"}))
+        zenith = (("along_track", "cross_track"), np.full((40, 20), 5.0 - number), {"units": "degree"})
+        line = line.assign_coords(
+            wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}), view_zenith=zenith
+        )
+        lines[f"/flightlines/raw_{number}"] = line
+    hp.to_store(xr.DataTree.from_dict(lines), tmp_path / "lot.zarr")
+    return tmp_path / "lot.zarr"
+
+
+def test_a_mosaic_as_store_and_as_geotiff(store_mosaic: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    folder = store_mosaic.parent
+    done = hyperpaint("mosaic", store_mosaic, "--out", folder / "both.zarr", "--quiet", status=0)
+    assert "raw_0, raw_1" in done.output
+    made = xr.open_zarr(folder / "both.zarr")
+    assert {"reflectance", "quality", "flightline", "line_time", "view_zenith", "gap"} <= set(made.variables)
+    # the second looks down more steeply
+    assert float((made.flightline == 1).sum()) > float((made.flightline == 0).sum()) > 0
+    options = ["--rule", "newest", "--gsd", "0.01", "--seamlines", str(folder / "seams.geojson"), "--quiet"]
+    done = hyperpaint("mosaic", store_mosaic, "--out", folder / "both.tif", *options, status=0)
+    with rasterio.open(folder / "both.tif") as picture:
+        assert (picture.count, picture.crs.to_epsg()) == (6, 32617)
+    assert len(json.loads((folder / "seams.geojson").read_text())["features"]) == 2
+
+
+def test_what_is_wrong_is_said_mosaic(store_mosaic: Path) -> None:
+    for options, reason in (
+        (["--out", "map.png"], "ends in .tif or .zarr"),
+        (["--line", "raw_9", "--out", "map.zarr"], "no raw_9"),
+        (["--out", str(store_mosaic), "--overwrite"], "in the store itself"),
+        (["--out", str(store_mosaic / "map.tif")], "in the store itself"),
+        (
+            ["--out", "map.tif", "--seamlines", str(store_mosaic / "zarr.json"), "--overwrite"],
+            "in the store itself",
+        ),
+        (["--out", str(store_mosaic.parent), "--overwrite"], "ends in .tif or .zarr"),
+    ):
+        done = hyperpaint("mosaic", store_mosaic, *options, status=2)
+        assert reason in done.output

@@ -1,0 +1,1481 @@
+"""Files of spectra: texts of other programs; paint libraries as records with metadata: CSV, Parquet, ENVI.
+
+A plain table has wavelengths in the first column, and a spectrum in every further column. A file of ECOSTRESS
+(version 1) or its forerunner ASTER (version 2) has lines ``Key: value``, an empty line, then x and y a line;
+the values of ASTER files wrap over lines without a key. A file of the USGS library (splib06, splib07) has a
+title, then one value a line; wavelengths and bandwidths are in separate files, one for each spectrometer,
+beside the spectra or in a folder above.
+
+CSV: every row is a spectrum: name of the paint, its properties (one column each), then reflectance. The first
+row has the names of the columns, and the wavelengths [nm]; the metadata have the units. EcoSIS accepts such
+tables. A library with further spectra beside the centres has two more columns after the name: ``variable``
+(``reflectance``, ``member_reflectance``, ...) and ``place``, the number, from 1, of a spectrum of which a
+paint has several.
+
+Parquet: a row per spectrum in the columns of OpenSpecLib, for pandas and DuckDB. Files of hyperpaint have the
+metadata of the library in ``<file>.json``, and the key of every spectrum (see `records`) in
+``additional_properties``. Other files need equal wavelengths in all rows.
+
+ENVI: a header, and a file in which every line is a spectrum. The first two records of a library of the USGS
+are wavelengths and bandwidths, and its records "error bars to preceding" belong to the spectrum before them;
+neither is a spectrum. Libraries of hyperpaint have ``hyperpaint library = 1`` in their header; the name of a
+record there contains its paint, variable and index (``red | member 3``), see `records`. If every record is a
+paint, the header has lists such as ``paint make`` and ``paint year`` with a value per paint.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import itertools
+import json
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, needs_extra, warn_user
+from hyperpaint.base.input_files import open_input, read_limited
+from hyperpaint.base.old_names import NEW_NAMES
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
+from hyperpaint.io.envi.envi_cubes import (
+    MAX_LIBRARY_HEADER_BYTES,
+    EnviHeader,
+    bare,
+    braced,
+    find_pair,
+    read_header,
+)
+from hyperpaint.io.files.reading import (
+    decoded_text,
+    number,
+    numbers,
+    read_limited_text,
+    refuse,
+    safe_cell,
+    text_of_cell,
+    unique_names,
+)
+
+from .records import (
+    CENTRE,
+    MIN_NM,
+    OWN_AXES,
+    Block,
+    Key,
+    Spectra,
+    check_wavelengths,
+    library_of,
+    metadata_path,
+    paint_columns,
+    reflectances,
+    restored,
+    spectral_variables,
+    table_columns,
+    text_column,
+    typed_values,
+)
+
+#: Largest text file [bytes]: 100,000 bands of 30 spectra.
+MAX_BYTES = 32 * 2**20
+
+_MAX_SHOWN = 5
+_BREAK = re.compile(r"\r\n|\r|\n")
+_MICROMETRE = re.compile(r"\b(?:um|micromet(?:er|re)s?|microns?)\b|[µμ]m\b", re.IGNORECASE)
+_NANOMETRE = re.compile(r"\b(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
+PERCENT = re.compile(r"percent|%", re.IGNORECASE)
+_OTHER_QUANTITY = re.compile(r"radianc\w*|transmi|emissiv|absorb|\bcounts?\b|\bDN\b", re.IGNORECASE)
+_OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|angstroms?|[GT]Hz)\b", re.IGNORECASE)
+#: Depth of the oxygen band at 760 nm, relative to its lower shoulder [1], from which values look like
+#: radiance or irradiance: sunlight has 0.5 to 0.9 at bandwidths of 1 to 5 nm and 0.2 at 15 nm; in thirty real
+#: libraries of reflectance the maximum is 0.023.
+_MIN_OXYGEN_DEPTH = 0.1
+#: Maximum spacing of wavelengths at which this depth is judged [nm].
+_OXYGEN_STEP_NM = 6.0
+#: Maximum median ratio of a third column to the second [1] by which a third column without a heading is a
+#: standard deviation. A real lawn has 0.2. Two paints below this ratio need headings.
+_MAX_SPREAD_RATIO = 0.5
+#: Maximum share of wavelengths that occur again in rows that are not adjacent [1], by which they come from
+#: overlapping detectors: 0.002 in exports of SVC; two spectra, one below the other, have 0.5.
+_MAX_REPEATS = 0.05
+_NO_SPREAD, _IS_SPREAD = -1, -2
+_SAY_SO = "pass quantity='reflectance' if the values are reflectance"
+
+_SPREAD = re.compile(
+    r"(?<![a-z])(?:standard[ _.-]?dev\w*|st\.? ?dev\w*|std(?:ev|dev)?|s\.?d\.?|sigma|stdv|1s)(?![a-z])", re.I
+)
+_STATISTIC = re.compile(
+    r"(?<![a-z])(?:variance|var|uncertaint\w*|unc|errors?|std ?err\w*|sem|cov|snr|flags?|qc|weights?|"
+    r"n ?(?:obs|spectra|samples)?|number)(?![a-z])",
+    re.I,
+)
+_IN_FULL = re.compile(r"standard[ _.-]?dev|st\.? ?dev|std[ _.-]?dev", re.I)
+_MEAN = re.compile(r"(?<![a-z])(?:mean|average|avg|reflectance|reflectivity|refl|of|the)(?![a-z])", re.I)
+_OF_LIGHT = re.compile(
+    r"(?<![a-z])[mµμun]?W(?:att)?s?[ */.·]*(?:c?m\^?-?\(?-?2|/ ?c?m)|/ ?sr\b|\bsr\^?-1", re.I
+)
+_COUNTED = re.compile(r"irrad|digital (?:number|count)s?|photons?\b|volts?\b", re.I)
+_TITLE = re.compile(r"irradianc\w*|radianc\w*|transmittance|absorbance|emissivity", re.I)
+
+_MAX_PREAMBLE = 500
+#: Headings that do not name a paint.
+_GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
+
+#: Units in headings are removed from names of paints, which are paired with references by name.
+_UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|fraction|-|1)\s*[)\]]\s*$", re.IGNORECASE)
+#: Separators and decimal marks of tables, by preference; "" for blanks, True for decimal commas.
+_DIALECTS = (("\t", False), (";", False), (",", False), ("", False), ("\t", True), (";", True), ("", True))
+
+#: Keys of a header of ECOSTRESS, in file order.
+_KEYS = (
+    "Name",
+    "Type",
+    "Class",
+    "Subclass",
+    "Genus",
+    "Species",
+    "Particle Size",
+    "Sample No.",
+    "Owner",
+    "Wavelength Range",
+    "Origin",
+    "Collection Date",
+    "Description",
+    "Measurement",
+    "First Column",
+    "Second Column",
+    "X Units",
+    "Y Units",
+    "First X Value",
+    "Last X Value",
+    "Number of X Values",
+    "Additional Information",
+)
+#: Opens the additional information of files that hyperpaint 0.1 and 0.2 wrote; JSON follows.
+_METADATA = "hyperpaint metadata "
+
+_KEY = re.compile(rf"\s*({'|'.join(map(re.escape, _KEYS))})\s*:(.*)", re.IGNORECASE)
+_SPELLED = {key.lower(): key for key in _KEYS}
+_ABOUT_THE_AXES = _KEYS[_KEYS.index("First Column") :]
+_FRACTION = re.compile(r"fraction|unitless|decimal|\b0 ?(?:-|to) ?1\b|\(1\)", re.IGNORECASE)
+
+_RECORD = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNORECASE)
+_MEASUREMENT = re.compile(r"[A-Z]{4}")
+_AXIS = re.compile(r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.I)
+_SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
+_MAX_CANDIDATES = 64
+#: Number of folders that are searched for wavelengths, from that of the spectrum upwards.
+_FOLDERS = 3
+
+
+def is_usgs(head: str) -> bool:
+    # Return whether the first line of a text is that of a USGS spectrum.
+    return _RECORD.match(head.partition("\n")[0]) is not None
+
+
+def is_usgs_axis(head: str) -> bool:
+    # Return whether the first line of a text is that of USGS wavelengths or bandwidths.
+    return _AXIS.match(head.partition("\n")[0]) is not None
+
+
+# --- plain tables ------------------------------------------------------------------------------------------
+
+
+def read_plain_table(
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, is_reflectance: bool = False
+) -> Spectra:
+    # Read spectra from a table of two or more columns.
+    # Cells are separated by commas, semicolons, tabs or blanks; decimal commas are read where commas are not
+    # the separator. Lines above the numbers are headings, the last of them names the columns; lines that
+    # begin with ``#`` are comments. A single spectrum with a general heading such as "reflectance" gets the
+    # name of the file. A column whose heading says so is the standard deviation of the column before it.
+    # scale: Stored value of a reflectance of one; by default 100 if the headings say percent, else 1.
+    # wavelength: Wavelengths in place of the first column [nm]. is_reflectance: Whether the values are
+    # reflectance, without a check of headings and values. Raises FormatError: There is no table of numbers,
+    # its first column is not wavelengths, or the values are not reflectance. Warns PaintWarning: Successive
+    # rows have the same wavelength; or the values of a column look like a standard deviation.
+    source = path.name
+    lines = _lines(path, "a table of wavelengths and reflectance")
+    without_comments = ["" if line.lstrip().startswith("#") else line for line in lines]
+    text_lines = [at for at, line in enumerate(without_comments) if line.strip()]
+    for first, following in itertools.pairwise(text_lines[: _MAX_PREAMBLE + 1]):
+        rows = {dialect: row for dialect in _DIALECTS if (row := _cells(lines[first], dialect)) is not None}
+        # the dialect in which the next line has as many columns, else the first, with which the next line is
+        # reported later
+        fitting = (d for d, row in rows.items() if len(_cells(lines[following], d) or ()) == len(row))
+        if rows:
+            dialect = next(fitting, next(iter(rows)))
+            break
+    else:
+        raise FormatError(
+            f"{source}: no table of numbers",
+            expected="a wavelength and one or more values a line",
+            code="table-missing",
+        )
+    columns = len(rows[dialect])
+    table = _table(without_comments, first, columns, source, lambda line: _cells(line, dialect))
+    if columns > 2 and np.isnan(table[:, -1]).all():  # every line ends with a separator
+        table, columns = table[:, :-1], columns - 1
+    # the first column changes direction where detectors join, and not more often
+    steps = np.diff(table[:, 0])
+    reversals = min(int((steps < 0).sum()), int((steps > 0).sum()))
+    if np.isnan(table[:, 0]).any() or reversals > max(4, steps.size // 20) or not steps.any():
+        raise FormatError(
+            f"{source}: the first column rises and falls",
+            expected="wavelengths",
+            mend="write every spectrum as a column",
+            code="wavelength-unordered",
+        )
+    preamble = lines[:first]
+    headings = _headings(preamble, dialect[0], columns)
+    if not is_reflectance:
+        _check_words(preamble, headings, source)
+    percent = 100.0 if PERCENT.search(preamble[-1] if preamble else "") else None
+    nm, values, notes = _axis_and_values(table, " ".join(preamble), source, wavelength)
+    spread = _spread_columns(headings, values.T, source, is_reflectance=is_reflectance)
+    paints = np.flatnonzero(spread != _IS_SPREAD)
+    # names from headings, without units where they stay distinct
+    names = [headings[at + 1].strip() for at in paints.tolist()] if headings else [""] * paints.size
+    without_units = [_UNIT.sub("", name) for name in names]
+    if len(set(without_units)) == len(set(names)):
+        names = without_units
+    if paints.size == 1 and _GENERIC.fullmatch(names[0]):
+        names = [path.stem]
+    further = {}
+    reflectance = reflectances(
+        values.T[paints], source, file_scale=percent, scale=scale, is_reflectance=is_reflectance
+    )
+    if (spread >= 0).any():
+        sd = reflectances(values.T[spread[paints]], source, file_scale=percent or 1.0, scale=scale)
+        further["reflectance_sd"] = np.where(spread[paints, None] >= 0, sd, np.float32(np.nan))
+    return Spectra(
+        source=source,
+        form="table of text",
+        names=[name or f"column {at + 2}" for at, name in zip(paints, names, strict=True)],
+        wavelength=nm,
+        reflectance=reflectance,
+        others=further,
+        notes=notes,
+    )
+
+
+def _cells(line: str, dialect: tuple[str, bool]) -> list[float] | None:
+    # Numbers of a line; None for other lines, and for an empty first cell
+    separator, has_commas = dialect
+    cells = line.strip(" ").split(separator or None)
+    texts = (cell.replace(",", ".") if has_commas else cell for cell in cells)
+    return numbers(texts) if len(cells) > 1 and cells[0].strip() else None
+
+
+def _headings(preamble: Sequence[str], separator: str, columns: int) -> list[str]:
+    # Cells of the last heading; empty where they are not as many as columns
+    line = next((line for line in reversed(preamble) if line.strip()), "")
+    is_comment = line.lstrip().startswith("#")
+    text = line.strip().lstrip("#")
+    # commas may separate headings in a comment where another mark separates numbers
+    for mark in [separator, ","] if is_comment else [separator]:
+        try:
+            cells = next(csv.reader([text], delimiter=mark)) if mark else text.split()
+        except csv.Error:
+            continue
+        if len(cells) == columns + 1 and not cells[-1].strip():
+            cells.pop()
+        if len(cells) == columns or (len(cells) > columns and is_comment and mark):
+            return cells[:columns]
+    return []
+
+
+def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -> None:
+    # Check that the headings and units of a table do not name another quantity than reflectance.
+    # preamble: Lines above the numbers; headings: names of all columns, or none.
+    # Raises FormatError: A heading names radiance, irradiance, counts, transmittance or a statistic; or the
+    # lines above name such a quantity and not reflectance.
+    def foreign(text: str) -> str:
+        # Word or unit of another quantity than reflectance, empty if there is none
+        match = None if "reflect" in text.lower() else _OF_LIGHT.search(text) or _COUNTED.search(text)
+        return other_quantity(text) or (match[0].strip() if match else "")
+
+    named = [name.strip() for name in headings[1:] if foreign(name) or _STATISTIC.fullmatch(name.strip())]
+    if named:
+        raise FormatError(
+            f"{source}: column headings name {', '.join(map(repr, named[:5]))}",
+            expected="reflectance",
+            mend=f"remove these columns, or {_SAY_SO}",
+            code="quantity-wrong",
+        )
+    text = " ".join(preamble)
+    title = None if "reflect" in text.lower() else _TITLE.search(text) or _OF_LIGHT.search(text)
+    if word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""):
+        raise FormatError(
+            f"{source}: the heading names {word!r}",
+            expected="reflectance",
+            mend=_SAY_SO,
+            code="quantity-wrong",
+        )
+
+
+def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
+    # Return for each column the index of its standard deviation, `_NO_SPREAD`, or `_IS_SPREAD`.
+    # headings: Names of the columns, wavelengths first; empty for a file without headings. values: (column,
+    # band). is_reflectance: Whether columns without headings are reflectance, without a check of their
+    # values.
+    # Raises FormatError: The heading of the first spectrum is a standard deviation. Warns PaintWarning: There
+    # are three columns without headings, and the third looks like the standard deviation of the second.
+    roles = np.full(len(values), _NO_SPREAD)
+    if headings:
+        # names without units and words for mean and standard deviation: letters and digits
+        paints = [
+            "".join(filter(str.isalnum, _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower()))))
+            for heading in headings[1:]
+        ]
+        names_spread = np.array([_SPREAD.search(heading) is not None for heading in headings[1:]])
+        mean_paints = [paint for paint, spread in zip(paints, names_spread, strict=True) if not spread]
+        # "White Std" may be the name of a paint: it is a spread only beside a column "White"
+        in_words = [_IN_FULL.search(heading) is not None for heading in headings[1:]]
+        is_spread = names_spread & np.array(
+            [word or not paint or paint in mean_paints for word, paint in zip(in_words, paints, strict=True)]
+        )
+        if is_spread[0]:
+            raise FormatError(
+                f"{source}: the first spectrum is named {headings[1].strip()!r}",
+                expected="reflectance before its standard deviation",
+                code="column-order",
+            )
+        roles[is_spread] = _IS_SPREAD
+        spectra = np.flatnonzero(~is_spread)
+        for at in np.flatnonzero(is_spread):
+            of_same_paint = [int(column) for column in spectra if paints[at] and paints[column] == paints[at]]
+            mean = of_same_paint[0] if of_same_paint else spectra[spectra < at][-1]
+            roles[mean] = at if roles[mean] == _NO_SPREAD else roles[mean]
+    elif len(values) == 2 and not is_reflectance:
+        mean, deviation = values
+        comparable = np.isfinite(mean) & np.isfinite(deviation) & (mean > 0)
+        ratios = deviation[comparable] / mean[comparable]
+        if ratios.size and (ratios >= 0).all() and np.median(ratios) <= _MAX_SPREAD_RATIO:
+            text = (
+                f"{source}: three columns without headings; the third is taken for the standard deviation of "
+                "the second; add headings, or pass quantity='reflectance' if the third is a paint"
+            )
+            warn_user(text, "spread-assumed")
+            roles[:] = 1, _IS_SPREAD
+    return roles
+
+
+def _without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Ints, Floats, list[str]]:
+    # Return rows of distinct wavelengths, their values (band, spectrum), and notes.
+    # Of successive equal wavelengths the first row is kept; different values are averaged.
+    # Raises FormatError: Many wavelengths occur again in rows that are not adjacent, as of two spectra one
+    # below the other. Warns PaintWarning: Values were averaged.
+    starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)  # first rows of equal wavelengths
+    distant_share = 1.0 - np.unique(wavelength[starts]).size / starts.size
+    adjacent = wavelength.size - starts.size
+    if distant_share > _MAX_REPEATS or 2 * adjacent >= wavelength.size:
+        repeats = wavelength.size - np.unique(wavelength).size
+        raise FormatError(
+            f"{source}: {repeats} of {wavelength.size} wavelengths occur twice",
+            expected="one row per wavelength, and one column per spectrum",
+            mend="put spectra side by side, or write wavelengths with more digits",
+            code="wavelength-duplicate",
+        )
+    if not adjacent:
+        return starts, values, []
+    counts = np.diff(np.append(starts, wavelength.size))
+    means = np.add.reduceat(values, starts, axis=0) / counts[:, None]
+    difference = 2.0 * float(np.nanmax(np.abs(values - np.repeat(means, counts, axis=0)), initial=0.0))
+    example = wavelength[starts[counts > 1][0]]
+    text = f"{adjacent} wavelengths are equal to that of the row before, such as {example:g}"
+    if difference <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
+        return starts, values[starts], [f"{text}: one of the equal rows is kept"]
+    text = f"{text}: their values, which differ by up to {difference:.3g}, are averaged"
+    warn_user(f"{source}: {text}", "wavelength-duplicate")
+    return starts, means, [text]
+
+
+def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> None:
+    # Warn of spectra with the oxygen band of sunlight, which reflectance does not have.
+    # wavelength: (band,) [nm]; reflectance: (signature, band) [1].
+    # Warns PaintWarning: A spectrum has the band.
+    order = np.argsort(wavelength, kind="stable")
+    nm, values = wavelength[order], reflectance[:, order].astype(np.float64)
+    left, inside, right = ((nm >= lo) & (nm <= hi) for lo, hi in ((745, 755), (757, 767), (771, 781)))
+    near = nm[(nm >= 745) & (nm <= 781)]
+    if not (left.any() and inside.any() and right.any()) or np.diff(near).max() > _OXYGEN_STEP_NM:
+        return
+    # the lower shoulder, since the reflectance of a paint that is black in the visible rises across the band
+    shoulder = np.minimum(values[:, left].mean(axis=1), values[:, right].mean(axis=1))
+    dip = shoulder - values[:, inside].min(axis=1)
+    light = np.flatnonzero(dip > _MIN_OXYGEN_DEPTH * np.maximum(shoulder, 1e-6))
+    if light.size:
+        depth = dip[light[0]] / shoulder[light[0]] if shoulder[light[0]] > 0 else np.inf
+        text = (
+            f"{source}: {light.size} of {len(values)} spectra have the oxygen band of sunlight at 760 nm "
+            f"({depth:.0%} deep), which reflectance does not have: are they radiance or irradiance? {_SAY_SO}"
+        )
+        warn_user(text, "sunlight-in-reflectance")
+
+
+# --- ECOSTRESS and ASTER -----------------------------------------------------------------------------------
+
+
+def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats | None = None) -> Spectra:
+    # Read a spectrum of the ECOSTRESS or ASTER library.
+    # scale: y of a reflectance of one, where the file does not state it. wavelength: To be used in place of
+    # the file's own [nm]. Raises FormatError: The header or the numbers are damaged, or the values are not
+    # reflectance.
+    source = path.name
+    lines = _lines(path, "a spectrum of the ECOSTRESS or ASTER library")
+    # the header: values of ASTER files wrap
+    parts: dict[str, list[str]] = {}
+    current, is_wrapped = "", False
+    for first, line in enumerate(lines):
+        match = _KEY.match(line)
+        if match and _SPELLED[match[1].lower()] not in parts:
+            current = _SPELLED[match[1].lower()]
+            parts[current] = [match[2].strip()]
+        elif "Number of X Values" in parts and len(numbers(line.split(None, 2)) or ()) == 2:
+            break
+        elif current and line.strip():
+            parts[current].append(line.strip())
+            is_wrapped = True
+        elif line.strip():
+            raise FormatError(
+                f"{source}: line {first + 1} is {line.strip()[:60]!r}",
+                expected="'Name: ...'",
+                code="header-unreadable",
+            )
+    else:
+        raise FormatError(f"{source}: no line of two numbers after the header", code="table-missing")
+    fields = {key: " ".join(filter(None, texts)) for key, texts in parts.items()}
+    problems = Problems(f"{source} cannot be used", FormatError)
+    problems.extend(
+        Problem(f"the header has no {key!r}", code="key-missing")
+        for key in ("Name", "X Units", "Y Units", "Number of X Values")
+        if key not in fields
+    )
+    units = fields.get("Y Units", "")
+    file_scale = 100.0 if PERCENT.search(units) else 1.0 if _FRACTION.search(units) else None
+    if other_quantity(units):
+        problems.add(f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong")
+    problems.raise_if_any()
+    table = _table(lines, first, 2, source)
+    if (count := fields["Number of X Values"]) != str(len(table)):
+        raise FormatError(
+            f"{source}: {len(table)} values",
+            expected=f"{count[:30]}, as the header says",
+            mend="copy the file again",
+            code="length-mismatch",
+        )
+    notes = []
+    for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
+        stated = number(fields.get(key, ""))
+        # the header rounds
+        if stated is not None and np.isfinite(stated) and abs(stated - actual) > 1e-2 * abs(actual):
+            notes.append(f"{key!r} is {stated:g}, found {actual:g}")
+    if np.isnan(table[:, 0]).any():
+        raise FormatError(f"{source}: a wavelength is not a number", code="number-unreadable")
+    nm, values, further_notes = _axis_and_values(table, fields["X Units"], source, wavelength)
+    return Spectra(
+        source=source,
+        form=f"{'ASTER' if is_wrapped else 'ECOSTRESS'} library text",
+        names=[fields["Name"]],
+        wavelength=nm,
+        reflectance=reflectances(values.T, source, file_scale=file_scale, scale=scale),
+        columns=_columns(fields, source),
+        notes=notes + further_notes,
+    )
+
+
+def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
+    columns: dict[str, Any] = {
+        re.sub(r"[^a-z]+", "_", key.lower()).strip("_"): text_column([fields[key]])
+        for key in _KEYS[1:]
+        if key in fields and key not in _ABOUT_THE_AXES
+    }
+    information = fields.get("Additional Information", "")
+    if not information.startswith(_METADATA):
+        return {**columns, "additional_information": text_column([information])} if information else columns
+    # metadata of hyperpaint 0.1 and 0.2: names and values
+    reserved = {*columns, SIGNATURE, "band", "wavelength", "reflectance"}
+    name = "its JSON"
+    try:
+        for name, value in json.loads(information.removeprefix(_METADATA)).items():
+            if not name.isidentifier() or name in reserved:
+                raise ValueError("expected a new identifier")
+            row = LIBRARY_VARIABLES.get(name)
+            dtype = {str: "str", int: "int64", bool: "bool"}.get(type(value), "float64")
+            is_known = row is not None and row.dims == (SIGNATURE,)
+            columns[name] = typed_values([value], row.dtype if row is not None and is_known else dtype)
+    except (ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise FormatError(
+            f"{source}: 'Additional Information' holds damaged metadata, {name[:60]!r} ({error!s:.100})",
+            code="metadata-damaged",
+        ) from error
+    return columns
+
+
+# --- USGS --------------------------------------------------------------------------------------------------
+
+
+def read_usgs(
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, fwhm: Floats | None = None
+) -> Spectra:
+    # Read a spectrum of the USGS library.
+    # scale: Stored value of a reflectance of one, 1 by default. wavelength, fwhm: Wavelengths and widths of
+    # the bands [nm]; by default from files beside the spectrum, or in the two folders above it. Raises
+    # FormatError: Lines are not numbers; the quantity is not reflectance; or no file of wavelengths is found.
+    source = path.name
+    title, values = _column(path)
+    record = _RECORD.match(title)
+    heading = record[3].strip() if record else title.strip()
+    name, spectrometer, measurement = heading, "", ""
+    words = heading.rsplit(None, 2)
+    if len(words) == 3 and _MEASUREMENT.fullmatch(words[2]):
+        name, spectrometer, measurement = words
+    refuse(
+        source,
+        (
+            is_usgs_axis(title),
+            Problem(
+                f"{heading[:60]!r} is not a spectrum",
+                expected="reflectance",
+                mend="pass the file as wavelength= or fwhm=",
+                code="quantity-wrong",
+            ),
+        ),
+        (
+            measurement == "TRAN",
+            Problem(f"{heading[:60]!r} is a transmittance", expected="reflectance", code="quantity-wrong"),
+        ),
+    )
+    notes: list[str] = []
+    nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
+    if nm is None:
+        raise FormatError(
+            f"{source}: no file with {values.size} wavelengths beside it or in the folders above",
+            mend=f"pass wavelength=, '..._Wavelengths_...txt' of the spectrometer {spectrometer}".rstrip(),
+            code="wavelength-missing",
+        )
+    width = _axis(path, "bandpass", values.size, spectrometer, notes) if fwhm is None else fwhm
+    columns = {"spectrometer": spectrometer, "measurement": measurement}
+    if record:
+        columns |= {"library": record[1], "record": record[2]}
+    return Spectra(
+        source=source,
+        form="USGS spectral library text",
+        names=[name],
+        wavelength=nm,
+        fwhm=width,
+        reflectance=reflectances(values[None, :], source, file_scale=None, scale=scale),
+        columns={key: text_column([value]) for key, value in columns.items()},
+        notes=notes,
+    )
+
+
+def _column(path: Path) -> tuple[str, Floats]:
+    lines = _lines(path, "a file of the USGS spectral library")
+    values = _table(lines, 1, 1, path.name)[:, 0]
+    fault = Problem(f"{values.size} values", expected="a title and one value a line", code="table-missing")
+    refuse(path.name, (values.size < 2, fault))
+    return lines[0], values
+
+
+def read_usgs_axis(path: Path) -> tuple[Floats, str]:
+    # Return the wavelengths or bandwidths of a USGS file [nm], and a note on their units.
+    # Raises FormatError: The file is damaged, or has other content.
+    title, values = _column(path)
+    if not np.isfinite(values).all():
+        raise FormatError(f"{path.name}: not all of its {values.size} values are finite", code="not-finite")
+    return _in_nanometres(title.replace("_", " "), values, path.name)
+
+
+def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> Floats | None:
+    # Wavelengths ("wave") or bandwidths from a file near a spectrum; None without a file of equal length
+    words = ("wavelength",) if kind == "wave" else ("bandpass", "fwhm", "resolution")
+    folder = path.absolute().parent
+    candidates: list[Path] = []
+    for searched in [folder, *folder.parents][:_FOLDERS]:
+        with contextlib.suppress(OSError):
+            for name in sorted(entry.name for entry in searched.iterdir()):
+                # names of spectra convolved to another spectrometer contain "wavelength"
+                is_axis = any(word in name.lower() for word in words) and name.lower().endswith(".txt")
+                if is_axis and (kind == "wave" or "wavelength" not in name.lower()):
+                    candidates.append(searched / name)
+        if candidates:
+            break
+    axes = {}
+    for file in candidates[:_MAX_CANDIDATES]:
+        with contextlib.suppress(FormatError):
+            values, note = read_usgs_axis(file)
+            if values.size == count and file != path.absolute():
+                axes[file] = (values, note)
+    code = next((code for code in _SPECTROMETERS if spectrometer.upper().startswith(code)), None)
+    if len(axes) > 1 and code:
+        axes = {file: axis for file, axis in axes.items() if code in file.name.upper()} or axes
+    if len({values.tobytes() for values, _ in axes.values()}) > 1:
+        listed = ", ".join(sorted(file.name for file in axes))
+        option = "wavelength=" if kind == "wave" else "fwhm="
+        raise FormatError(
+            f"{path.name}: {listed} have {count} values each",
+            mend=f"pass the file of this spectrum as {option}",
+            code="wavelength-ambiguous",
+        )
+    for file, (values, note) in axes.items():
+        notes.append(f"{'wavelengths' if kind == 'wave' else 'fwhm'} of {file.name}{note and ': ' + note}")
+        return values
+    return None
+
+
+# --- lines, numbers, units ---------------------------------------------------------------------------------
+
+
+def _lines(path: Path, expected: str) -> list[str]:
+    # Return the lines of a text file, in UTF-8 or else latin-1.
+    # Raises FormatError: The file cannot be read, is too large, or is binary.
+    raw = read_limited_text(path, MAX_BYTES, expected)
+    if b"\0" in raw:
+        raise FormatError(
+            f"{path}: holds NUL bytes",
+            expected=expected,
+            mend="save UTF-16 text as UTF-8",
+            code="text-unreadable",
+        )
+    return _BREAK.split(decoded_text(raw))
+
+
+def _table(
+    lines: Sequence[str],
+    first_line: int,
+    columns: int,
+    source: str,
+    numbers_of: Callable[[str], list[float] | None] | None = None,
+) -> Floats:
+    # Return lines of numbers as an array (line, column); empty lines are skipped.
+    # first_line: Index of the first line of numbers. columns: Number of columns. numbers_of: Function that
+    # returns the numbers of a line, None for other text; by default numbers are separated by blanks. Raises
+    # FormatError: Lines contain other text; the first of them are listed.
+    problems = Problems(f"{source} cannot be read", FormatError)
+    rows = []
+    for at, line in enumerate(lines[first_line:], first_line + 1):
+        if not line.strip():
+            continue
+        row = numbers_of(line) if numbers_of else numbers(line.split(None, columns))
+        if row is None or len(row) != columns:
+            problems.add(
+                f"line {at}: {line.strip()[:60]!r}",
+                expected=f"{columns} number{'s'[: columns - 1]}",
+                code="row-unreadable",
+            )
+            if len(problems) == _MAX_SHOWN:
+                break
+        else:
+            rows.append(np.array(row, np.float64))
+    problems.raise_if_any()
+    return np.array(rows, np.float64).reshape(-1, columns)
+
+
+def other_quantity(text: str) -> str:
+    # Return the word for another quantity than reflectance, empty if there is none.
+    match = _OTHER_QUANTITY.search(text)
+    return match[0] if match and "reflect" not in text.lower() else ""
+
+
+def _in_nanometres(text: str, wavelength: Floats, source: str) -> tuple[Floats, str]:
+    # Return wavelengths [nm], and a note if their unit is inferred.
+    # text: Description of the wavelengths in the file; may be empty. wavelength: Wavelengths in the file's
+    # unit. Raises FormatError: The text names another unit, such as wavenumbers.
+    factor, note = 1.0, ""
+    if _MICROMETRE.search(text):
+        factor = 1e3
+    elif not _NANOMETRE.search(text):
+        if other_unit := _OTHER.search(text):
+            raise FormatError(
+                f"{source}: the unit of the first column is {other_unit[0]!r}",
+                expected="nm or um",
+                mend="pass wavelength=",
+                code="units-unknown",
+            )
+        note = "no wavelength units: values taken as nanometres"
+        if wavelength.size and float(np.nanmax(wavelength)) < 100.0:
+            factor, note = 1e3, "no wavelength units: values below 100 taken as micrometres"
+    with np.errstate(over="ignore"):  # overflow of a damaged file becomes infinity, a later error
+        nanometres: Floats = wavelength * factor
+    return nanometres, note
+
+
+def _axis_and_values(
+    table: Floats, text: str, source: str, wavelength: Floats | None
+) -> tuple[Floats, Floats, list[str]]:
+    # Wavelengths [nm], values (band, spectrum) and notes of a table whose first column is in the unit that
+    # ``text`` names; ``wavelength``: from the caller, in place of that column [nm]
+    axis, values = table[:, 0], table[:, 1:]
+    if wavelength is not None:
+        return wavelength, values, []
+    nanometres, note = _in_nanometres(text, axis, source)
+    starts, values, repeats = _without_repeats(axis, values, source)
+    return nanometres[starts], values, [*([note] if note else []), *repeats]
+
+
+#: Headings of the names; hyperpaint 0.2 and before wrote the second.
+_NAMES = (SIGNATURE, "paint")
+#: Headings of the two columns that identify a spectrum of a paint.
+_KEY_COLUMNS = ["variable", "place"]
+#: Number of a spectrum of a paint, empty for the only one.
+_PLACE = re.compile(r"|[1-9][0-9]{0,8}")
+_MAX_BANDS = 100_000
+_MAX_BYTES = 2**32
+
+
+def is_csv_library(head: str) -> bool:
+    # Return whether a text begins as a paint library: names, then wavelengths, in its first row.
+    row, end, _ = head.partition("\n")
+    cells = row.strip("\r").split(",")
+    nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the head may cut off the last cell
+    heading = next(filter(None, cells[:2]), "")  # the second cell after an index of pandas
+    return heading in _NAMES and nm is not None and nm >= MIN_NM
+
+
+# --- CSV ---------------------------------------------------------------------------------------------------
+
+
+def write_csv_library(library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path) -> None:
+    # Write the records of a checked library.
+    # Values have nine digits, which restore every bit of float32. A file with characters beyond ASCII begins
+    # with the byte order mark by which Excel recognises UTF-8. Names and texts that a spreadsheet would
+    # execute as formulas have a leading apostrophe, which the reader removes.
+    columns = table_columns(library)
+    key_columns = [] if spectral_variables(library) == [CENTRE] else _KEY_COLUMNS
+    head = _line(
+        [
+            SIGNATURE,
+            *key_columns,
+            *map(safe_cell, columns),
+            *(repr(float(value)) for value in library["wavelength"].values),
+        ]
+    )
+    lines = [_line([safe_cell(name)]) for name in names]
+    properties = [
+        _line(["", *map(safe_cell, map(str, cells))]) for cells in zip(*columns.values(), strict=True)
+    ] or [""] * len(lines)
+    coding = "utf-8" if "".join([head, *lines, *properties]).isascii() else "utf-8-sig"
+    row = ",%.9g" * library.sizes[BAND] + "\n"
+    with open(path, "w", encoding=coding, newline="") as file:
+        file.write(head + "\n")
+        for variable, *records in blocks:
+            for paint, inner, values in zip(*records, strict=True):
+                key = f",{variable},{'' if inner < 0 else inner + 1}" if key_columns else ""
+                file.write(lines[paint] + key + properties[paint] + row % tuple(values.tolist()))
+
+
+def _line(cells: list[str]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="").writerow([*cells, ""])
+    return buffer.getvalue()[:-1]
+
+
+def read_csv_library(path: Path) -> xr.Dataset:
+    # Read a library that `write_csv_library` wrote.
+    # Raises FormatError: The table or its metadata are damaged, or belong to different libraries. Warns
+    # PaintWarning: The metadata are missing.
+    source = path.name
+    problems = Problems(f"{source} cannot be read", FormatError)
+    # the first row: headings, then wavelengths
+    cells = _csv_rows(path)
+    first_row = next(cells, [])
+    if first_row[:1] == [""]:
+        first_row, cells = first_row[1:], _without_index(cells, source)
+    head_size = len(first_row)
+    while head_size and number(first_row[head_size - 1]) is not None:
+        head_size -= 1
+    head, nm = first_row[:head_size], numbers(first_row[head_size:]) or []
+    is_valid = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
+    if not head or head[0] not in _NAMES or not is_valid or not 0 < len(nm) <= _MAX_BANDS:
+        raise FormatError(
+            f"{source}: the first row is {','.join(first_row)[:60]!r}",
+            expected=f"{SIGNATURE}, distinct column names, and wavelengths",
+            code="header-unreadable",
+        )
+    if head[0] != SIGNATURE:
+        head = [NEW_NAMES.get(name, name) for name in head]
+    has_keys = head[1:3] == _KEY_COLUMNS
+    first_property = 3 if has_keys else 1
+    # every further row is a spectrum
+    names: list[str] = []
+    columns: dict[str, list[str]] = {text_of_cell(name): [] for name in head[first_property:]}
+    keys: list[Key] = []
+    rows: list[Floats32] = []
+    # the order of the rows distinguishes paints of the same name: numbers of the paints of a name; and, by
+    # name and variable, the position of the paint of the last row among them, and its number in this paint
+    paints: dict[str, list[int]] = {}
+    last: dict[tuple[str, str], tuple[int, int]] = {}
+    for number_of_row, row in enumerate(cells, 2):
+        row[:head_size] = map(text_of_cell, row[:head_size])
+        values = _values(row[head_size:], len(nm))
+        name, variable, place = row[:3] if has_keys and len(row) > 2 else (row[0], CENTRE, "")
+        place = place.removesuffix(".0")  # pandas writes integers as floats where some cells are empty
+        key: Key | None = None
+        if variable == CENTRE and not place:
+            key = (CENTRE, len(names), -1)
+        elif variable.isidentifier() and _PLACE.fullmatch(place):
+            inner = int(place or 0) - 1
+            position, last_inner = last.get((name, variable), (0, -2))
+            position += inner <= last_inner  # the numbers start again: the next paint of that name
+            last[name, variable] = (position, inner)
+            same_name = paints.get(name, [])
+            key = (variable, same_name[position], inner) if position < len(same_name) else None
+        if values is None or key is None:
+            problems.add(
+                f"row {number_of_row}: {','.join(row)[:60]!r}",
+                expected=f"{', '.join(head)[:60]}, and {len(nm)} numbers",
+                code="row-unreadable",
+            )
+            if len(problems) == _MAX_SHOWN:
+                break
+            continue
+        if key[0] == CENTRE:
+            paints.setdefault(name, []).append(len(names))
+            names.append(name)
+            for column, cell in zip(columns.values(), row[first_property:], strict=False):
+                column.append(cell)
+        keys.append(key)
+        rows.append(values)
+    problems.raise_if_any()
+    wavelength = np.array(nm, np.float64)
+    check_wavelengths(wavelength, source)
+    if not names:
+        raise FormatError(
+            f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
+        )
+    return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))], columns)
+
+
+def _csv_rows(path: Path) -> Iterator[list[str]]:
+    try:
+        opened = open_input(path, "a paint library", _MAX_BYTES)
+        with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
+            yield from filter(None, csv.reader(file, strict=True))
+    except (csv.Error, UnicodeDecodeError, OSError) as error:
+        raise FormatError(f"{path.name} cannot be read: {error!s:.200}", code="file-unreadable") from error
+
+
+def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
+    # Rows without the unnamed index column of pandas
+    for number_of_row, row in enumerate(rows):
+        if row[0] != str(number_of_row):
+            raise FormatError(
+                f"{source}: the first column has no name and holds {row[0][:30]!r}",
+                expected=f"{SIGNATURE} as the first column, or the row numbers of pandas before it",
+                mend="write it with to_csv(index=False)",
+                code="column-name-missing",
+            )
+        yield row[1:]
+
+
+def _values(cells: list[str], bands: int) -> Floats32 | None:
+    # Numbers of a row; None where a cell is not a number or the count is wrong
+    row_numbers = None
+    text = "".join(cells)
+    if text.isascii() and "_" not in text and len(text) <= 64 * len(cells):
+        with contextlib.suppress(ValueError):  # such as an empty cell
+            row_numbers = list(map(float, cells))  # several times faster than `numbers`
+    row_numbers = row_numbers or numbers(cells)
+    if row_numbers is None or len(cells) != bands:
+        return None
+    with np.errstate(over="ignore"):
+        values = np.array(row_numbers, np.float64).astype(np.float32)
+    return None if np.isinf(values).any() else values
+
+
+# --- Parquet -----------------------------------------------------------------------------------------------
+
+
+_OURS = b"hyperpaint"
+_MAX_ROWS, _MAX_VALUES = 2_000_000, 2**28
+_NM_PER_UNIT = {"nm": 1.0, "um": 1e3}
+_NM_OF_WAVENUMBER = 1e7  # over cm-1
+
+#: Text columns of OpenSpecLib: columns that must have a value, and optional columns.
+_TEXTS = (
+    "id",
+    "name",
+    "source.library",
+    "source.library_version",
+    "source.original_id",
+    "source.url",
+    "source.license",
+    "source.citation",
+    "material.name",
+    "material.category",
+    "measurement.technique",
+    "spectral_data.type",
+    "spectral_data.wavelength_unit",
+    "additional_properties",
+)
+_OPTIONAL_TEXTS = (
+    "source.filename",
+    "material.subcategory",
+    "material.formula",
+    "sample.id",
+    "sample.description",
+    "sample.particle_size",
+    "sample.origin",
+    "sample.owner",
+    "sample.preparation",
+    "measurement.instrument",
+    "measurement.instrument_type",
+    "measurement.laboratory",
+    "measurement.geometry",
+    "quality.notes",
+)
+_OPTIONAL = (*_OPTIONAL_TEXTS, "sample.collection_date", "measurement.date", "spectral_data.bandpass")
+
+
+def write_parquet_library(
+    library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path
+) -> None:
+    # Write the records of a checked library. Raises MissingExtraError: pyarrow is not installed.
+    with needs_extra("pyarrow", "library", "Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    columns = paint_columns(library)
+    numbers = pa.list_(pa.float64())
+    types = {
+        **dict.fromkeys((*_TEXTS, *_OPTIONAL_TEXTS), pa.string()),
+        "material.keywords": pa.list_(pa.string()),
+        "sample.collection_date": pa.date32(),
+        "measurement.date": pa.date32(),
+        "spectral_data.wavelength_min": pa.float64(),
+        "spectral_data.wavelength_max": pa.float64(),
+        "spectral_data.num_points": pa.int32(),
+        "spectral_data.wavelengths": numbers,
+        "spectral_data.values": numbers,
+        "spectral_data.bandpass": numbers,
+        "quality.has_bad_bands": pa.bool_(),
+        "quality.bad_band_count": pa.int32(),
+        "quality.coverage_fraction": pa.float64(),
+    }
+    schema = pa.schema(
+        [pa.field(name, type_, nullable=name in _OPTIONAL) for name, type_ in types.items()],
+        {b"openspeclib_version": b"0", b"source": _OURS},
+    )
+    wavelength = np.asarray(library["wavelength"].values, np.float64)
+    attrs = {**library.attrs, **library[CENTRE].attrs}
+    fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
+    common = {
+        "source.library": "hyperpaint",
+        "source.library_version": str(attrs.get("paint_library_version", "unknown")),
+        "source.url": "",
+        "source.license": str(attrs.get("licence", "unknown")),
+        "source.citation": str(attrs.get("title", "unknown")),
+        "material.category": "man_made",
+        "material.subcategory": "car paint",
+        "measurement.technique": "reflectance",
+        "measurement.geometry": str(attrs.get("measurement_geometry", "unknown")),
+        "spectral_data.type": "reflectance",
+        "spectral_data.wavelength_unit": "nm",
+        "spectral_data.wavelength_min": wavelength.min(),
+        "spectral_data.wavelength_max": wavelength.max(),
+        "spectral_data.num_points": wavelength.size,
+        "spectral_data.wavelengths": wavelength,
+        "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
+    }
+    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for variable, paints, inners, spectra in blocks:
+            rows = []
+            for paint, inner, values in zip(paints.tolist(), inners.tolist(), spectra, strict=True):
+                missing = int((~np.isfinite(values)).sum())
+                identity = f"{paint}" if variable == CENTRE else f"{paint}/{variable}/{inner}"
+                properties = {name: column[paint] for name, column in columns.items()}
+                words = (properties.get(word) for word in ("colour", "finish", "make", "model"))
+                key = {"variable": variable, SIGNATURE: paint, "place": inner}
+                rows.append(
+                    common
+                    | {
+                        "id": f"hyperpaint:{identity}",
+                        "name": names[paint],
+                        "source.original_id": identity,
+                        "material.name": names[paint],
+                        "material.keywords": [str(word) for word in words if word],
+                        "additional_properties": json.dumps({**properties, **key}, allow_nan=False),
+                        "spectral_data.values": values.astype(np.float64),
+                        "quality.has_bad_bands": missing > 0,
+                        "quality.bad_band_count": missing,
+                        "quality.coverage_fraction": 1.0 - missing / max(values.size, 1),
+                    }
+                )
+            arrays = [pa.array([row.get(field.name) for row in rows], field.type) for field in schema]
+            writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=schema))
+
+
+#: Columns that are read; wavelengths and values are lists of numbers.
+_NUMBERS = ("spectral_data.wavelengths", "spectral_data.values")
+_COLUMNS = (
+    "name",
+    "additional_properties",
+    "spectral_data.type",
+    "spectral_data.wavelength_unit",
+    *_NUMBERS,
+    "source.license",
+    "source.citation",
+)
+
+
+def read_parquet_library(path: Path) -> xr.Dataset:
+    # Read a library in the columns of OpenSpecLib, of hyperpaint or another program.
+    # Raises FormatError: It is damaged or too large, lacks columns, contains another quantity than
+    # reflectance, or has rows with different wavelengths. Raises MissingExtraError: pyarrow is not installed.
+    with needs_extra("pyarrow", "library", "Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    source = path.name
+    try:
+        with pq.ParquetFile(os.fspath(path)) as file:
+            columns = _parquet_columns(file, source)
+            is_ours = (file.schema_arrow.metadata or {}).get(b"source") == _OURS
+    except (pa.ArrowException, OSError) as error:
+        raise FormatError(
+            f"{source} cannot be read as Parquet: {error!s:.200}",
+            mend="copy it again",
+            code="file-unreadable",
+        ) from error
+    names = list(map(str, columns["name"]))
+    is_restored = is_ours and metadata_path(path).exists()
+    # keys of the rows of a library of hyperpaint
+    keys: list[Key] = []
+    for at, text in enumerate(columns["additional_properties"] if is_restored else []):
+        try:
+            cells = json.loads(text)
+            paint = cells[SIGNATURE] if SIGNATURE in cells else cells["paint"]
+            keys.append((str(cells["variable"]), int(paint), int(cells["place"])))
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise FormatError(
+                f"{source}: row {at} has no variable, paint and index in additional_properties",
+                mend="write the library again",
+                code="record-unmatched",
+            ) from error
+    paints = sum(key[0] == CENTRE for key in keys)
+    if sorted({key[1] for key in keys}) != list(range(paints)) or any(
+        not -1 <= key[2] < _MAX_ROWS for key in keys
+    ):
+        raise FormatError(
+            f"{source}: rows of a paint are missing", mend="write the library again", code="record-unmatched"
+        )
+    kinds = sorted({str(kind) for kind in columns["spectral_data.type"]})
+    units = sorted({str(unit) for unit in columns["spectral_data.wavelength_unit"]})
+    refuse(
+        source,
+        (
+            not is_restored and kinds != ["reflectance"],
+            Problem(
+                f"rows of {', '.join(kinds)}",
+                expected="reflectance",
+                mend="select rows of reflectance",
+                code="quantity-wrong",
+            ),
+        ),
+        (
+            not is_restored and (len(units) != 1 or units[0] not in (*_NM_PER_UNIT, "cm-1")),
+            Problem(
+                f"wavelengths are in {', '.join(units)}", expected="one of nm, um, cm-1", code="units-unknown"
+            ),
+        ),
+    )
+    # common wavelengths (band,) and values (row, band) of all rows
+    axes, spectra = (columns[name] for name in _NUMBERS)
+    for at, (axis, spectrum) in enumerate(zip(axes, spectra, strict=True)):
+        if not np.array_equal(axis, axes[0]):
+            sizes = f"{axis.size} in row {at}, {axes[0].size} in the first row"
+            raise FormatError(
+                f"{source}: rows have different wavelengths ({sizes})",
+                mend="select rows of one instrument",
+                code="grid-mismatch",
+            )
+        if spectrum.shape != axis.shape:
+            raise FormatError(
+                f"{source}: row {at} has {spectrum.size} values",
+                expected=f"{axis.size}, as many as wavelengths",
+                code="length-mismatch",
+            )
+    values = np.stack(spectra)
+    if is_restored:
+        check_wavelengths(axes[0], source)
+        names = [name for name, key in zip(names, keys, strict=True) if key[0] == CENTRE]
+        return restored(path, names, keys, {"wavelength": axes[0]}, [(0, values.astype(np.float32))], {})
+    with np.errstate(divide="ignore"):
+        is_wavenumber = units[0] == "cm-1"
+        nm = _NM_OF_WAVENUMBER / axes[0] if is_wavenumber else axes[0] * _NM_PER_UNIT[units[0]]
+    return library_of(
+        Spectra(
+            source,
+            "OpenSpecLib Parquet",
+            names,
+            nm,
+            reflectances(values, source, file_scale=None, scale=None),
+            columns={"licence": list(map(str, columns["source.license"]))},
+        )
+    )
+
+
+def _parquet_columns(file: Any, source: str) -> dict[str, list[Any]]:
+    # Columns that are read; raise for files that would fill the memory
+    missing, rows = [name for name in _COLUMNS if name not in file.schema_arrow.names], file.metadata.num_rows
+    refuse(
+        source,
+        (
+            missing,
+            Problem(
+                f"columns {', '.join(missing)} are missing",
+                expected="the columns of OpenSpecLib",
+                code="column-missing",
+            ),
+        ),
+        (
+            not 0 < rows <= _MAX_ROWS,
+            Problem(f"{rows} rows", expected=f"1 to {_MAX_ROWS}", code="file-too-large"),
+        ),
+    )
+    columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+    count = 0
+    for batch in file.iter_batches(batch_size=256, columns=list(_COLUMNS)):
+        count += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
+        if count > _MAX_VALUES:
+            raise FormatError(
+                f"{source}: more than {_MAX_VALUES} values", mend="split the file", code="file-too-large"
+            )
+        for name, cells in columns.items():
+            column = batch.column(name)
+            cells += (
+                [
+                    np.empty(0)
+                    if cell.values is None
+                    else np.asarray(cell.values.to_numpy(zero_copy_only=False), np.float64)
+                    for cell in column
+                ]
+                if name in _NUMBERS
+                else column.to_pylist()
+            )
+    return columns
+
+
+# --- ENVI --------------------------------------------------------------------------------------------------
+
+
+_BLOCK_BYTES, _MAX_CLASSES_BYTES = 16 * 2**20, 16 * 2**20
+_TITLE_SCALE = re.compile(r"(?<![A-Za-z])[*x\u00d7]\s*(10{1,6}|1e[+]?[1-9])\b", re.IGNORECASE)
+_WAVELENGTHS = re.compile(r"wave", re.IGNORECASE)
+_BANDWIDTHS = re.compile(r"resolution|bandpass|fwhm", re.IGNORECASE)
+_ERROR_BARS = re.compile(r"\s*error ?bars? to (?:preceding|previous)", re.IGNORECASE)
+
+
+#: Key of a header written by hyperpaint.
+_MARK = "hyperpaint library"
+_BAR = " | "
+_SHORT = {"member_reflectance": "member"}
+_LONG = {short: name for name, short in _SHORT.items()}
+_LABEL = re.compile(r"([A-Za-z_][A-Za-z0-9_]{0,99})(?: ([1-9][0-9]{0,9}))?")
+_FORBIDDEN = str.maketrans({",": ";", "{": "(", "}": ")", "|": "/"})
+
+
+def read_envi_library(
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, fwhm: Floats | None = None
+) -> xr.Dataset:
+    # Read an ENVI spectral library.
+    # path: The header or the data file. scale: Stored value of a reflectance of one; by default the header's
+    # ``reflectance scale factor``, else its ``z plot titles``. wavelength, fwhm: Values in place of those of
+    # the header [nm]. Raises FormatError: The header is damaged, or the data file has another size; or the
+    # file is not a library of reflectance, or has no wavelengths. Warns PaintWarning: Names are missing, or
+    # an inferred property may make values wrong.
+    header_path, data_path = find_pair(path)
+    header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
+    problems = Problems(f"{header_path.name} cannot be used", FormatError)
+    stored_bytes, expected_bytes = (
+        data_path.stat().st_size,
+        header.header_offset + header.lines * header.line_bytes,
+    )
+    problems.extend(
+        Problem(found, expected=expected, mend=mend, code=code)
+        for is_wrong, found, expected, mend, code in (
+            (
+                not header.is_spectral_library,
+                f"file type is {header.fields.get('file type', 'none')!r}",
+                "a spectral library",
+                "",
+                "format-unknown",
+            ),
+            (
+                header.bands != 1,
+                f"bands is {header.bands}",
+                "1 (spectra are lines, their wavelengths samples)",
+                "",
+                "dims-wrong",
+            ),
+            (header.dtype.kind == "c", "values are complex", "reflectance", "", "type-wrong"),
+            (
+                header.data_gain_values is not None or header.data_offset_values is not None,
+                "'data gain values' or 'data offset values' are set, which spectral libraries cannot have",
+                "",
+                "",
+                "key-unknown",
+            ),
+            (
+                stored_bytes != expected_bytes,
+                f"{data_path.name} has {stored_bytes} bytes",
+                f"{expected_bytes} ({header.lines} spectra of {header.samples} values of "
+                f"{header.dtype.itemsize} bytes after {header.header_offset})",
+                "copy it again",
+                "file-size",
+            ),
+        )
+        if is_wrong
+    )
+    problems.raise_if_any()
+    if _MARK not in header.fields:
+        return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+    if scale is not None or wavelength is not None or fwhm is not None:
+        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
+    # every record of a library of hyperpaint is named after its paint, variable and index
+    source = data_path.name
+    # names are counted before the text is split, so that millions of commas do not fill the memory
+    text = bare(header.fields.get("spectra names", ""))
+    count = text.count(",") + 1
+    records = [name.strip() for name in text.split(",", header.lines)]
+    names = [record for record in records if _BAR not in record]
+    index_of = {name: at for at, name in enumerate(names)}
+    keys: list[Key] = [(CENTRE, index, -1) for index in range(len(names))]
+    unmatched = []
+    for record in records[len(names) :]:
+        paint, _, label = record.partition(_BAR)
+        match = _LABEL.fullmatch(label)
+        if paint in index_of and match is not None:
+            keys.append((_LONG.get(match[1], match[1]), index_of[paint], int(match[2] or 0) - 1))
+        else:
+            unmatched.append(record)
+    checks = (
+        (
+            header.wavelength is None or header.dtype != np.dtype("<f4"),
+            "the header is not a hyperpaint header",
+            "header-unreadable",
+        ),
+        (
+            count != header.lines,
+            f"{count} spectra names for {header.lines} spectra",
+            "length-mismatch",
+        ),
+        (
+            len(index_of) != len(names) or records[: len(names)] != names,
+            "the first records are not one record per paint",
+            "record-unmatched",
+        ),
+        (
+            bool(unmatched),
+            f"record {''.join(unmatched[:1])[:80]!r} belongs to no paint",
+            "record-unmatched",
+        ),
+    )
+    mend = "write the library again"
+    refuse(source, *((is_wrong, Problem(found, mend=mend, code=code)) for is_wrong, found, code in checks))
+    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
+    return restored(data_path, names, keys, axes, _records(header, data_path), {})
+
+
+def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
+    # Index of the first record of every block, and its records
+    step = max(1, _BLOCK_BYTES // header.line_bytes)
+    with open_input(path, "the data of a spectral library") as file:
+        file.seek(header.header_offset)
+        for start in range(0, header.lines, step):
+            count = min(step, header.lines - start)
+            stored = np.fromfile(file, header.dtype, count * header.samples)
+            if stored.size != count * header.samples:
+                raise FormatError(f"{path.name} became shorter during reading", code="file-truncated")
+            yield start, stored.reshape(count, header.samples)
+
+
+def _foreign(
+    header: EnviHeader, path: Path, scale: float | None, wavelength: Floats | None, fwhm: Floats | None
+) -> Spectra:
+    source = path.name
+    notes = list(header.notes)
+    warned = list(header.warnings)
+    # names are counted before the text is split, so that millions of commas do not fill the memory
+    text = bare(header.fields.get("spectra names", ""))
+    count = text.rstrip(", \t\n").count(",") + 1 if text else 0
+    names = [f"spectrum {number}" for number in range(1, header.lines + 1)]
+    given_names = [name.strip() for name in text.split(",", header.lines)[: header.lines]]
+    if not text:
+        warned.append("no spectra names: spectra are numbered")
+    elif count > header.lines or len(given_names) < header.lines:
+        warned.append(
+            f"{count} spectra names for {header.lines} spectra (a name with a comma counts as two): "
+            "spectra are numbered"
+        )
+    else:
+        names = [given or number for given, number in zip(given_names, names, strict=True)]
+    stored = np.concatenate([block for _, block in _records(header, path)])
+    nm = header.wavelength if wavelength is None else wavelength
+    width = header.fwhm if fwhm is None else fwhm
+    # leading records that are wavelengths and bandwidths (USGS libraries)
+    with np.errstate(invalid="ignore"):  # signalling NaNs of a damaged file
+        axis, axes = stored[0].astype(np.float64), 0
+    if (
+        len(names) > 2
+        and _WAVELENGTHS.match(names[0])
+        and np.isfinite(axis).all()
+        and (axis > 0).all()
+        and (nm is None or any(np.allclose(axis * factor, nm, rtol=1e-3) for factor in (1.0, 1e3)))
+    ):
+        axes = 2 if _BANDWIDTHS.match(names[1]) else 1
+        notes.append(f"the first {axes} records are the wavelengths and bandwidths of the spectra")
+        factor = 1e3 if np.nanmax(stored[0]) < 100 else 1.0
+        nm = axis * factor if nm is None else nm
+        if width is None and axes == 2:
+            width = stored[1].astype(np.float64) * factor
+    if nm is None:
+        raise FormatError(
+            (
+                f"{source}: the header has no wavelengths (wavelength units "
+                f"{bare(header.fields.get('wavelength units', 'not given'))!r})"
+            ),
+            mend="pass wavelength= [nm]",
+            code="wavelength-missing",
+        )
+    check_wavelengths(nm, source)
+    if warned:
+        warn_user(f"{source}: {'; '.join(warned)}", "header-incomplete")
+    # stored value of a reflectance of one, from the header; the last title is that of the values, the title
+    # of the wavelengths may contain commas
+    header_scale = header.reflectance_scale_factor
+    title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
+    match = _TITLE_SCALE.search(title)
+    title_scale = float(match[1]) if match else 100.0 if PERCENT.search(title) else None
+    if other_quantity(title):
+        raise FormatError(
+            f"{source}: the z plot title is {title.strip()[:60]!r}",
+            expected="reflectance",
+            code="quantity-wrong",
+        )
+    if header_scale is not None and title_scale is not None and header_scale != title_scale:
+        raise FormatError(
+            (
+                f"{source}: 'reflectance scale factor' is {header_scale:g}, but 'z plot titles' has "
+                f"{title.strip()[:60]!r}"
+            ),
+            mend="pass scale=",
+            code="scale-conflict",
+        )
+    values = reflectances(
+        stored[axes:],
+        source,
+        file_scale=title_scale if header_scale is None else header_scale,
+        scale=scale,
+        ignore=header.data_ignore_value,
+    )
+    # error bars follow their spectrum
+    is_bar = np.array([_ERROR_BARS.match(name) is not None for name in names[axes:]], np.bool_)
+    is_bar[:1] = False
+    is_bar[1:] &= ~is_bar[:-1]
+    spectra, errors = np.flatnonzero(~is_bar), {}
+    if is_bar.any():
+        bars = np.full_like(values, np.nan)
+        bars[np.flatnonzero(is_bar) - 1] = values[is_bar]
+        bars[bars < 0] = np.nan  # from the interpolation of the USGS
+        errors["reflectance_u_random"] = bars[spectra]
+        notes.append(f"{is_bar.sum()} records are error bars of the spectrum before them")
+    numbers = spectra + axes
+    return Spectra(
+        source=source,
+        form="ENVI spectral library",
+        names=[names[at] for at in numbers],
+        wavelength=nm,
+        reflectance=values[spectra],
+        fwhm=width,
+        good=header.good,
+        others=errors,
+        columns={"record": numbers, **_classes(path, [names[at] for at in numbers])},
+        notes=notes,
+    )
+
+
+def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
+    # Columns of the table of classes that EnMAP-Box writes beside a library; empty without such a table.
+    # Its first column, "spectra names", repeats the names.
+    table = path.with_suffix(".csv")
+    try:
+        text = read_limited(table, _MAX_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")
+        rows = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
+    except (FormatError, csv.Error):
+        return {}
+    if not rows or rows[0][0].strip().lower() != "spectra names" or len(rows) != len(names) + 1:
+        return {}
+    if [row[0].strip() for row in rows[1:]] != list(names) or any(len(row) != len(rows[0]) for row in rows):
+        return {}
+    return {
+        key: text_column([row[at] for row in rows[1:]])
+        for at, key in enumerate(rows[0])
+        if at
+        and key.isidentifier()
+        and key not in ("record", SIGNATURE, "band", "wavelength", "fwhm", "good")
+    }
+
+
+def write_envi_library(
+    library: xr.Dataset, names: Sequence[str], blocks: Iterable[Block], path: Path, header_path: Path
+) -> None:
+    # Write the records of a checked library, and its header.
+    # Raises SchemaError: The header would be too large.
+    # distinct names without the separators of a header
+    names = unique_names(name.translate(_FORBIDDEN).strip() or "unnamed" for name in names)
+    records: list[str] = []
+    with open(path, "wb") as file:
+        for variable, paints, inners, values in blocks:
+            np.asarray(values, "<f4").tofile(file)
+            # such as "red" and, of its members, "red | member 3"
+            label = "" if variable == CENTRE else f"{_BAR}{_SHORT.get(variable, variable)}"
+            records += [
+                f"{names[paint]}{label}{f' {inner + 1}' if inner >= 0 else ''}"
+                for paint, inner in zip(paints.tolist(), inners.tolist(), strict=True)
+            ]
+    lists = {"wavelength": [repr(float(value)) for value in library["wavelength"].values]}
+    # a header can only contain finite numbers; others are in the metadata
+    if "fwhm" in library.variables and np.isfinite(library["fwhm"].values).all():
+        lists["fwhm"] = [repr(float(value)) for value in library["fwhm"].values]
+    if "good" in library.variables:
+        lists["bbl"] = ["1" if value else "0" for value in library["good"].values]
+    lists["spectra names"] = list(records)
+    if len(records) == library.sizes[SIGNATURE]:
+        columns = table_columns(library).items()
+        lists |= {
+            f"paint {name}": [cell.translate(_FORBIDDEN) for cell in column] for name, column in columns
+        }
+    lines = [
+        "ENVI",
+        f"description = {{Paint library of hyperpaint: {library.sizes[SIGNATURE]} paints}}",
+        f"samples = {library.sizes[BAND]}",
+        f"lines = {len(records)}",
+        "bands = 1",
+        "header offset = 0",
+        "file type = ENVI Spectral Library",
+        "data type = 4",
+        "interleave = bsq",
+        "sensor type = Unknown",
+        "byte order = 0",
+        "wavelength units = Nanometers",
+        "reflectance scale factor = 1.0",
+        "z plot titles = {Wavelength (nm), Reflectance}",
+        f"{_MARK} = 1",
+        *(f"{key} = {braced(values)}" for key, values in lists.items()),
+    ]
+    text = ("\n".join(lines) + "\n").encode()
+    if len(text) > MAX_LIBRARY_HEADER_BYTES:
+        raise SchemaError(
+            f"the header of {len(records)} spectra takes {len(text)} bytes",
+            expected=f"at most {MAX_LIBRARY_HEADER_BYTES}",
+            mend="shorten names, write fewer members, or write Zarr",
+            code="file-too-large",
+        )
+    header_path.write_bytes(text)

@@ -1,0 +1,535 @@
+"""``hyperpaint paints``."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth
+from support.commands import hyperpaint
+from support.refusals import expect_words
+
+import hyperpaint as hp
+from hyperpaint.io.dirsig import open_emissivity, read_materials
+from hyperpaint.io.library import open_library
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS
+
+
+def run(*arguments: object, status: int = 0) -> str:
+    return hyperpaint("paints", *arguments, status=status).output
+
+
+def test_it_lists_the_starter_library() -> None:
+    told = run("--members", 0)
+    assert told.startswith("40 of 40 paints, 272 bands\n")
+    expect_words(told, "Synthetic Signal Red", "#831b2a")
+
+
+def test_it_searches_saves_and_draws(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out, picture = tmp_path / "red.zarr", tmp_path / "red.png"
+    told = run("--colour", "red", "--limit", 3, "--members", 2, "--out", out, "--picture", picture)
+    expect_words(told, "3 of 40 paints", "colour difference")
+    saved = hp.open_library(out)
+    assert (saved["signature"].values[0], saved.member_reflectance.shape) == (
+        "Synthetic Signal Red",
+        (3, 2, 272),
+    )
+    assert picture.stat().st_size > 5000
+    assert "pass --overwrite" in run("--out", out, "--members", 3, status=2)
+    run("--out", out, "--members", 3, "--overwrite")
+    assert hp.open_library(out).sizes["signature"] == 40
+
+
+def test_a_library_of_ones_own(tmp_path: Path) -> None:
+    library = hp.paints.starter_library(members=0)
+    names = np.array([f"Škoda, grün {k}" for k in range(40)], object)
+    path = hp.write_library(library.assign_coords(signature=names), tmp_path / "own.csv")
+    assert "1 of 40" in run(path, "--name", "skoda, gruen 7")
+    assert "angle 0.0000 rad" in run(path, "--like", "Škoda, grün 7", "--limit", 1)
+    assert "no paint meets" in run(path, "--name", "volvo")
+    assert "--members is only for the starter" in run(path, "--members", 3, status=2)
+
+
+def test_a_spectrum_in_a_file(tmp_path: Path) -> None:
+    red = hp.paints.starter_library(members=0).isel(signature=[5])
+    pairs = zip(red.wavelength.values, red.reflectance.values[0], strict=True)
+    table = "wavelength (nm),reflectance\n" + "".join(f"{nm:.2f},{value:.6f}\n" for nm, value in pairs)
+    (tmp_path / "mine.csv").write_text(table)
+    told = run("--like", tmp_path / "mine.csv", "--maximum-angle", 0.001)
+    expect_words(told, "1 of 40", "Synthetic Signal Red")
+
+
+@pytest.mark.real_data
+def test_a_real_field_spectrum_is_taken(shared_data: Path) -> None:
+    files = sorted(shared_data.glob("**/*.sig"))
+    assert files
+    assert "angle" in run("--like", files[0], "--limit", 2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--like", "nothing"], "paint-unknown"),
+        (["--colour", "rde"], "did you mean 'red'"),
+        (["--maximum-angle", "0.1"], "--maximum-angle needs --like"),
+        (["--maximum-difference", "5"], "--maximum-difference needs --colour"),
+        (["--out", "paints.xyz"], "suffix"),
+    ],
+)
+def test_what_it_refuses(arguments: list[str], text: str) -> None:
+    assert text in run(*arguments, status=2)
+
+
+def test_help_teaches() -> None:
+    expect_words(run("--help"), "hyperpaint export starter.zarr --format dirsig", "not measured")
+
+
+def test_info_of_dirsigs_files(tmp_path: Path) -> None:
+    made = hp.write_dirsig(hp.paints.starter_library(members=2).isel(signature=[0, 3]), tmp_path / "dirsig")
+    emissivity = tmp_path / "dirsig" / made.emissivity_file.values[0]
+    told = [hyperpaint("info", path).output for path in (emissivity, tmp_path / "dirsig" / "materials.mat")]
+    assert "1 signature x 2 member x 272 band" in told[0]
+    expect_words(told[1], "DIRSIG material list: 2 materials", "Synthetic Carbon Black")
+    assert isinstance(hp.open_library(emissivity), xr.Dataset)
+
+
+# --- The command ``hyperpaint export`` ---
+
+export = partial(hyperpaint, "export")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    # Return the path of a stored library of two paints with three members each
+    members = np.random.default_rng(0).uniform(0.1, 0.8, (2, 3, 6)).astype(np.float32)
+    library = xr.Dataset(
+        {
+            "reflectance": (("signature", "band"), members.mean(axis=1), {"units": "1"}),
+            "member_reflectance": (("signature", "member", "band"), members, {"units": "1"}),
+        },
+        {
+            "signature": np.array(["Türkis, matt", "rot/blau"], object),
+            "wavelength": ("band", np.linspace(400.0, 1000.0, 6), {"units": "nm"}),
+        },
+    )
+    hp.to_store(library, tmp_path / "paints.zarr")
+    return tmp_path / "paints.zarr"
+
+
+def test_dirsig(store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "dirsig"
+    done = export(store, "--format", "dirsig", "--out", out, status=0)
+    expect_words(done.output, "2 paints, 6 curves", "README.txt")
+    assert [material.id for material in read_materials(out / "materials.mat")] == ["Tuerkis_matt", "rot_blau"]
+    again = open_emissivity(out / "emissivity/rot_blau.ems").member_reflectance[0]
+    np.testing.assert_allclose(again, open_library(store).member_reflectance[1], atol=1e-6)
+    refused = export(store, "--format", "dirsig", "--out", out, status=2)
+    assert "pass --overwrite" in refused.output
+    assert export(store, "--format", "dirsig", "--out", out, "--overwrite").exit_code == 0
+
+
+def test_options_of_dirsig(store: Path, tmp_path: Path) -> None:
+    out, more = tmp_path / "one", tmp_path / "two"
+    done = export(
+        store,
+        "--format",
+        "dirsig",
+        "--out",
+        out,
+        "--range",
+        300,
+        900,
+        "--extrapolate",
+        "--curves",
+        "centre",
+        "--surface",
+        "SimpleReflectance",
+        status=0,
+    )
+    assert open_emissivity(out / "emissivity/rot_blau.ems").wavelength.values.tolist()[0] == 300.0
+    done = export(store, "--format", "dirsig", "--out", more, "--scene-materials", out / "materials.mat")
+    assert [material.id for material in read_materials(more / "materials.mat")] == [
+        "Tuerkis_matt_2",
+        "rot_blau_2",
+    ]
+    done = export(store, "--format", "dirsig", "--out", tmp_path / "three", "--specular", "0.1", status=2)
+    assert "would count twice" in done.output
+    done = export(store, "--format", "dirsig", "--out", tmp_path / "three", "--specular", "much", status=2)
+    assert "expected a number or 'library'" in done.output
+
+
+@pytest.mark.parametrize(("form", "name"), [("envi", "p.sli"), ("csv", "p.csv"), ("zarr", "p.zarr")])
+def test_libraries(form: str, name: str, store: Path, tmp_path: Path) -> None:
+    done = export(store, "--format", form, "--out", tmp_path / name, status=0)
+    assert "2 paints, 6 bands" in done.output
+    opened = open_library(tmp_path / name)
+    assert sorted(opened["signature"].values.tolist()) == ["Türkis, matt", "rot/blau"]
+    again = export(store, "--format", form, "--out", tmp_path / name, "--gaps", "refuse", status=2)
+    assert "--gaps only with --format dirsig" in again.output
+
+
+def test_one_row_a_paint_or_all_of_them(store: Path, tmp_path: Path) -> None:
+    # Expected: two paints with three members each are 2 rows, or 2 x (1 + 3)
+    done = export(store, "--format", "csv", "--out", tmp_path / "p.csv")
+    assert "one row a paint, its centre; --curves all also writes members" in done.output
+    assert len((tmp_path / "p.csv").read_text("utf-8-sig").splitlines()) == 1 + 2
+    done = export(store, "--format", "csv", "--out", tmp_path / "all.csv", "--curves", "all")
+    assert "one row" not in done.output
+    assert len((tmp_path / "all.csv").read_text("utf-8-sig").splitlines()) == 1 + 8
+    done = export(store, "--format", "csv", "--out", tmp_path / "x.csv", "--curves", "members", status=2)
+    assert "expected centre or all for csv" in done.output
+    done = export(store, "--format", "dirsig", "--out", tmp_path / "x", "--curves", "all", status=2)
+    assert "choice-unknown" in done.output
+
+
+def test_what_is_no_library(tmp_path: Path) -> None:
+    (tmp_path / "x.txt").write_text("nothing")
+    done = export(tmp_path / "x.txt", "--format", "dirsig", "--out", tmp_path / "out", status=2)
+    assert done.output.startswith("error: ")
+    assert export(tmp_path / "x.txt", "--format", "obj", "--out", tmp_path / "out").exit_code == 2
+    assert not (tmp_path / "out").exists()
+
+
+SCENE = """
+[scene]
+kind = "car_park"
+length_m = 12.0
+seed = 3
+fleet = "solid"
+[platform]
+lines = 4
+columns = 4
+altitude_m = 15.0
+ground_sample_m = 0.1
+[paints]
+car_000 = "Türkis, matt"
+"""
+
+
+def test_a_scene(store: Path, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    out = tmp_path / "lot"
+    done = export(
+        store, "--format", "dirsig", "--out", out, "--scene", tmp_path / "scene.toml", "--quiet", status=0
+    )
+    expect_words(done.output, "2 of them populations", "vis,nir")
+    (materials,) = (out / "materials").glob("*.mat")
+    tokens = {material.id for material in read_materials(materials)}
+    # one paint is on the car that the file names, the other on the rest
+    assert {"Tuerkis_matt", "rot_blau", "asphalt"} <= tokens
+    again = open_emissivity(out / "materials/emissivity/Tuerkis_matt.ems").member_reflectance[0]
+    np.testing.assert_allclose(again, open_library(store).member_reflectance[0], atol=1e-6)
+    assert {path.name for path in (out / "maps").iterdir()} == {"Tuerkis_matt.pgm", "rot_blau.pgm"}
+
+
+def test_options_that_a_scene_has_not(store: Path, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    options = ("--format", "dirsig", "--scene", tmp_path / "scene.toml", "--specular", "0.1")
+    refused = export(store, "--out", tmp_path / "lot", *options, status=2)
+    assert "--specular not with --scene" in refused.output
+    assert not (tmp_path / "lot").exists()
+    refused = export(store, "--format", "dirsig", "--out", tmp_path / "lot", "--coat-brdf")
+    assert "--coat-brdf only with --scene" in refused.output
+    refused = export(store, "--format", "csv", "--scene", tmp_path / "scene.toml")
+    assert "--scene only with --format dirsig" in refused.output
+
+
+_EXPORTS = """
+import sys
+from click.testing import CliRunner
+from hyperpaint.cli.program import main
+for name, format, *more in (
+    ("a.sli", "envi", "--curves", "all"), ("b.csv", "csv", "--curves", "all"),
+    ("c.parquet", "parquet", "--curves", "all"), ("d", "dirsig"),
+):
+    words = ["export", sys.argv[1], "--format", format, "--out", f"{sys.argv[2]}/{name}", *more]
+    done = CliRunner().invoke(main, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+"""
+
+
+def test_exports_are_the_same_bytes_in_every_process(store: Path, tmp_path: Path) -> None:
+    # Rationale: xarray gathers coordinates from sets, whose order is another one in every process
+    pytest.importorskip("pyarrow")
+    library = open_library(store)
+    names = ("standard_error", "spread", "lower", "upper", "median")
+    library = library.assign_coords(dict.fromkeys(names, library["reflectance"] / 9))
+    library = library.assign_coords({f"note_{at}": ("paint", ["x", "y"]) for at in range(5)})
+    hp.to_store(library, tmp_path / "many.zarr")
+    contents = []
+    for seed in ("1", "2", "3"):
+        out = tmp_path / seed
+        out.mkdir()
+        command = [sys.executable, "-c", _EXPORTS, str(tmp_path / "many.zarr"), str(out)]
+        subprocess.run(command, env={**os.environ, "PYTHONHASHSEED": seed}, check=True)
+        files = sorted(file for file in out.rglob("*") if file.is_file())
+        contents.append({str(file.relative_to(out)): file.read_bytes() for file in files})
+    assert len(contents[0]) > 10
+    assert [
+        name for name in contents[0] if any(each.get(name) != contents[0][name] for each in contents)
+    ] == []
+
+
+# --- `hyperpaint validate` ---
+
+
+@pytest.fixture(scope="module")
+def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    # A simulated collect, processed, with signatures of its solid paints by the commands themselves
+    folder = tmp_path_factory.mktemp("lot")
+    size = ("--scene", "plan", "--lines", 64, "--bands", 60, "--columns", 48, "--seed", 1, "--set", "glint=0")
+    assert hyperpaint("simulate", folder / "raw", *size).exit_code == 0
+    assert hyperpaint("process", folder / "raw" / "collect.toml", "--out", folder / "lot.zarr").exit_code == 0
+    hp.write_regions(_painted(folder / "raw" / "truth.zarr", folder / "lot.zarr"), folder / "cars.geojson")
+    # in a plan every pixel shows one surface
+    words = ("--regions", folder / "cars.geojson", "--out", folder / "paints.zarr", "--keep", "mixed_edge")
+    hyperpaint("signatures", folder / "lot.zarr", *words, status=0)
+    return folder
+
+
+def _painted(truth: Path, store: Path) -> hp.Regions:
+    # Return a square of every paint that shows one of four pixels
+    known = xr.open_zarr(truth)["surface"]
+    surface = known.values[xr.open_zarr(store, group="flightlines/raw_0")["frame"].values]
+    made = {}
+    for number, name in enumerate(known.attrs["flag_meanings"].split()):
+        if name not in CAR_PAINTS:
+            continue
+        windows = np.lib.stride_tricks.sliding_window_view(surface == number, (4, 4)).all(axis=(2, 3))
+        if windows.any():
+            y, x = map(int, np.argwhere(windows)[0])
+            corners = [(x, y), (x + 3, y), (x + 3, y + 3), (x, y + 3)]
+            made[name] = hp.Region(name, corners, flightline="raw_0")
+    assert len(made) >= 4
+    return hp.Regions(tuple(made.values()))
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    hp.to_store(agreeing()[0], tmp_path / "paints.zarr")
+    return tmp_path / "paints.zarr"
+
+
+@pytest.fixture
+def references(tmp_path: Path) -> Path:
+    # A text export of the field spectrometer, named as the paint
+    spectrum = agreeing()[1]
+    rows = zip(spectrum["wavelength"].values, spectrum["reflectance"].values[0], strict=True)
+    folder = tmp_path / "asd"
+    folder.mkdir()
+    (folder / "hood.asd.txt").write_text(
+        "Wavelength;hood.asd\n" + "".join(f"{nm:g}; {value:.8f}\n" for nm, value in rows)
+    )
+    return folder
+
+
+# --- from the raw files to the table -----------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_simulate_process_signatures_validate(lot: Path) -> None:
+    done = hyperpaint("validate", lot / "paints.zarr", "--reference", lot / "raw/svc/*.sig", status=0)
+    assert "pairs within tolerance (RMSE 0.005 + 5 % of the paint's level)" in done.stdout
+    found = hp.validate(hp.open_store(lot / "paints.zarr"), hp.open_svc(lot / "raw" / "svc"))
+    assert found.table() in done.stdout
+    # what texture and noise leave of sixteen pixels
+    assert float(found.statistics["rmse"].max()) < 0.012
+    assert found.statistics["overlap"].values.tolist() == ["preserved"] * found.statistics.sizes["pair"]
+
+
+def test_the_store_keeps_its_references(lot: Path, tmp_path: Path) -> None:
+    assert hp.verify(lot / "lot.zarr").ok
+    for group, opened in {
+        "references/svc": hp.open_svc(lot / "raw" / "svc"),
+        "references/asd": hp.open_asd(lot / "raw" / "asd_reflectance"),
+    }.items():
+        kept = hp.open_store(lot / "lot.zarr", group)
+        for name in ("reflectance", "wavelength", "time", "source"):
+            np.testing.assert_array_equal(kept[name].values, opened[name].values)
+        assert kept["reflectance"].attrs["units"] == "1"
+    own = hyperpaint("validate", lot / "paints.zarr", status=0)
+    said = hyperpaint("validate", lot / "paints.zarr", "--reference", lot / "lot.zarr")
+    assert said.stdout == own.stdout
+    expect_words(own.stdout, "(SVC)", "(ASD)", "references against one another")
+    assert hyperpaint("validate", lot / "paints.zarr", "--out", tmp_path / "t.csv").exit_code == 0
+    rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
+    assert ({row["instrument"] for row in rows}, {row["passes"] for row in rows}) == (
+        {"ASD", "SVC", "ASD against SVC"},
+        {"True"},
+    )
+    assert hyperpaint("validate", lot / "paints.zarr", "--out", tmp_path / "t.json").exit_code == 0
+    document = json.loads((tmp_path / "t.json").read_text())
+    assert (len(document["references_against_one_another"]), document["units"]["spectral_angle"]) == (
+        len(document["pairs"]) // 2,
+        "degree",
+    )
+
+
+def test_a_wrong_gain_fails(lot: Path, tmp_path: Path) -> None:
+    paints = hp.open_store(lot / "paints.zarr").load().drop_encoding()
+    bright = paints.assign(reflectance=(paints["reflectance"] * np.float32(1.1)).assign_attrs(units="1"))
+    hp.to_store(bright, tmp_path / "bright.zarr")
+    words = ("validate", tmp_path / "bright.zarr", "--reference", lot / "raw/svc/*.sig")
+    done = hyperpaint(*words, status=1)
+    assert "not passed: " in done.stderr
+    assert hyperpaint(*words, "--tolerance", "spectral_angle=1.7", "--tolerance", "scale=0.12").exit_code == 0
+
+
+# --- options -----------------------------------------------------------------------------------------------
+
+
+def test_options_reach_the_function(stored: Path, references: Path, tmp_path: Path) -> None:
+    panel = tmp_path / "panel.csv"
+    panel.write_text("Diffuse target\nnm;R\n300;0.9\n2500;0.9\n")
+    pairs = tmp_path / "pairs.json"
+    pairs.write_text('{"hood": ["hood"]}')
+    words = ("--panel", panel, "--pairs", pairs, "--part", "red=620-700", "--part", "blue=420-480.5")
+    more = ("--tolerance", "0.5", "--reference-fwhm", 3, "--picture", tmp_path / "p.png")
+    out = tmp_path / "t.json"
+    hyperpaint("validate", stored, "--reference", references, *words, *more, "--out", out, status=0)
+    made = json.loads(out.read_text())
+    assert (made["parts"], made["tolerance"]) == (
+        {"red": [620.0, 700.0], "blue": [420.0, 480.5]},
+        {"rmse": 0.5},
+    )
+    assert made["passed"] is True
+    assert made["pairs"][0]["parts"]["red"]["scale"] == pytest.approx(1 / 0.9, rel=1e-3)
+    assert made["pairs"][0]["parts"]["red"]["rmse_u"] is None
+    assert "widths of channels 3 nm, as given" in made["pairs"][0]["notes"]
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_tables_hold_all_digits(stored: Path, references: Path, tmp_path: Path) -> None:
+    out = tmp_path / "agreement.csv"
+    assert (
+        hyperpaint("validate", stored, "--reference", references / "hood.asd.txt", "--out", out).exit_code
+        == 0
+    )
+    found = hp.validate(agreeing()[0], hp.open_asd(references, "reflectance"))
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["part"] for row in rows] == ["VIS", "NIR", "all"]
+    for column, row in enumerate(rows):
+        assert (float(row["rmse"]), row["rmse_u"], int(row["bands"])) == (
+            found.statistics["rmse"].values[0, column],
+            "",
+            found.statistics["bands"].values[0, column],
+        )
+    refused = hyperpaint("validate", stored, "--reference", references, "--out", out, status=2)
+    assert "pass --overwrite to replace it" in refused.stderr
+    assert (
+        hyperpaint("validate", stored, "--reference", references, "--out", out, "--overwrite").exit_code == 0
+    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["agreement.csv", "asd", "paints.zarr"]
+
+
+def test_a_library_is_a_reference(stored: Path, tmp_path: Path) -> None:
+    hp.to_store(library(1.01 * seen(NM, 6.0)), tmp_path / "other.zarr")
+    done = hyperpaint("validate", stored, "--reference", tmp_path / "other.zarr", status=0)
+    assert "(library)" in done.stdout
+
+
+def test_a_library_of_another_program_is_a_reference_too(stored: Path, tmp_path: Path) -> None:
+    path = tmp_path / "hood.csv"
+    nm = np.arange(380.0, 1021.0)
+    rows = "".join(f"{at:g},{100 * value:.6f}\n" for at, value in zip(nm, seen(nm, 3.0), strict=True))
+    path.write_text("wavelength (nm),reflectance (%)\n" + rows)
+    hyperpaint("validate", stored, "--reference", path, "--reference-fwhm", 3, "--tolerance", 1e-4, status=0)
+
+
+def test_files_of_different_wavelengths_are_opened_apart(stored: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "mixed"
+    folder.mkdir()
+    for name, step in (("hood", 1.0), ("roof", 2.0)):
+        nm = np.arange(380.0, 1021.0, step)
+        rows = "".join(f"{at:g};{value:.8f}\n" for at, value in zip(nm, smooth(nm), strict=True))
+        (folder / f"{name}.txt").write_text(f"Wavelength;{name}.asd\n{rows}")
+    done = hyperpaint("validate", stored, "--reference", folder / "*.txt", status=0)
+    assert "references without a paint: roof" in done.stdout
+
+
+def test_bad_calls_are_one_message(stored: Path, references: Path, tmp_path: Path) -> None:
+    poem = tmp_path / "poem.txt"
+    poem.write_text("Shall I compare thee\nto a summer's day\n")
+    reference = ("--reference", references)
+    for words, told in {
+        (stored,): "pass files with --reference",
+        (stored, "--reference", tmp_path / "no*.sig"): "no spectra found",
+        (stored, "--reference", poem): "poem.txt",
+        (stored, *reference, "--pairs", poem): "as a list of paints",
+        (stored, *reference, "--panel", poem): "used as a spectrum",
+        (stored, *reference, "--tolerance", "much"): "'much', expected a number of RMSE",
+        (stored, *reference, "--tolerance", "colour=1"): "statistic='colour', expected one of",
+        (stored, *reference, "--part", "red"): "part-unreadable",
+        (stored, *reference, "--part", "=400-500"): "part-unreadable",
+        (stored, *reference, "--out", tmp_path / "t.xlsx"): "suffix-unknown",
+        (stored, *reference, "--out", tmp_path / "none" / "t.csv"): "folder-missing",
+        (stored, *reference, "--picture", tmp_path / "p.nothing"): "suffix-unknown",
+        (poem, *reference): "poem.txt",
+        (tmp_path / "none.zarr", *reference): "does not exist",
+    }.items():
+        done = hyperpaint("validate", *words, status=2)
+        assert told in done.stderr, (told, done.stderr)
+        assert "Traceback" not in done.output
+    assert not list(tmp_path.glob("t.*"))
+
+
+def test_a_store_named_inside_a_library_is_looked_for_beside_it_only(tmp_path: Path) -> None:
+    for name in ("../elsewhere.zarr", "/etc", "", ".."):
+        paints = agreeing()[0].assign_attrs(store=name)
+        hp.to_store(paints, tmp_path / "p.zarr", overwrite=True)
+        (tmp_path / "references").mkdir(exist_ok=True)
+        assert "pass files with --reference" in hyperpaint("validate", tmp_path / "p.zarr").stderr
+
+
+def test_numbers_that_are_none_make_valid_json(tmp_path: Path) -> None:
+    from hyperpaint.workflows.library_files import write_table
+
+    paints, reference = agreeing()
+    found = hp.validate(paints.isel(band=slice(0, 9)), field(reference["reflectance"].values))
+    write_table(found, tmp_path / "t.json")
+    made = json.loads((tmp_path / "t.json").read_text(), parse_constant=pytest.fail)
+    assert made["pairs"][0]["parts"]["NIR"]["rmse"] is None
+    assert made["parts"]["all"] == [0.0, None]
+
+
+def test_messages_name_options_and_say_things_once(stored: Path, references: Path, tmp_path: Path) -> None:
+    (references / "hood.asd.txt").rename(references / "door.asd.txt")
+    done = hyperpaint("validate", stored, "--reference", references, status=2)
+    assert "name them with --pairs, or give regions a property reference" in done.stderr
+    done = hyperpaint("validate", stored, "--reference", tmp_path / "none.sig", status=2)
+    assert done.stderr.count("references cannot be opened") == 1
+    assert "none.sig: cannot be read" in done.stderr
+
+
+def test_a_wrong_picture_is_refused_before_the_work(
+    stored: Path, references: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        pytest.fail("the work was done first")
+
+    monkeypatch.setattr("hyperpaint.workflows.library_files.validate_files", work)
+    done = hyperpaint(
+        "validate", stored, "--reference", references, "--picture", tmp_path / "p.nope", status=2
+    )
+    assert "suffix-unknown" in done.stderr
+
+
+def test_what_is_not_judged_or_missing_is_exit_1(stored: Path, references: Path, tmp_path: Path) -> None:
+    words = ("validate", stored, "--reference", references)
+    assert hyperpaint(*words, "--require-all").exit_code == 0
+    empty = hyperpaint(*words, "--part", "SWIR=1500-1700", status=1)
+    assert "not passed: hood against hood: SWIR (0 of 0 bands, too few to judge)" in empty.stderr
+    hp.to_store(library([seen(NM, 6.0)] * 2, ("hood", "roof")), tmp_path / "two.zarr")
+    more = ("validate", tmp_path / "two.zarr", "--reference", references)
+    assert hyperpaint(*more).exit_code == 0
+    missing = hyperpaint(*more, "--require-all", status=1)
+    assert "not passed: roof: its reference is missing" in missing.stderr
+    assert "1 of 2 paints compared" in missing.stdout

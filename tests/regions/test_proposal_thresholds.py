@@ -1,0 +1,358 @@
+"""Thresholds of proposals: inputs on both sides of each, so that twice or half of it changes a decision."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece, measured, pieces
+from hyperpaint.regions.proposals.cars import (
+    JOININGS,
+    Car,
+    Footprint,
+    Level,
+    NoRoof,
+    Place,
+    Roof,
+    Verdict,
+    change_with_lean,
+    find_cars,
+    find_roof,
+    footprints_of,
+    judge_car,
+    judge_level,
+    judge_pixels,
+    level_place,
+)
+
+NM = np.linspace(412.0, 988.0, 24)
+AXIS = np.array([0.0, 1.0])
+LIMITS = {"erode": 3, "glint": 0.02, "shadow": 0.2, "adjacency": 0.02, "brightness": 0.03, "angle": 5.0} | {
+    "min_pixels": 40
+}
+#: Unit vectors (channel,) of a flat spectrum, and of one that is orthogonal to it.
+FLAT, SLOPED = (
+    np.ones(24) / np.sqrt(24.0),
+    np.linspace(-1.0, 1.0, 24) / np.linalg.norm(np.linspace(-1, 1, 24)),
+)
+GROUND = 0.1 * np.ones(24)
+RED = np.where(NM > 600.0, 0.6, 0.04)
+
+Floats = npt.NDArray[np.float64]
+
+
+def turned(level: float, degrees: float) -> Floats:
+    # Spectrum of some mean length at an angle to a flat one
+    angle = np.radians(degrees)
+    return np.asarray(level * np.sqrt(24.0) * (np.cos(angle) * FLAT + np.sin(angle) * SLOPED))
+
+
+def picture_of(
+    *spectra: Floats, number: Any = None, diffuse: Any = 0.0, zenith: float = 45.0, **more: Any
+) -> Picture:
+    # Picture of the segments of a map (line, column), the first of them ground, under a uniform sky
+    number = np.zeros((40, 40), np.int32) if number is None else np.asarray(number, np.int32)
+    table, count = np.stack([GROUND, *spectra]), len(spectra) + 1
+    sizes = np.array([number.size, *[1] * len(spectra)])
+    model: Any = SimpleNamespace(
+        channel_wavelength=NM, diffuse_fraction=np.broadcast_to(diffuse, 24), zenith_radiance=np.ones(24),
+        spectrum=table, reference=table, body=np.arange(count, dtype=np.int32), size=sizes, segments=count,
+        segment=number, state=np.zeros(count, np.int8), edge_distance=np.full(number.shape, 99, np.uint8),
+    )  # fmt: skip
+    zero = np.zeros(number.shape)
+    layers = {
+        "glint_fraction": zero,
+        "blocked_direct": zero,
+        "adjacency": zero,
+        "quality": zero.astype(np.uint16),
+    }
+    return Picture(model, table[number].astype(np.float32), layers, zenith, **more)
+
+
+# --- pieces of bodies, and their pixels --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("spectrum", "is_piece"),
+    [
+        (turned(0.1, 2.5), False),  # a spectrum within 3 degrees of the ground's, and within 0.2 in ln
+        (turned(0.1, 4.0), True),
+        (turned(0.115, 0.0), False),
+        (turned(0.125, 0.0), True),
+        (turned(0.0095, 0.0), False),  # windows before a black interior are as dark as 0.01
+        (turned(0.011, 0.0), True),
+    ],
+)
+def test_pieces__are_no_ground_and_no_window(spectrum: Floats, is_piece: bool) -> None:
+    number = np.zeros((40, 40), np.int32)
+    number[:, 30:] = 1
+    assert len([*pieces(picture_of(spectrum, number=number).model, 3, 10)]) == is_piece
+
+
+@pytest.mark.parametrize(
+    ("level", "step", "spike", "usable"),
+    [
+        (0.02, 0.20, 0.0, 288),  # on dark paint 0.005 is allowed: a quarter of 0.02
+        (0.02, 0.35, 0.0, 192),
+        (0.3, 0.0, 0.6, 288),  # one pixel is a 25th of the square around it
+        (0.3, 0.0, 1.0, 263),
+    ],
+)
+def test_pixels__may_differ_a_little(level: float, step: float, spike: float, usable: int) -> None:
+    picture = picture_of(number=np.zeros((12, 24)))
+    picture.channels[:] = level
+    picture.channels[:, 14:] *= 1.0 + step
+    picture.channels[6, 6] *= 1.0 + spike
+    assert measured(Piece(0, (0, 0), np.ones((12, 24), bool)), picture, LIMITS).pixels == usable
+
+
+# --- verdicts ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("diffuse", "mirror_share"),
+    [(diffuse_fraction(NM, 45.0), 0.25), (np.ones(24), 0.03)],
+    ids=["clear", "covered"],
+)
+@pytest.mark.parametrize("brightness", [0.03, 0.5])
+@pytest.mark.parametrize("clouds", [0.0, 0.025])
+def test_level__is_as_uncertain_as_its_parts(
+    diffuse: Floats, mirror_share: float, brightness: float, clouds: float
+) -> None:
+    picture = picture_of(diffuse=diffuse, sun=(np.ones(40, bool), 0.1) if clouds else None)
+    mirrored = 0.04 * diffuse.mean()
+    verdict = verdict_of(brightness + mirrored)
+    judge_level(verdict, picture, 0.0, Level())
+    direct = 1.0 - diffuse.mean()
+    sky = (direct * mirror_share + (1.0 - direct) * 0.03) * mirrored / brightness
+    assert verdict.level_sd == pytest.approx(np.hypot.reduce([0.008, sky, 0.0012 / brightness, clouds]))
+
+
+def verdict_of(level: float, **measures: Any) -> Verdict:
+    piece = Piece(0, (0, 0), np.ones((8, 8), bool))
+    return Verdict(
+        piece, Measures(piece.inside, np.full(24, level), {}, **{"pixels": 64, **measures}), "roof"
+    )
+
+
+@pytest.mark.parametrize(
+    ("sd", "lean", "direct", "brightness", "is_refused"),
+    [
+        (0.040, 1.0, 0.9, 0.5, False),  # at most 4.2 %
+        (0.044, 1.0, 0.9, 0.5, True),
+        (
+            0.053,
+            3.2,
+            0.9,
+            0.5,
+            False,
+        ),  # at most 5.5 % in the lobe of flakes, from three times a solid body on
+        (0.057, 3.2, 0.9, 0.5, True),
+        (0.053, 2.8, 0.9, 0.5, True),
+        (0.053, 4.0, 0.55, 5.0, False),  # where half of the light is direct
+        (0.053, 4.0, 0.45, 5.0, True),
+        (0.070, 1.0, 1.0, 0.03, False),  # 0.0026 of dark paint
+        (0.082, 1.0, 1.0, 0.03, True),
+    ],
+)
+def test_level__is_known_well_enough(
+    sd: float, lean: float, direct: float, brightness: float, is_refused: bool
+) -> None:
+    picture, verdict = picture_of(diffuse=1.0 - direct), verdict_of(brightness + 0.04 * (1.0 - direct))
+    judge_level(verdict, picture, 0.0, Level(1.0, sd, lean * direct * change_with_lean(45.0)))
+    assert bool(verdict.objections) == is_refused
+
+
+def car_of(paint: float, roof: float, windows: float, complete: bool = True) -> tuple[Car, Picture]:
+    # A car of 100 x 40 pixels, and its picture: brightness of its paint and of its roof, level of its windows
+    number = np.ones((40, 100), np.int32)
+    number[2:38, 40:60] = 2
+    picture = picture_of(paint * np.ones(24), roof * np.ones(24), number=number)
+    inside = (number == 2) & (np.abs(np.indices(number.shape)[0] - 19.5) < 13.0)
+    every = np.ones(number.shape, bool)
+    footprint = Footprint(
+        (0, 0), every, every, picture.level / paint, AXIS, np.array([19.5, 49.5]), 100.0, 40.0, False
+    )
+    found = Roof(inside, (19.5, 49.5), AXIS, 1.5, 0.5, "", 1.0, complete, False, windows)
+    return Car([], footprint, found), picture
+
+
+@pytest.mark.parametrize(
+    ("level", "ratio", "zenith", "words"),
+    [
+        (0.3, 1.13, 20.0, ""),  # by 0.15 at most
+        (0.3, 1.17, 20.0, "times as bright"),
+        (0.3, 1.28, 60.0, ""),  # or by a lean of 10 degrees under a lower sun
+        (0.3, 1.33, 60.0, "times as bright"),
+        (0.14, 1.0, 20.0, "colour of the ground"),  # which is at most 1.5 times as bright
+        (0.16, 1.0, 20.0, ""),
+    ],
+)
+def test_parts__are_as_bright_as_other_paint(level: float, ratio: float, zenith: float, words: str) -> None:
+    number = np.ones((40, 100), np.int32)
+    number[:, 80:] = 2
+    picture = picture_of(level * np.ones(24), ratio * level * np.ones(24), number=number, zenith=zenith)
+    every = np.ones(number.shape, bool)
+    paint = Footprint(
+        (0, 0), number == 1, every, every * 1.0, AXIS, np.array([19.5, 49.5]), 100.0, 40.0, False
+    )
+    part = Piece(2, (5, 84), np.ones((30, 12), bool))
+    (verdict,) = judge_car(Car([part], paint, NoRoof("", True)), picture, LIMITS)
+    told = [text for text in verdict.objections if "bright" in text]
+    assert bool(told) == bool(words)
+    assert words in " ".join(told)
+    # its lean is unknown by 7 degrees; its brightness changes by 3 over a radian of lean, like flakes
+    assert (verdict.lean, verdict.level_sd) == (7.0, pytest.approx(3.0 * np.radians(7.0), rel=2e-3))
+
+
+@pytest.mark.parametrize(
+    ("paint", "roof", "windows", "complete", "words"),
+    [
+        (0.3, 0.3, 0.22, True, ""),  # windows are darker than paint by a quarter of it
+        (0.3, 0.3, 0.23, True, "itself be a window"),
+        (0.008, 0.008, 0.0053, True, ""),  # and by 0.0025
+        (0.008, 0.008, 0.0057, True, "itself be a window"),
+        (0.055, 0.055, 0.01, False, ""),  # dark roofs, below 0.05, lie between windows
+        (0.045, 0.045, 0.01, False, "a dark roof needs"),
+        (0.03, 0.0216, 0.01, True, ""),  # and are 0.7 to 1.4 times as bright as the other paint
+        (0.03, 0.0204, 0.01, True, "a dark roof needs"),
+        (0.03, 0.0411, 0.01, True, ""),
+        (0.03, 0.0435, 0.01, True, "a dark roof needs"),
+    ],
+)
+def test_roofs__differ_from_windows(
+    paint: float, roof: float, windows: float, complete: bool, words: str
+) -> None:
+    car, picture = car_of(paint, roof, windows, complete)
+    (verdict,) = judge_car(car, picture, LIMITS)
+    told = " ".join(text for text in verdict.objections if "by hand" in text)
+    assert words in told
+    assert bool(told) == bool(words)
+
+
+def test_score__halves_where_each_of_its_measures_does() -> None:
+    # Expected: 100 of 200 pixels, and an angle of 2 degrees, halve it; three penalties of 1 divide it by 4
+    verdict = verdict_of(0.3, pixels=100, angle=2.0, adjacency=0.01, glint=0.02, spread=0.03)
+    judge_pixels(verdict, LIMITS)
+    assert verdict.score == pytest.approx(0.5 * 0.5 / 4.0)
+
+
+# --- the level place, and the axis -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("half_length", "along"), [(20.0, 0.05), (5.0, np.radians(5.0))])
+def test_crown__is_twelve_degrees_across_and_five_along_at_most(half_length: float, along: float) -> None:
+    place = Place(0.0, 0.0, 1.0, 1.0, 10.0, half_length)
+    np.testing.assert_allclose(place.crown, [along, np.radians(12.0)])
+
+
+@pytest.mark.parametrize(
+    ("fall", "offset", "has_edges"),
+    [
+        (1.25, 0.0, True),  # brightness falls to 1 / 1.2 at an edge
+        (1.15, 0.0, False),
+        (3.0, 2.5, True),  # the edges agree with the windows to 0.3 half widths of 12
+    ],
+)
+def test_edges__are_seen_and_agree_with_windows(fall: float, offset: float, has_edges: bool) -> None:
+    y, x = np.indices((60, 90), np.float64)
+    paint = np.clip(12.0 - np.abs(y - 30.0 - offset), 0.0, 1.0)
+    inside = (np.abs(y - 30.0) < 0.75 * 13.0) & (x > 20) & (x < 70)
+    every = np.ones(y.shape, bool)
+    car = Footprint(
+        (0, 0), every, every, paint + (1.0 - paint) / fall, AXIS, np.array([30.0, 45.0]), 90.0, 60.0, False
+    )
+    place = level_place(car, Roof(inside, (30.0, 45.0), AXIS, 1.5, 1.7, "", 1.0, True, True, 0.0))
+    assert (place.across_sd == 0.4) == has_edges
+
+
+# --- footprints and cars -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("parts", "joining", "length"),
+    [
+        ([(0, 20, 24), (24, 44, 24)], 0, 44),  # gaps of 4 pixels are closed
+        ([(0, 20, 24), (26, 46, 24)], 0, 20),
+        ([(0, 20, 24), (20, 25, 4), (25, 45, 24)], 1, 20),  # bridges of 4 pixels are cut
+        ([(0, 20, 24), (20, 25, 6), (25, 45, 24)], 1, 45),
+        ([(0, 24, 24), (24, 30, 5)], 0, 27),  # parts of a quarter of the width of the widest are none of it
+        ([(0, 24, 24), (24, 30, 9)], 0, 30),
+        ([(0, 24, 9), (24, 30, 3)], 0, 25),  # nor are parts of 5 pixels
+        ([(0, 24, 9), (24, 30, 5)], 0, 30),
+        ([(0, 24, 24), (68, 92, 24)], 2, 92),  # over windows: 4.5 half widths
+        ([(0, 24, 24), (78, 102, 24)], 2, 24),
+    ],
+)
+def test_footprints__join_parts(parts: list[tuple[int, int, int]], joining: int, length: int) -> None:
+    # Parts (first and last column, width) of a red car one behind another; windows between them with rule 2
+    number = np.zeros((60, 160), np.int32)
+    if joining == 2:
+        number[18:42, 30 : 30 + parts[-1][1]] = 2
+    for first, last, width in parts:
+        number[30 - width // 2 : 30 - width // 2 + width, 30 + first : 30 + last] = 1
+    picture = picture_of(RED, 0.01 * np.ones(24), number=number)
+    first, width = parts[0][1], parts[0][2]
+    seed, origin = np.ones((width, first), bool), (30 - width // 2, 30)
+    (footprint,) = footprints_of(seed, origin, RED, picture, JOININGS[joining : joining + 1])
+    assert footprint.area.any(axis=0).sum() == length
+
+
+@pytest.mark.parametrize(
+    ("scale", "rule", "factors"),
+    [
+        (1.0, 0, {0.38: 20, 0.42: 40, 1.65: 40, 1.75: 20}),  # parts that lean, of solid paint
+        (1.0, 4, {0.19: 20, 0.21: 40, 3.9: 40, 4.1: 20}),  # of paint with flakes
+        (0.1, 0, {0.68: 20, 0.72: 40, 1.65: 40, 1.75: 20}),  # of dark paint: windows reflect half as much
+        (0.1, 4, {0.68: 20, 0.72: 40, 2.9: 40, 3.1: 20}),
+    ],
+)
+def test_footprints__have_parts_of_other_brightness(
+    scale: float, rule: int, factors: dict[float, int]
+) -> None:
+    number = np.zeros((60, 120), np.int32)
+    number[18:42, 30:50], number[18:42, 50:70] = 1, 2
+    for factor, length in factors.items():
+        picture = picture_of(scale * RED, scale * factor * RED, number=number)
+        seed = np.ones((24, 20), bool)
+        (footprint,) = footprints_of(seed, (18, 30), scale * RED, picture, JOININGS[rule : rule + 1])
+        assert footprint.area.any(axis=0).sum() == length, factor
+
+
+@pytest.mark.parametrize(("on_paint", "cars"), [(22, 1), (11, 2)])
+def test_cars__have_the_pieces_on_their_paint(on_paint: int, cars: int) -> None:
+    # Expected: a piece of which half lies on the paint of a car belongs to it, a quarter does not
+    number = np.zeros((80, 180), np.int32)
+    number[20:60, 20:120] = 1
+    number[22:42, 120:160] = 3
+    for window in (slice(45, 55), slice(75, 85)):
+        number[23:57, window] = 2
+    picture = picture_of(RED, 0.01 * np.ones(24), RED[::-1], number=number)
+    bonnet = Piece(1, (22, 22), np.ones((36, 20), bool))
+    other = Piece(3, (22, 120 - on_paint), np.ones((20, 40), bool))
+    assert len(find_cars([bonnet, other], picture)) == cars
+
+
+# --- which pixels are windows ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("paint", "window", "is_roof"),
+    [
+        (0.1, 0.065, True),  # windows reflect less than 0.07
+        (0.1, 0.075, False),
+        (0.5, 0.24, True),  # or less than half of the paint
+        (0.5, 0.26, False),
+    ],
+)
+def test_windows__are_dark(paint: float, window: float, is_roof: bool) -> None:
+    level = np.full((40, 100), paint)
+    level[3:37, 30:42] = level[3:37, 70:82] = window
+    every = np.ones(level.shape, bool)
+    car = Footprint(
+        (0, 0), level == paint, every, level / paint, AXIS, np.array([19.5, 49.5]), 100.0, 40.0, False
+    )
+    assert isinstance(find_roof(car, level), Roof) is is_roof
