@@ -343,7 +343,7 @@ def _report(day: FieldDayRun) -> str:
 
 @dataclass(frozen=True)
 class Step:
-    """Declaration of a step: its product, the function that makes it, and what it is made from."""
+    """Declaration of a step: its product, the function that makes it, and its inputs."""
 
     product: str  #: File or folder of the product; with ``{line}`` a file for every located line.
     make: Callable[[FieldDayRun], Any]  #: Makes the product, and returns a text for the report.

@@ -145,7 +145,7 @@ def check_above(groups: Iterable[str], location: Location, problems: Problems, *
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
-    """Return what is stored at the path of a group; ``content``: content of the group to be written there.
+    """Return the state of the path where a group with some content is to be written.
 
     ``""``: nothing. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
     ``"parent"``: other groups or files of other programs. ``"array"``: an array, there or at a parent. Any

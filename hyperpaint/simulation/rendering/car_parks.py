@@ -1,4 +1,4 @@
-"""A parametric car park: rows of bays with cars, aisles with grey panels, and what stands around them.
+"""A parametric car park: rows of bays with cars, aisles with grey panels, and objects around them.
 
 The park extends from x = -width/2 (west) to +width/2 (east), and from y = 0 northwards, so that a flight
 line along x = 0 images all of it. From west to east it has grass with trees, a kerb, rows of bays and aisles
