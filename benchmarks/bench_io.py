@@ -68,7 +68,7 @@ class ReadEnvi:
         os.close(file)
 
     def time_one_spectrum(self, lines):
-        self.dataset["counts"].isel(along_track=lines // 2, cross_track=100).compute(scheduler="synchronous")
+        self.dataset["counts"].isel(along_track=lines // 2, cross_track=20).compute(scheduler="synchronous")
 
 
 def _engine():

@@ -133,9 +133,9 @@ class Look:
             if view == "every_pixel":
                 cube.max(axis=(0, 2)).compute()
             elif view == "one_spectrum":
-                cube[middle, :, 100].compute()
+                cube[middle, :, 20].compute()
             elif view == "region":
-                cube[middle : middle + 40, :, 100:140].compute()
+                cube[middle : middle + 40, :, 20:60].compute()
             elif view == "one_band":
                 cube[:, 100, :].compute()
             else:
@@ -167,10 +167,10 @@ class Click:
         self.stored = hp.open_store(reflectance_store(lines))["reflectance"]
 
     def time_pixel(self, lines, layout):
-        self.line.paint.pixels(self.middle + 5, 100)
+        self.line.paint.pixels(self.middle + 5, 20)
 
     def time_region(self, lines, layout):
-        self.line.paint.pixels(slice(self.middle, self.middle + 32), slice(100, 132))
+        self.line.paint.pixels(slice(self.middle, self.middle + 32), slice(20, 52))
 
     def time_band(self, lines, layout):
         self.line.paint.pixels(wavelength=650.0)
@@ -185,7 +185,7 @@ class Click:
 
     def time_pixel_of_the_lazy_cube(self, lines, layout):
         with threads():
-            self.line.paint.reflectance().reflectance[self.middle + 5, :, 100].compute()
+            self.line.paint.reflectance().reflectance[self.middle + 5, :, 20].compute()
 
     def time_every_pixel(self, lines, layout):
         with threads():

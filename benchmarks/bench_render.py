@@ -9,10 +9,10 @@ import functools
 import numpy as np
 
 from .bench_pipeline import threads
-from .common import cases
+from .common import COLUMNS, cases
 
 SUN = (25.0, 180.0)  # of the preset atmosphere "noon"
-BLOCK = (32, 640)
+BLOCK = (32, COLUMNS)
 
 
 @functools.cache
@@ -66,7 +66,7 @@ def traced_block(samples):
 
 
 class Block:
-    """One task: 32 lines of 640 columns, one thread. The floor writes a cube of that size."""
+    """One task: 32 lines of a swath, one thread. The floor writes a cube of that size."""
 
     params = (cases(1, 64),)
     param_names = ("samples",)
