@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import multiprocessing
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +49,29 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("no real sample files: the folder ../shared/data is absent")
     return SHARED_DATA
+
+
+# processes import the package for seconds, so all tests of a session share two of them
+
+
+@pytest.fixture(scope="session")
+def two_processes() -> Iterator[ProcessPoolExecutor]:
+    """Pool of two spawned processes, also for ``dask.config.set(scheduler="processes", pool=...)``."""
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="session")
+def two_workers() -> Iterator[Any]:
+    """Client, not the default one, of a cluster of two processes of one thread each."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
 
 
 @contextlib.contextmanager

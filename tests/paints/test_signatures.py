@@ -149,15 +149,11 @@ def test_the_same_bits_from_counts(chunks: Any) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_bits_on_a_cluster_of_two_processes() -> None:
-    distributed = pytest.importorskip("distributed")
+def test_the_same_bits_on_a_cluster_of_two_processes(two_workers: Any) -> None:
     line = raw().chunk({"along_track": 8})
     expected = extract_signatures(line, RAW)
     told: list[tuple[int, int]] = []
-    local = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
-    )
-    with local, distributed.Client(local):
+    with two_workers.as_current():
         found = extract_signatures(line, RAW)
         watched = extract_signatures(line, RAW, progress=lambda *each: told.append(each))
     assert_same_bits(found, expected)

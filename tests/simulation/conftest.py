@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import dask
@@ -11,19 +10,11 @@ import pytest
 
 
 @pytest.fixture(scope="session")
-def scheduler_of_lines() -> Iterator[Callable[[int], Any]]:
+def scheduler_of_lines(two_workers: Any) -> Callable[[int], Any]:
     # Return the scheduler for lines of a chunk: threads for 1, two processes for 7, else none
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
-        ) as cluster,
-        distributed.Client(cluster, set_as_default=False) as client,
-    ):
+    def chosen(chunk_lines: int) -> Any:
+        if chunk_lines == 7:
+            return two_workers.as_current()
+        return dask.config.set(scheduler="threads" if chunk_lines == 1 else "synchronous")
 
-        def chosen(chunk_lines: int) -> Any:
-            if chunk_lines == 7:
-                return client.as_current()
-            return dask.config.set(scheduler="threads" if chunk_lines == 1 else "synchronous")
-
-        yield chosen
+    return chosen

@@ -1,6 +1,5 @@
 """The whole chain against a simulator that shares no code with it: files in, known reflectance out."""
 
-import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -124,19 +123,17 @@ def made():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheduler", ["threads", "processes", "cluster"])
-def test_one_result__whatever_the_chunks_and_the_scheduler(made, scheduler):
+def test_one_result__whatever_the_chunks_and_the_scheduler(made, scheduler, request):
     # Rationale: a result that depends on how it was computed cannot be checked by anyone
     # Expected: the same bits for five chunkings on threads, on processes and on a cluster of two workers
     import dask
 
     expected = made(CHUNKS[2])
-    with contextlib.ExitStack() as stack:
-        if scheduler == "cluster":
-            distributed = pytest.importorskip("distributed")
-            workers = {"n_workers": 2, "threads_per_worker": 1, "processes": True}
-            cluster = stack.enter_context(distributed.LocalCluster(**workers, dashboard_address=":0"))
-            stack.enter_context(distributed.Client(cluster))
-        else:
-            stack.enter_context(dask.config.set(scheduler=scheduler, num_workers=2))
+    if scheduler == "cluster":
+        context = request.getfixturevalue("two_workers").as_current()
+    else:
+        pool = request.getfixturevalue("two_processes") if scheduler == "processes" else None
+        context = dask.config.set(scheduler=scheduler, pool=pool)
+    with context:
         for chunks in CHUNKS:
             assert made(chunks) == expected

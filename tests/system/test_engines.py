@@ -1,6 +1,5 @@
 """The same bits under threads, processes, a LocalCluster, cubed, Ray and `hp.slab` in a pool."""
 
-import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -51,26 +50,23 @@ def calibrated(store: str, first: int) -> xr.Dataset:
 
 
 @pytest.mark.parametrize("scheduler", ["threads", "processes"])
-def test_schedulers_of_dask(store: Path, wanted: xr.Dataset, scheduler: str) -> None:
-    with dask.config.set(scheduler=scheduler, num_workers=2):
+def test_schedulers_of_dask(
+    store: Path, wanted: xr.Dataset, scheduler: str, two_processes: ProcessPoolExecutor
+) -> None:
+    with dask.config.set(scheduler=scheduler, pool=two_processes if scheduler == "processes" else None):
         assert_same(xr.open_zarr(store, group=GROUP).paint.reflectance().compute(), wanted)
 
 
-def test_a_cluster_reads_raw_files(store: Path, wanted: xr.Dataset) -> None:
-    distributed = pytest.importorskip("distributed", reason="distributed is not installed")
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+def test_a_cluster_reads_raw_files(store: Path, wanted: xr.Dataset, two_workers: Any) -> None:
+    with two_workers.as_current():
         for line in (xr.open_zarr(store, group=GROUP), hp.io.open_virtual(store.with_name("lot.icechunk"))):
             assert_same(line.paint.reflectance().compute(), wanted)
-        futures = client.map(calibrated, [str(store)] * 3, range(0, 80, SLAB), pure=False)
-        assert_same(client.gather(futures), wanted)
+        futures = two_workers.map(calibrated, [str(store)] * 3, range(0, 80, SLAB), pure=False)
+        assert_same(two_workers.gather(futures), wanted)
 
 
-def test_a_pool_of_processes(store: Path, wanted: xr.Dataset) -> None:
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        assert_same(list(pool.map(calibrated, [str(store)] * 3, range(0, 80, SLAB))), wanted)
+def test_a_pool_of_processes(store: Path, wanted: xr.Dataset, two_processes: ProcessPoolExecutor) -> None:
+    assert_same(list(two_processes.map(calibrated, [str(store)] * 3, range(0, 80, SLAB))), wanted)
 
 
 def test_ray(store: Path, wanted: xr.Dataset) -> None:

@@ -1,5 +1,6 @@
 """The same bits whatever the chunks, nothing read before it is asked for; dtypes and attributes."""
 
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import dask
@@ -55,9 +56,9 @@ def test_the_same_bits_whatever_the_chunks(hard_line: xr.Dataset, chunks: Any, s
 
 
 @pytest.mark.slow
-def test_the_same_bits_in_other_processes(hard_line: xr.Dataset) -> None:
+def test_the_same_bits_in_other_processes(hard_line: xr.Dataset, two_processes: ProcessPoolExecutor) -> None:
     line = hard_line.chunk({"along_track": 20})
-    with dask.config.set(scheduler="processes", num_workers=1):
+    with dask.config.set(scheduler="processes", pool=two_processes):
         other = reflectance(line)[["reflectance", "quality", "irradiance_age"]].compute()
     assert_same(reflectance(line), other)
 

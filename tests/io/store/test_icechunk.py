@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -92,19 +91,8 @@ def test_reflectance_is_written_from_threads(repository: Any) -> None:
     xr.testing.assert_identical(open_group(repository, PRODUCT).compute(), product.compute())
 
 
-@pytest.fixture
-def client() -> Iterator[Any]:
-    from distributed import Client, LocalCluster
-
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        Client(cluster) as made,
-    ):
-        yield made
-
-
 @pytest.mark.slow
-def test_reflectance_is_written_from_a_cluster(plain: Path, client: Any, tmp_path: Path) -> None:
+def test_reflectance_is_written_from_a_cluster(plain: Path, two_workers: Any, tmp_path: Path) -> None:
     from icechunk.dask import store_dask
 
     repository = ingest(plain, icechunk.local_filesystem_storage(str(tmp_path / "lot.icechunk")))
@@ -114,7 +102,8 @@ def test_reflectance_is_written_from_a_cluster(plain: Path, client: Any, tmp_pat
     write(product, fork, compute=False)
     group = zarr.open_group(fork.store, path=PRODUCT)
     arrays = [group[name] for name in product.data_vars]
-    session.merge(store_dask(sources=[array.data for array in product.values()], targets=arrays))
+    with two_workers.as_current():
+        session.merge(store_dask(sources=[array.data for array in product.values()], targets=arrays))
     session.commit("reflectance")
     xr.testing.assert_identical(open_group(repository, PRODUCT).compute(), product.compute())
 

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import dask.array as da
 import numpy as np
@@ -245,16 +246,10 @@ def test_concurrent_writers_take_turns_or_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_cluster_of_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    distributed = pytest.importorskip("distributed")
+def test_cluster_of_processes(two_workers: Any, tmp_path: Path) -> None:
     random = np.random.default_rng(1).integers(0, 4096, (300, 4, 20), dtype="uint16")
     line = xr.Dataset({"counts": (CUBE, da.from_array(random, chunks=(100, 4, 20)))})
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-        ) as cluster,
-        distributed.Client(cluster, timeout=30),
-    ):
+    with two_workers.as_current():
         to_store(line, tmp_path / "lot.zarr", GROUP, progress=True)
     np.testing.assert_array_equal(open_store(tmp_path / "lot.zarr", GROUP).counts, random)
     assert verify(tmp_path / "lot.zarr").ok

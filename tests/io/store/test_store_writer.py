@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -390,10 +391,12 @@ def test_memory_url_of_a_failed_writer_is_incomplete() -> None:
 
 @pytest.mark.parametrize("scheduler", ["threads", "processes", "synchronous"])
 @pytest.mark.slow
-def test_schedulers_write_the_same_bytes(scheduler: str, tmp_path: Path) -> None:
+def test_schedulers_write_the_same_bytes(
+    scheduler: str, tmp_path: Path, two_processes: ProcessPoolExecutor
+) -> None:
     with dask.config.set(scheduler="synchronous"):
         to_store(flightline(), tmp_path / "a.zarr")
-    with dask.config.set(scheduler=scheduler, num_workers=2):
+    with dask.config.set(scheduler=scheduler, pool=two_processes if scheduler == "processes" else None):
         to_store(flightline(), tmp_path / "b.zarr")
     for name in ("counts", "reflectance", "time"):
         one, two = files(tmp_path / f"a.zarr/{name}"), files(tmp_path / f"b.zarr/{name}")
