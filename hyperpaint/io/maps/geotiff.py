@@ -39,8 +39,9 @@ from .rasters import TIFF, open_raster
 # Number of rows from which the brightness range of a picture is computed.
 _SAMPLED_ROWS = 64
 _BLOCK_BYTES = 64 * 2**20
-# GDAL's default, 5 % of the machine's memory, would fill with bands that are written once.
-_CACHE_MB = 256
+# GDAL's default, 5 % of the machine's memory, would fill with bands that are written once. Rasterio takes
+# bytes, where GDAL itself takes small numbers as megabytes.
+_CACHE_BYTES = 256 * 2**20
 
 
 @takes_quantities()
@@ -151,7 +152,7 @@ def draw_geotiff(
     form = RASTER_FORMATS.get(final_path.suffix.lower(), RASTER_FORMATS[".tif"])
     uncompressed = target.with_name(f"plain-{target.name}") if cog else target
     try:
-        with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
+        with rasterio.Env(GDAL_CACHEMAX=_CACHE_BYTES):
             _write(uncompressed, stored, grid, is_picture, names, tags, progress)
             if cog:
                 options = form.picture_options if is_picture else form.options

@@ -56,7 +56,7 @@ _ENVIRONMENT = {
     "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
     "GDAL_HTTP_MAX_RETRY": "0",
     "VRT_VIRTUAL_OVERVIEWS": "NO",
-    "GDAL_CACHEMAX": 64,  # megabytes, not a share of the memory
+    "GDAL_CACHEMAX": 64 * 2**20,  # bytes, not a share of the memory
 }
 
 #: Elements of an ``.aux.xml`` that change heights or their positions.
