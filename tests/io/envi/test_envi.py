@@ -20,7 +20,7 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 from support import ROOT
 from support.envi_cubes import CODES, FROM_LBS, toy, write_cube
-from support.refusals import expect_errors
+from support.refusals import expect_equal, expect_error, expect_errors
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
@@ -53,9 +53,11 @@ def test_toy_cube_in_every_layout(tmp_path: Path, interleave: str, order: str, d
     line = open_envi(write_cube(tmp_path / "toy", cube, interleave=interleave, order=order, offset=7))
     assert list(line.data_vars) == ["values"]  # nothing says that integers are counts
     array, values = line["values"], line["values"].values
-    assert (array.dims, array.dtype, values.dtype) == (schema.CUBE, np.dtype(dtype), np.dtype(dtype))
-    assert (array.dtype.isnative, values.dtype.isnative) == (True, True)
-    np.testing.assert_array_equal(values, cube)
+    expect_equal(
+        ((array.dims, array.dtype, values.dtype), (schema.CUBE, np.dtype(dtype), np.dtype(dtype))),
+        ((array.dtype.isnative, values.dtype.isnative), (True, True)),
+        (values, cube),
+    )
 
 
 _LENGTHS = (5, 20, 4)
@@ -91,8 +93,7 @@ def test_any_index_equals_numpy(
         for axis in (2, 1, 0):
             expected = expected[(slice(None),) * axis + (key[axis],)]
         found = line[key]
-        assert found.shape == expected.shape
-        np.testing.assert_array_equal(found.values, expected)
+        expect_equal((found.shape, expected.shape), (found.values, expected))
 
     check()
 
@@ -110,13 +111,17 @@ def test_dask_chunks_of_any_shape(tmp_path: Path, interleave: str) -> None:
     header = write_cube(tmp_path / "cube", cube, interleave=interleave)
     for chunks in ({"along_track": 32}, {"band": 1}, {"along_track": 7, "band": 4, "cross_track": 5}):
         line = open_envi(header).chunk(chunks)
-        assert line["values"].dtype == np.uint16
-        np.testing.assert_array_equal(line["values"].compute(scheduler="threads", num_workers=2), cube)
+        expect_equal(
+            (line["values"].dtype, np.uint16),
+            (line["values"].compute(scheduler="threads", num_workers=2), cube),
+        )
     assert line.chunks["along_track"][0] == 7
     # by default whole lines
     line = xr.open_dataset(header, engine=EnviBackendEntrypoint, chunks={})
-    assert dict(line.chunks) == {"along_track": (32, 32, 6), "band": (6,), "cross_track": (9,)}
-    assert line["values"].encoding["preferred_chunks"] == {"along_track": 32, "band": 6, "cross_track": 9}
+    expect_equal(
+        (dict(line.chunks), {"along_track": (32, 32, 6), "band": (6,), "cross_track": (9,)}),
+        (line["values"].encoding["preferred_chunks"], {"along_track": 32, "band": 6, "cross_track": 9}),
+    )
 
 
 # --- the size of the file ----------------------------------------------------------------------------------
@@ -140,8 +145,9 @@ def test_any_wrong_size_is_refused(tmp_path: Path, interleave: str, change: int)
     for keep_whole_lines in (False, True)[: 1 if possible else 2]:
         with pytest.raises(FormatError, match="file-size") as caught:
             open_envi(header, keep_whole_lines=keep_whole_lines)
-        assert (said in str(caught.value)) == possible
-        assert ("whole lines" in str(caught.value)) == (interleave != "bsq")
+        expect_equal(
+            (said in str(caught.value), possible), ("whole lines" in str(caught.value), interleave != "bsq")
+        )
 
 
 @pytest.mark.parametrize(("change", "lines"), [(-160, 4), (-161, 3), (-799 + 160, 1), (160, 6), (800, 10)])
@@ -179,10 +185,9 @@ def test_contradictions_are_refused(tmp_path: Path) -> None:
         tmp_path / "toy", toy("u2"), "reflectance scale factor = 1e4", "description = {x,RADIANCE}",
         "data gain values = {" + "2," * 20 + "}", "file type = ENVI Spectral Library",
     )  # fmt: skip
-    with pytest.raises(FormatError) as caught:
-        open_envi(header)
+    error = expect_error(FormatError, None, lambda: open_envi(header))
     expected = ("spectral library", "band gains", "RADIANCE")
-    assert [text for text in expected if text not in str(caught.value)] == []
+    assert [text for text in expected if text not in str(error)] == []
 
 
 def _rewrite(header: Path) -> None:
@@ -259,8 +264,7 @@ def test_reads_only_what_is_asked(long_header: Path, bytes_read: list[int]) -> N
 def test_bsq_band_is_one_read(tmp_path: Path, bytes_read: list[int]) -> None:
     cube = np.random.default_rng(0).integers(0, 4096, (50, 8, 700)).astype("u2")
     counts = open_envi(write_cube(tmp_path / "cube", cube, interleave="bsq"))["values"]
-    np.testing.assert_array_equal(counts[:, 3], cube[:, 3])
-    assert bytes_read == [50 * 700 * 2]
+    expect_equal((counts[:, 3], cube[:, 3]), (bytes_read, [50 * 700 * 2]))
 
 
 def test_array_is_small_and_picklable(long_header: Path, tmp_path: Path) -> None:
@@ -314,8 +318,7 @@ def test_open_dataset_options(tmp_path: Path) -> None:
 def test_installed_plugin_opens_by_itself(tmp_path: Path) -> None:
     if not any(point.name == "envi" for point in entry_points(group="xarray.backends")):
         pytest.skip("hyperpaint is not installed: its entry point 'envi' is not registered")
-    header = write_cube(tmp_path / "raw_0", toy("u2"))
-    for path in (header, tmp_path / "raw_0"):
+    for path in (write_cube(tmp_path / "raw_0", toy("u2")), tmp_path / "raw_0"):
         np.testing.assert_array_equal(xr.open_dataset(path)["values"], toy("u2"))
 
 

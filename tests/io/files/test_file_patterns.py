@@ -4,6 +4,7 @@ import glob
 from pathlib import Path
 
 import pytest
+from support.refusals import expect_errors
 
 from hyperpaint.io.files.reading import is_pattern, matching_files
 
@@ -31,8 +32,7 @@ def test_finds_what_glob_finds(pattern: str, folder: Path) -> None:
 
 @pytest.mark.parametrize("pattern", ["/*", "../*", "x/../../*", "/**/*.asd", "*\0", "*" * 2000])
 def test_refuses_what_leads_out(pattern: str, folder: Path) -> None:
-    with pytest.raises(ValueError, match="expected a pattern"):
-        matching_files(folder, pattern)
+    expect_errors((ValueError, "expected a pattern", lambda: matching_files(folder, pattern)))
 
 
 def test_links_are_not_walked_without_end(folder: Path) -> None:
@@ -40,8 +40,9 @@ def test_links_are_not_walked_without_end(folder: Path) -> None:
         (folder / name).symlink_to(".")
     assert folder / "p/a.asd" in matching_files(folder, "*/*.asd")  # a link named by one part is followed
     assert folder / "p/a.asd" not in matching_files(folder, "**/*.asd")
-    with pytest.raises(ValueError, match="more than 5000 files"):
-        matching_files(folder, "*/" * 30 + "*.asd", most=5000)
+    expect_errors(
+        (ValueError, "more than 5000 files", lambda: matching_files(folder, "*/" * 30 + "*.asd", most=5000))
+    )
 
 
 def test_what_is_a_pattern() -> None:

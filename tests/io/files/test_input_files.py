@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import xarray as xr
-from support.refusals import expect_refusals, refusal
+from support.refusals import expect_equal, expect_error, expect_errors, expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError
@@ -147,18 +147,19 @@ def test_a_door_refuses_what_is_no_plain_file(
     door: str, kind: str, places: Callable[[str, str], str]
 ) -> None:
     read, suffix = DOORS[door]
-    with pytest.raises(PaintError) as caught:
-        read(places(kind, suffix))
-    assert str(caught.value)
+    error = expect_error(PaintError, None, lambda: read(places(kind, suffix)))
+    assert str(error)
     # stores have words of their own, and URLs are taken for stores
-    assert WORDS[kind] in str(caught.value) or "store" in door or kind == "URL"
+    assert WORDS[kind] in str(error) or "store" in door or kind == "URL"
 
 
 def test_a_plain_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "sky.csv"
     path.write_bytes(b"time,550\n")
-    assert (input_path(path), read_limited(path, 9, "a series")) == (path, b"time,550\n")
-    assert head_of(path, 4) == b"time"
+    expect_equal(
+        ((input_path(path), read_limited(path, 9, "a series")), (path, b"time,550\n")),
+        (head_of(path, 4), b"time"),
+    )
     expect_refusals(
         (
             FormatError,
@@ -195,7 +196,7 @@ def test_a_folder_whose_name_reads_like_a_url_is_a_folder(
     (tmp_path / "field::day1").mkdir()
     (tmp_path / "field::day1" / "sky.txt").write_text("1")
     assert read_limited("field::day1/sky.txt", 10, "a text") == b"1"
-    with pytest.raises(FormatError, match="a URL"):
-        input_path("other::day1/sky.txt")
-    with pytest.raises(FormatError, match="file-unreadable"):
-        read_limited("a\ud800b", 10, "a text")
+    expect_errors(
+        (FormatError, "a URL", lambda: input_path("other::day1/sky.txt")),
+        (FormatError, "file-unreadable", lambda: read_limited("a\ud800b", 10, "a text")),
+    )

@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.refusals import expect_equal, expect_errors
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.files import publishing
 from hyperpaint.io.files.publishing import check_place, publish_file, published_files, published_folder
 from hyperpaint.io.store.stage import staging
+
+HERE = Path(__file__).parent
 
 
 def no_foreign(_: Path) -> str:
@@ -25,12 +28,10 @@ def no_foreign(_: Path) -> str:
 def test_a_file_is_replaced_only_where_asked(tmp_path: Path) -> None:
     path = tmp_path / "new" / "page.html"
     publish_file(path, b"one", overwrite=False)
-    with pytest.raises(StoreError, match="file-exists"):
-        publish_file(path, b"two", overwrite=False)
+    expect_errors((StoreError, "file-exists", lambda: publish_file(path, b"two", overwrite=False)))
     assert path.read_bytes() == b"one"
     publish_file(path, b"two", overwrite=True)
-    assert path.read_bytes() == b"two"
-    assert [found.name for found in path.parent.iterdir()] == ["page.html"]
+    assert (path.read_bytes(), [found.name for found in path.parent.iterdir()]) == (b"two", ["page.html"])
 
 
 def test_a_file_that_appears_meanwhile_stays(tmp_path: Path) -> None:
@@ -41,10 +42,8 @@ def test_a_file_that_appears_meanwhile_stays(tmp_path: Path) -> None:
             written.write_bytes(b"ours")
             path.write_bytes(b"theirs")
 
-    with pytest.raises(StoreError, match="exists"):
-        write()
-    assert path.read_bytes() == b"theirs"
-    assert [found.name for found in tmp_path.iterdir()] == ["table.csv"]
+    expect_errors((StoreError, "exists", write))
+    assert (path.read_bytes(), [found.name for found in tmp_path.iterdir()]) == (b"theirs", ["table.csv"])
 
 
 def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
@@ -66,16 +65,17 @@ def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
     for write in (write_file, write_folder):
         with pytest.raises(KeyboardInterrupt):
             write()
-    assert path.read_bytes() == b"old"
-    assert [found.name for found in folder.iterdir()] == ["old.txt"]
-    assert sorted(found.name for found in tmp_path.iterdir()) == ["spectra", "table.csv"]
+    expect_equal(
+        (path.read_bytes(), b"old"),
+        ([found.name for found in folder.iterdir()], ["old.txt"]),
+        (sorted(found.name for found in tmp_path.iterdir()), ["spectra", "table.csv"]),
+    )
 
 
 def test_a_missing_file_of_a_product_is_told(tmp_path: Path) -> None:
-    targets = [tmp_path / "values.bin", tmp_path / "values.hdr"]
     with (
         pytest.raises(StoreError, match="file-unwritable"),
-        published_files(targets, overwrite=False) as (values, _),
+        published_files([tmp_path / "values.bin", tmp_path / "values.hdr"], overwrite=False) as (values, _),
     ):
         values.write_bytes(b"values")
     assert list(tmp_path.iterdir()) == []
@@ -159,8 +159,7 @@ def test_a_failing_rename_brings_the_old_files_back(
         if not links:
             patched.setattr(publishing.os, "link", failing(lambda *_: None, 0))
         patched.setattr(publishing.os, name, failing(getattr(os, name), step))
-        with pytest.raises(StoreError, match="disk-full"):
-            write(tmp_path, "new")
+        expect_errors((StoreError, "disk-full", lambda: write(tmp_path, "new")))
     assert texts(tmp_path) == before
     assert not [found for found in names(tmp_path) if found.startswith(".partial")]
     write(tmp_path, "new")
@@ -217,9 +216,9 @@ def judge_kills(home: Path) -> list[str]:
 
 
 def test_a_kill_at_any_call_leaves_no_mixed_product() -> None:
-    # Rationale: in a process of its own, which has no threads when it forks
+    # In a process of its own, which has no threads when it forks
     code = (
-        f"import json, pathlib, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"import json, pathlib, sys; sys.path[:0] = {[str(HERE), str(HERE.parents[1])]!r}\n"
         "import test_publishing; print(json.dumps(test_publishing.judge_kills(pathlib.Path(sys.argv[1]))))"
     )
     memory = Path("/dev/shm")  # hundreds of flushes
@@ -244,8 +243,7 @@ def planted(home: Path) -> Path:
 def test_a_planted_journal_is_refused(tmp_path: Path, journal: str) -> None:
     write(tmp_path, "old")
     (planted(tmp_path) / "journal").write_text(journal)
-    with pytest.raises(StoreError, match="staging-foreign"):
-        write(tmp_path, "new")
+    expect_errors((StoreError, "staging-foreign", lambda: write(tmp_path, "new")))
     assert texts(tmp_path) == ["old"] * 3
 
 
@@ -262,5 +260,6 @@ def test_a_planted_journal_reaches_no_other_folder(tmp_path: Path) -> None:
 
 def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(StoreError, match="file-not-plain"):
-        publish_file(tmp_path / "pipe", b"", overwrite=True)
+    expect_errors(
+        (StoreError, "file-not-plain", lambda: publish_file(tmp_path / "pipe", b"", overwrite=True))
+    )
