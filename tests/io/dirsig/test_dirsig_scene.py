@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 from support.dirsig_exports import files, strict_ems
-from support.refusals import expect_equal, expect_error, expect_errors
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.dirsig import read_materials, write_dirsig_scene
@@ -31,9 +31,8 @@ def library(names: list[str], members: int = 0, **attrs: Any) -> xr.Dataset:
     values = np.stack([spectrum_of(name)(NM) for name in names]).astype(np.float32)
     variables: dict[str, Any] = {"reflectance": (("signature", "band"), values, {**UNITS, **attrs})}
     if members:
-        population = (
-            values[:, None] * np.random.default_rng(1).uniform(0.7, 1.0, (len(names), members, 1))
-        ).astype(np.float32)
+        level = np.random.default_rng(1).uniform(0.7, 1.0, (len(names), members, 1))
+        population = (values[:, None] * level).astype(np.float32)
         variables["member_reflectance"] = (("signature", "member", "band"), population, UNITS)
     return xr.Dataset(variables, {"signature": names, "wavelength": ("band", NM, {"units": "nm"})})
 
@@ -53,16 +52,8 @@ def boxes() -> Scene:
         Instance("ground", "ground"),
         Instance("car zwölf", "car", "red"),
     )
-    return Scene(
-        "Two cars, Ä",
-        corners,
-        np.array([[4, 5, 6], [0, 1, 2], [0, 1, 3]]),
-        normals,
-        [0, 1, 2],
-        [0, 1, 2],
-        materials,
-        things,
-    )
+    faces = np.array([[4, 5, 6], [0, 1, 2], [0, 1, 3]])
+    return Scene("Two cars, Ä", corners, faces, normals, [0, 1, 2], [0, 1, 2], materials, things)
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +65,8 @@ def park() -> Scene:
 def written(park: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, xr.Dataset]:
     names = sorted({material.spectrum for material in park.materials})
     folder = tmp_path_factory.mktemp("dirsig") / "park"
-    return folder, write_dirsig_scene(
-        park, folder, library(names, 100, mirror_reflection="excluded"), max_curves=16
-    )
+    paints = library(names, 100, mirror_reflection="excluded")
+    return folder, write_dirsig_scene(park, folder, paints, max_curves=16)
 
 
 def test_the_geometry_reads_back_with_its_materials(park: Scene, written: tuple[Path, xr.Dataset]) -> None:
@@ -104,14 +94,11 @@ def test_the_geometry_reads_back_with_its_materials(park: Scene, written: tuple[
 
 
 def test_the_geometry_reads_in_another_program(park: Scene, written: tuple[Path, xr.Dataset]) -> None:
-    mesh = pytest.importorskip("trimesh").load(
-        written[0] / "geometry/objects/car_park.obj", process=False, force="scene"
-    )
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.load(written[0] / "geometry/objects/car_park.obj", process=False, force="scene")
     parts = list(mesh.geometry.values())
-    expect_equal(
-        (sum(len(part.faces) for part in parts), len(park.faces)),
-        (sum(part.area for part in parts), pytest.approx(float(park.area.sum()), rel=1e-5)),
-    )
+    assert sum(len(part.faces) for part in parts) == len(park.faces)
+    assert sum(part.area for part in parts) == pytest.approx(float(park.area.sum()), rel=1e-5)
     np.testing.assert_allclose(mesh.bounds, park.bounds, atol=1e-6)
 
 
@@ -140,14 +127,8 @@ def test_every_name_leads_somewhere(written: tuple[Path, xr.Dataset]) -> None:
     tokens = {material.id for material in materials}
     # the same IDs in the material list, in the geometry, in its colours, in the maps
     assert set(re.findall(r"^usemtl (.+)$", obj, re.MULTILINE)) == tokens == set(summary.material_id.values)
-    assert (
-        set(
-            re.findall(
-                r"^newmtl (.+)$", (place("gdbdirectory") / "objects/car_park.mtl").read_text(), re.MULTILINE
-            )
-        )
-        == tokens
-    )
+    colours = (place("gdbdirectory") / "objects/car_park.mtl").read_text()
+    assert set(re.findall(r"^newmtl (.+)$", colours, re.MULTILINE)) == tokens
     maps = {
         str(each.findtext("matidlist/matid")): str(each.findtext("bandlist/band/image/filename"))
         for each in root.iter("texturemap")
@@ -182,9 +163,8 @@ def test_a_texture_draws_its_population(written: tuple[Path, xr.Dataset]) -> Non
     grid = np.linspace(0.4, 0.7, 301)
     means = np.array([1.0 - np.interp(grid, micrometre, curve).mean() for curve in emissivity])
     # the manual's rule: the curve whose standard score is nearest to the pixel's
-    drawn = np.abs(
-        ((picture - picture.mean()) / picture.std())[..., None] - ((means - means.mean()) / means.std())
-    ).argmin(axis=-1)
+    pixels = (picture - picture.mean()) / picture.std()
+    drawn = np.abs(pixels[..., None] - ((means - means.mean()) / means.std())).argmin(axis=-1)
     assert np.bincount(drawn.ravel(), minlength=16).min() > 0.97 * picture.size / 16
     reflectance = 1.0 - emissivity
     np.testing.assert_allclose(reflectance[drawn.ravel()].mean(axis=0), reflectance.mean(axis=0), rtol=1e-3)
@@ -208,10 +188,8 @@ def test_coats_become_specular_shares_where_reflectance_is_the_bodys(tmp_path: P
     paints = library(["red", "asphalt"], mirror_reflection="excluded")
     summary = write_dirsig_scene(boxes(), tmp_path / "out", paints)
     share = dict(zip(summary["signature"].values, summary.specular_fraction.values, strict=True))
-    assert (share["red"], share["asphalt"]) == (
-        pytest.approx(0.04 / (0.04 + float(paints.reflectance.sel(signature="red").mean())), abs=1e-4),
-        0.0,
-    )
+    body = float(paints.reflectance.sel(signature="red").mean())
+    assert (share["red"], share["asphalt"]) == (pytest.approx(0.04 / (0.04 + body), abs=1e-4), 0.0)
     assert not any(summary.texture.values)
     # over mirrored light no coat is written, and no BRDF
     for as_brdf in (False, True):
@@ -250,9 +228,8 @@ def beard_maxwell(fit: dict[str, float], light: NDArray[Any], view: NDArray[Any]
 
 def test_a_coat_as_a_brdf_reflects_what_its_curve_says(tmp_path: Path) -> None:
     paints = library(["red", "asphalt"], mirror_reflection="excluded")
-    assert (
-        write_dirsig_scene(boxes(), tmp_path / "out", paints, coat_brdf=True).specular_fraction == 0.0
-    ).all()
+    summary = write_dirsig_scene(boxes(), tmp_path / "out", paints, coat_brdf=True)
+    assert (summary.specular_fraction == 0.0).all()
     folder = tmp_path / "out/materials"
     fits = blocks_of_fit(folder / "brdf/red.fit")
     assert [path.name for path in (folder / "brdf").iterdir()] == ["red.fit"]
@@ -275,12 +252,10 @@ def test_a_coat_as_a_brdf_reflects_what_its_curve_says(tmp_path: Path) -> None:
     )
     for fit, level in zip(fits, body.tolist(), strict=True):
         first, whole = (beard_maxwell(fit, light, view) * np.cos(zenith) * ring).sum(axis=1)
-        expect_equal(
-            (first, pytest.approx(0.04, rel=2e-3)),
-            (whole, pytest.approx(0.04 + level, rel=3e-3)),
-            (whole, pytest.approx(fit["DHR"], rel=3e-3)),
-            (whole, pytest.approx(1.0 - np.interp(fit["LAMBDA"], micrometre, curves[0]), rel=3e-3)),
-        )
+        assert first == pytest.approx(0.04, rel=2e-3)
+        assert whole == pytest.approx(0.04 + level, rel=3e-3)
+        assert whole == pytest.approx(fit["DHR"], rel=3e-3)
+        assert whole == pytest.approx(1.0 - np.interp(fit["LAMBDA"], micrometre, curves[0]), rel=3e-3)
     assert max(np.diff([fit["LAMBDA"] for fit in fits])) < 0.021
     # the peak is that of the renderer's own lobe, F D / (4 cos^2), D = 1 / (pi alpha^2)
     angle = np.radians(20.0)
@@ -299,10 +274,8 @@ def test_names_and_normals(tmp_path: Path) -> None:
     places = [tuple(map(float, row)) for row in re.findall(r"^vt (\S+) (\S+)$", text, re.MULTILINE)]
     faces = [row.split() for row in re.findall(r"^f (.+)$", text, re.MULTILINE)]
     smooth, level, upright = ([corner.split("/") for corner in face] for face in faces)
-    expect_equal(
-        ([corner[::2] for corner in smooth], [["5", "5"], ["6", "6"], ["7", "7"]]),
-        ([len(corner) for corner in level + upright], [2] * 6),
-    )
+    assert [corner[::2] for corner in smooth] == [["5", "5"], ["6", "6"], ["7", "7"]]
+    assert [len(corner) for corner in level + upright] == [2] * 6
     # metres over 2: east and up, east and north, east and up
     for face, expected in (
         (smooth, [(2.5, 0.0), (3.5, 0.0), (2.5, 1.0)]),
@@ -315,9 +288,8 @@ def test_names_and_normals(tmp_path: Path) -> None:
 
 def test_a_car_can_be_repainted(tmp_path: Path) -> None:
     paints = library(["red", "asphalt", "blue", "white"])
-    summary = write_dirsig_scene(
-        boxes(), tmp_path / "out", paints, repaint={"car zwölf": "blue", "asphalt": "white"}
-    )
+    repaint = {"car zwölf": "blue", "asphalt": "white"}
+    summary = write_dirsig_scene(boxes(), tmp_path / "out", paints, repaint=repaint)
     assert sorted(summary["signature"].values) == ["blue", "red", "white"]
     text = (tmp_path / "out/geometry/objects/Two_cars_Ae.obj").read_text()
     assert re.findall(r"^(?:o|usemtl) (.+)$", text, re.MULTILINE) == [
@@ -352,10 +324,9 @@ def test_the_first_library_counts(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_written_is_said(options: Any, messages: list[str], tmp_path: Path) -> None:
-    error = expect_error(
-        SchemaError, None, lambda: write_dirsig_scene(boxes(), tmp_path / "out", library(["red"]), **options)
-    )
-    assert [message for message in messages if message not in str(error)] == []
+    with pytest.raises(SchemaError) as caught:
+        write_dirsig_scene(boxes(), tmp_path / "out", library(["red"]), **options)
+    assert [message for message in messages if message not in str(caught.value)] == []
     assert not list(tmp_path.iterdir())
 
 

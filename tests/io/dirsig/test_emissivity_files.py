@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_equal, expect_error, expect_errors
+from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.dirsig import open_emissivity, read_emissivity
@@ -48,10 +48,8 @@ def written(folder: Path, lines: list[str], end: str = "\n") -> Path:
 )
 def test_real_files(name, layout, count, rows, ends, values, shared_data: Path) -> None:
     found = read_emissivity(shared_data / "dirsig" / "emissivity" / f"{name}.ems")
-    expect_equal(
-        ((found.layout, len(found.curves), found.weights.shape), (layout, count, (91,))),
-        ({len(curve.wavelength) for curve in found.curves}, {rows}),
-    )
+    assert (found.layout, len(found.curves), found.weights.shape) == (layout, count, (91,))
+    assert {len(curve.wavelength) for curve in found.curves} == {rows}
     all_values = np.concatenate([curve.emissivity for curve in found.curves])
     assert (all_values.min(), all_values.max()) == values
     np.testing.assert_allclose(found.curves[0].wavelength[[0, -1]], ends, rtol=0, atol=0)
@@ -81,10 +79,8 @@ def test_grass_as_a_paint_library(shared_data: Path) -> None:
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_a_new_file_may_have_tabs_and_blank_lines(tmp_path: Path, end: str) -> None:
     found = read_emissivity(written(tmp_path, NEW, end))
-    expect_equal(
-        ([curve.wavelength.tolist() for curve in found.curves], [[0.4, 0.5], [0.4, 0.6]]),
-        ([curve.emissivity.tolist() for curve in found.curves], [[0.9, 0.8], [0.7, 0.1]]),
-    )
+    assert [curve.wavelength.tolist() for curve in found.curves] == [[0.4, 0.5], [0.4, 0.6]]
+    assert [curve.emissivity.tolist() for curve in found.curves] == [[0.9, 0.8], [0.7, 0.1]]
     expect_errors((FormatError, "grid-mismatch", lambda: open_emissivity(tmp_path / "paint.ems")))
     # the last line needs no end
     assert len(read_emissivity(written(tmp_path, NEW[:-2])).curves) == 2

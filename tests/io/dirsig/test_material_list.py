@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_equal, expect_error, expect_errors
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.dirsig import Section, materials_text, read_materials
@@ -52,10 +52,8 @@ def test_proxies_bundles_and_old_entries(tmp_path: Path) -> None:
     text = ENTRY + "MATERIAL_MAP {\n IMAGE_FILENAME = m.png\n LUT {\n  0:a\n 255 : b\n }\n}\n"
     text += "MATERIAL_ENTRY {\n MATERIAL_ID = 7\n MATERIAL_NAME = old\n EMISSIVITY_FILE = x.ems\n}\n"
     found = read_materials(written(tmp_path, text.replace("\n", "\r\n")))
-    expect_equal(
-        ([(material.id, material.name) for material in found], [("a", "paint a, (matt)"), ("7", "old")]),
-        (found[0].specular_fraction, 0.25),
-    )
+    assert [(material.id, material.name) for material in found] == [("a", "paint a, (matt)"), ("7", "old")]
+    assert found[0].specular_fraction == 0.25
     assert found[0].reflectance_file is None
 
 
@@ -81,12 +79,9 @@ def test_proxies_bundles_and_old_entries(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_what_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
     assert old in ENTRY
-    error = expect_error(
-        FormatError,
-        "DIRSIG material list",
-        lambda: read_materials(written(tmp_path, ENTRY.replace(old, new, 1))),
-    )
-    assert said in str(error)
+    with pytest.raises(FormatError, match="DIRSIG material list") as caught:
+        read_materials(written(tmp_path, ENTRY.replace(old, new, 1)))
+    assert said in str(caught.value)
 
 
 @pytest.mark.parametrize(

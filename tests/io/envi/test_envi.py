@@ -53,11 +53,9 @@ def test_toy_cube_in_every_layout(tmp_path: Path, interleave: str, order: str, d
     line = open_envi(write_cube(tmp_path / "toy", cube, interleave=interleave, order=order, offset=7))
     assert list(line.data_vars) == ["values"]  # nothing says that integers are counts
     array, values = line["values"], line["values"].values
-    expect_equal(
-        ((array.dims, array.dtype, values.dtype), (schema.CUBE, np.dtype(dtype), np.dtype(dtype))),
-        ((array.dtype.isnative, values.dtype.isnative), (True, True)),
-        (values, cube),
-    )
+    assert (array.dims, array.dtype, values.dtype) == (schema.CUBE, np.dtype(dtype), np.dtype(dtype))
+    assert (array.dtype.isnative, values.dtype.isnative) == (True, True)
+    np.testing.assert_array_equal(values, cube)
 
 
 _LENGTHS = (5, 20, 4)
@@ -111,17 +109,13 @@ def test_dask_chunks_of_any_shape(tmp_path: Path, interleave: str) -> None:
     header = write_cube(tmp_path / "cube", cube, interleave=interleave)
     for chunks in ({"along_track": 32}, {"band": 1}, {"along_track": 7, "band": 4, "cross_track": 5}):
         line = open_envi(header).chunk(chunks)
-        expect_equal(
-            (line["values"].dtype, np.uint16),
-            (line["values"].compute(scheduler="threads", num_workers=2), cube),
-        )
+        assert line["values"].dtype == np.uint16
+        np.testing.assert_array_equal(line["values"].compute(scheduler="threads", num_workers=2), cube)
     assert line.chunks["along_track"][0] == 7
     # by default whole lines
     line = xr.open_dataset(header, engine=EnviBackendEntrypoint, chunks={})
-    expect_equal(
-        (dict(line.chunks), {"along_track": (32, 32, 6), "band": (6,), "cross_track": (9,)}),
-        (line["values"].encoding["preferred_chunks"], {"along_track": 32, "band": 6, "cross_track": 9}),
-    )
+    assert dict(line.chunks) == {"along_track": (32, 32, 6), "band": (6,), "cross_track": (9,)}
+    assert line["values"].encoding["preferred_chunks"] == {"along_track": 32, "band": 6, "cross_track": 9}
 
 
 # --- the size of the file ----------------------------------------------------------------------------------
@@ -145,9 +139,8 @@ def test_any_wrong_size_is_refused(tmp_path: Path, interleave: str, change: int)
     for keep_whole_lines in (False, True)[: 1 if possible else 2]:
         with pytest.raises(FormatError, match="file-size") as caught:
             open_envi(header, keep_whole_lines=keep_whole_lines)
-        expect_equal(
-            (said in str(caught.value), possible), ("whole lines" in str(caught.value), interleave != "bsq")
-        )
+        assert (said in str(caught.value)) == possible
+        assert ("whole lines" in str(caught.value)) == (interleave != "bsq")
 
 
 @pytest.mark.parametrize(("change", "lines"), [(-160, 4), (-161, 3), (-799 + 160, 1), (160, 6), (800, 10)])

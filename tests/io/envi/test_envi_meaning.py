@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.envi_cubes import FROM_LBS, toy, write_cube
-from support.refusals import expect_equal, expect_errors
+from support.refusals import expect_errors
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
@@ -56,15 +56,11 @@ def test_name_and_units(
     tmp_path: Path, dtype: str, lines: tuple[str, ...], name: str, units: str | None
 ) -> None:
     line = open_envi(write_cube(tmp_path / "toy", toy(dtype), *lines))
-    expect_equal(
-        (list(line.data_vars), [name]),
-        (line[name].attrs.get("units"), "mW/(cm2*sr*um)" if units == "said" else units),
-    )
+    assert list(line.data_vars) == [name]
+    assert line[name].attrs.get("units") == ("mW/(cm2*sr*um)" if units == "said" else units)
     if name in ("radiance", "reflectance"):
-        expect_equal(
-            ((line[name].dtype, line[name].values.dtype), (np.float32, np.float32)),
-            (line[name].attrs["long_name"], schema.VARIABLES[name].meaning),
-        )
+        assert (line[name].dtype, line[name].values.dtype) == (np.float32, np.float32)
+        assert line[name].attrs["long_name"] == schema.VARIABLES[name].meaning
 
 
 def test_integers_called_reflectance_need_a_scale(tmp_path: Path) -> None:
@@ -134,10 +130,8 @@ def test_coordinates_on_band_have_no_index(tmp_path: Path) -> None:
     assert not line.indexes
     np.testing.assert_allclose(line.wavelength, 900 - 10 * np.arange(20), rtol=1e-14)  # not sorted
     for name in ("wavelength", "fwhm", "good"):
-        expect_equal(
-            ((line[name].dims, line[name].dtype), (("band",), schema.dtype_of(name))),
-            (line[name].attrs, schema.VARIABLES[name].attrs),
-        )
+        assert (line[name].dims, line[name].dtype) == (("band",), schema.dtype_of(name))
+        assert line[name].attrs == schema.VARIABLES[name].attrs
     assert int((~line.good).sum()) == 3
 
 
@@ -148,10 +142,8 @@ def test_attributes_keep_all_the_header_says(tmp_path: Path) -> None:
     line = open_envi(header)
     assert line.attrs["source"] == "raw_0"
     fields = json.loads(line.attrs["envi_header"])
-    expect_equal(
-        ((next(iter(fields)), fields["strange key"]), ("lines", "{a, b}")),
-        (json.loads(line.attrs["envi_comments"]), {"Exposure (ms)": "5"}),
-    )
+    assert (next(iter(fields)), fields["strange key"]) == ("lines", "{a, b}")
+    assert json.loads(line.attrs["envi_comments"]) == {"Exposure (ms)": "5"}
     assert json.dumps(line.attrs)
     assert str(tmp_path) not in json.dumps(line.attrs)
 
@@ -162,13 +154,11 @@ _UTM = "map info = {UTM, 1, 1, 500000, 4000000, 0.5, 0.25, 18, North, WGS-84, un
 def test_map_geometry(tmp_path: Path) -> None:
     line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM, interleave="bsq"))
     array = line["values"]
-    expect_equal(
-        (array.dims, ("y", "x", "band")),
-        (array, toy("f4").transpose(0, 2, 1)),
-        (line.x, 500000.25 + 0.5 * np.arange(4)),
-        (line.y, 4000000 - 0.125 - 0.25 * np.arange(5)),
-        (line.x.attrs, {"standard_name": "projection_x_coordinate", "units": "m"}),
-    )
+    assert array.dims == ("y", "x", "band")
+    np.testing.assert_array_equal(array, toy("f4").transpose(0, 2, 1))
+    np.testing.assert_array_equal(line.x, 500000.25 + 0.5 * np.arange(4))
+    np.testing.assert_array_equal(line.y, 4000000 - 0.125 - 0.25 * np.arange(5))
+    assert line.x.attrs == {"standard_name": "projection_x_coordinate", "units": "m"}
     assert line.attrs["map_info"].startswith("{UTM")
     np.testing.assert_array_equal(array.sel(x=500000.75, y=3999999.9, method="nearest"), toy()[0, :, 1])
     # a rotated map has no one-dimensional coordinates
@@ -177,12 +167,8 @@ def test_map_geometry(tmp_path: Path) -> None:
     assert not {"x", "y"} & set(line.coords)
     assert "rotation=30" in line.attrs["map_info"]
     # an arbitrary one is sensor geometry
-    assert (
-        open_envi(
-            write_cube(tmp_path / "toy", toy("u2"), "map info = {Arbitrary, 1, 1, 0, 0, 1, 1, 0, North}")
-        )["values"].dims
-        == schema.CUBE
-    )
+    info = "map info = {Arbitrary, 1, 1, 0, 0, 1, 1, 0, North}"
+    assert open_envi(write_cube(tmp_path / "toy", toy("u2"), info))["values"].dims == schema.CUBE
 
 
 def test_map_geometry_geographic_with_another_reference_pixel(tmp_path: Path) -> None:
@@ -214,10 +200,8 @@ def test_either_file_finds_the_other(tmp_path: Path, header: str, data: str) -> 
     for name in (header, data):
         assert find_pair(tmp_path / name) == (tmp_path / header, tmp_path / data)
         is_guessed = not name.endswith(".bin")  # other formats have that suffix too
-        expect_equal(
-            (backend.guess_can_open(tmp_path / name), is_guessed),
-            (backend.guess_can_open(str(tmp_path / name)), is_guessed),
-        )
+        assert backend.guess_can_open(tmp_path / name) == is_guessed
+        assert backend.guess_can_open(str(tmp_path / name)) == is_guessed
     for name in (header, data):
         np.testing.assert_array_equal(open_envi(str(tmp_path / name))["values"], toy("u2"))
 
@@ -259,11 +243,9 @@ def test_guess_leaves_other_files_alone(tmp_path: Path) -> None:
 def test_integers_are_what_the_caller_says_where_the_header_does_not(tmp_path: Path) -> None:
     header = write_cube(tmp_path / "toy", toy("u2"))
     counts = open_envi(header, quantity="counts").counts
-    expect_equal(
-        ((counts.dtype, counts.attrs["units"]), (np.dtype(np.uint16), "count")),
-        (list(open_envi(header, quantity="radiance").data_vars), ["radiance"]),
-        (list(open_envi(header, unsaid="counts").data_vars), ["counts"]),
-    )
+    assert (counts.dtype, counts.attrs["units"]) == (np.dtype(np.uint16), "count")
+    assert list(open_envi(header, quantity="radiance").data_vars) == ["radiance"]
+    assert list(open_envi(header, unsaid="counts").data_vars) == ["counts"]
     opened = xr.open_dataset(header, engine=EnviBackendEntrypoint, quantity="counts")
     np.testing.assert_array_equal(opened.counts, toy("u2"))
 

@@ -18,45 +18,37 @@ from hyperpaint.io.envi.envi_cubes import open_envi
 def test_real_headwall_dark_reference(shared_data: Path) -> None:
     for name in ("darkReference.hdr", "darkReference"):
         counts = open_envi(shared_data / "envi_cube" / name).counts
-        expect_equal(
-            ((counts.shape, counts.dtype), ((1, 978, 1600), np.uint16)),
-            ((counts.attrs["units"], int(counts.min()), int(counts.max())), ("count", 2, 47)),
-            (float(counts.mean(dtype="f8")), pytest.approx(13.97111260, abs=5e-9)),
-        )
+        assert (counts.shape, counts.dtype) == ((1, 978, 1600), np.uint16)
+        assert (counts.attrs["units"], int(counts.min()), int(counts.max())) == ("count", 2, 47)
+        assert float(counts.mean(dtype="f8")) == pytest.approx(13.97111260, abs=5e-9)
 
 
 @pytest.mark.real_data
 def test_real_cube_without_byte_order(shared_data: Path) -> None:
     with pytest.warns(PaintWarning, match="header-doubtful"):
         counts = open_envi(shared_data / "envi_cube/corn-kernel-hyperspectral.hdr", quantity="counts").counts
-    expect_equal(
-        ((counts.shape, int(counts.min()), int(counts.max())), ((31, 580, 43), 0, 2887)),
-        (float(counts.mean(dtype="f8")), pytest.approx(601.543934, abs=5e-7)),
-        (counts.wavelength.values[[0, -1]].tolist(), [366.551, 1048.421]),
-    )
+    assert (counts.shape, int(counts.min()), int(counts.max())) == ((31, 580, 43), 0, 2887)
+    assert float(counts.mean(dtype="f8")) == pytest.approx(601.543934, abs=5e-7)
+    assert counts.wavelength.values[[0, -1]].tolist() == [366.551, 1048.421]
 
 
 @pytest.mark.real_data
 def test_real_rotated_bip_cube(shared_data: Path) -> None:
     array = open_envi(next((shared_data / "envi_cube").glob("ang*.img")))["values"]
-    expect_equal(
-        ((array.dims, array.shape), (("y", "x", "band"), (10, 10, 432))),
-        (float(array.min()), pytest.approx(-1.98575, abs=5e-6)),
-        (float(array.max()), pytest.approx(1.09767, abs=5e-6)),
-        (float(array.mean(dtype="f8")), pytest.approx(0.162651, abs=5e-7)),
-        (float(array[0, 0, 0]), pytest.approx(-0.08066899, abs=5e-9)),
-    )
+    assert (array.dims, array.shape) == (("y", "x", "band"), (10, 10, 432))
+    assert float(array.min()) == pytest.approx(-1.98575, abs=5e-6)
+    assert float(array.max()) == pytest.approx(1.09767, abs=5e-6)
+    assert float(array.mean(dtype="f8")) == pytest.approx(0.162651, abs=5e-7)
+    assert float(array[0, 0, 0]) == pytest.approx(-0.08066899, abs=5e-9)
 
 
 @pytest.mark.real_data
 def test_real_prism_radiance(shared_data: Path) -> None:
     array = open_envi(shared_data / "envi_cube" / "prm20231110t071521_rdn_two_px")["values"]
-    expect_equal(
-        ((array.dims, array.shape), (schema.CUBE, (2, 246, 1))),
-        (float(array.min()), pytest.approx(0.0429913, abs=5e-8)),
-        (float(array.max()), pytest.approx(7.78472, abs=5e-6)),
-        (float(array.mean(dtype="f8")), pytest.approx(2.54413724, abs=2e-7)),
-    )
+    assert (array.dims, array.shape) == (schema.CUBE, (2, 246, 1))
+    assert float(array.min()) == pytest.approx(0.0429913, abs=5e-8)
+    assert float(array.max()) == pytest.approx(7.78472, abs=5e-6)
+    assert float(array.mean(dtype="f8")) == pytest.approx(2.54413724, abs=2e-7)
 
 
 @pytest.mark.real_data
@@ -75,9 +67,8 @@ def test_real_toy_cube_with_both_headers(shared_data: Path, tmp_path: Path) -> N
 @pytest.mark.real_data
 def test_real_specim_calibration_cube(shared_data: Path) -> None:
     line = open_envi(shared_data / "lab_calibration" / "specim_fenix_Radiometric_8x2_1x1.dat")
-    expect_equal(
-        (line["values"].shape, (1, 363, 384)), (line.wavelength.values[[0, -1]].tolist(), [379.87, 2503.73])
-    )
+    assert line["values"].shape == (1, 363, 384)
+    assert line.wavelength.values[[0, -1]].tolist() == [379.87, 2503.73]
 
 
 def _as_lines_samples_bands(line: xr.Dataset) -> np.ndarray:

@@ -40,9 +40,8 @@ def test_links_are_not_walked_without_end(folder: Path) -> None:
         (folder / name).symlink_to(".")
     assert folder / "p/a.asd" in matching_files(folder, "*/*.asd")  # a link named by one part is followed
     assert folder / "p/a.asd" not in matching_files(folder, "**/*.asd")
-    expect_errors(
-        (ValueError, "more than 5000 files", lambda: matching_files(folder, "*/" * 30 + "*.asd", most=5000))
-    )
+    with pytest.raises(ValueError, match="more than 5000 files"):
+        matching_files(folder, "*/" * 30 + "*.asd", most=5000)
 
 
 def test_what_is_a_pattern() -> None:

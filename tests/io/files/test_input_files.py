@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import xarray as xr
-from support.refusals import expect_equal, expect_error, expect_errors, expect_refusals, refusal
+from support.refusals import expect_error, expect_errors, expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError
@@ -156,10 +156,8 @@ def test_a_door_refuses_what_is_no_plain_file(
 def test_a_plain_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "sky.csv"
     path.write_bytes(b"time,550\n")
-    expect_equal(
-        ((input_path(path), read_limited(path, 9, "a series")), (path, b"time,550\n")),
-        (head_of(path, 4), b"time"),
-    )
+    assert (input_path(path), read_limited(path, 9, "a series")) == (path, b"time,550\n")
+    assert head_of(path, 4) == b"time"
     expect_refusals(
         (
             FormatError,

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.refusals import expect_equal, expect_errors
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.files import publishing
 from hyperpaint.io.files.publishing import check_place, publish_file, published_files, published_folder
 from hyperpaint.io.store.stage import staging
-
-HERE = Path(__file__).parent
 
 
 def no_foreign(_: Path) -> str:
@@ -31,7 +29,8 @@ def test_a_file_is_replaced_only_where_asked(tmp_path: Path) -> None:
     expect_errors((StoreError, "file-exists", lambda: publish_file(path, b"two", overwrite=False)))
     assert path.read_bytes() == b"one"
     publish_file(path, b"two", overwrite=True)
-    assert (path.read_bytes(), [found.name for found in path.parent.iterdir()]) == (b"two", ["page.html"])
+    assert path.read_bytes() == b"two"
+    assert [found.name for found in path.parent.iterdir()] == ["page.html"]
 
 
 def test_a_file_that_appears_meanwhile_stays(tmp_path: Path) -> None:
@@ -43,7 +42,8 @@ def test_a_file_that_appears_meanwhile_stays(tmp_path: Path) -> None:
             path.write_bytes(b"theirs")
 
     expect_errors((StoreError, "exists", write))
-    assert (path.read_bytes(), [found.name for found in tmp_path.iterdir()]) == (b"theirs", ["table.csv"])
+    assert path.read_bytes() == b"theirs"
+    assert [found.name for found in tmp_path.iterdir()] == ["table.csv"]
 
 
 def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
@@ -65,17 +65,16 @@ def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
     for write in (write_file, write_folder):
         with pytest.raises(KeyboardInterrupt):
             write()
-    expect_equal(
-        (path.read_bytes(), b"old"),
-        ([found.name for found in folder.iterdir()], ["old.txt"]),
-        (sorted(found.name for found in tmp_path.iterdir()), ["spectra", "table.csv"]),
-    )
+    assert path.read_bytes() == b"old"
+    assert [found.name for found in folder.iterdir()] == ["old.txt"]
+    assert sorted(found.name for found in tmp_path.iterdir()) == ["spectra", "table.csv"]
 
 
 def test_a_missing_file_of_a_product_is_told(tmp_path: Path) -> None:
+    targets = [tmp_path / "values.bin", tmp_path / "values.hdr"]
     with (
         pytest.raises(StoreError, match="file-unwritable"),
-        published_files([tmp_path / "values.bin", tmp_path / "values.hdr"], overwrite=False) as (values, _),
+        published_files(targets, overwrite=False) as (values, _),
     ):
         values.write_bytes(b"values")
     assert list(tmp_path.iterdir()) == []
@@ -216,9 +215,9 @@ def judge_kills(home: Path) -> list[str]:
 
 
 def test_a_kill_at_any_call_leaves_no_mixed_product() -> None:
-    # In a process of its own, which has no threads when it forks
+    # Rationale: in a process of its own, which has no threads when it forks
     code = (
-        f"import json, pathlib, sys; sys.path[:0] = {[str(HERE), str(HERE.parents[1])]!r}\n"
+        f"import json, pathlib, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "import test_publishing; print(json.dumps(test_publishing.judge_kills(pathlib.Path(sys.argv[1]))))"
     )
     memory = Path("/dev/shm")  # hundreds of flushes
@@ -260,6 +259,5 @@ def test_a_planted_journal_reaches_no_other_folder(tmp_path: Path) -> None:
 
 def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    expect_errors(
-        (StoreError, "file-not-plain", lambda: publish_file(tmp_path / "pipe", b"", overwrite=True))
-    )
+    with pytest.raises(StoreError, match="file-not-plain"):
+        publish_file(tmp_path / "pipe", b"", overwrite=True)

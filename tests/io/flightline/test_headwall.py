@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_equal, expect_errors, expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 from hyperpaint.base.errors import FormatError, SchemaError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
@@ -29,12 +29,8 @@ def write(path: Path, text: str, newline: str = "\n") -> Path:
 
 
 def index_of(frame: list[int], stamp: list[int] | None = None) -> FrameIndex:
-    return FrameIndex(
-        "frameIndex.txt",
-        np.array(frame),
-        np.array(stamp or [7000 * number for number in frame]),
-        "instrument",
-    )
+    stamps = stamp or [7000 * number for number in frame]
+    return FrameIndex("frameIndex.txt", np.array(frame), np.array(stamps), "instrument")
 
 
 # --- settings ----------------------------------------------------------------------------------------------
@@ -44,10 +40,8 @@ def index_of(frame: list[int], stamp: list[int] | None = None) -> FrameIndex:
 def test_settings_keep_every_pair(tmp_path: Path, newline: str) -> None:
     text = "Exposure (ms) = 5.5\nFrame Period (ms)=7\n\nOperator = a = b\nno pair\n"
     pairs = read_settings(write(tmp_path / "settings.txt", text, newline))
-    expect_equal(
-        (pairs, {"Exposure (ms)": "5.5", "Frame Period (ms)": "7", "Operator": "a = b"}),
-        (exposure_seconds(pairs, "settings.txt"), 0.0055),
-    )
+    assert pairs == {"Exposure (ms)": "5.5", "Frame Period (ms)": "7", "Operator": "a = b"}
+    assert exposure_seconds(pairs, "settings.txt") == 0.0055
 
 
 @pytest.mark.parametrize(
@@ -97,10 +91,8 @@ def test_frame_index_in_microseconds(tmp_path: Path, newline: str) -> None:
         tmp_path / "frameIndex_458.txt", "Frame#\tTimestamp\n458\t10\n459\t7010\n461\t21010\n", newline
     )
     index = read_frame_index(path)
-    expect_equal(
-        ((index.frame.tolist(), index.stamp.tolist()), ([458, 459, 461], [10, 7010, 21010])),
-        ((index.clock, index.fitted), ("instrument", False)),
-    )
+    assert (index.frame.tolist(), index.stamp.tolist()) == ([458, 459, 461], [10, 7010, 21010])
+    assert (index.clock, index.fitted) == ("instrument", False)
     assert index.frame.dtype == index.stamp.dtype == np.int64
 
 
@@ -162,14 +154,11 @@ def test_a_regular_table_is_read_as_an_irregular_one(tmp_path: Path, rows: int) 
     lines = [f"{row}\t{row % 7} x\t" for row in range(rows)]
     regular = read_table(write(tmp_path / "r.txt", "a\tb\tc\n" + "\n".join(lines)), "table", needs=["a"])
     # a tab too many in the last line, and a line of blanks
-    other = read_table(
-        write(tmp_path / "o.txt", "a\tb\tc\n" + "\n".join(lines) + "\t\n \t \n"), "table", needs=["a"]
-    )
-    expect_equal(
-        (dict(regular.columns), dict(other.columns)),
-        (regular.rows, other.rows),
-        (regular.rows, np.arange(2, rows + 2)),
-    )
+    text = "a\tb\tc\n" + "\n".join(lines) + "\t\n \t \n"
+    other = read_table(write(tmp_path / "o.txt", text), "table", needs=["a"])
+    assert dict(regular.columns) == dict(other.columns)
+    np.testing.assert_array_equal(regular.rows, other.rows)
+    np.testing.assert_array_equal(regular.rows, np.arange(2, rows + 2))
 
 
 @pytest.mark.parametrize(
@@ -186,13 +175,8 @@ def test_lines_of_a_cube_have_rows_of_its_index(
     frames: list[int], lines: int, shortened: bool, frame: list[int] | None, row: list[int] | None
 ) -> None:
     if frame is None:
-        expect_errors(
-            (
-                FormatError,
-                "frame-index-mismatch",
-                lambda: match_frames(index_of(frames), lines, Path("cube"), shortened=shortened),
-            )
-        )
+        with pytest.raises(FormatError, match="frame-index-mismatch"):
+            match_frames(index_of(frames), lines, Path("cube"), shortened=shortened)
     else:
         found = match_frames(index_of(frames), lines, Path("cube"), shortened=shortened)
         assert [part.tolist() for part in found] == [frame, row]
@@ -209,9 +193,8 @@ def test_cubes_of_a_flight_share_its_frame_index(tmp_path: Path) -> None:
         ("raw_8.hdr", 2, [8, 9], [7, 8]),
     ):
         assert [part.tolist() for part in match_frames(index, lines, tmp_path / name)] == [frame, row]
-    expect_errors(
-        (FormatError, "frame-index-mismatch", lambda: match_frames(index, 5, tmp_path / "raw_4.hdr"))
-    )
+    with pytest.raises(FormatError, match="frame-index-mismatch"):
+        match_frames(index, 5, tmp_path / "raw_4.hdr")
 
 
 # --- dark --------------------------------------------------------------------------------------------------
@@ -238,12 +221,10 @@ def test_sum_dark_refuses_what_is_no_raw_cube() -> None:
 @pytest.mark.real_data
 def test_the_real_headwall_dark_cube(shared_data: Path) -> None:
     frames = sum_dark(open_envi(shared_data / "envi_cube" / "darkReference")["counts"], "darkReference")
-    expect_equal(
-        (frames.lines, 1),
-        (frames.mean.shape, (978, 1600)),
-        (frames.mean.mean(), pytest.approx(13.97111260, abs=5e-9)),
-        ((frames.mean.min(), frames.mean.max()), (2, 47)),
-    )
+    assert frames.lines == 1
+    assert frames.mean.shape == (978, 1600)
+    assert frames.mean.mean() == pytest.approx(13.97111260, abs=5e-9)
+    assert (frames.mean.min(), frames.mean.max()) == (2, 47)
 
 
 def test_a_record_of_too_many_rows_has_a_mend(tmp_path: Path) -> None:
@@ -303,9 +284,8 @@ def test_few_lines_measure_no_noise_of_elements() -> None:
     assert set(dark.variables(needs_noise=True)) == {"dark_counts", "dark_counts_u_random"}
     own = counts.var(axis=0, ddof=1, dtype="f8")
     np.testing.assert_allclose(dark.uncertainty, np.sqrt(((14 * own + 16 * own.mean()) / 30) / 15), rtol=1e-6)
-    assert set(open_dark(cube(frames(1)), Timing(), None, LINE).variables(needs_noise=True)) == {
-        "dark_counts"
-    }
+    single = open_dark(cube(frames(1)), Timing(), None, LINE)
+    assert set(single.variables(needs_noise=True)) == {"dark_counts"}
 
 
 def test_cubes_of_known_times_stay_apart_in_order() -> None:
@@ -314,11 +294,9 @@ def test_cubes_of_known_times_stay_apart_in_order() -> None:
     assert dark.counts.dims == ("dark_time", *ELEMENT)
     np.testing.assert_allclose(dark.counts[0], early.mean(axis=0, dtype="f8"), rtol=1e-6)
     np.testing.assert_allclose(dark.counts[1], late.mean(axis=0, dtype="f8"), rtol=1e-6)
-    expect_equal(
-        (dark.counts["dark_time"].dtype, "datetime64[ns]"),
-        ((dark.counts["dark_time"].values - NOON).astype("timedelta64[s]").astype(int).tolist(), [0, 60]),
-        (dark.variables(needs_noise=False)["dark_exposure_time"].values.tolist(), [0.005, 0.004]),
-    )
+    assert dark.counts["dark_time"].dtype == "datetime64[ns]"
+    assert (dark.counts["dark_time"].values - NOON).astype("timedelta64[s]").astype(int).tolist() == [0, 60]
+    assert dark.variables(needs_noise=False)["dark_exposure_time"].values.tolist() == [0.005, 0.004]
 
 
 def test_cubes_of_unknown_times_are_averaged_line_by_line() -> None:
@@ -365,12 +343,5 @@ HOLLOW = {"dark_counts": (ELEMENT, np.full((BANDS, COLUMNS), np.nan), {"units": 
     ],
 )  # fmt: skip
 def test_what_is_no_dark(source: Any, columns: int, error: Any, match: str) -> None:
-    expect_errors(
-        (
-            error,
-            match,
-            lambda: open_dark(
-                source, Timing(), None, xr.DataArray(np.zeros((2, BANDS, columns), np.uint16), dims=CUBE)
-            ),
-        )
-    )
+    with pytest.raises(error, match=match):
+        open_dark(source, Timing(), None, xr.DataArray(np.zeros((2, BANDS, columns), np.uint16), dims=CUBE))
