@@ -18,6 +18,8 @@ from hyperpaint.io.files import publishing
 from hyperpaint.io.files.publishing import check_place, publish_file, published_files, published_folder
 from hyperpaint.io.store.stage import staging
 
+HERE = Path(__file__).parent
+
 
 def no_foreign(_: Path) -> str:
     return ""
@@ -215,9 +217,9 @@ def judge_kills(home: Path) -> list[str]:
 
 
 def test_a_kill_at_any_call_leaves_no_mixed_product() -> None:
-    # Rationale: in a process of its own, which has no threads when it forks
+    # In a process of its own, which has no threads when it forks
     code = (
-        f"import json, pathlib, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"import json, pathlib, sys; sys.path[:0] = {[str(HERE), str(HERE.parents[1])]!r}\n"
         "import test_publishing; print(json.dumps(test_publishing.judge_kills(pathlib.Path(sys.argv[1]))))"
     )
     memory = Path("/dev/shm")  # hundreds of flushes
