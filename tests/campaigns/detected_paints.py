@@ -113,8 +113,7 @@ def shares(found: Any, shown: Any, numbers: list[int]) -> dict[str, float]:
     for name, where in groups.items():
         values[f"above, {name}"] = float(above[where].mean())
         values[f"detected, {name}"] = float(detected[where].mean())
-    limits = found["distance_limit"].values
-    for number, limit in zip(numbers, limits, strict=False):
+    for number, limit in zip(numbers, found["distance_limit"].values, strict=False):
         if limit > 0.0:
             values.setdefault("cars", 0)
             values["cars"] += 1

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 
 from campaigns import all_faults
 from campaigns.faults import (
@@ -297,8 +298,7 @@ def test_a_mixed_store_is_found(tmp_path: Path) -> None:
     (home / key).write_bytes((tmp_path / "newer" / key).read_bytes())
     assert not interruptions.hp.verify(home / "lot.zarr").ok
     assert writer.found(home).startswith("mixed (it is opened, but verify says")
-    made = run(writer.judge, "fault", home)
-    assert "is left" in made.wrong[0]
+    assert "is left" in run(writer.judge, "fault", home).wrong[0]
 
 
 # --- disks -------------------------------------------------------------------------------------------------
@@ -319,8 +319,7 @@ def test_disks_that_fill_up(undisturbed: Any, monkeypatch: pytest.MonkeyPatch) -
     # a store that looks finished is found
     expected, total = undisturbed
     monkeypatch.setattr(disks, "looks_finished", lambda *_: True)
-    different = expected | {"counts/c/3/0/0": b"other"}
-    (made,) = outcome.each("full", (4,), disks.run_full, different, total)
+    (made,) = outcome.each("full", (4,), disks.run_full, expected | {"counts/c/3/0/0": b"other"}, total)
     assert len(made.wrong) == 2
     assert made.wrong[0].endswith("looks finished")
     assert "differs from an undisturbed run" in made.wrong[1]
@@ -350,8 +349,7 @@ def test_sequences_keep_the_set_what_it_is_wanted_to_be(monkeypatch: pytest.Monk
     # a store that is always whole is found
     state = store_sequences.store_state
     monkeypatch.setattr(store_sequences, "store_state", lambda location: type(state(location))())
-    with pytest.raises(AssertionError):
-        store_sequences.run_sequences(20, 6, derandomize=True)
+    expect_error(AssertionError, None, lambda: store_sequences.run_sequences(20, 6, derandomize=True))
 
 
 # --- time --------------------------------------------------------------------------------------------------
@@ -402,6 +400,5 @@ def test_parts_add_up() -> None:
 
 
 def test_command_refuses_unknown_campaigns(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        all_faults.main(["--only", "parsers,weather"])
+    expect_error(SystemExit, None, lambda: all_faults.main(["--only", "parsers,weather"]))
     assert f"no campaign weather; there are {', '.join(all_faults.CAMPAIGNS)}" in capsys.readouterr().err

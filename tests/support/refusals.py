@@ -1,16 +1,19 @@
-"""Refusals of the package, matched by their code and by the words that the test is about."""
+"""Tables of what tests expect: refusals by their code and words, and values beside the values found."""
 
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+import numpy as np
 import pytest
+import xarray as xr
 
 from hyperpaint.base.errors import PaintError
 
 E = TypeVar("E", bound=PaintError)
 F = TypeVar("F", bound=BaseException)
+ARRAYS = np.ndarray | xr.DataArray | xr.Variable
 
 
 @contextmanager
@@ -50,3 +53,12 @@ def expect_errors(*rows: tuple[type[BaseException], str, Callable[[], Any]]) -> 
     """Expect the error of every row: class, pattern of its message, and the call that raises it."""
     for row in rows:
         expect_error(*row)
+
+
+def expect_equal(*rows: tuple[Any, Any]) -> None:
+    """Expect what was found to equal what is expected in every row; arrays in all values, NaN like NaN."""
+    for number, (found, expected) in enumerate(rows, start=1):
+        if isinstance(found, ARRAYS) or isinstance(expected, ARRAYS):
+            np.testing.assert_array_equal(found, expected, err_msg=f"row {number}")
+        else:
+            assert found == expected, f"row {number}: found {found!r}, expected {expected!r}"

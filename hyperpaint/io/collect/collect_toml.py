@@ -330,10 +330,12 @@ def _seconds(key: str, *tables: Mapping[str, Any]) -> float | None:
 def _irradiance(reader: _Reader) -> IrradianceEntry | None:
     table = reader.one("irradiance")
     if "files" not in table:
-        if table["?"] and "files" not in table["?"]:
-            reader.problems.add(
-                "[irradiance] files is missing", mend="name the files of the spectrometer", code="key-missing"
-            )
+        reader.problems.add_if(
+            table["?"] and "files" not in table["?"],
+            "[irradiance] files is missing",
+            mend="name the files of the spectrometer",
+            code="key-missing",
+        )
         return None
     skipped = ("files", "calibration", "mount")
     options = {key: value for key, value in values(table).items() if key not in skipped}
@@ -353,10 +355,12 @@ def _cubes(
     # Inputs of the cubes of one ``[[flightlines]]``: one cube, or those of a pattern or a folder in order
     subject = f"[[flightlines]] {number + 1}"
     if "cube" not in table:
-        if "cube" not in table["?"]:
-            reader.problems.add(
-                f"{subject} cube is missing", mend="name the header of a cube", code="key-missing"
-            )
+        reader.problems.add_if(
+            "cube" not in table["?"],
+            f"{subject} cube is missing",
+            mend="name the header of a cube",
+            code="key-missing",
+        )
         return
     text = table["cube"]
     is_folder = os.path.isdir(reader.folder / text)  # False also for names too long for a path
@@ -410,12 +414,12 @@ def _flightline(
             expected="frame_index and nav, or start_time and frame_period_ms",
             code="line-times-missing",
         )
-    if "date" in stated and reader.clock.clock_offset_s is None:
-        reader.problems.add(
-            f"{subject} date without [camera] clock_offset_s",
-            mend="state clock_offset_s: UTC = computer clock + clock_offset_s",
-            code="clock-offset-missing",
-        )
+    reader.problems.add_if(
+        "date" in stated and reader.clock.clock_offset_s is None,
+        f"{subject} date without [camera] clock_offset_s",
+        mend="state clock_offset_s: UTC = computer clock + clock_offset_s",
+        code="clock-offset-missing",
+    )
     timing: Timing | Unavailable = Unavailable.REPORTED
     if len(reader.problems) == problem_count:
         timing = replace(
@@ -451,10 +455,12 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
         dark = cubes or (Unavailable.REPORTED if table["?"] else None)
     shared = {key: camera[key] for key in keys if key in camera}
     shared |= {"dark": dark, "convention": values(reader.one("navigation"))}
-    if not tables:
-        reader.problems.add(
-            "no [[flightlines]]", mend="state the cube of at least one flight line", code="flightline-missing"
-        )
+    reader.problems.add_if(
+        not tables,
+        "no [[flightlines]]",
+        mend="state the cube of at least one flight line",
+        code="flightline-missing",
+    )
     candidates = (_cubes(reader, number, table, shared) for number, table in enumerate(tables))
     entries = [entry for entry in itertools.chain.from_iterable(candidates) if entry is not None]
     # in lower case, as some file systems ignore case; joined cubes of a pattern have the id of their table
@@ -503,12 +509,12 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
         subject = f"[[panels]] {number + 1}"
         _note_missing_keys(reader, subject, "panels", table)
         reader.exclude(subject, table, "reflectance", "certificate")
-        if not {"reflectance", "certificate"} & table["?"]:
-            reader.problems.add(
-                f"{subject} reflectance is missing",
-                mend="state reflectance=, or certificate= with the file of a certificate",
-                code="key-missing",
-            )
+        reader.problems.add_if(
+            not {"reflectance", "certificate"} & table["?"],
+            f"{subject} reflectance is missing",
+            mend="state reflectance=, or certificate= with the file of a certificate",
+            code="key-missing",
+        )
         reflectance = reader.path(subject, "certificate", table.get("certificate")) or table.get(
             "reflectance"
         )
@@ -530,22 +536,22 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         fault = error.problem
         raise CollectError(fault.found, expected=fault.expected, mend=fault.mend, code=fault.code) from error
     irradiance = _irradiance(reader)
-    if need_irradiance and "irradiance" not in reader.given:
-        problems.add(
-            "no [irradiance], which reflectance needs",
-            mend="name the files of the spectrometer, or compute radiance only",
-            code="irradiance-missing",
-        )
+    problems.add_if(
+        need_irradiance and "irradiance" not in reader.given,
+        "no [irradiance], which reflectance needs",
+        mend="name the files of the spectrometer, or compute radiance only",
+        code="irradiance-missing",
+    )
     # a calibration, or the lab sweep to compute it from
     table = reader.one("calibration")
     reader.exclude("[calibration]", table, "path", "sweep")
     calibration, sweep = (reader.path("[calibration]", key, table.get(key)) for key in ("path", "sweep"))
-    if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
-        problems.add(
-            "[calibration] path is missing",
-            mend="state path= of a calibration, or sweep= of a lab sweep",
-            code="key-missing",
-        )
+    problems.add_if(
+        reader.tables["calibration"] and not table["?"] & {"path", "sweep"},
+        "[calibration] path is missing",
+        mend="state path= of a calibration, or sweep= of a lab sweep",
+        code="key-missing",
+    )
     is_lost = calibration is None and sweep is None and table["?"]
     flightlines, references, panels = _flightlines(reader), _references(reader), tuple(_panels(reader))
     table = reader.one("geometry")
@@ -762,12 +768,12 @@ def _opened_references(
             continue
         with findings.step():
             opened = open_spectra(entry.files)
-            if len(opened) > 1:
-                raise CollectError(
-                    f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments",
-                    mend="write one [[references]] for each instrument",
-                    code="instrument-mixed",
-                )
+            CollectError.raise_if(
+                len(opened) > 1,
+                f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments",
+                mend="write one [[references]] for each instrument",
+                code="instrument-mixed",
+            )
             label = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
             yield entry.group, opened[0].assign_attrs(label)
 

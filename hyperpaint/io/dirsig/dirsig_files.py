@@ -171,12 +171,12 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
     lines = (text if text.endswith(b"\n") else text + b"\n").split(b"\n", _ANGLES + 1)
     match = _COUNT.fullmatch(lines[0])
     count = int(match[1]) if match else 0
-    if not 1 <= count <= MAX_CURVES:
-        problems.add(
-            f"line 1: {_shown(lines[0])}",
-            expected=f"a number of curves, 1 to {MAX_CURVES}",
-            code="number-unreadable",
-        )
+    problems.add_if(
+        not 1 <= count <= MAX_CURVES,
+        f"line 1: {_shown(lines[0])}",
+        expected=f"a number of curves, 1 to {MAX_CURVES}",
+        code="number-unreadable",
+    )
     if len(lines) < _ANGLES + 2:
         problems.add(
             f"{len(lines) - 1} lines",
@@ -193,12 +193,12 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
         )
         for angle in np.flatnonzero(np.isnan(weights))[:_MAX_SHOWN].tolist()
     )
-    if np.isinf(weights).any() or (weights < 0.0).any():
-        problems.add(
-            "a weight of a view angle is negative or not finite",
-            expected="0 or more",
-            code="value-out-of-range",
-        )
+    problems.add_if(
+        np.isinf(weights).any() or (weights < 0.0).any(),
+        "a weight of a view angle is negative or not finite",
+        expected="0 or more",
+        code="value-out-of-range",
+    )
     problems.raise_if_any()
     layout, curves = _curves(lines[-1], count, problems)
     problems.raise_if_any()
@@ -316,13 +316,13 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     path = Path(path)
     file = read_emissivity(path)
     wavelength = file.curves[0].wavelength
-    if not all(np.array_equal(curve.wavelength, wavelength) for curve in file.curves):
-        raise FormatError(
-            f"{path}: the curves have different wavelengths",
-            expected="equal wavelengths",
-            mend="read each curve with read_emissivity",
-            code="grid-mismatch",
-        )
+    FormatError.raise_if(
+        not all(np.array_equal(curve.wavelength, wavelength) for curve in file.curves),
+        f"{path}: the curves have different wavelengths",
+        expected="equal wavelengths",
+        mend="read each curve with read_emissivity",
+        code="grid-mismatch",
+    )
     members = 1.0 - np.array([curve.emissivity for curve in file.curves])
     centre = members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32)
     about_centre = {"units": "1", "long_name": "Reflectance, mean of the curves"}
@@ -529,8 +529,7 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
         Problem(f"ID {token[:40]!r} occurs twice", expected="distinct IDs", code="id-duplicate")
         for token in [token for token, count in counts.items() if count > 1][:_MAX_SHOWN]
     )
-    if not top:
-        problems.add("there is no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
+    problems.add_if(not top, "there is no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
     problems.raise_if_any()
     return tuple(materials)
 

@@ -145,13 +145,13 @@ class PaintCurves:
         arrays = require(library, names, "DIRSIG materials", LIBRARY_VARIABLES)
         wavelength = np.asarray(arrays["wavelength"].values, np.float64)
         is_finite = np.isfinite(wavelength).all() and wavelength.size
-        if not (is_finite and wavelength.min() >= MIN_NM and wavelength.max() <= MAX_NM):
-            raise SchemaError(
-                "a wavelength is not finite, or out of range",
-                expected=f"{MIN_NM:g} to {MAX_NM:g} nm",
-                mend="drop the band",
-                code="wavelength-range",
-            )
+        SchemaError.raise_if(
+            not (is_finite and wavelength.min() >= MIN_NM and wavelength.max() <= MAX_NM),
+            "a wavelength is not finite, or out of range",
+            expected=f"{MIN_NM:g} to {MAX_NM:g} nm",
+            mend="drop the band",
+            code="wavelength-range",
+        )
         self.order = np.argsort(wavelength, kind="stable")
         self.wavelength = wavelength[self.order]
         steps = np.diff(wavelength)
@@ -220,10 +220,12 @@ class PaintCurves:
         curves = np.where(self.good, curves[:, self.order].astype(np.float64), np.nan)
         curves = curves[np.isfinite(curves).any(axis=1)]
         usable = np.flatnonzero(np.isfinite(centre))
-        if usable.size < 2:
-            raise SchemaError(
-                "fewer than two bands have a value", mend="leave the paint out", code="value-missing"
-            )
+        SchemaError.raise_if(
+            usable.size < 2,
+            "fewer than two bands have a value",
+            mend="leave the paint out",
+            code="value-missing",
+        )
         if not len(curves):  # a paint without members
             curves = centre[np.newaxis]
         measured = (float(self.wavelength[usable[0]]), float(self.wavelength[usable[-1]]))
@@ -359,13 +361,13 @@ def export_folder(
     # be replaced; ``inside``: folders that are created in it.
     # Raises `StoreError`: ``folder`` contains other files, or an export that may not be replaced; another
     # process writes there; or it cannot be written.
-    if _URL.match(os.fspath(folder)):
-        raise StoreError(
-            f"{os.fspath(folder)!r} is a URL",
-            expected="a folder",
-            mend="write to a folder and copy it",
-            code="folder-is-url",
-        )
+    StoreError.raise_if(
+        _URL.match(os.fspath(folder)),
+        f"{os.fspath(folder)!r} is a URL",
+        expected="a folder",
+        mend="write to a folder and copy it",
+        code="folder-is-url",
+    )
 
     def foreign(existing: Path) -> str:
         # Description of files that no export contains, empty for an export

@@ -141,13 +141,13 @@ def _stored_cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -
     if dtype is not None:
         one_of(str(dtype), ("float32", "uint16"), "dtype")
     if dtype == "uint16" and cube.dtype.kind == "f":
-        if name != "reflectance":
-            raise SchemaError(
-                f"{name!r} is {cube.dtype}",
-                expected="reflectance, the only variable of floats that is written as uint16",
-                mend="pass dtype='float32'",
-                code="type-wrong",
-            )
+        SchemaError.raise_if(
+            name != "reflectance",
+            f"{name!r} is {cube.dtype}",
+            expected="reflectance, the only variable of floats that is written as uint16",
+            mend="pass dtype='float32'",
+            code="type-wrong",
+        )
         scaled = (cube * np.float32(_SCALE)).round().clip(0, _IGNORE - 1).fillna(_IGNORE)
         return scaled.astype(np.uint16).assign_attrs(cube.attrs)
     return cube.astype(np.float32, copy=False) if dtype == "float32" else storable(cube)

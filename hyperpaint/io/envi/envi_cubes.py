@@ -153,12 +153,12 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
         # read() allocates the requested size
         raw = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
     name = f"ENVI header {os.fspath(path)!r}"
-    if len(raw) > limit:
-        raise FormatError(
-            f"{name} cannot be read: it is over {limit >> 20} MB",
-            mend="check that it is not the data file",
-            code="file-too-large",
-        )
+    FormatError.raise_if(
+        len(raw) > limit,
+        f"{name} cannot be read: it is over {limit >> 20} MB",
+        mend="check that it is not the data file",
+        code="file-too-large",
+    )
     return parse_header(decoded_text(raw), name)
 
 
@@ -712,21 +712,21 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     bare_path = path.with_suffix("")
     if path.suffix.lower() != ".hdr":
         headers = existing((".hdr", ".HDR"), path, bare_path)
-        if not headers:
-            raise FormatError(
-                f"ENVI data file {str(path)!r} has no header beside it",
-                expected=f"{path.name + '.hdr'!r} or {path.stem + '.hdr'!r}",
-                code="header-missing",
-            )
+        FormatError.raise_if(
+            not headers,
+            f"ENVI data file {str(path)!r} has no header beside it",
+            expected=f"{path.name + '.hdr'!r} or {path.stem + '.hdr'!r}",
+            code="header-missing",
+        )
         return headers[0], path
     suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
     candidates = existing([""], bare_path) or existing(suffixes, bare_path)
-    if not candidates:
-        raise FormatError(
-            f"ENVI header {str(path)!r} has no data file beside it",
-            expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
-            code="data-file-missing",
-        )
+    FormatError.raise_if(
+        not candidates,
+        f"ENVI header {str(path)!r} has no data file beside it",
+        expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
+        code="data-file-missing",
+    )
     if len(candidates) > 1:
         names = ", ".join(repr(candidate.name) for candidate in candidates)
         raise FormatError(

@@ -207,12 +207,15 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
     existing = [target for target in targets if os.path.lexists(target)]
     for target in existing[:]:
         if foreign is None or target != targets[-1]:
-            if target.is_dir():
-                raise StoreError(f"{target} is a folder", mend="choose another path", code="path-is-folder")
-            if not target.is_symlink() and not is_plain_file(target):
-                raise StoreError(
-                    f"{target} is not a plain file", mend="choose another path", code="file-not-plain"
-                )
+            StoreError.raise_if(
+                target.is_dir(), f"{target} is a folder", mend="choose another path", code="path-is-folder"
+            )
+            StoreError.raise_if(
+                not target.is_symlink() and not is_plain_file(target),
+                f"{target} is not a plain file",
+                mend="choose another path",
+                code="file-not-plain",
+            )
         elif target.is_symlink() or not target.is_dir():
             raise StoreError(
                 f"{target} is a file or a link",
@@ -228,10 +231,12 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
                 raise StoreError(
                     f"{target} cannot be read: {error.strerror or error}", code="file-unreadable"
                 ) from error
-            if content:
-                raise StoreError(
-                    f"{target} holds {content}", mend="choose a new or empty folder", code="folder-occupied"
-                )
+            StoreError.raise_if(
+                content,
+                f"{target} holds {content}",
+                mend="choose a new or empty folder",
+                code="folder-occupied",
+            )
             if is_empty:
                 existing.remove(target)
     if existing and not overwrite:

@@ -57,22 +57,22 @@ def read_limited_text(
     """
     data = read_limited(path, limit, expected)
     count = max(data.count(b"\n"), data.count(b"\r"))
-    if count > lines:
-        raise FormatError(
-            f"{path}: {count} lines",
-            expected=f"{expected} of at most {lines}",
-            mend=mend,
-            code="file-too-large",
-        )
+    FormatError.raise_if(
+        count > lines,
+        f"{path}: {count} lines",
+        expected=f"{expected} of at most {lines}",
+        mend=mend,
+        code="file-too-large",
+    )
     start = 0
     while len(data) - start > MAX_LINE_BYTES:
         end = max(data.rfind(mark, start, start + MAX_LINE_BYTES + 1) for mark in (b"\n", b"\r"))
-        if end < 0:
-            raise FormatError(
-                f"{path}: a line of over {MAX_LINE_BYTES} bytes",
-                expected=f"{expected}, lines of at most that",
-                code="line-too-long",
-            )
+        FormatError.raise_if(
+            end < 0,
+            f"{path}: a line of over {MAX_LINE_BYTES} bytes",
+            expected=f"{expected}, lines of at most that",
+            code="line-too-long",
+        )
         start = end + 1
     return data
 
@@ -188,17 +188,20 @@ def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
     Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is not a plain file. A damaged file
     raises the engine's error.
     """
-    if not is_plain_file(input_path(path, "a netCDF file")):
-        raise FormatError(
-            f"{path}: no plain file", expected="a netCDF file", mend="check the path", code="file-not-plain"
-        )
+    FormatError.raise_if(
+        not is_plain_file(input_path(path, "a netCDF file")),
+        f"{path}: no plain file",
+        expected="a netCDF file",
+        mend="check the path",
+        code="file-not-plain",
+    )
     with xr.open_dataset(os.fspath(path), group=group) as dataset:
-        if dataset.nbytes > MAX_NETCDF_BYTES:
-            raise FormatError(
-                f"{path} declares {dataset.nbytes} bytes",
-                expected=f"at most {MAX_NETCDF_BYTES}",
-                code="file-too-large",
-            )
+        FormatError.raise_if(
+            dataset.nbytes > MAX_NETCDF_BYTES,
+            f"{path} declares {dataset.nbytes} bytes",
+            expected=f"at most {MAX_NETCDF_BYTES}",
+            code="file-too-large",
+        )
         return dataset.load()
 
 

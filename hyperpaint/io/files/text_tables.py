@@ -36,13 +36,13 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINE
     """
     mend = "cut it to the flight, or give an SBET file" if lines == MAX_TABLE_ROWS else "check the file"
     data = read_limited_text(path, limit, "a text file", lines, mend)
-    if b"\0" in data:
-        raise FormatError(
-            f"{path}: binary",
-            expected="text",
-            mend="export it: some systems write binary logs under the same name",
-            code="text-unreadable",
-        )
+    FormatError.raise_if(
+        b"\0" in data,
+        f"{path}: binary",
+        expected="text",
+        mend="export it: some systems write binary logs under the same name",
+        code="text-unreadable",
+    )
     # as bytes, one copy at a time: such files have a hundred megabytes
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").removeprefix(b"\xef\xbb\xbf")
     return data.decode("latin-1")
@@ -72,12 +72,12 @@ def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
     # an older program separates the two columns of a frame index with blanks
     separator = "\t" if "\t" in first else None
     names = [cell.strip().lower() for cell in first.rstrip("\t").split(separator)]
-    if not set(needs) <= set(names) or len(set(names)) != len(names):
-        raise FormatError(
-            f"{path}: first line {first[:120]!r}",
-            expected=f"the header of a {kind}, which names {list(needs)} once",
-            code="header-wrong",
-        )
+    FormatError.raise_if(
+        not set(needs) <= set(names) or len(set(names)) != len(names),
+        f"{path}: first line {first[:120]!r}",
+        expected=f"the header of a {kind}, which names {list(needs)} once",
+        code="header-wrong",
+    )
 
     if separator:
         table = _regular_table(path.name, names, text)
@@ -139,14 +139,13 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
             columns.extend(zip(*block, strict=True))
             block.clear()
     columns.extend(zip(*block, strict=True))
-    if wrong_rows:
-        raise FormatError(
-            f"{path}: {name_rows(wrong_rows)} without {len(names)} cells",
-            mend="correct or delete them",
-            code="length-mismatch",
-        )
-    if not numbers:
-        raise FormatError(f"{path}: no rows of {', '.join(names)[:80]}", code="empty-input")
+    FormatError.raise_if(
+        wrong_rows,
+        f"{path}: {name_rows(wrong_rows)} without {len(names)} cells",
+        mend="correct or delete them",
+        code="length-mismatch",
+    )
+    FormatError.raise_if(not numbers, f"{path}: no rows of {', '.join(names)[:80]}", code="empty-input")
     return Table(path.name, np.array(numbers, np.int64), columns)
 
 
@@ -170,9 +169,9 @@ def to_integers(table: Table, name: str) -> NDArray[np.int64]:
     wrong_rows = [
         int(row) for row, cell in zip(table.rows, cells, strict=True) if not _INTEGER.fullmatch(cell)
     ]
-    if wrong_rows:
-        raise FormatError(
-            f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong_rows)}",
-            code="number-unreadable",
-        )
+    FormatError.raise_if(
+        wrong_rows,
+        f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong_rows)}",
+        code="number-unreadable",
+    )
     return np.array([int(cell.partition(".")[0]) for cell in cells], np.int64)

@@ -32,10 +32,12 @@ def load_tables(path: Path, kind: str) -> dict[str, Any]:
     mistake).
     """
     raw = read_limited(path, _MAX_BYTES, kind)
-    if _LONG_KEY.search(raw):
-        raise FormatError(
-            f"{path}: a key of more than 64 parts", expected=f"the keys of {kind}", code="key-too-long"
-        )
+    FormatError.raise_if(
+        _LONG_KEY.search(raw),
+        f"{path}: a key of more than 64 parts",
+        expected=f"the keys of {kind}",
+        code="key-too-long",
+    )
     try:
         return tomllib.loads(raw.decode("utf-8"))
     except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
@@ -130,8 +132,9 @@ class TableReader:
     def exclude(self, place: str, table: Mapping[str, Any], *keys: str) -> None:
         """Note keys of a table that exclude each other."""
         present = [key for key in keys if key in table["?"]]
-        if len(present) > 1:
-            self.problems.add(f"{place} has {' and '.join(present)}", mend="keep one", code="option-conflict")
+        self.problems.add_if(
+            len(present) > 1, f"{place} has {' and '.join(present)}", mend="keep one", code="option-conflict"
+        )
 
     def is_name(self, place: str, key: str, name: str, blanks: str = "") -> bool:
         """Return whether a group of the store can have this name; otherwise note the fault."""

@@ -177,10 +177,12 @@ def _read(
     # Open a Zarr store, or load a netCDF file; `content` names it in messages
     zarr = is_zarr(source)
     is_path = isinstance(source, str | os.PathLike) and "://" not in os.fspath(source)
-    if is_path and not input_path(Path(source), f"a {content} in a Zarr store or netCDF file").exists():
-        raise FormatError(
-            f"{source}: no such {content}", expected="a Zarr store or a netCDF file", code="file-not-found"
-        )
+    FormatError.raise_if(
+        is_path and not input_path(Path(source), f"a {content} in a Zarr store or netCDF file").exists(),
+        f"{source}: no such {content}",
+        expected="a Zarr store or a netCDF file",
+        code="file-not-found",
+    )
     try:
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
     except Exception as error:  # zarr and the netCDF engines raise errors of many classes
@@ -209,8 +211,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
             problems.add_error("", error)
     for name, array in arrays.items():
         test, fault, expected, code = _VALUE_RULES.get(name, (lambda _: True, "", "", ""))
-        if not test(array.values):
-            problems.add(f"{name!r} {fault}", expected=expected, code=code)
+        problems.add_if(not test(array.values), f"{name!r} {fault}", expected=expected, code=code)
     if "radiance_gain" in arrays:
         gains = arrays["radiance_gain"].values
         unusable = int((np.isinf(gains) | (gains <= 0)).sum())
@@ -229,8 +230,12 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     if shape is not None:
         one_of(shape, SRF_SHAPES, "attribute srf_shape", problems=problems)
     sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}
-    if any(size == 0 for size in sizes.values()):
-        problems.add(f"sizes {sizes}", expected="at least one element", code="empty-input")
+    problems.add_if(
+        any(size == 0 for size in sizes.values()),
+        f"sizes {sizes}",
+        expected="at least one element",
+        code="empty-input",
+    )
     problems.raise_if_any()
     if shape is None:
         shape = "gaussian"
@@ -249,22 +254,26 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
     # A variable in the units, dims and dtype of the table, without coordinates
     spec = VARIABLES[name]
-    if name not in dataset.variables:
-        raise SchemaError(
-            f"{name!r} is missing",
-            expected=f"{spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        name not in dataset.variables,
+        f"{name!r} is missing",
+        expected=f"{spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]",
+        code="variable-missing",
+    )
     array = dataset[name].reset_coords(drop=True)
     allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
-    if not allowed:
-        raise SchemaError(
-            f"{name!r} has dims ({', '.join(map(str, array.dims))})",
-            expected=" or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives)),
-            code="dims-wrong",
-        )
-    if array.dtype.kind not in ("biu" if spec.dtype == "bool" else "fiu"):
-        raise SchemaError(f"{name!r} has dtype {array.dtype}", expected=spec.dtype, code="type-wrong")
+    SchemaError.raise_if(
+        not allowed,
+        f"{name!r} has dims ({', '.join(map(str, array.dims))})",
+        expected=" or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives)),
+        code="dims-wrong",
+    )
+    SchemaError.raise_if(
+        array.dtype.kind not in ("biu" if spec.dtype == "bool" else "fiu"),
+        f"{name!r} has dtype {array.dtype}",
+        expected=spec.dtype,
+        code="type-wrong",
+    )
     array = array.transpose(*allowed[0])
     if spec.units and spec.units != "1":
         # converted in float64, so that values are rounded once
@@ -355,11 +364,14 @@ def saturation_of(
     if saturation_count is None and calibration is not None and "saturation_count" in calibration:
         return calibration["saturation_count"].reset_coords(drop=True)
     if saturation_count is None:
-        if not 1 <= bit_depth <= 16:
-            raise SchemaError(f"bit_depth {bit_depth}", expected="1 to 16", code="value-out-of-range")
-        saturation_count = 2**bit_depth - 1
-    if not 0 < saturation_count <= 65535:
-        raise SchemaError(
-            f"saturation_count {saturation_count}", expected="a count up to 65535", code="value-out-of-range"
+        SchemaError.raise_if(
+            not 1 <= bit_depth <= 16, f"bit_depth {bit_depth}", expected="1 to 16", code="value-out-of-range"
         )
+        saturation_count = 2**bit_depth - 1
+    SchemaError.raise_if(
+        not 0 < saturation_count <= 65535,
+        f"saturation_count {saturation_count}",
+        expected="a count up to 65535",
+        code="value-out-of-range",
+    )
     return label(xr.DataArray(np.float32(saturation_count)), "saturation_count")

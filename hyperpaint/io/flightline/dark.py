@@ -111,8 +111,9 @@ def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: 
     arrays = require(dataset, names, "a dark correction")
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
     _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
-    if not np.isfinite(counts.values).any():
-        raise SchemaError(f"dark_counts of {name} have no finite value", code="not-finite")
+    SchemaError.raise_if(
+        not np.isfinite(counts.values).any(), f"dark_counts of {name} have no finite value", code="not-finite"
+    )
     times = counts.coords["dark_time"] if "dark_time" in counts.dims else None
     counts = label(counts.reset_coords(drop=True), "dark_counts")
     if times is not None:

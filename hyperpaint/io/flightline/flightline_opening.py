@@ -358,15 +358,13 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
     name = next((name for name in ("counts", "radiance") if name in opened), None)
     if name is None:
         names = ", ".join(map(str, opened.data_vars)) or "nothing"
-        if "values" in opened and opened["values"].dtype.kind in "iu":
-            raise FormatError(
-                f"{path}: integers of an undeclared quantity",
-                mend=(
-                    "pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
-                    "or radiance_units="
-                ),
-                code="quantity-ambiguous",
-            )
+        FormatError.raise_if(
+            "values" in opened and opened["values"].dtype.kind in "iu",
+            f"{path}: integers of an undeclared quantity",
+            mend="pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
+            "or radiance_units=",
+            code="quantity-ambiguous",
+        )
         raise FormatError(
             f"{path}: holds {names}",
             expected="raw counts, or radiance with radiance_units",
@@ -455,18 +453,18 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
         return None
     line = inputs.path.name
     if inputs.calibration is None:
-        if required:
-            raise SchemaError(
-                f"{line}: no calibration of the raw counts",
-                mend="pass calibration=",
-                code="calibration-missing",
-            )
-        if cube is not None and "wavelength" not in cube.coords:
-            raise SchemaError(
-                f"{line}: no wavelengths in the header",
-                mend="pass the calibration of this camera",
-                code="wavelength-missing",
-            )
+        SchemaError.raise_if(
+            required,
+            f"{line}: no calibration of the raw counts",
+            mend="pass calibration=",
+            code="calibration-missing",
+        )
+        SchemaError.raise_if(
+            cube is not None and "wavelength" not in cube.coords,
+            f"{line}: no wavelengths in the header",
+            mend="pass the calibration of this camera",
+            code="wavelength-missing",
+        )
         return None
     calibration = open_calibration(inputs.calibration)
     gain = calibration["radiance_gain"]

@@ -79,10 +79,12 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
                 expected="a number, and a unit of time in the brackets",
                 code="number-unreadable",
             ) from error
-        if not (np.isfinite(value) and value > 0):
-            raise FormatError(
-                f"{source}: {key} = {text}", expected="a positive exposure", code="value-out-of-range"
-            )
+        FormatError.raise_if(
+            not (np.isfinite(value) and value > 0),
+            f"{source}: {key} = {text}",
+            expected="a positive exposure",
+            code="value-out-of-range",
+        )
         exposures[key] = value
     if len(set(exposures.values())) > 1:
         stated = ", ".join(f"{key} = {pairs[key]}" for key in exposures)
@@ -167,12 +169,12 @@ def find_exposure(
             warn_user(f"{name}: {stated_text}; the first is used", "exposure-conflict")
         return np.array(value), source
     # with an unreadable header, the exposure is not a problem of its own
-    if required and opened.sizes:
-        raise SchemaError(
-            f"{name}: no exposure in settings.txt beside the cube, or in the comments of the header",
-            mend="pass exposure_time= [s] (in collect.toml: exposure_time_ms)",
-            code="exposure-missing",
-        )
+    SchemaError.raise_if(
+        required and opened.sizes,
+        f"{name}: no exposure in settings.txt beside the cube, or in the comments of the header",
+        mend="pass exposure_time= [s] (in collect.toml: exposure_time_ms)",
+        code="exposure-missing",
+    )
     return None, ""
 
 
@@ -226,17 +228,20 @@ def read_frame_index(path: str | Path) -> FrameIndex:
         check_increasing(stamp, table.rows, f"{path}: column {name!r}")
         return FrameIndex(table.name, frame, stamp, "time of day")
     # stamps on a straight line over the frame numbers, fitted to whole seconds
-    if len(np.unique(stamp)) < 3:
-        raise TimeError(
-            f"{path}: fewer than three different seconds",
-            mend="pass start_time= and frame_period=",
-            code="frame-rate-unknown",
-        )
+    TimeError.raise_if(
+        len(np.unique(stamp)) < 3,
+        f"{path}: fewer than three different seconds",
+        mend="pass start_time= and frame_period=",
+        code="frame-rate-unknown",
+    )
     x = (frame - frame[0]).astype(np.float64)
     y = (stamp - stamp[0]) + 0.5 * _SECOND_US  # truncation reduces a stamp by half a second on average
     slope, offset = np.polyfit(x, y, 1)
-    if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND_US:
-        raise TimeError(f"{path}: the whole seconds fit no steady frame rate", code="frame-rate-unknown")
+    TimeError.raise_if(
+        slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND_US,
+        f"{path}: the whole seconds fit no steady frame rate",
+        code="frame-rate-unknown",
+    )
     fitted: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
     return FrameIndex(table.name, frame, fitted, "time of day", fitted=True)
 
@@ -244,12 +249,12 @@ def read_frame_index(path: str | Path) -> FrameIndex:
 def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject: str) -> None:
     """Raise a `TimeError` about the rows whose stamp does not exceed the previous stamp."""
     faulty_rows = rows[1:][np.diff(stamp) <= 0]
-    if faulty_rows.size:
-        raise TimeError(
-            f"{subject} repeats or decreases in {name_rows(faulty_rows)}",
-            mend="delete or reorder these rows",
-            code="time-unordered",
-        )
+    TimeError.raise_if(
+        faulty_rows.size,
+        f"{subject} repeats or decreases in {name_rows(faulty_rows)}",
+        mend="delete or reorder these rows",
+        code="time-unordered",
+    )
 
 
 def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
@@ -266,12 +271,12 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
         whole_seconds = whole_seconds and micros is None and fraction is None
         micros_of_day[number] = (int(hours) * 60 + int(minutes)) * 60 * _SECOND_US + int(seconds) * _SECOND_US
         micros_of_day[number] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
-    if faulty_rows:
-        raise FormatError(
-            f"{table.name}: column {name!r} is unreadable in {name_rows(faulty_rows)}",
-            expected="'HH:MM:SS microseconds'",
-            code="time-unreadable",
-        )
+    FormatError.raise_if(
+        faulty_rows,
+        f"{table.name}: column {name!r} is unreadable in {name_rows(faulty_rows)}",
+        expected="'HH:MM:SS microseconds'",
+        code="time-unreadable",
+    )
     # a decrease by more than half a day is midnight
     days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -_DAY_US // 2)])
     return micros_of_day + days * _DAY_US, whole_seconds
@@ -384,10 +389,12 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
         problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
     elif counts.sizes[CUBE[0]] == 0:
         problems.add("the cube has no lines", code="empty-input")
-    if counts.dtype.kind != "u" or counts.dtype.itemsize > 2:
-        problems.add(
-            f"dtype {counts.dtype}", expected="unsigned raw counts of 8 or 16 bits", code="type-wrong"
-        )
+    problems.add_if(
+        counts.dtype.kind != "u" or counts.dtype.itemsize > 2,
+        f"dtype {counts.dtype}",
+        expected="unsigned raw counts of 8 or 16 bits",
+        code="type-wrong",
+    )
     problems.raise_if_any()
     shape = counts.shape[1:]
     total, squares = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)

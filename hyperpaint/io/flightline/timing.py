@@ -89,12 +89,12 @@ def utc_of(value: Any, name: str) -> np.datetime64:
             mend="write '2024-06-01T12:00:00Z', or '-05:00' at the end",
             code="zone-missing",
         )
-    if not 1980 <= value.year <= 2200:
-        raise TimeError(
-            f"{name} {value!s:.60} is out of range",
-            expected="a year from 1980 to 2200",
-            code="value-out-of-range",
-        )
+    TimeError.raise_if(
+        not 1980 <= value.year <= 2200,
+        f"{name} {value!s:.60} is out of range",
+        expected="a year from 1980 to 2200",
+        code="value-out-of-range",
+    )
     return np.datetime64(value.astimezone(datetime.UTC).replace(tzinfo=None), "ns")
 
 
@@ -125,15 +125,19 @@ def line_times(
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
     one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
     exposure_s = float(np.max(exposure_time, initial=0.0))
-    if exposure_s > _MAX_EXPOSURE_S:
-        problems.add(
-            f"an exposure of {exposure_s:g} s",
-            expected=f"at most {_MAX_EXPOSURE_S:g} s",
+    problems.add_if(
+        exposure_s > _MAX_EXPOSURE_S,
+        f"an exposure of {exposure_s:g} s",
+        expected=f"at most {_MAX_EXPOSURE_S:g} s",
+        code="value-out-of-range",
+    )
+    for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
+        problems.add_if(
+            seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S,
+            f"{name} {seconds} s",
+            expected="a positive number",
             code="value-out-of-range",
         )
-    for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
-        if seconds is not None and not 0 < seconds <= _MAX_INTERVAL_S:
-            problems.add(f"{name} {seconds} s", expected="a positive number", code="value-out-of-range")
     problems.raise_if_any()
     index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
     nav = read_imu_gps(timing.nav, timing.correction) if isinstance(timing.nav, Path) else timing.nav
@@ -154,12 +158,12 @@ def line_times(
         ).astype("timedelta64[ns]")
     outside = np.isnat(time[recorded])
     if outside.any():
-        if outside.all():
-            raise TimeError(
-                f"{cube.name}: no line lies inside {clock.source}",
-                mend="pass the record of this flight",
-                code="time-uncovered",
-            )
+        TimeError.raise_if(
+            outside.all(),
+            f"{cube.name}: no line lies inside {clock.source}",
+            mend="pass the record of this flight",
+            code="time-uncovered",
+        )
         missing = np.flatnonzero(outside)
         count = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
         text = f"{cube.name}: {count} lie outside {clock.source} and have no time and position"
@@ -178,19 +182,19 @@ def _clock(
     timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: NDArray[np.intp], cube: Path
 ) -> Clock:
     if timing.start_time is not None:
-        if index is not None and nav is not None and nav.utc is not None:
-            raise TimeError(
-                f"{cube.name}: both start_time and a navigation record with UTC",
-                mend="pass one of them",
-                code="option-conflict",
-            )
+        TimeError.raise_if(
+            index is not None and nav is not None and nav.utc is not None,
+            f"{cube.name}: both start_time and a navigation record with UTC",
+            mend="pass one of them",
+            code="option-conflict",
+        )
         start = utc_of(timing.start_time, "start_time").astype(np.int64)
-        if index is None and not timing.frame_period:
-            raise TimeError(
-                f"{cube.name}: start_time without frame_index or frame_period",
-                mend="pass one of them",
-                code="argument-missing",
-            )
+        TimeError.raise_if(
+            index is None and not timing.frame_period,
+            f"{cube.name}: start_time without frame_index or frame_period",
+            mend="pass one of them",
+            code="argument-missing",
+        )
         return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
     if index is None:
         names = (f"frameIndex_{cube_number(cube)}.txt", "imu_gps.txt")

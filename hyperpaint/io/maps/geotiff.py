@@ -129,13 +129,13 @@ def draw_geotiff(
         import rasterio
         from rasterio.shutil import copy
     array = product_of(map, variable)
-    if "y" not in array.dims:
-        raise SchemaError(
-            f"{array.name!r} is {dict(array.sizes)}",
-            expected="a map (y, x, band)",
-            mend="orthorectify the line first",
-            code="dim-missing",
-        )
+    SchemaError.raise_if(
+        "y" not in array.dims,
+        f"{array.name!r} is {dict(array.sizes)}",
+        expected="a map (y, x, band)",
+        mend="orthorectify the line first",
+        code="dim-missing",
+    )
     grid = required_grid(map)
     band_numbers = _band_indices(map, array, bands)
     array = array.isel({BAND: band_numbers})
@@ -175,12 +175,12 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
     # Return the metadata of a GeoTIFF; no cell is read.
     # Raises `FormatError`: it is not a TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
     with open_input(path, "a GeoTIFF") as file:
-        if not file.read(4).startswith(TIFF):
-            raise FormatError(
-                f"{path}: not a TIFF, in spite of its name",
-                mend="check what the file is",
-                code="format-unknown",
-            )
+        FormatError.raise_if(
+            not file.read(4).startswith(TIFF),
+            f"{path}: not a TIFF, in spite of its name",
+            mend="check what the file is",
+            code="format-unknown",
+        )
     with open_raster(path, "reading a GeoTIFF") as raster:
         is_placed = raster.crs is not None or not raster.transform.is_identity
         wkt = None if raster.crs is None else raster.crs.to_wkt()
@@ -203,10 +203,9 @@ def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]
     if isinstance(bands, str):
         if bands == "all":
             return list(range(count))
-        if bands != "rgb":
-            raise SchemaError(
-                f"bands {bands!r:.40}", expected="'all', 'rgb' or indices", code="choice-unknown"
-            )
+        SchemaError.raise_if(
+            bands != "rgb", f"bands {bands!r:.40}", expected="'all', 'rgb' or indices", code="choice-unknown"
+        )
         axis = map.variables.get("wavelength")
         has_axis = axis is not None and axis.dims == (BAND,) and axis.size == count
         nearest = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if has_axis else None
@@ -218,21 +217,23 @@ def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]
             )
         return nearest
     chosen = [int(band) for band in bands]
-    if not chosen or not all(-count <= band < count for band in chosen):
-        raise SchemaError(
-            f"bands {chosen[:20]}", expected=f"one or more of 0 to {count - 1}", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        not chosen or not all(-count <= band < count for band in chosen),
+        f"bands {chosen[:20]}",
+        expected=f"one or more of 0 to {count - 1}",
+        code="value-out-of-range",
+    )
     return [band % count for band in chosen]
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     # Return 8-bit sRGB (y, x, band); 0 where a band is unknown.
-    if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
-        raise SchemaError(
-            f"stretch {stretch}",
-            expected="two rising percentiles within 0 and 100",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        not 0.0 <= stretch[0] < stretch[1] <= 100.0,
+        f"stretch {stretch}",
+        expected="two rising percentiles within 0 and 100",
+        code="value-out-of-range",
+    )
     step = -(-array.sizes["y"] // _SAMPLED_ROWS)
     sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
     complete = sample[np.isfinite(sample).all(axis=-1)]

@@ -35,13 +35,13 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
             code="variable-missing",
         )
     array = dataset[name]
-    if set(array.dims) - {BAND} not in _GEOMETRIES or not array.size:
-        raise SchemaError(
-            f"{name!r} is {dict(array.sizes)}",
-            expected=f"({ALONG_TRACK}, {BAND}, {CROSS_TRACK}) or (y, x, {BAND}), with or without {BAND}, and "
-            "no dim of size 0",
-            code="dim-missing",
-        )
+    SchemaError.raise_if(
+        set(array.dims) - {BAND} not in _GEOMETRIES or not array.size,
+        f"{name!r} is {dict(array.sizes)}",
+        expected=f"({ALONG_TRACK}, {BAND}, {CROSS_TRACK}) or (y, x, {BAND}), with or without {BAND}, and "
+        "no dim of size 0",
+        code="dim-missing",
+    )
     array = array.reset_coords(drop=True)
     array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
     return array.transpose(*(("y", "x") if "y" in array.dims else (ALONG_TRACK, CROSS_TRACK)), BAND)
@@ -57,12 +57,12 @@ def storable(array: xr.DataArray) -> xr.DataArray:
         return array.astype(np.float64 if is_float64 else np.float32, copy=False)
     if array.dtype == bool:
         return array.astype(np.uint8)
-    if array.dtype.name not in ("uint8", "uint16", "int16", "uint32", "int32"):
-        raise SchemaError(
-            f"{array.name!r} is {array.dtype}",
-            expected="floats or integers of at most 32 bits",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        array.dtype.name not in ("uint8", "uint16", "int16", "uint32", "int32"),
+        f"{array.name!r} is {array.dtype}",
+        expected="floats or integers of at most 32 bits",
+        code="type-wrong",
+    )
     return array
 
 
@@ -140,13 +140,13 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
         (x, width), (y, height) = _edges_and_steps(dataset, sizes)
         col, row, cols, rows = x / sizes[0], y / sizes[1], width / sizes[0], height / sizes[1]
         computed = a + col * b + row * c, cols * b, rows * c, d + col * e + row * f, cols * e, rows * f
-        if not _agree(computed, transform, dataset):
-            raise SchemaError(
-                f"GeoTransform of {SPATIAL_REF} is rotated, and 'x' and 'y' are not the distances of all "
-                "cells from its corner, so the position of these cells is ambiguous",
-                mend="drop 'x' and 'y' if this is the whole grid",
-                code="place-ambiguous",
-            )
+        SchemaError.raise_if(
+            not _agree(computed, transform, dataset),
+            f"GeoTransform of {SPATIAL_REF} is rotated, and 'x' and 'y' are not the distances of all "
+            "cells from its corner, so the position of these cells is ambiguous",
+            mend="drop 'x' and 'y' if this is the whole grid",
+            code="place-ambiguous",
+        )
     else:
         (x, width), (y, height) = _edges_and_steps(dataset, (b, f))
         computed = x, width, 0.0, y, 0.0, height
@@ -177,12 +177,12 @@ def _grid_through_positions(dataset: xr.Dataset, transform: Transform) -> Transf
         steps = []
         for values, single in ((plane[0].values, by_column), (plane[:, 0].values, by_row)):
             step, deviation = _step_and_deviation(values, single)
-            if not deviation <= tolerance:
-                raise SchemaError(
-                    f"the position of this map is unknown: {name!r} is not evenly spaced",
-                    mend="choose cells at even steps",
-                    code="spacing-uneven",
-                )
+            SchemaError.raise_if(
+                not deviation <= tolerance,
+                f"the position of this map is unknown: {name!r} is not evenly spaced",
+                mend="choose cells at even steps",
+                code="spacing-uneven",
+            )
             steps.append(step)
         computed += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
     a, b, c, d, e, f = computed
@@ -196,10 +196,12 @@ def _edges_and_steps(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tu
     for name, single in zip("xy", steps, strict=True):
         centres = np.asarray(dataset[name].values, np.float64)
         step, deviation = _step_and_deviation(centres, single)
-        if step == 0.0 or not deviation <= _TOLERANCE * abs(step) + _ROUNDING:
-            problems.add(
-                f"{name!r} is not evenly spaced", mend="choose cells at even steps", code="spacing-uneven"
-            )
+        problems.add_if(
+            step == 0.0 or not deviation <= _TOLERANCE * abs(step) + _ROUNDING,
+            f"{name!r} is not evenly spaced",
+            mend="choose cells at even steps",
+            code="spacing-uneven",
+        )
         edges_and_steps.append((float(centres[0] - step / 2.0), step))
     problems.raise_if_any()
     return edges_and_steps
@@ -231,13 +233,12 @@ def _numbers(text: Any) -> Transform:
         a, b, c, d, e, f = (float(item) for item in items)
     except (TypeError, ValueError):
         a = b = c = d = e = f = math.nan
-    if not all(map(math.isfinite, (a, b, c, d, e, f))) or b * f - c * e == 0.0:
-        raise SchemaError(
-            f"GeoTransform of {SPATIAL_REF} is {text!r:.80}",
-            expected="six numbers in GDAL's order: x of the outer corner, its steps a column and a row, "
-            "then y",
-            code="transform-wrong",
-        )
+    SchemaError.raise_if(
+        not all(map(math.isfinite, (a, b, c, d, e, f))) or b * f - c * e == 0.0,
+        f"GeoTransform of {SPATIAL_REF} is {text!r:.80}",
+        expected="six numbers in GDAL's order: x of the outer corner, its steps a column and a row, then y",
+        code="transform-wrong",
+    )
     return a, b, c, d, e, f
 
 
@@ -406,8 +407,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     longitude, latitude = (np.round(part, 9).tolist() for part in to_degrees.transform(x, y))
     times = dataset["line_time"].values.astype("datetime64[ns]").ravel()
     times = times[~np.isnat(times)]
-    if not times.size:
-        raise SchemaError("no cell of this map has a time in line_time", code="time-missing")
+    SchemaError.raise_if(not times.size, "no cell of this map has a time in line_time", code="time-missing")
     first, last = times.min(), times.max()
     moments = {"datetime": first + (last - first) // 2, "start_datetime": first, "end_datetime": last}
     ring = [list(corner) for corner in zip(longitude, latitude, strict=True)]

@@ -75,12 +75,12 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     driver = next((name for magic, name in _DRIVERS if first_bytes.startswith(magic)), "")
     driver = driver or ("AAIGrid" if first_bytes.lower().startswith(_GRID_KEYWORDS) else "")
     driver = driver or ("SRTMHGT" if full_path.lower().endswith(".hgt") else "")
-    if not driver:
-        raise FormatError(
-            f"{path}: not a TIFF, ASCII grid, SRTM .hgt or DTED, in spite of its name",
-            mend="convert other rasters to GeoTIFF with gdal_translate",
-            code="format-unknown",
-        )
+    FormatError.raise_if(
+        not driver,
+        f"{path}: not a TIFF, ASCII grid, SRTM .hgt or DTED, in spite of its name",
+        mend="convert other rasters to GeoTIFF with gdal_translate",
+        code="format-unknown",
+    )
     for prj in (os.path.splitext(full_path)[0] + suffix for suffix in (".prj", ".PRJ")):
         if driver == "AAIGrid" and os.path.lexists(prj):
             open_input(prj, "the crs of an ASCII grid", MAX_PRJ_BYTES).close()
@@ -92,12 +92,12 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
         with warnings.catch_warnings(), rasterio.Env(**_ENVIRONMENT):
             warnings.simplefilter("ignore")  # rasterio warns of files without position
             with rasterio.open(full_path, driver=driver, sharing=False) as raster:
-                if raster.tags(ns="OVERVIEWS"):
-                    raise FormatError(
-                        f"{path} names another file for its overviews",
-                        mend="convert it with gdal_translate",
-                        code="file-not-alone",
-                    )
+                FormatError.raise_if(
+                    raster.tags(ns="OVERVIEWS"),
+                    f"{path} names another file for its overviews",
+                    mend="convert it with gdal_translate",
+                    code="file-not-alone",
+                )
                 yield raster
     except (rasterio.errors.RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError) as error:
         raise FormatError(
@@ -198,8 +198,7 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
                 "file-too-large",
             ),
         ):
-            if is_wrong:
-                raise FormatError(f"{path}{found}", expected=expected, mend=mend, code=code)
+            FormatError.raise_if(is_wrong, f"{path}{found}", expected=expected, mend=mend, code=code)
         is_large = raster.height * raster.width > MAX_WHOLE_CELLS
         whole = (0, raster.height), (0, raster.width)
         rows, columns = _window(raster, path, around) if is_large else whole
@@ -239,13 +238,13 @@ def _read_cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) ->
     # replace infinities, and signalling NaNs of a damaged file, which would warn in every sum
     values[~np.isfinite(values)] = np.nan
     scale, offset = raster.scales[0], raster.offsets[0]
-    if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
-        raise FormatError(
-            f"{raster.name}: scale {scale:g} and offset {offset:g}",
-            expected="finite ones, no scale of 0",
-            mend="set them with gdal_edit -a_scale 1 -a_offset 0",
-            code="scale-wrong",
-        )
+    FormatError.raise_if(
+        not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0),
+        f"{raster.name}: scale {scale:g} and offset {offset:g}",
+        expected="finite ones, no scale of 0",
+        mend="set them with gdal_edit -a_scale 1 -a_offset 0",
+        code="scale-wrong",
+    )
     return values if (scale, offset) == (1.0, 0.0) else values * scale + offset
 
 
@@ -293,12 +292,12 @@ def _window(
     column, row = ~raster.transform * (x, y)
     column, row = (coordinate[np.isfinite(column) & np.isfinite(row)] for coordinate in (column, row))
     is_inside = (row >= 0) & (row < raster.height) & (column >= 0) & (column < raster.width)
-    if not is_inside.any():
-        raise FormatError(
-            f"{subject}, and the flight is outside of it",
-            mend="give the DEM of this place",
-            code="flight-outside",
-        )
+    FormatError.raise_if(
+        not is_inside.any(),
+        f"{subject}, and the flight is outside of it",
+        mend="give the DEM of this place",
+        code="flight-outside",
+    )
     heights = np.array(
         [
             float(_read_cells(raster, (int(r), int(r) + 1), (int(k), int(k) + 1))[0, 0])
@@ -320,11 +319,11 @@ def _window(
         first = max(int(values.min() - cells) - _BORDER_CELLS, 0)
         ranges.append((first, min(int(values.max() + cells) + _BORDER_CELLS + 1, size)))
     (top, bottom), (left, right) = ranges
-    if (bottom - top) * (right - left) > MAX_WINDOW_CELLS:
-        raise FormatError(
-            f"{subject}, {bottom - top} x {right - left} of them around this flight",
-            expected=f"at most {MAX_WINDOW_CELLS} in all",
-            mend="resample it with gdalwarp -tr",
-            code="file-too-large",
-        )
+    FormatError.raise_if(
+        (bottom - top) * (right - left) > MAX_WINDOW_CELLS,
+        f"{subject}, {bottom - top} x {right - left} of them around this flight",
+        expected=f"at most {MAX_WINDOW_CELLS} in all",
+        mend="resample it with gdalwarp -tr",
+        code="file-too-large",
+    )
     return ranges[0], ranges[1]

@@ -198,13 +198,11 @@ def _run(numbers: range) -> list[Outcome]:
     outcomes: dict[str, Outcome] = {}
     for name, door in (tries()[number] for number in numbers):
         kind = "files" if BOMBS[name].store is None else "stores"
-        outcome = outcomes.setdefault(kind, Outcome(f"bombs: {kind}", seconds=0.0, memory=0))
-        run_bomb(name, door, outcome)
+        run_bomb(name, door, outcomes.setdefault(kind, Outcome(f"bombs: {kind}", seconds=0.0, memory=0)))
     return list(outcomes.values())
 
 
 def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     # Yield the outcome of every part; each bomb is tried once: none is left for ``first`` above 0
     if not first:
-        numbers = range(0, len(tries()), max(1, round(1 / scale)))
-        yield from in_parallel(_run, parts_of(numbers, _PART))
+        yield from in_parallel(_run, parts_of(range(0, len(tries()), max(1, round(1 / scale))), _PART))

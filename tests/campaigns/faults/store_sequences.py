@@ -26,6 +26,7 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
+from support.refusals import expect_error
 from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
@@ -91,8 +92,7 @@ class StoreSequence(RuleBasedStateMachine):
         known = {name: {self.recorded.get(name)} | {w[1].get(name) for w in self.writes} for name in LINES}
         pending = [name for name in LINES if self.at(name) != lines[name] or lines[name] not in known[name]]
         if not overwrite and any(name in self.present and self.at(name) != lines[name] for name in pending):
-            with pytest.raises(PaintError):
-                self._process(kind, stop, overwrite=overwrite)
+            expect_error(PaintError, None, lambda: self._process(kind, stop, overwrite=overwrite))
             return
         if isinstance(stop, int) and stop >= len(pending):
             stop = None

@@ -1,4 +1,4 @@
-"""``collect.toml``, and the tree it opens."""
+"""``collect.toml``, the tree it opens, and the lines that its cubes make."""
 
 import os
 import re
@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_equal, expect_error, expect_errors, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
-from hyperpaint.io.collect.collect_toml import open_collect, read_collect
+from hyperpaint.io.collect.collect_toml import join_lines, open_collect, read_collect
 from hyperpaint.io.envi.envi_cubes import EnviArray, parse_header
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.spectrometers.asd import open_asd
@@ -118,8 +119,7 @@ def test_no_dark_is_said_in_either_way(folder: Path, said: str) -> None:
     text = path.read_text()
     path.write_text(said + text if said.startswith("dark") else text + said)
     assert {line.dark for line in read_collect(path).flightlines} == {"none"}
-    tree = open_collect(path)
-    assert (tree["flightlines/raw_0/dark_counts"] == 0).all()
+    assert (open_collect(path)["flightlines/raw_0/dark_counts"] == 0).all()
 
 
 def test_the_tree_holds_every_line_and_nothing_at_its_root(folder: Path) -> None:
@@ -185,8 +185,7 @@ def test_lines_without_side_files_start_at_a_time(folder: Path) -> None:
         (r"^frame_index = .*_30.*\n", 'start_time = "2021-07-20T17:10:00.210Z"\n'),
     )
     tree = open_collect(path)
-    first = tree["flightlines/raw_0/time"].values[0]
-    assert first == np.datetime64("2021-07-20T17:09:59.997500000")
+    assert tree["flightlines/raw_0/time"].values[0] == np.datetime64("2021-07-20T17:09:59.997500000")
     assert "latitude" not in tree["flightlines/raw_0"].to_dataset()
 
 
@@ -259,12 +258,13 @@ def test_every_problem_of_the_file_is_listed(folder: Path) -> None:
     ],
 )
 def test_one_problem_at_a_time(folder: Path, old: str, new: str, expected: str) -> None:
-    assert expected in problems_of(change(folder, (old, new)), opened=True)
+    # the lines are opened only where the file itself shows no problem
+    opened = expected in ("no calibration", 'dark="none"')
+    assert expected in problems_of(change(folder, (old, new)), opened=opened)
 
 
 def test_the_place_of_a_mistake_in_the_toml_is_told(folder: Path) -> None:
-    text = problems_of(change(folder, (r"^bit_depth = .*", "bit_depth = = 12")))
-    assert "line 7" in text
+    assert "line 7" in problems_of(change(folder, (r"^bit_depth = .*", "bit_depth = = 12")))
     for content in (b"\xff\xfe", b"a = " + b"[" * 10_000):
         (folder / "collect.toml").write_bytes(content)
         assert "not TOML" in problems_of(folder / "collect.toml")
@@ -295,7 +295,7 @@ def test_one_problem_shared_by_the_lines_is_said_once(folder: Path) -> None:
     assert "no line times" not in text
 
 
-# --- `[[references]]` of a collect: opened with it, kept in its store, and named where they cannot be -----
+# --- `[[references]]` of a collect: opened with it, kept in its store, and named where they cannot be ------
 
 
 @pytest.fixture(scope="module")
@@ -319,10 +319,9 @@ def test_references_are_opened_by_what_they_are(collect: Path) -> None:
 def test_a_damaged_reference_is_an_error_that_names_it(collect: Path) -> None:
     (collect.parent / "svc" / "red.sig").write_text("/*** Spectra Vista SIG Data ***/\nunits= ?\n")
     (collect.parent / "asd_reflectance" / "blue.asd").write_bytes(b"as7")
-    with pytest.raises(CollectError, match="cannot be processed") as caught:
-        hp.open_collect(collect)
-    assert "red.sig" in str(caught.value)
-    assert "blue.asd" in str(caught.value)
+    error = expect_error(CollectError, "cannot be processed", lambda: hp.open_collect(collect))
+    assert "red.sig" in str(error)
+    assert "blue.asd" in str(error)
 
 
 def test_instruments_name_groups(collect: Path) -> None:
@@ -353,8 +352,7 @@ def test_instruments_are_not_mixed(collect: Path) -> None:
     collect.write_text(
         text.replace('files = "svc/*.sig"', 'files = ["svc/red.sig", "asd_reflectance/red.asd"]')
     )
-    with pytest.raises(CollectError, match="instrument-mixed"):
-        hp.open_collect(collect)
+    expect_errors((CollectError, "instrument-mixed", lambda: hp.open_collect(collect)))
 
 
 @pytest.mark.slow
@@ -371,7 +369,7 @@ def test_another_reference_is_other_input(collect: Path, tmp_path: Path) -> None
     assert hp.verify(out).ok
 
 
-# --- inputs that the fault campaigns found: each once left its parser in a wrong way ----------------------
+# --- inputs that the fault campaigns found: each once left its parser in a wrong way -----------------------
 
 
 @pytest.mark.parametrize(
@@ -386,8 +384,7 @@ def test_globs_that_recurse_or_never_end(pattern: str, code: str, tmp_path: Path
     # RecursionError from glob (a level a folder); with many '**' the time multiplies
     path = tmp_path / "collect.toml"
     path.write_text(f'[irradiance]\nfiles = "{pattern}"\n')
-    with pytest.raises(CollectError, match=code):
-        read_collect(path)
+    expect_errors((CollectError, code, lambda: read_collect(path)))
 
 
 def test_a_pipe_that_a_glob_matches_is_missed(tmp_path: Path) -> None:
@@ -396,8 +393,7 @@ def test_a_pipe_that_a_glob_matches_is_missed(tmp_path: Path) -> None:
     (tmp_path / "sky_1.asd").touch()
     path = tmp_path / "collect.toml"
     path.write_text('[irradiance]\nfiles = "*.asd"\n')
-    with pytest.raises(CollectError, match=r"sky\.asd .*file-special"):
-        read_collect(path)
+    expect_errors((CollectError, r"sky\.asd .*file-special", lambda: read_collect(path)))
 
 
 @pytest.mark.parametrize("number", ["9" * 400, "-" + "9" * 400, "0x" + "f" * 5000, "[0x" + "f" * 5000 + "]"])
@@ -405,10 +401,9 @@ def test_whole_numbers_beyond_float64(number: str, tmp_path: Path) -> None:
     # OverflowError: int too large to convert to float; ValueError where it is printed
     path = tmp_path / "collect.toml"
     path.write_text(f"[camera]\nexposure_time_ms = {number}\n")
-    with pytest.raises(CollectError) as caught:
-        read_collect(path)
-    assert caught.value.codes[0] == ("type-wrong" if number.startswith("[") else "not-finite")
-    assert "exposure_time_ms" in caught.value.problems[0].found
+    error = expect_error(CollectError, None, lambda: read_collect(path))
+    assert error.codes[0] == ("type-wrong" if number.startswith("[") else "not-finite")
+    assert "exposure_time_ms" in error.problems[0].found
 
 
 @pytest.mark.parametrize("cell", ["1e39", "-1e300", "1.7e308"])
@@ -440,3 +435,163 @@ def test_wavelengths_beyond_float64(lists: str) -> None:
     head = "ENVI\nsamples = 1\nlines = 1\nbands = 2\ndata type = 12\ninterleave = bil\nbyte order = 0\n"
     with pytest.raises(FormatError, match="not-finite"):
         parse_header(f"{head}wavelength units = Meters\n{lists}\n", "cube.hdr")
+
+
+# --- Cubes of one flight: one line where the recording goes on, else lines of their own, with the reason ---
+
+CAMERA = {"scene": "plan", "lines": 60, "bands": 8, "columns": 6, "seed": 4, "truth": False}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
+    # The line of one cube
+    path = hp.simulate_collect(tmp_path_factory.mktemp("whole"), **CAMERA)
+    return hp.open_collect(path)["flightlines/raw_0"].to_dataset()
+
+
+@pytest.fixture(scope="module")
+def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    # The same flight cut into five cubes; its ``collect.toml`` with one table for all
+    path = hp.simulate_collect(tmp_path_factory.mktemp("cut"), cubes=5, **CAMERA)
+    return with_lines(path, 'cube = "flight/raw_*.hdr"')
+
+
+def with_lines(path: Path, *tables: str) -> Path:
+    # Replace the tables [[flightlines]] of a collect
+    text = re.sub(r"\[\[flightlines\]\][^\[]*", "", path.read_text(encoding="utf-8"))
+    text += "".join(f"\n[[flightlines]]\n{table}\n" for table in tables)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("cubes", ['"flight/raw_*.hdr"', '"flight"', '"flight/"'])
+def test_a_flight_that_goes_on_is_one_line(whole: xr.Dataset, cut: Path, tmp_path: Path, cubes: str) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", f"cube = {cubes}"))["flightlines"]
+    assert set(lines.children) == {"raw_0"}
+    line = lines["raw_0"].to_dataset()
+    assert line.attrs["source"] == "raw_0.hdr, raw_12.hdr, raw_24.hdr, raw_36.hdr, raw_48.hdr"
+    xr.testing.assert_identical(line.drop_attrs(), whole.drop_attrs())
+    np.testing.assert_array_equal(
+        line.paint.reflectance()["reflectance"].values, whole.paint.reflectance()["reflectance"].values
+    )
+
+
+def test_the_line_has_the_name_it_is_given(cut: Path, tmp_path: Path) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    path = with_lines(tmp_path / "raw" / "collect.toml", 'id = "north"\ncube = "flight/raw_*.hdr"')
+    assert set(hp.open_collect(path)["flightlines"].children) == {"north"}
+
+
+def test_a_cube_that_is_missing_makes_two_lines_and_says_why(cut: Path, tmp_path: Path) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    for name in ("raw_24", "raw_24.hdr", "frameIndex_24.txt"):
+        (tmp_path / "raw" / "flight" / name).unlink()
+    with pytest.warns(hp.errors.PaintWarning, match=r"raw_36 .*recording-interrupted"):
+        lines = hp.open_collect(tmp_path / "raw" / "collect.toml")["flightlines"]
+    assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
+        "raw_0": 24,
+        "raw_36": 24,
+    }
+
+
+def test_tables_of_their_own_stay_lines_of_their_own(cut: Path, tmp_path: Path) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    tables = [f'cube = "flight/raw_{number}.hdr"' for number in (0, 12)]
+    lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))["flightlines"]
+    assert set(lines.children) == {"raw_0", "raw_12"}
+
+
+def test_a_store_of_joined_cubes_is_the_store_of_one(cut: Path, whole: xr.Dataset, tmp_path: Path) -> None:
+    store = hp.process(cut, tmp_path / "lot.zarr")
+    line = xr.open_zarr(store, group="flightlines/raw_0")
+    np.testing.assert_array_equal(line["counts"].values, whole["counts"].values)
+    assert hp.process(cut, tmp_path / "lot.zarr") == store  # nothing to do
+
+
+def test_blank_lines_of_lost_frames_do_not_part_a_flight(tmp_path: Path) -> None:
+    # They have no time: the period is that of the lines that have one, and blank ones take a period each
+    tree = hp.open_collect(hp.simulate_collect(tmp_path, cubes=3, **CAMERA))["flightlines"]
+    lines = {name: tree[name].to_dataset() for name in ("raw_0", "raw_20", "raw_40")}
+    for name, lost in (("raw_0", [5, 17, 18, 19]), ("raw_20", [0, 1, 2])):
+        times = lines[name]["time"].values.copy()
+        times[lost] = np.datetime64("NaT", "ns")
+        lines[name] = lines[name].assign_coords(time=lines[name]["time"].copy(data=times))
+    (flown,) = join_lines(lines, None)
+    assert flown.members == ("raw_0", "raw_20", "raw_40")
+    assert int(np.isnat(flown.line["time"].values).sum()) == 7
+    # a pause is one all the same
+    lines["raw_20"] = lines["raw_20"].assign_coords(time=lines["raw_20"]["time"] + np.timedelta64(1, "s"))
+    assert next(len(each.members) for each in join_lines(lines, None)) == 1
+
+
+DAY = 'id = "day"\n'
+
+
+@pytest.mark.parametrize(
+    ("tables", "problem"),
+    [
+        ([DAY + 'cube = "flight/raw_[01]*.hdr"', DAY + 'cube = "flight/raw_[34]*.hdr"'], "the id 'day'"),
+        ([DAY + 'cube = "flight/raw_[01]*.hdr"', DAY + 'cube = "flight/raw_48.hdr"'], "the id 'day'"),
+        ([DAY + 'cube = "flight"', 'id = "Day"\ncube = "flight/raw_[01]*.hdr"'], "the id 'day'"),
+        (['id = "a/b"\ncube = "flight/raw_*.hdr"'], "id = 'a/b', expected letters"),
+        (['id = "c"\ncube = "flight"'], "id = 'c', expected letters"),
+        (['cube = "flight/raw_*.hdr"', 'cube = "flight/raw_1*.hdr"'], "the id 'raw_12'"),
+    ],
+)  # fmt: skip
+def test_no_line_takes_the_place_of_another(
+    cut: Path, tmp_path: Path, tables: list[str], problem: str
+) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    with pytest.raises(hp.errors.PaintError, match=re.escape(problem)) as caught:
+        hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))
+    assert str(caught.value).count("expected letters") <= 1
+
+
+def test_flights_of_one_day_may_have_cubes_of_the_same_names(cut: Path, tmp_path: Path) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    shutil.copytree(tmp_path / "raw" / "flight", tmp_path / "raw" / "second")
+    (tmp_path / "raw" / "second" / "raw_24.hdr").unlink()
+    tables = ['id = "one"\ncube = "flight"', 'id = "two"\ncube = "second/raw_*.hdr"']
+    with pytest.warns(hp.errors.PaintWarning, match=r"two_raw_36 .*recording-interrupted"):
+        lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))["flightlines"]
+    assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
+        "one": 60, "two_raw_0": 24, "two_raw_36": 24,
+    }  # fmt: skip
+    # regions of a line name it
+    assert {line.attrs["name"] for line in lines.children.values()} == set(lines.children)
+
+
+def test_a_frame_lost_between_two_cubes_is_a_blank_line_as_within_one(
+    tmp_path: Path, whole: xr.Dataset
+) -> None:
+    # Against the flight in one cube, which lost the same frame
+    path = hp.simulate_collect(tmp_path, cubes=3, **CAMERA)
+    folder = path.parent / "flight"
+    header = (folder / "raw_20.hdr").read_text(encoding="utf-8")
+    raw = (folder / "raw_20").read_bytes()
+    (folder / "raw_21").write_bytes(raw[len(raw) // 20 :])
+    (folder / "raw_21.hdr").write_text(re.sub(r"lines\s*=\s*20", "lines = 19", header), encoding="utf-8")
+    title, _, *rows = (folder / "frameIndex_20.txt").read_text(encoding="utf-8").splitlines(keepends=True)
+    (folder / "frameIndex_21.txt").write_text("".join([title, *rows]), encoding="utf-8")
+    for name in ("raw_20", "raw_20.hdr", "frameIndex_20.txt"):
+        (folder / name).unlink()
+    (line,) = hp.open_collect(with_lines(path, 'cube = "flight"'))["flightlines"].children.values()
+    assert (line.attrs["dropped_frames"], line.sizes["along_track"]) == (1, 60)
+    np.testing.assert_array_equal(line["along_track"], np.arange(60))
+    np.testing.assert_array_equal(line["frame"], whole["frame"])
+    there = np.arange(60) != 20
+    assert (line["counts"].values[20] == 65535).all()
+    for name in ("time", "latitude", "roll"):
+        assert pd.isna(line[name].values[20])
+    for name in ("counts", "time", "latitude", "roll"):
+        np.testing.assert_array_equal(line[name].values[there], whole[name].values[there])
+        assert line[name].dtype == whole[name].dtype
+    # as without a loss: in the tasks of the first cube
+    assert line["counts"].chunks == ((20, 20, 20), (8,), (6,))
+    # without numbers that count on, time says it
+    tree = hp.open_collect(with_lines(path, *(f'cube = "flight/raw_{n}.hdr"' for n in (0, 21, 40))))
+    own = {name: child.to_dataset() for name, child in tree["flightlines"].children.items()}
+    own = {name: each.assign_coords(frame=each.frame - each.frame[0]) for name, each in own.items()}
+    (joined,) = join_lines(own, None)
+    expect_equal((joined.line.attrs["dropped_frames"], 1), (np.isnat(joined.line["time"].values), ~there))

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 from support.dirsig_exports import files, strict_ems
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.dirsig import read_materials, write_dirsig_scene
@@ -346,7 +347,6 @@ def test_an_export_is_replaced_only_when_asked(tmp_path: Path) -> None:
     paints = library(["red", "asphalt"], 5)
     write_dirsig_scene(boxes(), tmp_path / "out", paints)
     before = files(tmp_path / "out")
-    with pytest.raises(StoreError, match="overwrite"):
-        write_dirsig_scene(boxes(), tmp_path / "out", paints)
+    expect_errors((StoreError, "overwrite", lambda: write_dirsig_scene(boxes(), tmp_path / "out", paints)))
     write_dirsig_scene(boxes(), tmp_path / "out", paints, overwrite=True)
     assert files(tmp_path / "out") == before  # the same bytes

@@ -1,8 +1,10 @@
 """ENVI cubes through the lazy reader: values, damage, laziness, and other readers as oracles."""
 
 import itertools
+import json
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 import time
@@ -20,12 +22,19 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 from support import ROOT
 from support.envi_cubes import CODES, FROM_LBS, toy, write_cube
-from support.refusals import expect_errors
+from support.refusals import expect_equal, expect_error, expect_errors
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.io.backends import EnviBackendEntrypoint
-from hyperpaint.io.envi.envi_cubes import EnviArray, open_envi
+from hyperpaint.io.envi.envi_cubes import (
+    EnviArray,
+    EnviParser,
+    find_pair,
+    open_envi,
+    slab_lines,
+    slab_offsets,
+)
 
 
 @pytest.fixture
@@ -91,8 +100,7 @@ def test_any_index_equals_numpy(
         for axis in (2, 1, 0):
             expected = expected[(slice(None),) * axis + (key[axis],)]
         found = line[key]
-        assert found.shape == expected.shape
-        np.testing.assert_array_equal(found.values, expected)
+        expect_equal((found.shape, expected.shape), (found.values, expected))
 
     check()
 
@@ -179,10 +187,9 @@ def test_contradictions_are_refused(tmp_path: Path) -> None:
         tmp_path / "toy", toy("u2"), "reflectance scale factor = 1e4", "description = {x,RADIANCE}",
         "data gain values = {" + "2," * 20 + "}", "file type = ENVI Spectral Library",
     )  # fmt: skip
-    with pytest.raises(FormatError) as caught:
-        open_envi(header)
+    error = expect_error(FormatError, None, lambda: open_envi(header))
     expected = ("spectral library", "band gains", "RADIANCE")
-    assert [text for text in expected if text not in str(caught.value)] == []
+    assert [text for text in expected if text not in str(error)] == []
 
 
 def _rewrite(header: Path) -> None:
@@ -259,8 +266,7 @@ def test_reads_only_what_is_asked(long_header: Path, bytes_read: list[int]) -> N
 def test_bsq_band_is_one_read(tmp_path: Path, bytes_read: list[int]) -> None:
     cube = np.random.default_rng(0).integers(0, 4096, (50, 8, 700)).astype("u2")
     counts = open_envi(write_cube(tmp_path / "cube", cube, interleave="bsq"))["values"]
-    np.testing.assert_array_equal(counts[:, 3], cube[:, 3])
-    assert bytes_read == [50 * 700 * 2]
+    expect_equal((counts[:, 3], cube[:, 3]), (bytes_read, [50 * 700 * 2]))
 
 
 def test_array_is_small_and_picklable(long_header: Path, tmp_path: Path) -> None:
@@ -314,8 +320,7 @@ def test_open_dataset_options(tmp_path: Path) -> None:
 def test_installed_plugin_opens_by_itself(tmp_path: Path) -> None:
     if not any(point.name == "envi" for point in entry_points(group="xarray.backends")):
         pytest.skip("hyperpaint is not installed: its entry point 'envi' is not registered")
-    header = write_cube(tmp_path / "raw_0", toy("u2"))
-    for path in (header, tmp_path / "raw_0"):
+    for path in (write_cube(tmp_path / "raw_0", toy("u2")), tmp_path / "raw_0"):
         np.testing.assert_array_equal(xr.open_dataset(path)["values"], toy("u2"))
 
 
@@ -406,3 +411,444 @@ def test_scaled_reflectance_against_spectral_python(tmp_path: Path) -> None:
     assert np.isnan(found[2, 2, 2])
     assert oracle[2, 2, 2] == np.float32(-0.9999)
     np.testing.assert_allclose(np.where(np.isnan(found), -0.9999, found), oracle, rtol=2e-7)
+
+
+# --- names, units, coordinates -----------------------------------------------------------------------------
+
+
+_RADIANCE_UNITS = ";Units = mW/(cm2*sr*um)"
+
+
+@pytest.mark.parametrize(
+    ("dtype", "lines", "name", "units"),
+    [
+        ("u2", (), "values", None),
+        ("u2", ("description = {raw data of the line}",), "counts", "count"),
+        ("u2", ("description = {hood, counts}",), "counts", "count"),
+        ("u2", (";Units = DN",), "counts", "count"),
+        ("u2", ("data units = DN",), "counts", "count"),
+        ("u2", ("description = {[HEADWALL Hyperspec III],RADIANCE}",), "radiance", None),
+        ("f4", ("description = {raw}",), "values", None),
+        ("i4", ("file type = ENVI Standard", "description = {[HEADWALL Hyperspec III]}"), "counts", "count"),
+        ("u1", ("file type = ENVI Classification",), "values", None),
+        ("f4", (), "values", None),
+        ("f4", ("description = {[HEADWALL Hyperspec III],RADIANCE}",), "radiance", None),
+        ("f4", ("description = {[HEADWALL Hyperspec III],RADIANCE}", _RADIANCE_UNITS), "radiance", "said"),
+        ("u2", ("description = {[HEADWALL Hyperspec III],RADIANCE}", _RADIANCE_UNITS), "radiance", "said"),
+        ("f4", (_RADIANCE_UNITS,), "radiance", "said"),
+        ("f4", (";Units = mW/(cm^2*sr*um)",), "radiance", "mW/(cm2*sr*um)"),
+        ("f4", (";Units = furlong per fortnight",), "values", None),
+        ("f4", ("description = {[x],RADIANCE,REFLECTANCE}", _RADIANCE_UNITS), "reflectance", "1"),
+        ("f4", ("description = {[HEADWALL Hyperspec III],REFLECTANCE,[OR]}",), "reflectance", "1"),
+        ("u2", ("description = {x,REFLECTANCE}", "reflectance scale factor = 1e4"), "reflectance", "1"),
+        ("u2", ("reflectance scale factor = 10000",), "reflectance", "1"),
+        ("f4", ("reflectance scale factor = 1",), "reflectance", "1"),
+        ("u2", ("reflectance scale factor = 1.0",), "values", None),
+        ("f4", ("description = {radiance and other irradiance}",), "values", None),
+        ("u2", ("data gain values = {" + "2," * 20 + "}",), "values", None),
+        ("u2", ("data gain values = {" + "1," * 20 + "}", ";Units = counts"), "counts", "count"),
+        ("f4", ("data gain values = {" + "2," * 20 + "}", _RADIANCE_UNITS), "radiance", "said"),
+    ],
+)
+def test_name_and_units(
+    tmp_path: Path, dtype: str, lines: tuple[str, ...], name: str, units: str | None
+) -> None:
+    line = open_envi(write_cube(tmp_path / "toy", toy(dtype), *lines))
+    assert list(line.data_vars) == [name]
+    assert line[name].attrs.get("units") == ("mW/(cm2*sr*um)" if units == "said" else units)
+    if name in ("radiance", "reflectance"):
+        assert (line[name].dtype, line[name].values.dtype) == (np.float32, np.float32)
+        assert line[name].attrs["long_name"] == schema.VARIABLES[name].meaning
+
+
+def test_integers_called_reflectance_need_a_scale(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"), "description = {x,REFLECTANCE}")
+    with pytest.warns(PaintWarning, match="header-doubtful"):
+        line = open_envi(header)
+    assert (list(line.data_vars), line["values"].dtype) == (["values"], np.uint16)
+
+
+def test_radiance_units_convert_through_the_schema(tmp_path: Path) -> None:
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), "description = {x,RADIANCE}", _RADIANCE_UNITS))
+    found = schema.require(line, ["radiance"], "reflectance")["radiance"]
+    assert found.attrs["units"] == "W m-2 sr-1 nm-1"
+    np.testing.assert_allclose(found.values, toy("f8") * 0.01, rtol=1e-6)
+
+
+def test_ignore_value_is_compared_before_scaling(tmp_path: Path) -> None:
+    cube = toy("i2")
+    cube[1, 2, 3] = -9999
+    header = write_cube(
+        tmp_path / "toy", cube, "reflectance scale factor = 10000", "data ignore value = -9999"
+    )
+    line = open_envi(header).chunk({"along_track": 2})
+    values = line.reflectance.compute()
+    assert values.dtype == line.reflectance.dtype == np.float32
+    expected = (cube / 1e4).astype(np.float32)
+    expected[1, 2, 3] = np.nan
+    np.testing.assert_array_equal(values, expected)
+
+
+@pytest.mark.parametrize("interleave", FROM_LBS)
+def test_gain_and_offset_of_each_band(tmp_path: Path, interleave: str) -> None:
+    cube, gain, offset = toy("u2"), 0.5 + np.arange(20) / 7, np.arange(20) - 3.0
+    header = write_cube(
+        tmp_path / "toy", cube,
+        f"data gain values = {{{', '.join(map(repr, gain.tolist()))}}}",
+        f"data offset values = {{{', '.join(map(repr, offset.tolist()))}}}",
+        "data ignore value = 1", interleave=interleave,
+    )  # fmt: skip
+    values = open_envi(header)["values"].isel(band=[3, 0, 11])
+    expected = (cube * gain[:, None] + offset[:, None])[:, [3, 0, 11]]
+    expected[0, 1, 0] = np.nan
+    assert values.dtype == np.float32
+    np.testing.assert_allclose(values, expected, rtol=3e-7, atol=1e-5)
+    assert values.values.dtype == np.float32
+
+
+def test_ignore_values_of_floats_and_counts(tmp_path: Path) -> None:
+    cube = toy("f4")
+    cube[0, 0, 0] = -1.23e34
+    # written with fewer digits
+    values = open_envi(write_cube(tmp_path / "toy", cube, "data ignore value = -1.23e+034"))["values"]
+    assert (np.flatnonzero(np.isnan(values)).tolist(), values.dtype) == ([0], np.float32)
+    header = write_cube(tmp_path / "toy", toy("u2"), "data ignore value = 65535", "description = {raw}")
+    counts = open_envi(header).counts
+    assert (counts.dtype, counts.attrs["data_ignore_value"]) == (np.uint16, 65535)
+
+
+def test_coordinates_on_band_have_no_index(tmp_path: Path) -> None:
+    values = ", ".join(str(0.9 - i / 100) for i in range(20))
+    line = open_envi(
+        write_cube(
+            tmp_path / "toy", toy("u2"), f"wavelength = {{{values}}}", "wavelength units = um",
+            "fwhm = {" + "0.006," * 20 + "}", "bbl = {" + "0 " * 3 + "1 " * 17 + "}",
+        )
+    )  # fmt: skip
+    assert not line.indexes
+    np.testing.assert_allclose(line.wavelength, 900 - 10 * np.arange(20), rtol=1e-14)  # not sorted
+    for name in ("wavelength", "fwhm", "good"):
+        assert (line[name].dims, line[name].dtype) == (("band",), schema.dtype_of(name))
+        assert line[name].attrs == schema.VARIABLES[name].attrs
+    assert int((~line.good).sum()) == 3
+
+
+def test_attributes_keep_all_the_header_says(tmp_path: Path) -> None:
+    header = write_cube(
+        tmp_path / "raw_0", toy("u2"), "strange key = {a, b}", ";Exposure (ms) = 5", "; remark"
+    )
+    line = open_envi(header)
+    assert line.attrs["source"] == "raw_0"
+    fields = json.loads(line.attrs["envi_header"])
+    assert (next(iter(fields)), fields["strange key"]) == ("lines", "{a, b}")
+    assert json.loads(line.attrs["envi_comments"]) == {"Exposure (ms)": "5"}
+    assert json.dumps(line.attrs)
+    assert str(tmp_path) not in json.dumps(line.attrs)
+
+
+_UTM = "map info = {UTM, 1, 1, 500000, 4000000, 0.5, 0.25, 18, North, WGS-84, units=Meters}"
+
+
+def test_map_geometry(tmp_path: Path) -> None:
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM, interleave="bsq"))
+    array = line["values"]
+    assert array.dims == ("y", "x", "band")
+    np.testing.assert_array_equal(array, toy("f4").transpose(0, 2, 1))
+    np.testing.assert_array_equal(line.x, 500000.25 + 0.5 * np.arange(4))
+    np.testing.assert_array_equal(line.y, 4000000 - 0.125 - 0.25 * np.arange(5))
+    assert line.x.attrs == {"standard_name": "projection_x_coordinate", "units": "m"}
+    assert line.attrs["map_info"].startswith("{UTM")
+    np.testing.assert_array_equal(array.sel(x=500000.75, y=3999999.9, method="nearest"), toy()[0, :, 1])
+    # a rotated map has no one-dimensional coordinates
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM.replace("}", ", rotation=30}")))
+    assert line["values"].dims == ("y", "x", "band")
+    assert not {"x", "y"} & set(line.coords)
+    assert "rotation=30" in line.attrs["map_info"]
+    # an arbitrary one is sensor geometry
+    info = "map info = {Arbitrary, 1, 1, 0, 0, 1, 1, 0, North}"
+    assert open_envi(write_cube(tmp_path / "toy", toy("u2"), info))["values"].dims == schema.CUBE
+
+
+def test_map_geometry_geographic_with_another_reference_pixel(tmp_path: Path) -> None:
+    info = "map info = {Geographic Lat/Lon, 2.5, 3, -77.5, 43.1, 1e-5, 2e-5, WGS84, units=Degrees}"
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), info))
+    # the middle of column 1 (counted from 0) is column 2.5 of ENVI
+    np.testing.assert_allclose(line.x.values[1], -77.5, rtol=1e-15)
+    np.testing.assert_allclose(line.y.values[2], 43.1 - 1e-5, rtol=1e-15)
+    assert line.x.attrs == {"standard_name": "longitude", "units": "degrees_east"}
+
+
+# --- the pair ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("header", "data"),
+    [
+        ("raw_0.hdr", "raw_0"), ("raw_0.HDR", "raw_0"), ("a.hdr", "a.img"), ("a.hdr", "a.DAT"),
+        ("a.hdr", "a.raw"), ("a.hdr", "a.bil"), ("a.hdr", "a.bip"), ("a.hdr", "a.bsq"),
+        ("x.img.hdr", "x.img"), ("x.bil.hdr", "x.bil"), ("v1.2.hdr", "v1.2"), ("v1.2.hdr", "v1.2.img"),
+        ("toy.hdr", "toy.bin"),
+    ],
+)  # fmt: skip
+def test_either_file_finds_the_other(tmp_path: Path, header: str, data: str) -> None:
+    written = write_cube(tmp_path / data, toy("u2"))
+    if written.name != header:
+        written.rename(tmp_path / header)
+    backend = EnviBackendEntrypoint()
+    for name in (header, data):
+        assert find_pair(tmp_path / name) == (tmp_path / header, tmp_path / data)
+        is_guessed = not name.endswith(".bin")  # other formats have that suffix too
+        assert backend.guess_can_open(tmp_path / name) == is_guessed
+        assert backend.guess_can_open(str(tmp_path / name)) == is_guessed
+    for name in (header, data):
+        np.testing.assert_array_equal(open_envi(str(tmp_path / name))["values"], toy("u2"))
+
+
+def test_pair_problems(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "a.img", toy("u2")).rename(tmp_path / "a.hdr")
+    shutil.copy(tmp_path / "a.img", tmp_path / "a.dat")
+    (tmp_path / "lonely.hdr").write_text("ENVI\n")
+    (tmp_path / "bare").write_bytes(b"")
+    for name, code in (
+        ("a.hdr", "data-file-ambiguous"),
+        ("lonely.hdr", "data-file-missing"),
+        ("bare", "header-missing"),
+    ):
+        with pytest.raises(FormatError, match=code):
+            find_pair(tmp_path / name)
+    assert find_pair(tmp_path / "a.dat") == (header, tmp_path / "a.dat")
+    for missing in ("nothing.hdr", "nothing", "."):
+        with pytest.raises(FileNotFoundError, match="no such file"):
+            find_pair(tmp_path / missing)
+
+
+def test_guess_leaves_other_files_alone(tmp_path: Path) -> None:
+    (tmp_path / "a.hdr").write_text("ENVI\n")
+    for name in ("a.nc", "a.tif", "b", "b.img"):
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "other.hdr").write_bytes(b"#?RADIANCE\n")
+    (tmp_path / "a.zarr").mkdir()
+    guess = EnviBackendEntrypoint().guess_can_open
+    for name in ("a.nc", "a.tif", "b", "b.img", "other.hdr", "missing.hdr", "a.zarr", "bad\0name", "."):
+        assert not guess(str(tmp_path / name)), name
+    for thing in ("", ".", "..", "https://example.org/a.img", 3, None, b"bytes", {}):
+        assert not guess(thing)
+
+
+# --- what integers are -------------------------------------------------------------------------------------
+
+
+def test_integers_are_what_the_caller_says_where_the_header_does_not(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"))
+    counts = open_envi(header, quantity="counts").counts
+    assert (counts.dtype, counts.attrs["units"]) == (np.dtype(np.uint16), "count")
+    assert list(open_envi(header, quantity="radiance").data_vars) == ["radiance"]
+    assert list(open_envi(header, unsaid="counts").data_vars) == ["counts"]
+    opened = xr.open_dataset(header, engine=EnviBackendEntrypoint, quantity="counts")
+    np.testing.assert_array_equal(opened.counts, toy("u2"))
+
+
+@pytest.mark.parametrize(
+    ("dtype", "lines", "quantity", "message"),
+    [
+        ("u2", ("description = {x,RADIANCE}",), "counts", "quantity-conflict"),
+        ("u2", ("description = {[HEADWALL Hyperspec III]}",), "radiance", "quantity-conflict"),
+        ("u2", ("reflectance scale factor = 10000",), "counts", "quantity-conflict"),
+        ("f4", (), "counts", "quantity-conflict"),
+        ("u2", ("data gain values = {" + "2," * 20 + "}",), "counts", "quantity-conflict"),
+        ("u2", (), "reflectance", "quantity-conflict"),
+        ("u2", (), "brightness", "choice-unknown"),
+    ],
+)
+def test_what_the_header_contradicts_is_refused(
+    tmp_path: Path, dtype: str, lines: tuple[str, ...], quantity: str, message: str
+) -> None:
+    header = write_cube(tmp_path / "toy", toy(dtype), *lines)
+    expect_errors((FormatError, message, lambda: open_envi(header, quantity=quantity)))
+
+
+# --- Slabs of raw cubes as runs of bytes, and the parser of VirtualiZarr that offers them ------------------
+
+SHAPE = (40, 3, 5)
+
+
+@given(st.lists(st.integers(1, 5000), min_size=1, max_size=4))
+def test_slabs_that_are_broken_are_as_few_as_can_be(sizes: list[int]) -> None:
+    chosen = slab_lines(np.cumsum(sizes).tolist())
+    assert 8 <= chosen <= 64
+
+    def broken(lines: int) -> int:
+        # by hand: a slab is whole where all its lines are there and in one cube
+        owner = np.repeat(np.arange(len(sizes)), sizes)
+        slabs = [owner[first : first + lines] for first in range(0, len(owner), lines)]
+        return sum(len(slab) < lines or slab[0] != slab[-1] for slab in slabs)
+
+    assert broken(chosen) == min(broken(lines) for lines in range(8, 65))
+
+
+def test_offsets_count_from_the_line_a_slab_begins_at() -> None:
+    assert slab_offsets(10, 3, 2, 100, 7).tolist() == [121, 191]
+    assert slab_offsets(10, 0, 0, 0, 7).size == 0
+
+
+def _cube(folder: Path, interleave: str, code: int, dtype: str, offset: int) -> np.ndarray[Any, Any]:
+    # Write a cube; return its samples in the order of the file
+    order = {"bil": (0, 1, 2), "bip": (0, 2, 1), "bsq": (1, 0, 2)}[interleave]
+    samples = np.arange(np.prod(SHAPE)).reshape(SHAPE).transpose(order).astype(dtype)
+    (folder / "raw_0").write_bytes(bytes(offset) + samples.tobytes())
+    (folder / "raw_0.hdr").write_text(
+        f"ENVI\nsamples = 5\nlines = 40\nbands = 3\nheader offset = {offset}\ndata type = {code}\n"
+        f"interleave = {interleave}\nbyte order = {int(dtype[0] == '>')}\nwavelength units = nm\n"
+        "wavelength = {450, 550, 650}\n"
+    )
+    return samples
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Any:
+    pytest.importorskip("virtualizarr", reason="virtualizarr is not installed (extra `virtual`)")
+    from obspec_utils.registry import ObjectStoreRegistry
+    from obstore.store import LocalStore
+
+    return ObjectStoreRegistry({"file://": LocalStore()})
+
+
+@pytest.mark.parametrize("interleave", ["bil", "bip", "bsq"])
+@pytest.mark.parametrize(("code", "dtype"), [(12, "<u2"), (12, ">u2"), (4, "<f4")])
+@pytest.mark.parametrize("suffix", ["", ".hdr"])
+def test_the_parser_gives_the_samples(
+    tmp_path: Path, registry: Any, interleave: str, code: int, dtype: str, suffix: str
+) -> None:
+    samples = _cube(tmp_path, interleave, code, dtype, offset=128)
+    store = EnviParser()(f"file://{tmp_path}/raw_0{suffix}", registry)
+    with xr.open_zarr(store, consolidated=False, zarr_format=3) as opened:
+        assert opened["counts"].dims[{"bil": 0, "bip": 0, "bsq": 1}[interleave]] == "along_track"
+        assert opened["counts"].chunksizes["along_track"] == (40,)
+        np.testing.assert_array_equal(opened["counts"].values, samples)
+        assert opened.attrs["wavelength"] == [450.0, 550.0, 650.0]
+
+
+def test_the_parser_serves_virtualizarr(tmp_path: Path, registry: Any) -> None:
+    from virtualizarr import open_virtual_dataset
+
+    samples = _cube(tmp_path, "bil", 12, "<u2", 0)
+    url = f"file://{tmp_path}/raw_0"
+    with open_virtual_dataset(url, registry=registry, parser=EnviParser("raw", lines=8)) as opened:
+        manifest = opened["raw"].data.manifest.dict()
+    assert len(manifest) == 5
+    entry = manifest["2.0.0"]
+    content = (tmp_path / "raw_0").read_bytes()[entry["offset"] : entry["offset"] + entry["length"]]
+    assert content == samples[16:24].tobytes()
+
+
+def test_the_parser_refuses_what_would_be_read_wrongly(tmp_path: Path, registry: Any) -> None:
+    _cube(tmp_path, "bil", 12, "<u2", 0)
+    url = f"file://{tmp_path}/raw_0"
+    expect_errors((FormatError, "length-mismatch", lambda: EnviParser(lines=32)(url, registry)))
+    (tmp_path / "raw_0").write_bytes(bytes(1198))
+    expect_errors((FormatError, "file-size", lambda: EnviParser()(url, registry)))
+    (tmp_path / "raw_0.hdr").write_text("ENVI\nsamples = 5\n")
+    expect_errors((FormatError, "key-missing", lambda: EnviParser()(url, registry)))
+
+
+# --- Real ENVI cubes: their known values, and other readers as oracles -------------------------------------
+
+
+@pytest.mark.real_data
+def test_real_headwall_dark_reference(shared_data: Path) -> None:
+    for name in ("darkReference.hdr", "darkReference"):
+        counts = open_envi(shared_data / "envi_cube" / name).counts
+        assert (counts.shape, counts.dtype) == ((1, 978, 1600), np.uint16)
+        assert (counts.attrs["units"], int(counts.min()), int(counts.max())) == ("count", 2, 47)
+        assert float(counts.mean(dtype="f8")) == pytest.approx(13.97111260, abs=5e-9)
+
+
+@pytest.mark.real_data
+def test_real_cube_without_byte_order(shared_data: Path) -> None:
+    with pytest.warns(PaintWarning, match="header-doubtful"):
+        counts = open_envi(shared_data / "envi_cube/corn-kernel-hyperspectral.hdr", quantity="counts").counts
+    assert (counts.shape, int(counts.min()), int(counts.max())) == ((31, 580, 43), 0, 2887)
+    assert float(counts.mean(dtype="f8")) == pytest.approx(601.543934, abs=5e-7)
+    assert counts.wavelength.values[[0, -1]].tolist() == [366.551, 1048.421]
+
+
+@pytest.mark.real_data
+def test_real_rotated_bip_cube(shared_data: Path) -> None:
+    array = open_envi(next((shared_data / "envi_cube").glob("ang*.img")))["values"]
+    assert (array.dims, array.shape) == (("y", "x", "band"), (10, 10, 432))
+    assert float(array.min()) == pytest.approx(-1.98575, abs=5e-6)
+    assert float(array.max()) == pytest.approx(1.09767, abs=5e-6)
+    assert float(array.mean(dtype="f8")) == pytest.approx(0.162651, abs=5e-7)
+    assert float(array[0, 0, 0]) == pytest.approx(-0.08066899, abs=5e-9)
+
+
+@pytest.mark.real_data
+def test_real_prism_radiance(shared_data: Path) -> None:
+    array = open_envi(shared_data / "envi_cube" / "prm20231110t071521_rdn_two_px")["values"]
+    assert (array.dims, array.shape) == (schema.CUBE, (2, 246, 1))
+    assert float(array.min()) == pytest.approx(0.0429913, abs=5e-8)
+    assert float(array.max()) == pytest.approx(7.78472, abs=5e-6)
+    assert float(array.mean(dtype="f8")) == pytest.approx(2.54413724, abs=2e-7)
+
+
+@pytest.mark.real_data
+def test_real_toy_cube_with_both_headers(shared_data: Path, tmp_path: Path) -> None:
+    i, k, j = np.meshgrid(np.arange(5), np.arange(20), np.arange(4), indexing="ij")
+    folder = shared_data / "envi_cube"
+    shutil.copy(folder / "test_image.img", tmp_path / "copy.img")
+    shutil.copy(folder / "test_image_multiline_header.hdr", tmp_path / "copy.hdr")
+    for path in (folder / "test_image.hdr", tmp_path / "copy.hdr"):
+        line = open_envi(path)
+        np.testing.assert_array_equal(line["values"], 1 + j + 4 * i + 20 * k)
+        np.testing.assert_allclose(line.wavelength, 1e3 * np.arange(20, 40), rtol=1e-14)
+        assert "micrometres" in line.attrs["envi_notes"]
+
+
+@pytest.mark.real_data
+def test_real_specim_calibration_cube(shared_data: Path) -> None:
+    line = open_envi(shared_data / "lab_calibration" / "specim_fenix_Radiometric_8x2_1x1.dat")
+    assert line["values"].shape == (1, 363, 384)
+    assert line.wavelength.values[[0, -1]].tolist() == [379.87, 2503.73]
+
+
+def _as_lines_samples_bands(line: xr.Dataset) -> np.ndarray:
+    (name,) = line.data_vars
+    values: np.ndarray = line[name].transpose(..., "band").values
+    return values
+
+
+_CUBES = (
+    "darkReference",
+    "prm20231110t071521_rdn_two_px",
+    "ang20150420t182808_corr_v1e_img_4200-4210_70-80.img",
+)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", _CUBES)
+def test_real_spectral_python_agrees(shared_data: Path, name: str) -> None:
+    pytest.importorskip("spectral")
+    from spectral.io import envi as spy
+
+    data = shared_data / "envi_cube" / name
+    header = data.with_name(name.removesuffix(".img") + ".hdr")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        image = spy.open(str(header), str(data))
+        oracle = np.asarray(image.open_memmap(interleave="bip"))
+    line = open_envi(data)
+    expect_equal((_as_lines_samples_bands(line), oracle), (line.wavelength, image.bands.centers))
+    if "fwhm" in line.coords:
+        np.testing.assert_array_equal(line.fwhm, image.bands.bandwidths)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", _CUBES)
+def test_real_gdal_agrees(shared_data: Path, name: str) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    data = shared_data / "envi_cube" / name
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(data, driver="ENVI") as source:
+            oracle = source.read().transpose(1, 2, 0)
+    np.testing.assert_array_equal(_as_lines_samples_bands(open_envi(data)), oracle)

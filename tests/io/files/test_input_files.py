@@ -1,5 +1,6 @@
 """Names that no door may open: each is refused in words, at once."""
 
+import glob
 import os
 import signal
 import socket
@@ -9,11 +10,12 @@ from typing import Any
 
 import pytest
 import xarray as xr
-from support.refusals import expect_refusals, refusal
+from support.refusals import expect_error, expect_errors, expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError
 from hyperpaint.base.input_files import head_of, input_path, open_input, read_limited
+from hyperpaint.io.files.reading import is_pattern, matching_files
 
 
 def _navigation(kind: str) -> Callable[[Any], object]:
@@ -147,11 +149,10 @@ def test_a_door_refuses_what_is_no_plain_file(
     door: str, kind: str, places: Callable[[str, str], str]
 ) -> None:
     read, suffix = DOORS[door]
-    with pytest.raises(PaintError) as caught:
-        read(places(kind, suffix))
-    assert str(caught.value)
+    error = expect_error(PaintError, None, lambda: read(places(kind, suffix)))
+    assert str(error)
     # stores have words of their own, and URLs are taken for stores
-    assert WORDS[kind] in str(caught.value) or "store" in door or kind == "URL"
+    assert WORDS[kind] in str(error) or "store" in door or kind == "URL"
 
 
 def test_a_plain_file_is_read(tmp_path: Path) -> None:
@@ -195,7 +196,50 @@ def test_a_folder_whose_name_reads_like_a_url_is_a_folder(
     (tmp_path / "field::day1").mkdir()
     (tmp_path / "field::day1" / "sky.txt").write_text("1")
     assert read_limited("field::day1/sky.txt", 10, "a text") == b"1"
-    with pytest.raises(FormatError, match="a URL"):
-        input_path("other::day1/sky.txt")
-    with pytest.raises(FormatError, match="file-unreadable"):
-        read_limited("a\ud800b", 10, "a text")
+    expect_errors(
+        (FormatError, "a URL", lambda: input_path("other::day1/sky.txt")),
+        (FormatError, "file-unreadable", lambda: read_limited("a\ud800b", 10, "a text")),
+    )
+
+
+# --- Patterns find what glob finds, within bounds ----------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("a.asd", "b.asd", "c.txt", "x/a.asd", "x/y/a.asd", "x/y/[1].asd", ".h/a.asd", "x/.h.asd"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    ["*.asd", "?.asd", "[ab].asd", "[!a].asd", "x/*.asd", "*/*.asd", "**/*.asd", "x/**/*.asd", "**/y/*", "*/",
+     "**/[[]1].asd", "./*.asd", "x/./*.asd", "nothing/*.asd", "*.nothing", ".h/*", ".*/*.asd", "**/.h.asd"],
+)  # fmt: skip
+def test_finds_what_glob_finds(pattern: str, folder: Path) -> None:
+    expected = sorted({folder / name for name in glob.glob(pattern, root_dir=folder, recursive=True)})
+    if pattern == "*/":  # files are not told from folders
+        expected = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    assert matching_files(folder, pattern) == expected
+
+
+@pytest.mark.parametrize("pattern", ["/*", "../*", "x/../../*", "/**/*.asd", "*\0", "*" * 2000])
+def test_refuses_what_leads_out(pattern: str, folder: Path) -> None:
+    expect_errors((ValueError, "expected a pattern", lambda: matching_files(folder, pattern)))
+
+
+def test_links_are_not_walked_without_end(folder: Path) -> None:
+    for name in ("p", "q"):
+        (folder / name).symlink_to(".")
+    assert folder / "p/a.asd" in matching_files(folder, "*/*.asd")  # a link named by one part is followed
+    assert folder / "p/a.asd" not in matching_files(folder, "**/*.asd")
+    with pytest.raises(ValueError, match="more than 5000 files"):
+        matching_files(folder, "*/" * 30 + "*.asd", most=5000)
+
+
+def test_what_is_a_pattern() -> None:
+    assert all(map(is_pattern, ("a*", "[a]", "?")))
+    assert not is_pattern("raw_0.hdr")

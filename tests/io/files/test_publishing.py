@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.files import publishing
 from hyperpaint.io.files.publishing import check_place, publish_file, published_files, published_folder
 from hyperpaint.io.store.stage import staging
+
+HERE = Path(__file__).parent
 
 
 def no_foreign(_: Path) -> str:
@@ -25,8 +28,7 @@ def no_foreign(_: Path) -> str:
 def test_a_file_is_replaced_only_where_asked(tmp_path: Path) -> None:
     path = tmp_path / "new" / "page.html"
     publish_file(path, b"one", overwrite=False)
-    with pytest.raises(StoreError, match="file-exists"):
-        publish_file(path, b"two", overwrite=False)
+    expect_errors((StoreError, "file-exists", lambda: publish_file(path, b"two", overwrite=False)))
     assert path.read_bytes() == b"one"
     publish_file(path, b"two", overwrite=True)
     assert path.read_bytes() == b"two"
@@ -41,8 +43,7 @@ def test_a_file_that_appears_meanwhile_stays(tmp_path: Path) -> None:
             written.write_bytes(b"ours")
             path.write_bytes(b"theirs")
 
-    with pytest.raises(StoreError, match="exists"):
-        write()
+    expect_errors((StoreError, "exists", write))
     assert path.read_bytes() == b"theirs"
     assert [found.name for found in tmp_path.iterdir()] == ["table.csv"]
 
@@ -159,8 +160,7 @@ def test_a_failing_rename_brings_the_old_files_back(
         if not links:
             patched.setattr(publishing.os, "link", failing(lambda *_: None, 0))
         patched.setattr(publishing.os, name, failing(getattr(os, name), step))
-        with pytest.raises(StoreError, match="disk-full"):
-            write(tmp_path, "new")
+        expect_errors((StoreError, "disk-full", lambda: write(tmp_path, "new")))
     assert texts(tmp_path) == before
     assert not [found for found in names(tmp_path) if found.startswith(".partial")]
     write(tmp_path, "new")
@@ -217,9 +217,9 @@ def judge_kills(home: Path) -> list[str]:
 
 
 def test_a_kill_at_any_call_leaves_no_mixed_product() -> None:
-    # Rationale: in a process of its own, which has no threads when it forks
+    # In a process of its own, which has no threads when it forks
     code = (
-        f"import json, pathlib, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"import json, pathlib, sys; sys.path[:0] = {[str(HERE), str(HERE.parents[1])]!r}\n"
         "import test_publishing; print(json.dumps(test_publishing.judge_kills(pathlib.Path(sys.argv[1]))))"
     )
     memory = Path("/dev/shm")  # hundreds of flushes
@@ -244,8 +244,7 @@ def planted(home: Path) -> Path:
 def test_a_planted_journal_is_refused(tmp_path: Path, journal: str) -> None:
     write(tmp_path, "old")
     (planted(tmp_path) / "journal").write_text(journal)
-    with pytest.raises(StoreError, match="staging-foreign"):
-        write(tmp_path, "new")
+    expect_errors((StoreError, "staging-foreign", lambda: write(tmp_path, "new")))
     assert texts(tmp_path) == ["old"] * 3
 
 

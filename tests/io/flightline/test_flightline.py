@@ -27,7 +27,7 @@ from support.headwall_flights import (
     write_index,
     write_nav,
 )
-from support.refusals import expect_refusals
+from support.refusals import expect_equal, expect_error, expect_errors, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base import schema
@@ -51,8 +51,7 @@ def test_a_line_has_everything_that_calibrates_it(folder: Path, counts: np.ndarr
         assert variable.attrs.get("units", "") == spec.units, name
         assert (str(name) in line.coords) == spec.coordinate, name
     schema.require(line, ["counts", "dark_counts", "radiance_gain", "exposure_time", "irradiance"], "a test")
-    np.testing.assert_array_equal(line["counts"].values, counts)
-    assert line["counts"].compute().dtype == np.uint16
+    expect_equal((line["counts"].values, counts), (line["counts"].compute().dtype, np.uint16))
     middle = T0 + (np.arange(LINES) * 7_000_000 - 2_500_000).astype("timedelta64[ns]")
     np.testing.assert_array_equal(line["time"].values[1:], middle[1:])
     assert line["frame"].values.tolist() == list(range(LINES))
@@ -66,8 +65,7 @@ def test_a_line_has_everything_that_calibrates_it(folder: Path, counts: np.ndarr
     json.dumps(line.attrs)
     # lines and columns are numbered; an index would join two cameras by the number of a band, in silence
     for dim in ("along_track", "cross_track"):
-        np.testing.assert_array_equal(line[dim], np.arange(line.sizes[dim]))
-        assert line.indexes[dim].dtype == np.int64
+        expect_equal((line[dim], np.arange(line.sizes[dim])), (line.indexes[dim].dtype, np.int64))
     assert "band" not in line.coords
     assert line.isel(along_track=[2, 3])["along_track"].values.tolist() == [2, 3]
     # a slab is one task; other chunks are those asked for
@@ -103,8 +101,7 @@ def test_a_dataset_or_eight_bits_serve_as_cube(folder: Path, counts: np.ndarray[
     assert open_line(folder, cube=small, bit_depth=8)["counts"].compute().dtype == np.uint16
     cube = xr.Dataset({"counts": (("line", "bands", "sample"), counts, {"units": "count"})})
     line = open_line(folder, cube=cube, exposure_time=0.005, name="mine")
-    np.testing.assert_array_equal(line["counts"].values, counts)
-    assert line.attrs["name"] == "mine"
+    expect_equal((line["counts"].values, counts), (line.attrs["name"], "mine"))
 
 
 # --- dropped frames ----------------------------------------------------------------------------------------
@@ -145,14 +142,12 @@ def test_cubes_of_one_flight_share_their_navigation(folder: Path, counts: np.nda
     shared = open_line(folder, cube=flight / "raw_70.hdr", frame_index=whole)
     xr.testing.assert_identical(own.drop_attrs(), shared.drop_attrs())
     assert own["time"].values[0] == T0 + np.timedelta64(70 * 7_000_000 - 2_500_000, "ns")
-    first = open_line(folder, frame_index=whole)
-    assert first["frame"].values[-1] == 69
+    assert open_line(folder, frame_index=whole)["frame"].values[-1] == 69
 
 
 def test_a_cube_cut_short_in_flight(folder: Path, counts: np.ndarray[Any, Any]) -> None:
     counts[:60].tofile(folder / "flight" / "raw_0")
-    with pytest.raises(FormatError, match="shorter"):
-        open_line(folder)
+    expect_errors((FormatError, "shorter", lambda: open_line(folder)))
     with pytest.warns(PaintWarning, match="60 whole lines"):
         line = open_line(folder, keep_whole_lines=True)
     assert (line.sizes["along_track"], line["frame"].values[-1]) == (60, 59)
@@ -267,8 +262,7 @@ def test_what_is_no_flight_line(
 ) -> None:
     if change is not None:
         change(folder, counts)
-    with pytest.raises(error, match=match):
-        open_line(folder, **options)
+    expect_errors((error, match, lambda: open_line(folder, **options)))
 
 
 # --- everything at once ------------------------------------------------------------------------------------
@@ -366,9 +360,7 @@ def test_a_calibration_says_all_that_is_wrong_with_it() -> None:
     del wrong["radiance_gain"].attrs["units"]
     wrong = wrong.assign_coords(fwhm=("band", [6.0, -6.0, 6.0], NM)).drop_vars("wavelength")
     wrong.attrs["srf_shape"] = "box"
-    with pytest.raises(SchemaError) as caught:
-        open_calibration(wrong)
-    text = str(caught.value)
+    text = str(expect_error(SchemaError, None, lambda: open_calibration(wrong)))
     assert all(
         part in text for part in ("no units", "'fwhm' is not finite", "'wavelength' is missing", "'box'")
     )
@@ -458,8 +450,7 @@ def test_what_we_wrote_must_be_whole(
         open_calibration(path).radiance_gain, open_calibration(calibration).radiance_gain
     )
     damage(path / (where or ""))
-    with pytest.raises(FormatError, match="file-unreadable"):
-        open_calibration(path)
+    expect_errors((FormatError, "file-unreadable", lambda: open_calibration(path)))
 
 
 def replace(path: Path, old: bytes, new: bytes) -> None:
@@ -473,8 +464,7 @@ def test_a_dark_says_that_integers_are_counts(folder: Path, counts: np.ndarray[A
     cube_of(folder, counts)
     write_cube(folder / "dark", "raw_0", np.full_like(counts, 100), **WORDLESS)
     line = open_line(folder)
-    np.testing.assert_array_equal(line["counts"].values, counts)
-    assert float(line["dark_counts"].mean()) == 100
+    expect_equal((line["counts"].values, counts), (float(line["dark_counts"].mean()), 100))
     # so does the user
     for said in ({"quantity": "counts"}, {}):
         assert open_line(folder, dark="none", **said)["counts"].shape == counts.shape

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 from hyperpaint.base.errors import FormatError, SchemaError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
@@ -72,8 +72,7 @@ def test_exposure_with_its_unit(pairs: dict[str, str], seconds: float | None) ->
     ],
 )
 def test_exposure_that_is_none(pairs: dict[str, str]) -> None:
-    with pytest.raises(FormatError, match=r"settings\.txt"):
-        exposure_seconds(pairs, "settings.txt")
+    expect_errors((FormatError, r"settings\.txt", lambda: exposure_seconds(pairs, "settings.txt")))
 
 
 def test_settings_that_cannot_be_read(tmp_path: Path) -> None:
@@ -139,8 +138,7 @@ def test_frame_index_in_whole_seconds_is_straightened(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], match: str) -> None:
-    with pytest.raises(error, match=match):
-        read_frame_index(write(tmp_path / "f.txt", text))
+    expect_errors((error, match, lambda: read_frame_index(write(tmp_path / "f.txt", text))))
 
 
 def test_trailing_tabs_and_blank_lines_are_no_cells(tmp_path: Path) -> None:
@@ -321,8 +319,7 @@ def test_none_and_the_calibrations() -> None:
     )
     given = open_dark("calibration", Timing(), calibration, LINE)
     assert (given.counts == 12.5).all()
-    assert given.counts.dtype == np.float32
-    assert given.exposures == (0.005,)
+    assert (given.counts.dtype, given.exposures) == (np.float32, (0.005,))
 
 
 def test_what_failed_to_open_is_not_reported_again() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_errors
+from support.refusals import expect_equal, expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base import schema
@@ -102,8 +102,7 @@ def test_a_line_comes_back_bit_for_bit(tmp_path: Path, interleave: Any, chunks: 
 def test_counts_and_radiance_keep_what_they_are(tmp_path: Path) -> None:
     counts = np.arange(24 * 5 * 6, dtype=np.uint16).reshape(24, 5, 6)
     opened = open_envi(hp.io.write_envi(line_of(counts, "counts"), tmp_path / "raw_0"))
-    assert opened["counts"].dtype == np.uint16
-    np.testing.assert_array_equal(opened["counts"], counts)
+    expect_equal((opened["counts"].dtype, np.uint16), (opened["counts"], counts))
     opened = open_envi(hp.io.write_envi(line_of(values(), "radiance"), tmp_path / "radiance.dat"))
     np.testing.assert_array_equal(opened["radiance"], values())
     assert opened["radiance"].attrs["units"] == schema.VARIABLES["radiance"].units
@@ -187,8 +186,7 @@ def test_gdal_finds_an_envi_map_in_its_place(tmp_path: Path, degrees: float, mir
     expected = np.moveaxis(cube, 1, -1)[:: -1 if mirrored else 1]
     np.testing.assert_array_equal(opened, expected)
     with rasterio.open(tmp_path / "map.img") as raster:
-        assert raster.crs.to_epsg() == 32617
-        np.testing.assert_array_equal(raster.read(), np.moveaxis(expected, -1, 0))
+        expect_equal((raster.crs.to_epsg(), 32617), (raster.read(), np.moveaxis(expected, -1, 0)))
         found = raster.transform.to_gdal()
     for column, row in ((0.5, 0.5), (29.5, 0.5), (0.5, 39.5), (12.5, 33.5)):
         seen = place(found, column, 40 - row if mirrored else row)
@@ -230,11 +228,9 @@ def test_north_up_maps_are_placed_by_their_coordinates(tmp_path: Path) -> None:
     assert grid is not None
     assert grid.transform == (300_000.0, 0.25, 0.0, 4e6 + 0.25, 0.0, -0.5)
     opened = open_envi(hp.io.write_envi(made, tmp_path / "map"))
-    np.testing.assert_array_equal(opened.x, made.x)
-    np.testing.assert_array_equal(opened.y, made.y)
+    expect_equal((opened.x, made.x), (opened.y, made.y))
     uneven = made.assign_coords(x=np.arange(30.0) ** 2)
-    with pytest.raises(SchemaError, match=r"'x'.*spacing-uneven"):
-        hp.io.write_envi(uneven, tmp_path / "other")
+    expect_errors((SchemaError, r"'x'.*spacing-uneven", lambda: hp.io.write_envi(uneven, tmp_path / "other")))
 
 
 SELECTIONS: dict[str, dict[str, slice]] = {
@@ -311,8 +307,7 @@ def test_places_are_written_to_the_last_bit(tmp_path: Path) -> None:
             hp.io.write_envi(made, tmp_path / name, variable=name).with_suffix(".img"),
         ):
             with rasterio.open(path) as raster:
-                assert raster.dtypes == (dtype,)
-                np.testing.assert_array_equal(raster.read(1), exact.astype(dtype))
+                expect_equal((raster.dtypes, (dtype,)), (raster.read(1), exact.astype(dtype)))
     header = hp.io.write_envi(made, tmp_path / "short", variable="north", dtype="float32")
     assert read_header(header).dtype == np.float32
 
@@ -441,8 +436,7 @@ def test_chosen_bands_and_planes(tmp_path: Path) -> None:
     made["quality"] = (("y", "x"), np.arange(1200, dtype=np.uint16).reshape(40, 30))
     hp.io.write_geotiff(made, tmp_path / "flags.tif", variable="quality", cog=False)
     with rasterio.open(tmp_path / "flags.tif") as raster:
-        np.testing.assert_array_equal(raster.read(1), made["quality"])
-        assert raster.descriptions == ("quality",)
+        expect_equal((raster.read(1), made["quality"]), (raster.descriptions, ("quality",)))
         assert raster.nodata is None
 
 

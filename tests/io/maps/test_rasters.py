@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.refusals import expect_errors, refusal
+from support.refusals import expect_equal, expect_errors, refusal
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.maps.geotiff import read_geotiff_header
@@ -40,8 +40,7 @@ def test_heights_are_as_rioxarray_has_them(tmp_path: Path) -> None:
     rioxarray = pytest.importorskip("rioxarray")
     path = written(tmp_path / "dem.tif", tags={"": {"height_reference": "ellipsoid"}})
     ours, theirs = read_heights(path), rioxarray.open_rasterio(path, masked=True).squeeze(drop=True)
-    np.testing.assert_array_equal(ours, theirs)
-    assert ours.dtype == theirs.dtype
+    expect_equal((ours, theirs), (ours.dtype, theirs.dtype))
     for name in ("x", "y"):
         np.testing.assert_array_equal(ours[name], theirs[name])
     assert ours.spatial_ref.GeoTransform.split() == theirs.spatial_ref.GeoTransform.split()
@@ -53,8 +52,7 @@ def test_scale_offset_and_unit_of_a_raster_count(tmp_path: Path) -> None:
     with rasterio.open(path, "r+") as raster:
         raster.scales, raster.offsets, raster.units = (0.5,), (100.0,), ("ft",)
     heights = read_heights(path)
-    np.testing.assert_array_equal(heights, [[105.0, 110.0], [np.nan, 120.0]])
-    assert heights.attrs["units"] == "ft"
+    expect_equal((heights, [[105.0, 110.0], [np.nan, 120.0]]), (heights.attrs["units"], "ft"))
 
 
 TURNED = rasterio.Affine(0.0, 1.0, 500000.0, 1.0, 0.0, 3700000.0)
