@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.agreeing_spectra import NM, agreeing, field, library, seen
-from support.refusals import refusal
+from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -30,8 +30,9 @@ def write_sig(path: Path, level: float, head: str = "") -> None:
 
 def test_files_of_one_name_in_two_folders_are_no_repeats() -> None:
     two = field([LEVEL + 0.2, LEVEL - 0.2], ["site1/red.sig", "site2/red.sig"])
-    with refusal(SchemaError, "reference-ambiguous", "site1/red", "site2/red"):
-        hp.validate(red(), two)
+    expect_refusals(
+        (SchemaError, "reference-ambiguous", "site1/red", "site2/red", lambda: hp.validate(red(), two))
+    )
     found = hp.validate(red(), two, {"red": "site1/red"})
     assert found.statistics["reference"].values.tolist() == ["site1/red.sig"]
     with pytest.warns(PaintWarning, match="reference-scatter"):
@@ -41,14 +42,17 @@ def test_files_of_one_name_in_two_folders_are_no_repeats() -> None:
 
 def test_a_short_name_of_two_datasets_is_refused() -> None:
     one, other = field(LEVEL + 0.2, ["red"]), field(LEVEL - 0.2, ["red"])
-    with refusal(SchemaError, "reference-ambiguous", "dataset 2"):
-        hp.validate(red(), [one, other])
+    expect_refusals(
+        (SchemaError, "reference-ambiguous", "dataset 2", lambda: hp.validate(red(), [one, other]))
+    )
 
 
 def test_full_names_go_before_short_ones() -> None:
     found = hp.validate(red(), field([LEVEL, LEVEL + 0.3], ["red", "other/red.sig"]))
-    assert found.statistics["reference"].values.tolist() == ["red"]
-    assert found.unpaired_references == ("other/red.sig (ASD)",)
+    assert (found.statistics["reference"].values.tolist(), found.unpaired_references) == (
+        ["red"],
+        (("other/red.sig (ASD)",)),
+    )
     # each instrument for itself
     both = hp.validate(red(), [field(LEVEL, ["red"]), field(LEVEL, ["svc/red.sig"], instrument="SVC")])
     assert both.statistics["reference"].values.tolist() == ["red", "svc/red.sig"]
@@ -64,8 +68,7 @@ def test_files_of_open_svc(tmp_path: Path) -> None:
         write_sig(tmp_path / folder / "red.sig", level, "time= 27.05.2025 09:39:32, 27.05.2025 09:42:59\n")
     both = hp.open_svc([tmp_path / "site1", tmp_path / "site2"], utc_offset_h=2)
     paints = library(np.full(NM.size, 0.3), ("red",))
-    with refusal(SchemaError, "reference-ambiguous", "site2/red"):
-        hp.validate(paints, both)
+    expect_refusals((SchemaError, "reference-ambiguous", "site2/red", lambda: hp.validate(paints, both)))
     for name in ("site1/red", "site1/red.sig"):
         found = hp.validate(paints, both, {"red": name})
         assert float(found.statistics["bias"].sel(part="all").item()) == pytest.approx(-0.2, abs=1e-3)
@@ -76,8 +79,7 @@ def test_files_of_open_svc(tmp_path: Path) -> None:
             tmp_path / folder / "svc" / "red.sig", 0.3, "time= 27.05.2025 09:39:32, 27.05.2025 09:42:59\n"
         )
     numbered = hp.open_svc([tmp_path / "a" / "svc", tmp_path / "b" / "svc"], utc_offset_h=2)
-    with refusal(SchemaError, "reference-ambiguous", "red (2)"):
-        hp.validate(paints, numbered)
+    expect_refusals((SchemaError, "reference-ambiguous", "red (2)", lambda: hp.validate(paints, numbered)))
 
 
 def test_instruments_of_one_make_are_compared_apart(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.refusals import expect_errors, expect_refusals, refusal
+from support.refusals import expect_errors, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, StoreError
@@ -89,8 +89,13 @@ TITLE = "z plot titles = {wavelength, reflectance [*10000]}\n"
 def test_sli__what_is_unclear_is_refused(
     tmp_path: Path, factor: float, more: str, options: dict[str, Any], code: str
 ) -> None:
-    with pytest.raises(FormatError, match=code):
-        hp.open_library(write_sli(tmp_path, np.array(ROWS) * factor, more), **options)
+    expect_errors(
+        (
+            FormatError,
+            code,
+            lambda: hp.open_library(write_sli(tmp_path, np.array(ROWS) * factor, more), **options),
+        )
+    )
 
 
 def test_sli__takes_the_scale_and_the_wavelengths_given(tmp_path: Path) -> None:
@@ -99,8 +104,10 @@ def test_sli__takes_the_scale_and_the_wavelengths_given(tmp_path: Path) -> None:
         scale=100, wavelength=[450, 550, 650], fwhm=np.full(3, 5.0),
     )  # fmt: skip
     np.testing.assert_allclose(given["reflectance"].values, ROWS, rtol=1e-6)
-    assert given["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
-    assert given["fwhm"].values.tolist() == [5.0] * 3
+    assert (given["wavelength"].values.tolist(), given["fwhm"].values.tolist()) == (
+        [450.0, 550.0, 650.0],
+        [5.0] * 3,
+    )
 
 
 def test_sli__wavelengths_and_bandwidths_as_records_alone(tmp_path: Path) -> None:
@@ -139,8 +146,7 @@ def test_sli__what_does_not_fit_is_listed(tmp_path: Path) -> None:
     assert "bands is 2, expected 1" in str(caught.value)
     assert "23 bytes, expected 48" in str(caught.value)
     header.write_text(header.read_text().replace("Spectral Library", "Standard"))
-    with refusal(FormatError, "length-mismatch", "wavelength"):
-        hp.open_library(header)
+    expect_refusals((FormatError, "length-mismatch", "wavelength", lambda: hp.open_library(header)))
 
 
 # --- tables ---
@@ -209,10 +215,15 @@ def test_tables__empty_cells_are_nan_and_wavelengths_may_fall(tmp_path: Path) ->
     ],
 )
 def test_tables__what_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(FormatError, match=said):
-        hp.open_library(
-            write_text(tmp_path, text, encoding="utf-16" if said == "text-unreadable" else "utf-8")
+    expect_errors(
+        (
+            FormatError,
+            said,
+            lambda: hp.open_library(
+                write_text(tmp_path, text, encoding="utf-16" if said == "text-unreadable" else "utf-8")
+            ),
         )
+    )
 
 
 # --- ECOSTRESS, ASTER, USGS ---
@@ -259,8 +270,9 @@ def test_ecostress__spellings_of_units(tmp_path: Path) -> None:
     ],
 )
 def test_ecostress__what_is_wrong_is_said(tmp_path: Path, old: str, new: str, said: str) -> None:
-    with pytest.raises(FormatError, match=said):
-        hp.open_library(write_text(tmp_path, ECOSTRESS.replace(old, new)))
+    expect_errors(
+        (FormatError, said, lambda: hp.open_library(write_text(tmp_path, ECOSTRESS.replace(old, new))))
+    )
 
 
 def usgs(title: str, values: list[float]) -> str:
@@ -287,9 +299,11 @@ def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None
     values = [0.1, -1.23e34, 0.3]
     asd = write_text(chapter, usgs("splib07a Record=9: Red paint GDS1 ASDFRa AREF", values), "a.txt")
     library = hp.open_library(asd)
-    assert library["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
-    assert library["fwhm"].values.tolist() == [10.0] * 3
-    assert library["signature"].item() == "Red paint GDS1"
+    assert (
+        library["wavelength"].values.tolist(),
+        library["fwhm"].values.tolist(),
+        library["signature"].item(),
+    ) == ([450.0, 550.0, 650.0], [10.0] * 3, "Red paint GDS1")
     np.testing.assert_array_equal(library["reflectance"].values, np.float32([[0.1, np.nan, 0.3]]))
     other = write_text(chapter, usgs("splib07a Record=9: Red paint XYZa AREF", values), "b.txt")
     expect_refusals(
@@ -327,9 +341,11 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("spectra names,kind\nred,car\nblue,van\n")
     table = write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n", "x-grey.csv")
     library = hp.open_library(str(tmp_path / "x*"))
-    assert library["signature"].values.tolist() == ["red", "blue", "grey"]
-    assert library["kind"].values.tolist() == ["car", "van", ""]
-    assert library["file"].values.tolist() == [path.with_suffix(".hdr").name] * 2 + [table.name]
+    assert (
+        library["signature"].values.tolist(),
+        library["kind"].values.tolist(),
+        library["file"].values.tolist(),
+    ) == (["red", "blue", "grey"], ["car", "van", ""], [path.with_suffix(".hdr").name] * 2 + [table.name])
 
 
 def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> None:
@@ -350,16 +366,23 @@ def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_p
         write_text(tmp_path, ECOSTRESS.replace("red", f"red {number}"), f"red{number}.txt")
     table = "nm,reflectance\n650,0.3\n550,0.2\n450,0.1\n"
     library = hp.open_library([tmp_path, write_text(tmp_path / "..", table, f"{tmp_path.name}.csv")])
-    assert library["signature"].values.tolist() == ["red 1", "red 2", "red 10", tmp_path.name]
-    assert library["type"].values.tolist() == ["manmade"] * 3 + [""]
-    assert library["reflectance"].shape == (4, 3)
+    assert (
+        library["signature"].values.tolist(),
+        library["type"].values.tolist(),
+        library["reflectance"].shape,
+    ) == (["red 1", "red 2", "red 10", tmp_path.name], ["manmade"] * 3 + [""], ((4, 3)))
 
 
 @pytest.mark.parametrize("path", ["absent.sli", "absent.txt", "*.nothing", "folder", []])
 def test_nothing_there__is_said(tmp_path: Path, path: str | list[str]) -> None:
     (tmp_path / "folder").mkdir()
-    with pytest.raises(FormatError, match="file-not-found" if path else "empty-input"):
-        hp.open_library(str(tmp_path / path) if isinstance(path, str) else path)
+    expect_errors(
+        (
+            FormatError,
+            "file-not-found" if path else "empty-input",
+            lambda: hp.open_library(str(tmp_path / path) if isinstance(path, str) else path),
+        )
+    )
 
 
 def test_zarr__that_is_no_library_is_refused(tmp_path: Path) -> None:
@@ -392,10 +415,11 @@ def test_nanometres_that_are_called_micrometres_are_refused(tmp_path: Path) -> N
 
 def test_a_dark_paint_in_percent_is_no_bright_one(tmp_path: Path) -> None:
     path = write_text(tmp_path, ecostress([0.4, 0.5, 0.6], [1.2, 1.1, 1.3], "Reflectance"))
-    with refusal(FormatError, "scale-missing", "scale=1 "):
-        hp.open_library(path)
-    assert hp.open_library(path, scale=1)["reflectance"].values.max() == pytest.approx(1.3)
-    assert hp.open_library(path, scale=100)["reflectance"].values.max() == pytest.approx(0.013)
+    expect_refusals((FormatError, "scale-missing", "scale=1 ", lambda: hp.open_library(path)))
+    assert (
+        hp.open_library(path, scale=1)["reflectance"].values.max(),
+        hp.open_library(path, scale=100)["reflectance"].values.max(),
+    ) == (pytest.approx(1.3), pytest.approx(0.013))
 
 
 def test_a_bright_paint_among_dark_ones_tells_of_percent(tmp_path: Path) -> None:

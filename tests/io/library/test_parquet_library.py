@@ -51,8 +51,9 @@ def test_a_file_of_others_is_a_library(tmp_path):
     ],
 )
 def test_what_is_no_library_is_refused(tmp_path, changes, message):
-    with pytest.raises(hp.FormatError, match=message):
-        hp.open_library(foreign(tmp_path / "x.parquet", **changes))
+    expect_errors(
+        (hp.FormatError, message, lambda: hp.open_library(foreign(tmp_path / "x.parquet", **changes)))
+    )
 
 
 def test_damaged_files_are_refused(tmp_path):
@@ -69,9 +70,11 @@ def test_pandas_readers_see_a_row_a_paint(tmp_path):
     starter = hp.paints.starter_library(members=2)
     path = hp.write_library(starter, tmp_path / "starter.parquet")
     rows = pq.read_table(path).to_pylist()
-    assert [row["material.name"] for row in rows] == starter["signature"].values.tolist()
-    assert {row["material.category"] for row in rows} == {"man_made"}
-    assert json.loads(rows[0]["additional_properties"])["finish"] == "solid"
+    assert (
+        [row["material.name"] for row in rows],
+        {row["material.category"] for row in rows},
+        json.loads(rows[0]["additional_properties"])["finish"],
+    ) == (starter["signature"].values.tolist(), {"man_made"}, "solid")
     np.testing.assert_array_equal(
         np.float32([row["spectral_data.values"] for row in rows]), starter.reflectance.values
     )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError, PaintWarning, TimeError
 from hyperpaint.io.flightline.timing import Timing, line_times, utc_of
@@ -67,8 +68,10 @@ def write_index(path: Path, stamps: list[Any], first: int = 0, column: str = "Ti
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_variant_a(tmp_path: Path, newline: str) -> None:
     nav = read_imu_gps(write_a(tmp_path / "imu_gps.txt", steady(3), newline))
-    assert nav.utc.astype("datetime64[ns]").tolist() == [(T0 + i * 10 * MS).astype(int) for i in range(3)]
-    assert nav.stamps["timestamp"].tolist() == [500, 10_500, 20_500]
+    assert (nav.utc.astype("datetime64[ns]").tolist(), nav.stamps["timestamp"].tolist()) == (
+        [(T0 + i * 10 * MS).astype(int) for i in range(3)],
+        [500, 10_500, 20_500],
+    )
     assert {name: value[0] for name, value in nav.values.items()} == {
         "latitude": -34.53, "longitude": 138.688, "altitude": 61.44,
         "roll": 1.0, "pitch": -2.0, "heading": 90.0,
@@ -113,13 +116,19 @@ def test_variant_b_takes_utc_from_gps_time(tmp_path: Path) -> None:
 def test_time_of_day_with_a_date_needs_the_offset_of_the_computer(tmp_path: Path) -> None:
     index = write_index(tmp_path / "f.txt", ["23:59:59 990000", "00:00:00 0"], column="Time")
     timing = Timing(frame_index=index, date="2021-07-23", stamp="mid")
-    with pytest.raises(TimeError, match="clock_offset_s"):
-        line_times(Path("raw_0"), 2, timing)
+    expect_errors((TimeError, "clock_offset_s", lambda: line_times(Path("raw_0"), 2, timing)))
     timing = Timing(frame_index=index, date="2021-07-23", stamp="mid", clock_offset_s=18_000.5)
     made = line_times(Path("raw_0"), 2, timing)
     assert (made.time - np.datetime64("2021-07-24T05:00:00.49", "ns")).tolist() == [0, 10_000_000]
-    with pytest.raises(TimeError, match="time-unreadable"):
-        line_times(Path("raw_0"), 2, Timing(frame_index=index, date="2021-02-30", clock_offset_s=0.0))
+    expect_errors(
+        (
+            TimeError,
+            "time-unreadable",
+            lambda: line_times(
+                Path("raw_0"), 2, Timing(frame_index=index, date="2021-02-30", clock_offset_s=0.0)
+            ),
+        )
+    )
 
 
 def test_rows_before_alignment_have_no_attitude_and_no_foreign_date(tmp_path: Path) -> None:
@@ -132,8 +141,10 @@ def test_rows_before_alignment_have_no_attitude_and_no_foreign_date(tmp_path: Pa
         {"stamp": 30_500, "utc": T0 + 30 * MS, "roll": 0.0},
     ]
     nav = read_imu_gps(write_a(tmp_path / "imu_gps.txt", rows))
-    assert nav.stamps["timestamp"].tolist() == [400, 500, 10_500, 20_500, 30_500]
-    assert np.isnan(nav.values["roll"]).tolist() == [True, False, False, False, False]
+    assert (nav.stamps["timestamp"].tolist(), np.isnan(nav.values["roll"]).tolist()) == (
+        [400, 500, 10_500, 20_500, 30_500],
+        [True, False, False, False, False],
+    )
     assert nav.values["roll"][-1] == 0.0  # level in flight
     assert nav.values["latitude"][0] == -34.53
     # a record that never aligned
@@ -168,8 +179,7 @@ def test_damaged_rows_are_named(
         rows[3:] = [{**row, "utc": row["utc"] + np.timedelta64(18, "s")} for row in rows[3:]]
     path = write_a(tmp_path / "imu_gps.txt", rows)
     index = write_index(tmp_path / "f.txt", [600, 7600])
-    with pytest.raises(error, match=match):
-        line_times(Path("raw_0"), 2, Timing(frame_index=index, nav=path))
+    expect_errors((error, match, lambda: line_times(Path("raw_0"), 2, Timing(frame_index=index, nav=path))))
 
 
 def test_a_slow_receiver_repeats_its_time(tmp_path: Path) -> None:
@@ -198,8 +208,7 @@ def test_a_slow_receiver_repeats_its_time(tmp_path: Path) -> None:
 def test_what_is_no_navigation_record(tmp_path: Path, content: bytes, match: str) -> None:
     path = tmp_path / "imu_gps.txt"
     path.write_bytes(content)
-    with pytest.raises(FormatError, match=rf"imu_gps\.txt.*{match}"):
-        read_imu_gps(path)
+    expect_errors((FormatError, rf"imu_gps\.txt.*{match}", lambda: read_imu_gps(path)))
 
 
 # --- lines -------------------------------------------------------------------------------------------------
@@ -254,15 +263,17 @@ def test_lines_outside_the_record_have_no_time(tmp_path: Path) -> None:
         made = line_times(Path("raw_0"), 3, timing)
     assert np.isnat(made.time).tolist() == [False, False, True]
     away = Timing(frame_index=write_index(tmp_path / "f.txt", [90_500]), nav=nav)
-    with pytest.raises(TimeError, match="time-uncovered"):
-        line_times(Path("raw_0"), 1, away)
+    expect_errors((TimeError, "time-uncovered", lambda: line_times(Path("raw_0"), 1, away)))
 
 
 def test_without_navigation_lines_follow_the_frame_period_or_the_stamps(tmp_path: Path) -> None:
     timing = Timing(start_time="2021-07-23T14:00:00+02:00", frame_period=0.007)
     made = line_times(Path("raw_100"), 3, timing, 0.005)
-    assert (made.frame.tolist(), ((made.time - T0) / MS).tolist()) == ([100, 101, 102], [-2.5, 4.5, 11.5])
-    assert made.pose == {}
+    assert (made.frame.tolist(), ((made.time - T0) / MS).tolist(), made.pose) == (
+        [100, 101, 102],
+        [-2.5, 4.5, 11.5],
+        {},
+    )
     index = write_index(tmp_path / "f.txt", [100, 7100, 21_100])
     made = line_times(Path("raw_0"), 3, Timing(frame_index=index, start_time=T0, stamp="mid"))
     assert ((made.time - T0) / MS).tolist() == [0.0, 7.0, 21.0]
@@ -289,8 +300,7 @@ def test_stated_rates_that_the_stamps_contradict_are_told(tmp_path: Path) -> Non
     ],
 )
 def test_times_that_are_missing(timing: Timing, match: str) -> None:
-    with pytest.raises(TimeError, match=match):
-        line_times(Path("raw_0"), 3, timing)
+    expect_errors((TimeError, match, lambda: line_times(Path("raw_0"), 3, timing)))
 
 
 def test_two_sources_of_utc_are_one_too_many_and_files_beside_a_cube_are_named(tmp_path: Path) -> None:
@@ -363,16 +373,16 @@ def test_beyond_the_table_the_user_is_asked() -> None:
     with pytest.warns(PaintWarning, match="gps_leap_seconds"):
         assert gps_to_utc(late) == late - 18 * 10**9
     assert gps_to_utc(late, 19) == late - 19 * 10**9
-    with pytest.raises(TimeError, match="1980"):
-        gps_to_utc(gps_clock("1970-01-01"))
+    expect_errors((TimeError, "1980", lambda: gps_to_utc(gps_clock("1970-01-01"))))
 
 
 def test_corrections_are_checked() -> None:
     stamp = gps_clock("2024-06-01T12:00:00")
-    assert ClockCorrection(37.25).apply(stamp) == gps_clock("2024-06-01T12:00:37.25")
-    assert ClockCorrection(-0.5, "gps").apply(stamp) == gps_clock("2024-06-01T11:59:41.5")
-    with pytest.raises(TimeError, match="nan"):
-        ClockCorrection(float("nan"))
+    assert (ClockCorrection(37.25).apply(stamp), ClockCorrection(-0.5, "gps").apply(stamp)) == (
+        gps_clock("2024-06-01T12:00:37.25"),
+        gps_clock("2024-06-01T11:59:41.5"),
+    )
+    expect_errors((TimeError, "nan", lambda: ClockCorrection(float("nan"))))
     with pytest.raises(TimeError, match="local"):
         ClockCorrection(0.0, "local")  # type: ignore[arg-type]
 
@@ -381,8 +391,11 @@ def test_a_clock_is_exact_to_the_nanosecond_and_extrapolates_nothing() -> None:
     stamp = np.array([10**15, 10**15 + 3], np.int64)
     utc = np.array([1_600_000_000_123_456_789, 1_600_000_000_123_456_789 + 3000], np.int64)
     made = Clock(stamp, utc, "x").at(np.array([10**15 - 1, 10**15, 10**15 + 1, 10**15 + 3, 10**15 + 4]))
-    assert (made.dtype, np.isnat(made).tolist()) == ("datetime64[ns]", [True, False, False, False, True])
-    assert (made[1:4].astype(np.int64) - utc[0]).tolist() == [0, 1000, 3000]
+    assert (made.dtype, np.isnat(made).tolist(), (made[1:4].astype(np.int64) - utc[0]).tolist()) == (
+        "datetime64[ns]",
+        [True, False, False, False, True],
+        [0, 1000, 3000],
+    )
 
 
 # --- tables of control points: read, or refused as FormatError and nothing else ---------------------------
@@ -399,12 +412,16 @@ def test_a_table(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text(TABLE)
     points = read_control_points(path)
-    assert points.attrs == {"source": "points.csv", "crs": "EPSG:32617"}
-    assert points.along_track_pixel.values.tolist() == [10.5, 11.0]
-    assert points.east.values.tolist() == [500000.25, 500001.0]
-    assert points.height.attrs["units"] == "m"
-    assert points.flightline.values.tolist() == ["raw_0", "raw_1"]
-    assert {points[name].dtype for name in points.data_vars} == {np.dtype(np.float64)}
+    assert (
+        points.attrs,
+        points.along_track_pixel.values.tolist(),
+        points.east.values.tolist(),
+        points.height.attrs["units"],
+    ) == ({"source": "points.csv", "crs": "EPSG:32617"}, [10.5, 11.0], [500000.25, 500001.0], "m")
+    assert (points.flightline.values.tolist(), {points[name].dtype for name in points.data_vars}) == (
+        ["raw_0", "raw_1"],
+        {np.dtype(np.float64)},
+    )
 
 
 @pytest.mark.parametrize(
@@ -438,13 +455,11 @@ def test_a_table(tmp_path: Path) -> None:
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
     path = tmp_path / "points.csv"
-    with pytest.raises(FormatError, match="file-unreadable"):
-        read_control_points(path)
+    expect_errors((FormatError, "file-unreadable", lambda: read_control_points(path)))
     if "# crs" in text:
         pytest.importorskip("pyproj")
     path.write_text(text)
-    with pytest.raises(FormatError, match=told):
-        read_control_points(path)
+    expect_errors((FormatError, told, lambda: read_control_points(path)))
 
 
 @pytest.mark.parametrize(
@@ -471,8 +486,11 @@ def test_a_unit_in_a_heading_is_converted(tmp_path: Path, unit: str, metres: flo
     path = tmp_path / "points.csv"
     path.write_text(f"line (0-based);sample [px];east {unit};north_m;height (ft, ellipsoidal)\n1;2;3;4;50\n")
     points = read_control_points(path)
-    assert points.east.item() == pytest.approx(3 * metres, rel=1e-11)
-    assert (points.north.item(), points.height.item()) == (4.0, 50 * 0.3048)
+    assert (points.east.item(), points.north.item(), points.height.item()) == (
+        pytest.approx(3 * metres, rel=1e-11),
+        4.0,
+        50 * 0.3048,
+    )
 
 
 @pytest.mark.parametrize(
@@ -491,5 +509,7 @@ def test_east_and_north_come_in_the_unit_of_their_map(
     path.write_text(f"# crs: {crs}\nline,sample,east [{unit}],north [{unit}],height [ft]\n1,2,3,3,50\n")
     points = read_control_points(path)
     assert points.east.item() == points.north.item() == pytest.approx(east, rel=1e-11)
-    assert points.height.item() == 50 * 0.3048
-    assert (points.east.attrs["units"] == "m") == (crs == "EPSG:32617" or unit == "UTM")
+    assert (points.height.item(), points.east.attrs["units"] == "m") == (
+        50 * 0.3048,
+        crs == "EPSG:32617" or unit == "UTM",
+    )

@@ -20,7 +20,7 @@ from support.navigation_files import (
     write_csv,
     write_sbet,
 )
-from support.refusals import expect_refusals, refusal
+from support.refusals import expect_errors, expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
@@ -42,14 +42,14 @@ def test_sbet_is_radian_with_the_wander_angle_taken_out(tmp_path: Path) -> None:
     assert all(flight[name].dtype == np.float64 for name in POSE)
     assert flight.navigation_time.dtype == "datetime64[ns]"
     np.testing.assert_allclose(flight.latitude, np.degrees(0.75), rtol=0, atol=1e-12)
-    assert flight.heading.values.tolist() == [3.02, 3.12]
-    assert flight.platform_heading.values.tolist() == [3.0, 3.1]
-    assert flight["roll"].attrs["units"] == "radian"
+    assert (
+        flight.heading.values.tolist(),
+        flight.platform_heading.values.tolist(),
+        flight["roll"].attrs["units"],
+    ) == ([3.02, 3.12], [3.0, 3.1], "radian")
     assert np.isnan(flight.pitch.values[1])
     found = Convention.from_attrs(flight.attrs)
-    assert found == Convention(angle_unit="radian")
-    assert found.stamp_reference is None
-    assert found.column_order is None
+    assert (found, found.stamp_reference, found.column_order) == (Convention(angle_unit="radian"), None, None)
     assert "assumed" not in flight.attrs
 
 
@@ -59,11 +59,16 @@ def test_seconds_of_the_week_become_utc(tmp_path: Path) -> None:
     flight = hp.open_navigation(path, week=2158)
     assert seconds_since(flight.navigation_time.values, start) == [1.0 - 18, 1.005 - 18]
     expected = {"gps_week": 2158, "gps_week_source": "given", "time_scale": "gps", "leap_seconds": 18}
-    assert {key: flight.attrs[key] for key in expected} == expected
-    assert flight.attrs["leap_seconds_source"] == "IERS table"
+    assert ({key: flight.attrs[key] for key in expected}, flight.attrs["leap_seconds_source"]) == (
+        expected,
+        "IERS table",
+    )
     told = hp.open_navigation(path, week=2158, leap_seconds=17, clock_offset_s=0.5)
-    assert seconds_since(told.navigation_time.values, start) == [-15.5, -15.495]
-    assert (told.attrs["leap_seconds"], told.attrs["clock_offset_s"]) == (17, 0.5)
+    assert (
+        seconds_since(told.navigation_time.values, start),
+        told.attrs["leap_seconds"],
+        told.attrs["clock_offset_s"],
+    ) == ([-15.5, -15.495], 17, 0.5)
     utc = hp.open_navigation(path, week=2158, time_scale="utc")
     assert seconds_since(utc.navigation_time.values, start) == [1.0, 1.005]
     assert "leap_seconds" not in utc.attrs
@@ -99,8 +104,13 @@ def test_a_record_runs_on_over_the_end_of_the_week(tmp_path: Path) -> None:
     ],
 )
 def test_clocks_that_cannot_be_are_refused(tmp_path: Path, arguments: dict[str, Any], match: str) -> None:
-    with pytest.raises(TimeError, match=match):
-        hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [1.0]), **arguments)
+    expect_errors(
+        (
+            TimeError,
+            match,
+            lambda: hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [1.0]), **arguments),
+        )
+    )
 
 
 def test_times_beyond_the_table_of_leap_seconds_are_told(tmp_path: Path) -> None:
@@ -120,10 +130,15 @@ def test_times_beyond_the_table_of_leap_seconds_are_told(tmp_path: Path) -> None
     ],
 )
 def test_sbet_with_impossible_values_is_refused(tmp_path: Path, columns: dict[str, Any], match: str) -> None:
-    with pytest.raises(FormatError, match=match):
-        hp.open_navigation(
-            write_sbet(tmp_path / "flight.sbet", **{"seconds": [1.0, 2.0], **columns}), week=2158
+    expect_errors(
+        (
+            FormatError,
+            match,
+            lambda: hp.open_navigation(
+                write_sbet(tmp_path / "flight.sbet", **{"seconds": [1.0, 2.0], **columns}), week=2158
+            ),
         )
+    )
 
 
 def test_sbet_of_part_records_or_backward_times_is_refused(tmp_path: Path) -> None:
@@ -132,8 +147,13 @@ def test_sbet_of_part_records_or_backward_times_is_refused(tmp_path: Path) -> No
         path.write_bytes(bytes(size))
         with pytest.raises(FormatError, match=f"{size} bytes.*file-truncated"):
             hp.open_navigation(path, week=2158)
-    with pytest.raises(TimeError, match=r"record 3.*time-unordered"):
-        hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [5.0, 6.0, 5.5]), week=2158)
+    expect_errors(
+        (
+            TimeError,
+            r"record 3.*time-unordered",
+            lambda: hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [5.0, 6.0, 5.5]), week=2158),
+        )
+    )
 
 
 @settings(max_examples=40)
@@ -171,14 +191,16 @@ def test_lcf_has_its_right_wing_up(tmp_path: Path) -> None:
     assert found == Convention(roll_positive="right_wing_up", angle_unit="radian")
     np.testing.assert_allclose(found.canonical(0.1, 0.0, 0.0)[0], -np.degrees(0.1))
     # 1.3e9 s of GPS time are 2021-03-17T07:06:40, of which 18 are leap seconds
-    assert str(flight.navigation_time.values[0]) == "2021-03-17T07:06:22.000000000"
-    assert seconds_since(flight.navigation_time.values, flight.navigation_time.values[0]) == [0.0, 0.5]
-    assert flight.attrs["leap_seconds"] == 18
-    with pytest.raises(TimeError, match="gps-week-conflict"):
-        hp.open_navigation(tmp_path / "line.lcf", week=2158)
+    assert (
+        str(flight.navigation_time.values[0]),
+        seconds_since(flight.navigation_time.values, flight.navigation_time.values[0]),
+        flight.attrs["leap_seconds"],
+    ) == ("2021-03-17T07:06:22.000000000", [0.0, 0.5], 18)
+    expect_errors(
+        (TimeError, "gps-week-conflict", lambda: hp.open_navigation(tmp_path / "line.lcf", week=2158))
+    )
     path = write_lcf(tmp_path / "line.lcf", [5.0, 6.0], columns=7)
-    with pytest.raises(TimeError, match="gps-week-missing"):
-        hp.open_navigation(path)
+    expect_errors((TimeError, "gps-week-missing", lambda: hp.open_navigation(path)))
     assert hp.open_navigation(path, week=2158).attrs["gps_week"] == 2158
 
 
@@ -223,9 +245,11 @@ def test_csv_keeps_what_its_comments_declare(tmp_path: Path) -> None:
     )
     assert "pitch_positive" in flight.attrs["assumed"]
     assert "roll_positive" not in flight.attrs["assumed"]
-    assert flight.heading.values.tolist() == [359.5, 0.5]
-    assert seconds_since(flight.navigation_time.values, "2024-06-01T12:00:00") == [0.0, 0.25]
-    assert flight.attrs["time_scale"] == "utc"
+    assert (
+        flight.heading.values.tolist(),
+        seconds_since(flight.navigation_time.values, "2024-06-01T12:00:00"),
+        flight.attrs["time_scale"],
+    ) == ([359.5, 0.5], [0.0, 0.25], "utc")
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
@@ -244,8 +268,11 @@ def test_csv_units_are_converted_but_angles_stay(tmp_path: Path, separator: str)
     flight = hp.open_navigation(write_csv(tmp_path / "f.csv", separator.join(header), separator.join(row)))
     values = [float(flight[name].values[0]) for name in POSE]
     np.testing.assert_allclose(values, [np.degrees(0.75), -77.6, 30.48, 0.1, np.nan, -3.0], rtol=1e-12)
-    assert (flight["roll"].attrs["units"], flight.attrs["convention_angle_unit"]) == ("radian", "radian")
-    assert str(flight.navigation_time.values[0]) == "2024-06-01T12:00:00.250000000"
+    assert (
+        flight["roll"].attrs["units"],
+        flight.attrs["convention_angle_unit"],
+        str(flight.navigation_time.values[0]),
+    ) == ("radian", "radian", "2024-06-01T12:00:00.250000000")
 
 
 @pytest.mark.parametrize(
@@ -302,8 +329,9 @@ def test_csv_clocks(tmp_path: Path, column: str, cell: str, expected: str) -> No
     ],
 )
 def test_csv_that_is_none_is_refused(tmp_path: Path, lines: list[str], match: str) -> None:
-    with pytest.raises(FormatError, match=match):
-        hp.open_navigation(write_csv(tmp_path / "flight.csv", *lines))
+    expect_errors(
+        (FormatError, match, lambda: hp.open_navigation(write_csv(tmp_path / "flight.csv", *lines)))
+    )
 
 
 def test_rows_without_a_time_are_counted(tmp_path: Path) -> None:
@@ -323,9 +351,11 @@ def write_imu(path: Path, **changes: str) -> Path:
 
 def test_headwall_assumes_what_nobody_publishes(tmp_path: Path) -> None:
     flight = hp.open_navigation(write_imu(tmp_path / "imu_gps.txt"))
-    assert flight.heading.values.tolist() == [359.0] * 3
-    assert seconds_since(flight.navigation_time.values, "2021-07-23T12:00:00") == [0.5, 1.5, 2.5]
-    assert flight.attrs["time_scale"] == "utc"
+    assert (
+        flight.heading.values.tolist(),
+        seconds_since(flight.navigation_time.values, "2021-07-23T12:00:00"),
+        flight.attrs["time_scale"],
+    ) == ([359.0] * 3, [0.5, 1.5, 2.5], "utc")
     assert set(flight.attrs["assumed"].split(", ")) >= {
         "roll_positive",
         "heading_reference",
@@ -339,8 +369,7 @@ def test_headwall_with_the_clock_of_the_computer_alone(tmp_path: Path) -> None:
     path = tmp_path / "imu_gps.txt"
     rows = [f"1\t2\t3\t43\t-77\t150\t12:00:0{i} 250000\n" for i in range(3)]
     path.write_text("Roll\tPitch\tYaw\tLat\tLon\tAlt\tTime\n" + "".join(rows))
-    with pytest.raises(TimeError, match="date-missing"):
-        hp.open_navigation(path)
+    expect_errors((TimeError, "date-missing", lambda: hp.open_navigation(path)))
     flight = hp.open_navigation(path, date="2021-07-23", clock_offset_s=18_000.0)
     assert seconds_since(flight.navigation_time.values, "2021-07-23T17:00:00") == [0.25, 1.25, 2.25]
     clock = tmp_path / "gps_time.txt"
@@ -369,8 +398,11 @@ def write_eph(folder: Path, interleave: str = "bip", **header: str) -> Path:
 @pytest.mark.parametrize("interleave", ["bip", "bil", "bsq"])
 def test_eph_att_is_read_by_its_band_names(tmp_path: Path, interleave: str) -> None:
     flight = hp.open_navigation(write_eph(tmp_path, interleave))
-    assert (flight["roll"].values.tolist(), flight.pitch.values.tolist()) == ([0.2, 0.4], [0.1, 0.3])
-    assert flight.latitude.values.tolist() == [31.5, 31.6]
+    assert (
+        flight["roll"].values.tolist(),
+        flight.pitch.values.tolist(),
+        flight.latitude.values.tolist(),
+    ) == ([0.2, 0.4], [0.1, 0.3], [31.5, 31.6])
     # the name says the week, and agrees with the stamps
     assert flight.attrs["gps_week"] == 1941
     assert "height_reference" in flight.attrs["assumed"]
@@ -389,8 +421,9 @@ def test_a_name_that_contradicts_the_stamps_says_no_week(tmp_path: Path) -> None
     path = write_eph(tmp_path)
     for name in (path, Path(f"{path}.hdr")):
         name.rename(tmp_path / name.name.replace("t202244", "t052244"))
-    with pytest.raises(TimeError, match="gps-week-missing"):
-        hp.open_navigation(tmp_path / "ang20170323t052244_eph_att")
+    expect_errors(
+        (TimeError, "gps-week-missing", lambda: hp.open_navigation(tmp_path / "ang20170323t052244_eph_att"))
+    )
 
 
 def test_several_files_follow_one_another(tmp_path: Path) -> None:
@@ -398,19 +431,27 @@ def test_several_files_follow_one_another(tmp_path: Path) -> None:
     flight = hp.open_navigation([write_sbet(tmp_path / "b.sbet", [3.0], roll=0.2), first], week=2158)
     assert (flight["roll"].values.tolist(), flight.attrs["source"]) == ([0.1, 0.1, 0.2], "a.sbet, b.sbet")
     overlapping = write_sbet(tmp_path / "c.sbet", [1.5])
-    with refusal(TimeError, "time-overlap", "a.sbet", "c.sbet"):
-        hp.open_navigation([first, overlapping], week=2158)
+    expect_refusals(
+        (
+            TimeError,
+            "time-overlap",
+            "a.sbet",
+            "c.sbet",
+            lambda: hp.open_navigation([first, overlapping], week=2158),
+        )
+    )
     table = write_csv(tmp_path / "a.csv", CSV_HEADER, *CSV_ROWS)
-    with pytest.raises(FormatError, match="differ"):
-        hp.open_navigation([table, write_imu(tmp_path / "imu_gps.txt")])
-    with pytest.raises(FormatError, match="empty-input"):
-        hp.open_navigation([])
+    expect_errors(
+        (FormatError, "differ", lambda: hp.open_navigation([table, write_imu(tmp_path / "imu_gps.txt")])),
+        (FormatError, "empty-input", lambda: hp.open_navigation([])),
+    )
     # every bad file is named
     bad = [tmp_path / "d.sbet", tmp_path / "e.sbet"]
     for path in bad:
         path.write_bytes(bytes(137))
-    with pytest.raises(FormatError, match=r"(?s)d\.sbet.*e\.sbet"):
-        hp.open_navigation([*bad, overlapping], week=2158)
+    expect_errors(
+        (FormatError, r"(?s)d\.sbet.*e\.sbet", lambda: hp.open_navigation([*bad, overlapping], week=2158))
+    )
 
 
 def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
@@ -434,13 +475,13 @@ def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
 def test_files_of_no_known_kind_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(272))
-    with pytest.raises(FormatError, match="format-unknown"):
-        hp.open_navigation(path)
+    expect_errors((FormatError, "format-unknown", lambda: hp.open_navigation(path)))
     assert hp.open_navigation(path, format="sbet", week=0, leap_seconds=0).sizes["navigation_time"] == 2
     with pytest.raises(SchemaError, match="format='kml'"):
         hp.open_navigation(path, format="kml")  # type: ignore[arg-type]
-    with pytest.raises(FormatError, match="file-unreadable"):
-        hp.open_navigation(tmp_path / "nothing.sbet", week=1)
+    expect_errors(
+        (FormatError, "file-unreadable", lambda: hp.open_navigation(tmp_path / "nothing.sbet", week=1))
+    )
 
 
 def test_info_tells_what_navigation_is(tmp_path: Path) -> None:
@@ -478,9 +519,11 @@ def test_a_real_log(shared_data: Path) -> None:
         flight = hp.open_navigation(shared_data / "gps_imu" / "asd_nmea_042122gps.log", date="2022-04-21")
     assert flight.sizes["navigation_time"] == 185
     row = flight.sel(navigation_time="2022-04-21T10:49:07")
-    assert float(row.latitude) == pytest.approx(48.25090667, abs=1e-8)
-    assert float(row.longitude) == pytest.approx(11.70987500, abs=1e-8)
-    assert float(row.altitude) == pytest.approx(475.4 + 46.8)
+    assert (float(row.latitude), float(row.longitude), float(row.altitude)) == (
+        pytest.approx(48.25090667, abs=1e-8),
+        pytest.approx(11.70987500, abs=1e-8),
+        pytest.approx(475.4 + 46.8),
+    )
     assert np.isnan(flight.heading).all()
 
 
@@ -541,8 +584,7 @@ def test_damage_is_counted_or_refused(tmp_path: Path) -> None:
     assert any("1 of 3 sentences have a wrong checksum" in text for text in texts), texts
     assert flight.sizes["navigation_time"] == 1
     path.write_text(damaged.replace(",2024,", ",2023,").replace("120000.00,4330", "120000.00,4332"))
-    with pytest.raises(FormatError, match=r"sentence.*checksum-wrong"):
-        hp.open_navigation(path, format="nmea")
+    expect_errors((FormatError, r"sentence.*checksum-wrong", lambda: hp.open_navigation(path, format="nmea")))
 
 
 ZDA = "GPZDA,115959.00,01,06,2024,00,00"
@@ -560,8 +602,9 @@ ZDA = "GPZDA,115959.00,01,06,2024,00,00"
 def test_what_is_no_log_is_refused(
     tmp_path: Path, texts: tuple[str, ...], error: type[Exception], problem: str
 ) -> None:
-    with pytest.raises(error, match=problem):
-        hp.open_navigation(log_of(tmp_path / "log.txt", *texts), format="nmea")
+    expect_errors(
+        (error, problem, lambda: hp.open_navigation(log_of(tmp_path / "log.txt", *texts), format="nmea"))
+    )
 
 
 COLUMNS = (
@@ -585,8 +628,7 @@ def test_columns_of_a_table_without_a_header(tmp_path: Path, separator: str) -> 
     np.testing.assert_allclose(flight.latitude, np.degrees([0.76, 0.76]))
     np.testing.assert_allclose(flight.heading, [359.5, 0.5])
     assert flight.navigation_time.values[0] == np.datetime64("2024-05-29T11:59:42.5")
-    with pytest.raises(FormatError, match="header-missing"):
-        hp.open_navigation(path, format="csv")
+    expect_errors((FormatError, "header-missing", lambda: hp.open_navigation(path, format="csv")))
 
 
 def test_wrong_columns_are_refused(tmp_path: Path) -> None:
@@ -668,8 +710,13 @@ def test_a_line_of_aviris(shared_data: Path) -> None:
 
 @pytest.mark.real_data
 def test_a_truncated_sbet_and_attitude_alone_are_refused(shared_data: Path) -> None:
-    with pytest.raises(FormatError, match="file-truncated"):
-        hp.open_navigation(shared_data / "nav/badfile.sbet", week=1947)
+    expect_errors(
+        (
+            FormatError,
+            "file-truncated",
+            lambda: hp.open_navigation(shared_data / "nav/badfile.sbet", week=1947),
+        )
+    )
     with pytest.raises(FormatError) as caught:
         hp.open_navigation(shared_data / "gps_imu/px4_attitude_69s.csv")
     assert all(f"no column of {name}" in str(caught.value) for name in ("latitude", "longitude", "altitude"))
@@ -754,8 +801,7 @@ def test_what_is_declared_is_kept(collect: Path) -> None:
     ],
 )
 def test_what_does_not_exist_is_refused(collect: Path, declared: dict[str, str], told: str) -> None:
-    with pytest.raises(SchemaError, match=re.escape(told)):
-        opened(collect, convention=declared)
+    expect_errors((SchemaError, re.escape(told), lambda: opened(collect, convention=declared)))
 
 
 def test_collect_declares_it(collect: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.codecs import plain_zarr
-from support.refusals import expect_refusals, refusal
+from support.refusals import expect_errors, expect_refusals, refusal
 
 from hyperpaint.base.errors import (
     FormatError,
@@ -67,9 +67,11 @@ def test_the_real_skyward_exports_make_a_series(shared_data):
     series = open_irradiance(files, "irradiance", utc_offset_h=3)
     expected = utc("2024-05-21T08:33:06.932", "2024-05-21T08:33:12.932")  # the middle of 136 ms
     np.testing.assert_array_equal(series["irradiance_time"].values, expected)
-    assert series["irradiance_time"].dtype == np.dtype("datetime64[ns]")
-    assert series["irradiance"].dims == ("irradiance_time", "irradiance_wavelength")
-    assert series["irradiance"].dtype == np.float32
+    assert (series["irradiance_time"].dtype, series["irradiance"].dims, series["irradiance"].dtype) == (
+        np.dtype("datetime64[ns]"),
+        ("irradiance_time", "irradiance_wavelength"),
+        np.float32,
+    )
     at_550 = series["irradiance"].sel(irradiance_wavelength=550).values
     np.testing.assert_allclose(at_550, [0.890753970640618, 0.890642958711871], rtol=1e-7)
     integral = (
@@ -88,8 +90,7 @@ def test_the_real_skyward_exports_make_a_series(shared_data):
 @pytest.mark.real_data
 def test_real_exports_need_a_zone_and_a_quantity(shared_data):
     files = str(shared_data / "asd_ascii" / "asd-e-irrad-sky.*")
-    with pytest.raises(TimeError, match="utc_offset_h="):
-        open_irradiance(files, "irradiance")
+    expect_errors((TimeError, "utc_offset_h=", lambda: open_irradiance(files, "irradiance")))
     with pytest.warns(PaintWarning, match="quantity-assumed"):
         guessed = open_irradiance(files, utc_offset_h=3)
     xr.testing.assert_identical(guessed, open_irradiance(files, "irradiance", utc_offset_h=3))
@@ -141,8 +142,10 @@ def test_a_logging_pc_five_hours_off(log):
     np.testing.assert_array_equal(
         series["irradiance_time"].values, utc("2024-05-21T17:00:37.25", "2024-05-21T17:00:39.25")
     )
-    assert series.attrs["irradiance_utc_offset_h"] == [-5.0]
-    assert series.attrs["irradiance_clock_offset_s"] == 37.25
+    assert (series.attrs["irradiance_utc_offset_h"], series.attrs["irradiance_clock_offset_s"]) == (
+        [-5.0],
+        37.25,
+    )
     with pytest.warns(PaintWarning, match="utc-offset-conflict"):
         series = open_irradiance(files, stamp="mid", utc_offset_h=2)
     assert series["irradiance_time"].values[0] == np.datetime64("2024-05-21T10:00", "ns")
@@ -154,10 +157,10 @@ def test_files_that_say_nothing_take_the_zone_of_those_that_do(log):
         "2024-05-21T11:00", "ns"
     )
     files += log(6, prefix="v", reference=COUNTS, reference_epoch=1716300000, utc_offset_h=2.0)
-    with refusal(TimeError, "utc-offset-conflict", "w00000.asd", "v00000.asd"):
-        open_irradiance(files)
-    with pytest.raises(TimeError, match="utc_offset_h="):
-        open_irradiance(files[:2])
+    expect_refusals(
+        (TimeError, "utc-offset-conflict", "w00000.asd", "v00000.asd", lambda: open_irradiance(files))
+    )
+    expect_errors((TimeError, "utc_offset_h=", lambda: open_irradiance(files[:2])))
 
 
 def test_shuffled_files_come_out_sorted_and_duplicates_are_refused(log, tmp_path):
@@ -181,16 +184,27 @@ def test_saturated_and_empty_samples_become_nan(log, write_asd):
     with pytest.warns(PaintWarning) as found:
         series = open_irradiance(files, utc_offset_h=0)
     saturated, empty = sorted(str(warning.message) for warning in found)
-    assert ("saturated" in saturated, "bright00000.asd" in saturated) == (True, True)
-    assert ("zero throughout" in empty, "dead.asd" in empty) == (True, True)
+    assert (
+        "saturated" in saturated,
+        "bright00000.asd" in saturated,
+        "zero throughout" in empty,
+        "dead.asd" in empty,
+    ) == (True, True, True, True)
     missing = np.isnan(series["irradiance"]).all("irradiance_wavelength")
     np.testing.assert_array_equal(missing, [False, False, False, True, True])
 
 
 def test_raw_counts_with_calibration_files(log, write_asd):
     files = log(0, 2, blocks={}, data_type=0)
-    with refusal(FormatError, "calibration-missing", "sky00000.asd", "sky00001.asd"):
-        open_irradiance(files, utc_offset_h=0)
+    expect_refusals(
+        (
+            FormatError,
+            "calibration-missing",
+            "sky00000.asd",
+            "sky00001.asd",
+            lambda: open_irradiance(files, utc_offset_h=0),
+        )
+    )
     calibration = {"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)}
     series = open_irradiance(files, utc_offset_h=0, calibration=calibration)
     np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
@@ -200,17 +214,20 @@ def test_a_folder_prefers_binaries_and_a_single_sample_needs_a_gap(log, tmp_path
     files = log(0, 2)
     (tmp_path / "sky00000.asd.txt").write_text("Wavelength;sky00000.asd\n350;1\n")
     assert open_irradiance(tmp_path, utc_offset_h=0).sizes["irradiance_time"] == 2
-    with pytest.raises(TimeError, match="max_gap_s="):
-        open_irradiance(files[:1], utc_offset_h=0)
+    expect_errors((TimeError, "max_gap_s=", lambda: open_irradiance(files[:1], utc_offset_h=0)))
     assert open_irradiance(files[:1], utc_offset_h=0, max_gap_s=5)["irradiance_max_gap"] == 5.0
     (tmp_path / "sky.csv").write_text(CSV.format(z="Z"))
-    with pytest.raises(FormatError, match="formats-mixed"):
-        open_irradiance([files[0], tmp_path / "sky.csv"])
+    expect_errors((FormatError, "formats-mixed", lambda: open_irradiance([files[0], tmp_path / "sky.csv"])))
     text = tmp_path / "only" / "a.txt"
     text.parent.mkdir()
     text.write_text("Wavelength;a.asd\n500;0.8\n501;0.8\n")
-    with pytest.raises(TimeError, match=r"a\.txt.*time-missing"):
-        open_irradiance(text.parent, "irradiance", utc_offset_h=0)
+    expect_errors(
+        (
+            TimeError,
+            r"a\.txt.*time-missing",
+            lambda: open_irradiance(text.parent, "irradiance", utc_offset_h=0),
+        )
+    )
 
 
 def test_all_wrong_arguments_at_once():
@@ -238,12 +255,16 @@ def test_impossible_light_is_refused(log, factor, unit):
     files = log(0, 2, blocks={2: (0, LAMP * factor), 3: (136, LAMP_COUNTS)})
     # W mm-2 is as likely as others
     named = "irradiance-implausible" if factor == 1e-6 else f"values in {unit} .*taken for W m-2 nm-1"
-    with pytest.raises(UnitsError, match=named):
-        open_irradiance(files, utc_offset_h=0)
+    expect_errors((UnitsError, named, lambda: open_irradiance(files, utc_offset_h=0)))
     series = open_irradiance(files, utc_offset_h=0, units=unit)
     np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
-    with pytest.raises(UnitsError, match="W m-2 sr-1 nm-1"):
-        open_irradiance(files, utc_offset_h=0, units="W m-2 sr-1 nm-1")
+    expect_errors(
+        (
+            UnitsError,
+            "W m-2 sr-1 nm-1",
+            lambda: open_irradiance(files, utc_offset_h=0, units="W m-2 sr-1 nm-1"),
+        )
+    )
 
 
 # --- csv
@@ -276,8 +297,7 @@ def test_csv_series(tmp_path):
 def test_csv_needs_zone_units_and_width(tmp_path):
     path = tmp_path / "sky.csv"
     path.write_text(CSV.format(z="").replace("890,", "890,790"))
-    with pytest.raises(TimeError, match="utc_offset_h="):
-        open_irradiance(path)
+    expect_errors((TimeError, "utc_offset_h=", lambda: open_irradiance(path)))
     assert open_irradiance(path, utc_offset_h=-5)["irradiance_time"].values[0] == utc("2024-05-21T17:00")[0]
     path.write_text("time,500,600\n2024-05-21T12:00:02Z,0.9,0.8\n2024-05-21T12:00:00Z,0.9,0.8\n")
     expect_refusals(
@@ -304,8 +324,7 @@ def test_csv_needs_zone_units_and_width(tmp_path):
 )
 def test_damaged_csv(tmp_path, text, problem):
     (tmp_path / "sky.csv").write_text(text)
-    with pytest.raises(FormatError, match=problem):
-        read_irradiance_csv(tmp_path / "sky.csv")
+    expect_errors((FormatError, problem, lambda: read_irradiance_csv(tmp_path / "sky.csv")))
 
 
 # --- xarray and its stores
@@ -378,8 +397,7 @@ def test_an_unfinished_group_of_a_collect_is_refused(log, tmp_path):
     np.testing.assert_array_equal(again["irradiance"].values, series["irradiance"].values)
     np.testing.assert_array_equal(again["irradiance_time"].values, series["irradiance_time"].values)
     (tmp_path / "lot.zarr/irradiance/irradiance/c/0/0").unlink()
-    with pytest.raises(IncompleteStoreError, match="1 of 1 chunks"):
-        open_irradiance(tmp_path / "lot.zarr")
+    expect_errors((IncompleteStoreError, "1 of 1 chunks", lambda: open_irradiance(tmp_path / "lot.zarr")))
 
 
 def test_a_damaged_store_is_named(tmp_path):

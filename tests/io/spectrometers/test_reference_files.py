@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 from campaigns.faults.seed_files import RADCAL
 from hypothesis import given, strategies as st
-from support.refusals import expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base import schema
@@ -22,8 +22,12 @@ from hyperpaint.io.spectrometers.spectrum_files import find_paths, for_all, name
 @pytest.mark.real_data
 def test_real_certificates(shared_data: Path) -> None:
     panel = hp.io.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
-    assert (panel.dtype, panel.attrs["units"], panel["wavelength"].attrs["units"]) == (np.float64, "1", "nm")
-    assert float(panel.sel(wavelength=250.0)) == 0.942517
+    assert (
+        panel.dtype,
+        panel.attrs["units"],
+        panel["wavelength"].attrs["units"],
+        float(panel.sel(wavelength=250.0)),
+    ) == (np.float64, "1", "nm", 0.942517)
     zenith = hp.io.read_certificate(shared_data / "lab_calibration" / "zenith_lite_95R_certificate.csv")
     assert (float(zenith.sel(wavelength=250.0)), float(zenith.sel(wavelength=312.0))) == (0.911211, 0.967611)
 
@@ -81,8 +85,7 @@ def test_pairs(tmp_path: Path, name: str, content: str, expected: dict[str, tupl
 def test_damaged_texts(tmp_path: Path, read: Any, name: str, content: bytes, told: str) -> None:
     path = tmp_path / name
     path.write_bytes(content)
-    with pytest.raises(FormatError, match=told):
-        read(path)
+    expect_errors((FormatError, told, lambda: read(path)))
 
 
 @given(st.binary(max_size=80), st.sampled_from([b"", b'{"a":', b'{"a":["b",']))
@@ -101,19 +104,16 @@ def test_all_bad_files_are_named(tmp_path: Path) -> None:
         open_references([tmp_path / name for name in ("a.sig", "b.asd", "c.txt")])
     for name in ("a.sig", "b.asd", "c.txt"):
         assert name in str(caught.value)
-    with pytest.raises(FormatError, match="file-not-found"):
-        open_references([tmp_path / "none*"])
+    expect_errors((FormatError, "file-not-found", lambda: open_references([tmp_path / "none*"])))
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FormatError, match="file-not-found"):
-        open_references([tmp_path / "empty"])
+    expect_errors((FormatError, "file-not-found", lambda: open_references([tmp_path / "empty"])))
 
 
 def test_a_store_without_references(tmp_path: Path) -> None:
     import xarray as xr
 
     hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "s.zarr", "flightlines/raw_0")
-    with pytest.raises(FormatError, match="library-missing"):
-        open_references([tmp_path / "s.zarr"])
+    expect_errors((FormatError, "library-missing", lambda: open_references([tmp_path / "s.zarr"])))
 
 
 # --- certificates of panels: units of headings are converted, labels are none, percent is never guessed ---
@@ -158,8 +158,11 @@ def test_a_label_is_no_factor(tmp_path: Path, heading: str) -> None:
 )  # fmt: skip
 def test_percent_and_micrometres_are_converted(tmp_path: Path, heading: str) -> None:
     wavelength, values = _read(tmp_path, heading, 98.0, 1e-3)
-    assert (wavelength, values) == (pytest.approx([400.0, 500.0]), [0.98, 0.98])
-    assert _read(tmp_path, heading, 1.5, 1e-3)[1] == [0.015, 0.015]
+    assert (wavelength, values, _read(tmp_path, heading, 1.5, 1e-3)[1]) == (
+        pytest.approx([400.0, 500.0]),
+        [0.98, 0.98],
+        [0.015, 0.015],
+    )
 
 
 @pytest.mark.parametrize(
@@ -174,8 +177,7 @@ def test_percent_and_micrometres_are_converted(tmp_path: Path, heading: str) -> 
     ],
 )
 def test_what_is_not_clear_is_refused(tmp_path: Path, heading: str, problem: str) -> None:
-    with pytest.raises(FormatError, match=problem.replace("[", r"\[")):
-        _read(tmp_path, heading, 0.98, 1.0)
+    expect_errors((FormatError, problem.replace("[", r"\["), lambda: _read(tmp_path, heading, 0.98, 1.0)))
 
 
 # --- calibrations of FRM4SOC, and irradiance of HYPERNETS -------------------------------------------------
@@ -186,15 +188,24 @@ NAME = "CP_SAT0385_RADCAL_20220606105303.TXT"
 
 def test_a_real_calibration(shared_data: Path, tmp_path: Path) -> None:
     made = hp.io.read_radcal(shared_data / "lab_calibration" / NAME)
-    assert (made.device, made.lamp, made.laboratory) == ("SAT0385", "TO_717", "Tartu Observatory")
-    assert float(made.lamp_irradiance.sel(lamp_wavelength=300.0)) == pytest.approx(1.5637e-3)
-    assert float(made.lamp_irradiance_u.sel(lamp_wavelength=300.0)) == pytest.approx(0.0231 / 2)
-    assert float(made.panel_reflectance.sel(panel_wavelength=350.0)) == pytest.approx(0.989)
-    assert made.sizes["wavelength"] == 255
+    assert (
+        made.device,
+        made.lamp,
+        made.laboratory,
+        float(made.lamp_irradiance.sel(lamp_wavelength=300.0)),
+    ) == ("SAT0385", "TO_717", "Tartu Observatory", pytest.approx(1.5637e-3))
+    assert (
+        float(made.lamp_irradiance_u.sel(lamp_wavelength=300.0)),
+        float(made.panel_reflectance.sel(panel_wavelength=350.0)),
+        made.sizes["wavelength"],
+    ) == (pytest.approx(0.0231 / 2), pytest.approx(0.989), 255)
     pixel = made.isel(wavelength=50)
-    assert (float(pixel.wavelength), float(pixel.coefficient)) == (471.98, 1.119e-4)
-    assert float(pixel.coefficient_u) == pytest.approx(0.00835)
-    assert pixel.counts.values.tolist() == [13893.0, 13901.87]
+    assert (
+        float(pixel.wavelength),
+        float(pixel.coefficient),
+        float(pixel.coefficient_u),
+        pixel.counts.values.tolist(),
+    ) == (471.98, 1.119e-4, pytest.approx(0.00835), [13893.0, 13901.87])
     assert np.isnan(made.coefficient[0])
     inside = made.panel_radiance.sel(lamp_wavelength=350.0)
     expected = made.lamp_irradiance.sel(lamp_wavelength=350.0) * 0.989 / np.pi
@@ -230,8 +241,10 @@ def test_hypernets_irradiance(tmp_path: Path, dim: str) -> None:
     path = tmp_path / "HYPERNETS_L_TEST_L1B_IRR_20240601T1200.nc"
     series = hp.open_irradiance(_hypernets(path, dim, level, time, [0, 0, 0]))
     np.testing.assert_allclose(series.irradiance[:, 0], np.multiply(level, 1e-3), rtol=1e-6)
-    assert series.irradiance_time.values[0] == np.datetime64("2024-06-01T12:00:00")
-    assert float(series.irradiance_fwhm.max()) == pytest.approx(3.2)
+    assert (series.irradiance_time.values[0], float(series.irradiance_fwhm.max())) == (
+        np.datetime64("2024-06-01T12:00:00"),
+        pytest.approx(3.2),
+    )
 
 
 def test_flagged_spectra_of_hypernets_are_left_out(tmp_path: Path) -> None:
@@ -311,9 +324,11 @@ def test_one_error_for_all_with_each_reason_once() -> None:
     assert for_all(["good"], read) == ["good"]
     with pytest.raises(FormatError) as caught:
         for_all(["a", "good", "b"], read)
-    assert caught.value.codes == ("file-truncated",)
-    assert caught.value.problem.found == "spectra cannot be used"
-    assert caught.value.problems[0].found == "a, b: truncated: at 3"
+    assert (caught.value.codes, caught.value.problem.found, caught.value.problems[0].found) == (
+        (("file-truncated",)),
+        "spectra cannot be used",
+        "a, b: truncated: at 3",
+    )
 
 
 def test_files_folders_globs_and_lists(tmp_path) -> None:
@@ -325,8 +340,10 @@ def test_files_folders_globs_and_lists(tmp_path) -> None:
         found = find_paths(paths, lambda inside: [p for p in inside if p.suffix == ".sig"], ".sig files")
         return [path.name for path in found]
 
-    assert find(tmp_path) == ["a.sig", "b.sig"]
-    assert find([tmp_path / "c.txt", str(tmp_path / "**" / "*.sig")]) == ["c.txt", "a.sig", "b.sig", "d.sig"]
+    assert (find(tmp_path), find([tmp_path / "c.txt", str(tmp_path / "**" / "*.sig")])) == (
+        ["a.sig", "b.sig"],
+        ["c.txt", "a.sig", "b.sig", "d.sig"],
+    )
     assert find(tmp_path / "gone.sig") == ["gone.sig"]  # to read it is the error that names it
     expect_refusals(
         (FormatError, "file-not-found", lambda: find([str(tmp_path / "one*"), str(tmp_path / "two*")])),
