@@ -10,8 +10,10 @@ RNG = np.random.default_rng(18)
 
 def _said(dark: np.ndarray, scene: np.ndarray, uncertainty: np.ndarray | None = None) -> list[str]:
     sample = CubeSample(128, scene, scene, 1)
-    found = judge_dark("dark", dark, uncertainty, np.ones_like(dark), sample, 4000.0)
-    return [finding.kind.name for finding in found]
+    return [
+        finding.kind.name
+        for finding in judge_dark("dark", dark, uncertainty, np.ones_like(dark), sample, 4000.0)
+    ]
 
 
 def _daylight(level: float) -> np.ndarray:
@@ -55,5 +57,4 @@ def test_rounded_darks_are_right_and_those_of_another_exposure_are_not() -> None
     dark = RNG.normal(60.0, 6.0, (60, 40))
     noise = np.full(dark.shape, 0.2)
     for factor, named in ((0.5, True), (0.8, False), (1.0, False), (1.25, False), (2.0, True)):
-        said = _said(dark, 60.0 + factor * (dark - 60.0) + light, noise)
-        assert said == ["dark-pattern"] * named, factor
+        assert _said(dark, 60.0 + factor * (dark - 60.0) + light, noise) == ["dark-pattern"] * named, factor

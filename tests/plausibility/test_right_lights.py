@@ -21,8 +21,12 @@ def _lamps(*peaks: tuple[float, float, float]) -> np.ndarray:
 
 
 def _said(light: np.ndarray, nm: np.ndarray, sky: np.ndarray | None = None) -> list[str]:
-    record = None if sky is None else (FINE, sky)
-    return [str(finding) for finding in judge_bands("line", light, np.ones(nm.size), nm, 5.6, record)]
+    return [
+        str(finding)
+        for finding in judge_bands(
+            "line", light, np.ones(nm.size), nm, 5.6, None if sky is None else (FINE, sky)
+        )
+    ]
 
 
 MERCURY = _lamps(*((at, 1.5, height) for at, height in (
@@ -38,17 +42,23 @@ def test_lights_that_are_not_smooth_over_bands_are_right(bands: int, seed: int) 
     drift = rng.normal(0.0, rng.uniform(0.1, 1.0), bands)  # of the dark, band by band
     sky = _seen(DAYLIGHT, nm)
     dead = np.where(np.arange(bands) == rng.integers(bands), 0.0, 900.0 * sky)
-    water = 10.0 * sky * np.exp(-np.clip(nm - 520.0, 0.0, None) / 70.0)
-    saturated = 4095.0 - rng.normal(60.0, 3.0, bands)
-    for light in (drift, dead, water + drift, saturated, 900.0 * _seen(MERCURY, nm) + drift):
+    for light in (
+        drift,
+        dead,
+        (10.0 * sky * np.exp(-np.clip(nm - 520.0, 0.0, None) / 70.0)) + drift,
+        (4095.0 - rng.normal(60.0, 3.0, bands)),
+        900.0 * _seen(MERCURY, nm) + drift,
+    ):
         assert _said(light, nm, DAYLIGHT) == []
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_bands_in_any_order_are_named(seed: int) -> None:
     nm = np.linspace(400.0, 1000.0, 120)
-    light = np.random.default_rng(seed).permutation(900.0 * _seen(DAYLIGHT, nm))
-    assert "neighbouring bands" in _said(light, nm)[0]
+    assert (
+        "neighbouring bands"
+        in _said(np.random.default_rng(seed).permutation(900.0 * _seen(DAYLIGHT, nm)), nm)[0]
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

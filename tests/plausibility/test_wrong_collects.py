@@ -12,8 +12,9 @@ UNSEEN = {"lost frames, by the picture"}  # no promise: an edge of a field acros
 @pytest.mark.parametrize("number", range(len(FAULTS)))
 def test_every_fault_is_named(number: int, tmp_path: Path) -> None:
     fault, strength = list(FAULTS)[number], number % 3
-    path = wrong_collect(tmp_path / "c", fault, strength, seed=17)
-    texts = wrong_collects.said_of(path, whole=fault == "flagged pixels")
+    texts = wrong_collects.said_of(
+        wrong_collect(tmp_path / "c", fault, strength, seed=17), whole=fault == "flagged pixels"
+    )
     assert wrong_collects.is_named(fault, texts) or fault in UNSEEN, texts
 
 

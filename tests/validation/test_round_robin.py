@@ -39,8 +39,9 @@ def laboratory(folder: Path, name: str) -> tuple[xr.Dataset, np.ndarray]:
     away = [
         table[:, 2 + k] - np.interp(table[:, 0], known[:, 0], known[:, 1 + k]) for k in range(len(SAMPLES))
     ]
-    paints = library(table[:, 2:].T, SAMPLES, nm=table[:, 0], fwhm=None)
-    return paints, np.sqrt((np.array(away) ** 2).mean(axis=1))
+    return library(table[:, 2:].T, SAMPLES, nm=table[:, 0], fwhm=None), np.sqrt(
+        (np.array(away) ** 2).mean(axis=1)
+    )
 
 
 def validated(paints: xr.Dataset, references: xr.Dataset) -> tuple[np.ndarray, list[str]]:
@@ -48,8 +49,9 @@ def validated(paints: xr.Dataset, references: xr.Dataset) -> tuple[np.ndarray, l
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         agreement = hp.validate(paints, references)
-    rmse = np.array([value_of(agreement, "rmse", pair=pair) for pair in range(paints.sizes["signature"])])
-    return rmse, [str(each.message) for each in said]
+    return np.array([value_of(agreement, "rmse", pair=pair) for pair in range(paints.sizes["signature"])]), [
+        str(each.message) for each in said
+    ]
 
 
 @pytest.mark.real_data
@@ -72,8 +74,9 @@ def test_a_laboratorys_own_figures(shared_data: Path, name: str) -> None:
 def test_put_right_nothing_is_said(shared_data: Path, name: str) -> None:
     folder = shared_data / "round_robin"
     paints, _ = laboratory(folder, name)
-    right = paints.assign_coords(signature=[SAMPLES[1], SAMPLES[0], *SAMPLES[2:]])
-    rmse, said = validated(right, reference(folder))
+    rmse, said = validated(
+        paints.assign_coords(signature=[SAMPLES[1], SAMPLES[0], *SAMPLES[2:]]), reference(folder)
+    )
     assert not [text for text in said if "were exchanged" in text]
     assert 0.029 < np.sqrt((rmse**2).mean()) < 0.0435
 

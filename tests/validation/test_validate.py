@@ -23,8 +23,12 @@ def test_two_instruments_that_see_one_paint_agree() -> None:
     assert found.passed
     assert value_of(found, "rmse") < 1e-5
     # sampled at the centres of the bands, or seen twice as wide, it would not
-    sampled = np.interp(NM, np.arange(380.0, 1021.0), agreeing()[1]["reflectance"].values[0])
-    assert np.abs(sampled - seen(NM, 6.0)).max() > 2e-4
+    assert (
+        np.abs(
+            np.interp(NM, np.arange(380.0, 1021.0), agreeing()[1]["reflectance"].values[0]) - seen(NM, 6.0)
+        ).max()
+        > 2e-4
+    )
     assert (
         found.statistics["bands"].sel(part="all").item(),
         found.statistics["bands"].sel(part="VIS").item(),
@@ -89,9 +93,11 @@ def test_bands_that_are_not_seen_whole_are_left_out_and_counted() -> None:
     # of a Gaussian of 6 nm by hand: from its end on
     from math import erf
 
-    centre = NM[(NM > 498) & (NM < 502)]
-    by_hand = [0.5 * (1 + erf((c - 500.0) / (6.0 / 2.3548) / np.sqrt(2))) for c in centre]
-    np.testing.assert_allclose(edge, by_hand, atol=0.03)
+    np.testing.assert_allclose(
+        edge,
+        [0.5 * (1 + erf((c - 500.0) / (6.0 / 2.3548) / np.sqrt(2))) for c in NM[(NM > 498) & (NM < 502)]],
+        atol=0.03,
+    )
     assert np.isnan(spectra["reference"].values[~used]).all()
 
 
@@ -181,10 +187,10 @@ def test_a_shift_of_wavelength_shows_in_the_oxygen_residual() -> None:
 def test_uncertainties_of_the_library_are_propagated() -> None:
     nm = np.arange(380.0, 1021.0)
     values = seen(NM, 6.0)
-    paints = library(
-        values, reflectance_u_random=np.full(NM.size, 0.003), reflectance_u_systematic=0.04 * values
+    found = hp.validate(
+        library(values, reflectance_u_random=np.full(NM.size, 0.003), reflectance_u_systematic=0.04 * values),
+        field(seen(nm, 3.0)),
     )
-    found = hp.validate(paints, field(seen(nm, 3.0)))
     expected = np.hypot(0.003 / np.sqrt(NM.size), 0.04 * values.mean())
     assert (value_of(found, "bias_u"), value_of(found, "scale_u")) == (
         pytest.approx(expected, rel=0.08),
@@ -199,8 +205,11 @@ def test_repeated_readings_tell_their_own_uncertainty() -> None:
     nm = np.arange(380.0, 1021.0)
     levels = np.array([0.97, 1.0, 1.04, 1.01])
     signatures, _ = agreeing()
-    references = field(np.outer(levels, seen(nm, 3.0)), [f"hood_{n}" for n in range(4)])
-    found = hp.validate(signatures, references, {"hood": [f"hood_{n}" for n in range(4)]})
+    found = hp.validate(
+        signatures,
+        field(np.outer(levels, seen(nm, 3.0)), [f"hood_{n}" for n in range(4)]),
+        {"hood": [f"hood_{n}" for n in range(4)]},
+    )
     assert (found.statistics.sizes["pair"], value_of(found, "scale"), value_of(found, "scale_u")) == (
         1,
         pytest.approx(1 / levels.mean(), rel=1e-3),
@@ -233,21 +242,24 @@ def test_order_of_paints_changes_nothing() -> None:
     paints = library(values, ("hood", "roof"), reflectance_u_random=np.full(values.shape, 0.01))
     references = field(np.stack([smooth(np.arange(380.0, 1021.0))] * 2), ("hood", "roof"))
     one = hp.validate(paints, references).statistics.set_index(pair="signature")
-    other = hp.validate(paints.isel(signature=[1, 0]), references).statistics.set_index(pair="signature")
-    assert one["rmse_u"].equals(other["rmse_u"].sel(pair=one["pair"]))
+    assert one["rmse_u"].equals(
+        hp.validate(paints.isel(signature=[1, 0]), references)
+        .statistics.set_index(pair="signature")["rmse_u"]
+        .sel(pair=one["pair"])
+    )
 
 
 # --- pairs -------------------------------------------------------------------------------------------------
 
 
 def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
-    names = ("hood", "roof", "door", "bonnet")
-    paints = library([smooth(NM)] * 4, names).assign_coords(
+    paints = library([smooth(NM)] * 4, ("hood", "roof", "door", "bonnet")).assign_coords(
         reference=("signature", np.array(["red_01", "", "nowhere", ""], object))
     )
-    nm = np.arange(380.0, 1021.0)
-    references = field([smooth(nm)] * 4, ["svc/red_01.sig", "roof.asd.txt", "hood", "other"])
-    found = hp.validate(paints, references)
+    found = hp.validate(
+        paints,
+        field([smooth(np.arange(380.0, 1021.0))] * 4, ["svc/red_01.sig", "roof.asd.txt", "hood", "other"]),
+    )
     pairs = list(zip(found.statistics["signature"].values, found.statistics.reference.values, strict=True))
     assert (pairs, found.unpaired_signatures, found.unpaired_references) == (
         [("hood", "svc/red_01.sig"), ("roof", "roof.asd.txt")],
@@ -351,9 +363,16 @@ def test_the_limit_is_a_share_of_the_level_and_a_floor(level: float) -> None:
 
 
 def test_every_row_says_whether_it_passes() -> None:
-    paints = library([smooth(NM), 1.2 * smooth(NM)], ("hood", "roof"))
-    references = library([smooth(NM)] * 2, ("hood", "roof"))
-    rows = [line for line in hp.validate(paints, references).table().splitlines() if "/" in line]
+    rows = [
+        line
+        for line in hp.validate(
+            library([smooth(NM), 1.2 * smooth(NM)], ("hood", "roof")),
+            library([smooth(NM)] * 2, ("hood", "roof")),
+        )
+        .table()
+        .splitlines()
+        if "/" in line
+    ]
     assert (
         [row.split()[-1] for row in rows if row.startswith("hood")],
         [row.split()[-1] for row in rows if row.startswith("roof")],
@@ -365,8 +384,12 @@ def test_every_row_says_whether_it_passes() -> None:
 
 def test_a_panel_scales_what_is_relative() -> None:
     signatures, references = agreeing()
-    ends = ("wavelength", [300.0, 2500.0], {"units": "nm"})
-    panel = xr.DataArray([0.9, 0.9], {"wavelength": ends}, "wavelength", attrs={"units": "1"})
+    panel = xr.DataArray(
+        [0.9, 0.9],
+        {"wavelength": ("wavelength", [300.0, 2500.0], {"units": "nm"})},
+        "wavelength",
+        attrs={"units": "1"},
+    )
     found = hp.validate(signatures, references, panel=panel)
     assert value_of(found, "scale") == pytest.approx(1 / 0.9, rel=1e-4)
     assert any("scaled by the panel" in note for note in found.notes[0])
@@ -378,8 +401,11 @@ def test_a_panel_scales_what_is_relative() -> None:
         (SchemaError, "option-conflict", lambda: hp.validate(signatures, absolute, panel=panel)),
         (SchemaError, "value-out-of-range", lambda: hp.validate(signatures, references, panel=panel * 100)),
     )
-    narrow = panel.assign_coords(wavelength=("wavelength", [500.0, 600.0], {"units": "nm"}))
-    left = hp.validate(signatures, references, panel=narrow).spectra[0]
+    left = hp.validate(
+        signatures,
+        references,
+        panel=panel.assign_coords(wavelength=("wavelength", [500.0, 600.0], {"units": "nm"})),
+    ).spectra[0]
     assert not left["used"].values[(NM < 500) | (NM > 600)].any()
 
 

@@ -29,9 +29,9 @@ def signature(values: np.ndarray = NEAR, quantity: str = BODY, **more: Any) -> x
 
 
 def reading(values: np.ndarray, **attrs: Any) -> xr.Dataset:
-    at = {"wavelength": ("wavelength", NM, {"units": "nm"}), "spectrum": ["hood"]}
     return xr.Dataset(
-        {"reflectance": (("spectrum", "wavelength"), values[None], {"units": "1", **attrs})}, at
+        {"reflectance": (("spectrum", "wavelength"), values[None], {"units": "1", **attrs})},
+        {"wavelength": ("wavelength", NM, {"units": "nm"}), "spectrum": ["hood"]},
     )
 
 
@@ -44,11 +44,16 @@ def scale(*pair: xr.Dataset) -> float:
 )
 def test_readings_of_the_outside_are_brought_to_the_body(geometry: str, included: bool) -> None:
     # What instruments read of a base under a coat is the renderer's
-    theirs = {"d/8": "d/0", "45/0": "0/45"}.get(geometry, geometry)
-    seen = coated_reflectance(ALBEDO, geometry=theirs, specular_included=included)
+    seen = coated_reflectance(
+        ALBEDO, geometry={"d/8": "d/0", "45/0": "0/45"}.get(geometry, geometry), specular_included=included
+    )
     assert np.abs(seen / NEAR - 1.0).max() > 0.001
-    word = "included" if included else "excluded"
-    field = reading(seen, quantity=OUTSIDE, specular_component=word, measurement_geometry=geometry)
+    field = reading(
+        seen,
+        quantity=OUTSIDE,
+        specular_component="included" if included else "excluded",
+        measurement_geometry=geometry,
+    )
     one = hp.validate(signature(), field, reference_fwhm=5.0)
     assert np.abs(one.statistics.bias).max() < 2e-4
     assert any("converted to the body" in note for note in one.notes[0])
@@ -69,11 +74,12 @@ def test_what_cannot_be_converted_is_named() -> None:
 
 
 def test_the_light_leaves_less_to_be_judged() -> None:
-    low = signature(sun_zenith=80.0)
-    assert any("80 degrees from the zenith" in note for note in hp.validate(low, reading(NEAR)).notes[0])
+    assert any(
+        "80 degrees from the zenith" in note
+        for note in hp.validate(signature(sun_zenith=80.0), reading(NEAR)).notes[0]
+    )
     odd = signature(sun_zenith=40.0, sky_state=np.int8(SKY_STATES.index("contradictory")))
     share = (("signature", "band"), np.full((1, NM.size), 0.4), {"units": "1"})
     stored = odd.assign(diffuse_fraction=share).chunk(signature=1)  # as it comes from a store
-    told = hp.validate(stored, reading(NEAR)).notes[0]
-    assert any("contradicted" in note for note in told)
+    assert any("contradicted" in note for note in hp.validate(stored, reading(NEAR)).notes[0])
     assert not any("contradicted" in note for note in hp.validate(odd, reading(NEAR)).notes[0])

@@ -33,8 +33,9 @@ def test_files_of_one_name_in_two_folders_are_no_repeats() -> None:
     expect_refusals(
         (SchemaError, "reference-ambiguous", "site1/red", "site2/red", lambda: hp.validate(red(), two))
     )
-    found = hp.validate(red(), two, {"red": "site1/red"})
-    assert found.statistics["reference"].values.tolist() == ["site1/red.sig"]
+    assert hp.validate(red(), two, {"red": "site1/red"}).statistics["reference"].values.tolist() == [
+        "site1/red.sig"
+    ]
     with pytest.warns(PaintWarning, match="reference-scatter"):
         both = hp.validate(red(), two, {"red": ["site1/red.sig", "site2/red.sig"]})
     assert any("show one paint" in note for note in both.notes[0])
@@ -54,13 +55,15 @@ def test_full_names_go_before_short_ones() -> None:
         (("other/red.sig (ASD)",)),
     )
     # each instrument for itself
-    both = hp.validate(red(), [field(LEVEL, ["red"]), field(LEVEL, ["svc/red.sig"], instrument="SVC")])
-    assert both.statistics["reference"].values.tolist() == ["red", "svc/red.sig"]
+    assert hp.validate(
+        red(), [field(LEVEL, ["red"]), field(LEVEL, ["svc/red.sig"], instrument="SVC")]
+    ).statistics["reference"].values.tolist() == ["red", "svc/red.sig"]
 
 
 def test_readings_of_one_folder_are_repeats() -> None:
-    found = hp.validate(red(), field([LEVEL, LEVEL], ["red", "red"]))
-    assert found.statistics["reference"].values.tolist() == ["red, red"]
+    assert hp.validate(red(), field([LEVEL, LEVEL], ["red", "red"])).statistics[
+        "reference"
+    ].values.tolist() == ["red, red"]
 
 
 def test_files_of_open_svc(tmp_path: Path) -> None:
@@ -70,8 +73,9 @@ def test_files_of_open_svc(tmp_path: Path) -> None:
     paints = library(np.full(NM.size, 0.3), ("red",))
     expect_refusals((SchemaError, "reference-ambiguous", "site2/red", lambda: hp.validate(paints, both)))
     for name in ("site1/red", "site1/red.sig"):
-        found = hp.validate(paints, both, {"red": name})
-        assert float(found.statistics["bias"].sel(part="all").item()) == pytest.approx(-0.2, abs=1e-3)
+        assert float(
+            hp.validate(paints, both, {"red": name}).statistics["bias"].sel(part="all").item()
+        ) == pytest.approx(-0.2, abs=1e-3)
     # folders of one name, which the reader numbers
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
@@ -98,8 +102,9 @@ def test_instruments_of_one_make_are_compared_apart(tmp_path: Path) -> None:
     assert "the instrument set error bits 1 in the target scan" in found.notes[0]
     assert "the instrument set error bits 2 in the target scan" in found.notes[1]
     # one alone needs no number
-    alone = hp.validate(library(np.full(NM.size, 0.3), ("red",)), both.isel(spectrum=[0]))
-    assert alone.statistics["instrument"].values.tolist() == ["SVC"]
+    assert hp.validate(library(np.full(NM.size, 0.3), ("red",)), both.isel(spectrum=[0])).statistics[
+        "instrument"
+    ].values.tolist() == ["SVC"]
 
 
 def test_paints_of_one_name_are_refused() -> None:
@@ -108,8 +113,13 @@ def test_paints_of_one_name_are_refused() -> None:
         hp.validate(paints, agreeing()[1])
     assert refused.value.codes == ("paint-duplicate",) * 2
     # each names its own
-    named = paints.assign_coords(reference=("signature", np.array(["a", "b"], object)))
-    assert hp.validate(named, field([LEVEL] * 2, ["a", "b"])).statistics.sizes["pair"] == 2
+    assert (
+        hp.validate(
+            paints.assign_coords(reference=("signature", np.array(["a", "b"], object))),
+            field([LEVEL] * 2, ["a", "b"]),
+        ).statistics.sizes["pair"]
+        == 2
+    )
 
 
 def test_a_relative_reference_without_its_panel_is_told() -> None:
@@ -122,8 +132,12 @@ def test_a_relative_reference_without_its_panel_is_told() -> None:
         reflectance=references["reflectance"].assign_attrs(reflectance_scale="absolute")
     )
     assert not any("white panel" in note for note in hp.validate(signatures, absolute).notes[0])
-    relative = signatures.assign(
-        reflectance=signatures["reflectance"].assign_attrs(reflectance_scale="relative")
+    assert any(
+        "the signature is relative to a white panel" in note
+        for note in hp.validate(
+            signatures.assign(
+                reflectance=signatures["reflectance"].assign_attrs(reflectance_scale="relative")
+            ),
+            absolute,
+        ).notes[0]
     )
-    found = hp.validate(relative, absolute)
-    assert any("the signature is relative to a white panel" in note for note in found.notes[0])

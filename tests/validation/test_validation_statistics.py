@@ -94,8 +94,9 @@ def test_draws_agree_with_linear_propagation() -> None:
         "scale": r / (r**2).sum(),
     }
     for name, slope in slopes.items():
-        linear = math.sqrt(((slope * random) ** 2).sum() + (slope * common).sum() ** 2)
-        assert found[name] == pytest.approx(linear, rel=0.06), name
+        assert found[name] == pytest.approx(
+            math.sqrt(((slope * random) ** 2).sum() + (slope * common).sum() ** 2), rel=0.06
+        ), name
 
 
 def test_equal_spectra_are_not_sure_beyond_their_noise() -> None:

@@ -47,11 +47,16 @@ def test_what_is_known_of_some_bands_only() -> None:
 @pytest.mark.parametrize("known", ["random", "systematic"])
 def test_one_part_is_said_to_be_one_part(known: str) -> None:
     other = {"random": "systematic", "systematic": "random"}[known]
-    only = hp.validate(library(PAINT, **{f"reflectance_u_{known}": np.full(NM.size, 0.005)}), field(LEVEL))
-    told = f"uncertainty of the signature: {known} part only, the {other} part is unknown"
-    assert told in only.notes[0]
-    spreads = {f"reflectance_u_{name}": np.full(NM.size, 0.005) for name in (known, other)}
-    both = hp.validate(library(PAINT, **spreads), field(LEVEL))
+    assert (
+        f"uncertainty of the signature: {known} part only, the {other} part is unknown"
+        in hp.validate(
+            library(PAINT, **{f"reflectance_u_{known}": np.full(NM.size, 0.005)}), field(LEVEL)
+        ).notes[0]
+    )
+    both = hp.validate(
+        library(PAINT, **{f"reflectance_u_{name}": np.full(NM.size, 0.005) for name in (known, other)}),
+        field(LEVEL),
+    )
     assert not any("part only" in note for note in both.notes[0])
 
 
@@ -60,8 +65,9 @@ def test_pixels_that_are_not_independent_do_not_count() -> None:
         n=("signature", [10_000], {"units": "1"}), n_eff=("signature", [25.0], {"units": "1"})
     )
     assert value_of(hp.validate(paints, field(LEVEL)), "bias_u") == pytest.approx(0.03 / 5, rel=0.1)
-    silent = paints.assign(n_eff=("signature", [np.nan], {"units": "1"}))
-    assert value_of(hp.validate(silent, field(LEVEL)), "bias_u") == pytest.approx(0.03 / 100, rel=0.1)
+    assert value_of(
+        hp.validate(paints.assign(n_eff=("signature", [np.nan], {"units": "1"})), field(LEVEL)), "bias_u"
+    ) == pytest.approx(0.03 / 100, rel=0.1)
 
 
 def test_errors_of_opposite_signs_leave_the_mean_over_bands() -> None:

@@ -60,10 +60,12 @@ def test_few_of_many_bands_pass_nothing_yet_can_fail() -> None:
 
 
 def test_a_reference_that_is_asked_for_must_be_there() -> None:
-    paints = library([smooth(NM)] * 2, ("red", "blue")).assign_coords(
-        reference=("signature", np.array(["", "blu.sig"], object))
+    found = hp.validate(
+        library([smooth(NM)] * 2, ("red", "blue")).assign_coords(
+            reference=("signature", np.array(["", "blu.sig"], object))
+        ),
+        library([smooth(NM)] * 2, ("red", "blue")),
     )
-    found = hp.validate(paints, library([smooth(NM)] * 2, ("red", "blue")))
     assert found.missing == ("blue (no reference 'blu.sig')",)
     assert found.statistics["passes"].all()
     assert (found.passed, found.problems) == (

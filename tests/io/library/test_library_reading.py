@@ -64,8 +64,9 @@ def test_sli__scale_of_the_header_or_the_plot_title(tmp_path: Path, more: str, s
 
 @pytest.mark.parametrize("unit", ["Micrometers", "um", "Unknown"])
 def test_sli__micrometres(tmp_path: Path, unit: str) -> None:
-    more = f"wavelength units = {unit}\nwavelength = {{0.65, 0.55, 0.45}}\n"
-    library = hp.open_library(write_sli(tmp_path, ROWS, NAMES + more))
+    library = hp.open_library(
+        write_sli(tmp_path, ROWS, NAMES + f"wavelength units = {unit}\nwavelength = {{0.65, 0.55, 0.45}}\n")
+    )
     np.testing.assert_allclose(library["wavelength"].values, [650.0, 550.0, 450.0])
     assert ("micrometres" in library.attrs.get("notes", "")) == (unit == "Unknown")
 
@@ -131,8 +132,9 @@ def test_sli__names_that_cannot_be_trusted_are_numbers(tmp_path: Path, names: st
 
 
 def test_sli__bad_bands_are_not_good(tmp_path: Path) -> None:
-    library = hp.open_library(write_sli(tmp_path, ROWS, NAMES + NM + "bbl = {1, 0, 1}\n"))
-    assert library["good"].values.tolist() == [True, False, True]
+    assert hp.open_library(write_sli(tmp_path, ROWS, NAMES + NM + "bbl = {1, 0, 1}\n"))[
+        "good"
+    ].values.tolist() == [True, False, True]
 
 
 def test_sli__what_does_not_fit_is_listed(tmp_path: Path) -> None:
@@ -244,14 +246,25 @@ Additional Information: none
 
 
 def test_ecostress__spellings_of_units(tmp_path: Path) -> None:
-    ours = ': hyperpaint metadata {"matt": true, "n": 7, "year": null}'
-    library = hp.open_library(write_text(tmp_path, ECOSTRESS.replace(": none", ours)))
+    library = hp.open_library(
+        write_text(
+            tmp_path,
+            ECOSTRESS.replace(": none", ': hyperpaint metadata {"matt": true, "n": 7, "year": null}'),
+        )
+    )
     assert [library[name].item() for name in ("matt", "n")] == [True, 7]
     assert np.isnan(library["year"]).all()
     np.testing.assert_allclose(library["reflectance"].values, [[0.3, 0.2, 0.1]], rtol=1e-6)
     np.testing.assert_allclose(library["wavelength"].values, [650, 550, 450])
-    fraction = ECOSTRESS.replace("percentage", "fraction").replace(" 30", " .3").replace(" 20", " .2")
-    library = hp.open_library(write_text(tmp_path, fraction.replace(" 10\n", " .1\n")))
+    library = hp.open_library(
+        write_text(
+            tmp_path,
+            ECOSTRESS.replace("percentage", "fraction")
+            .replace(" 30", " .3")
+            .replace(" 20", " .2")
+            .replace(" 10\n", " .1\n"),
+        )
+    )
     np.testing.assert_allclose(library["reflectance"].values, [[0.3, 0.2, 0.1]], rtol=1e-6)
 
 
@@ -297,8 +310,9 @@ def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None
         tmp_path, usgs("splib07a Record=3: Bandpass (FWHM) ASD (microns)", [0.01] * 3), "w_Bandpass_ASD.txt"
     )
     values = [0.1, -1.23e34, 0.3]
-    asd = write_text(chapter, usgs("splib07a Record=9: Red paint GDS1 ASDFRa AREF", values), "a.txt")
-    library = hp.open_library(asd)
+    library = hp.open_library(
+        write_text(chapter, usgs("splib07a Record=9: Red paint GDS1 ASDFRa AREF", values), "a.txt")
+    )
     assert (
         library["wavelength"].values.tolist(),
         library["fwhm"].values.tolist(),
@@ -349,8 +363,12 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
 
 
 def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> None:
-    one = write_sli(tmp_path, ROWS, NAMES + NM + "fwhm = {5, 5, 5}\n")
-    library = hp.open_library([one, write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n")])
+    library = hp.open_library(
+        [
+            write_sli(tmp_path, ROWS, NAMES + NM + "fwhm = {5, 5, 5}\n"),
+            write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n"),
+        ]
+    )
     assert "fwhm" not in library.variables
     assert "fwhm differs from file to file and is left out" in library.attrs["notes"]
 
@@ -364,8 +382,14 @@ def test_several__one_bad_file_is_an_error_that_names_it(tmp_path: Path) -> None
 def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_path: Path) -> None:
     for number in (2, 10, 1):
         write_text(tmp_path, ECOSTRESS.replace("red", f"red {number}"), f"red{number}.txt")
-    table = "nm,reflectance\n650,0.3\n550,0.2\n450,0.1\n"
-    library = hp.open_library([tmp_path, write_text(tmp_path / "..", table, f"{tmp_path.name}.csv")])
+    library = hp.open_library(
+        [
+            tmp_path,
+            write_text(
+                tmp_path / "..", "nm,reflectance\n650,0.3\n550,0.2\n450,0.1\n", f"{tmp_path.name}.csv"
+            ),
+        ]
+    )
     assert (
         library["signature"].values.tolist(),
         library["type"].values.tolist(),
@@ -409,8 +433,14 @@ def test_nanometres_that_are_called_micrometres_are_refused(tmp_path: Path) -> N
     path = write_text(tmp_path, ecostress([400.0, 500.0, 590.0], [10.0] * 3, "Reflectance (percent)"))
     expect_errors((FormatError, "wavelength-range", lambda: hp.open_library(path)))
     assert hp.open_library(path, wavelength=[400, 500, 590])["wavelength"].values.tolist() == [400, 500, 590]
-    far = write_text(tmp_path, ecostress([1.2, 20.0, 216.0], [10.0] * 3, "Reflectance (percent)"), "far.txt")
-    assert hp.open_library(far)["wavelength"].values.max() == 216_000.0
+    assert (
+        hp.open_library(
+            write_text(
+                tmp_path, ecostress([1.2, 20.0, 216.0], [10.0] * 3, "Reflectance (percent)"), "far.txt"
+            )
+        )["wavelength"].values.max()
+        == 216_000.0
+    )
 
 
 def test_a_dark_paint_in_percent_is_no_bright_one(tmp_path: Path) -> None:

@@ -36,8 +36,7 @@ def trip(library: xr.Dataset, folder: Path, name: str, **options: Any) -> xr.Dat
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_sli_and_csv__give_the_library_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
     # Expected: every value, dtype, attribute and name, members with their padding, and NaN as it was.
-    falling = library.isel(band=slice(None, None, -1))
-    for folder, one in (("rising", library), ("falling", falling)):
+    for folder, one in (("rising", library), ("falling", library.isel(band=slice(None, None, -1)))):
         found = trip(one, tmp_path / folder, name, curves="all")
         xr.testing.assert_identical(found, one)
     assert {key: found[key].dtype for key in library.variables} == dict(library.dtypes) | {
@@ -76,8 +75,10 @@ def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
     theirs = envi.open(str(path.with_suffix(".hdr")), str(path))
     assert list(theirs.names[:5]) == ["red; matt", "Grün", "Grün (2)", 'a/b "x" / c (d)', "unnamed"]
     np.testing.assert_array_equal(theirs.spectra[:5], library["reflectance"].values)
-    at = list(theirs.names).index("Grün (2) | member 3")
-    np.testing.assert_array_equal(theirs.spectra[at], library["member_reflectance"].values[2, 2])
+    np.testing.assert_array_equal(
+        theirs.spectra[list(theirs.names).index("Grün (2) | member 3")],
+        library["member_reflectance"].values[2, 2],
+    )
     np.testing.assert_array_equal(theirs.bands.centers, library["wavelength"].values)
     # the header of centres has the columns of the paints
     path = hp.write_library(library, tmp_path / "centres.sli")
@@ -90,8 +91,9 @@ def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path: Path) -> None:
-    path = hp.write_library(library, tmp_path / "paints.csv", curves="all")
-    with open(path, encoding="utf-8-sig", newline="") as file:
+    with open(
+        hp.write_library(library, tmp_path / "paints.csv", curves="all"), encoding="utf-8-sig", newline=""
+    ) as file:
         head, *rows = csv.reader(file)
     assert head[:3] == ["signature", "variable", "place"]
     first = len(head) - library.sizes["band"]
@@ -106,8 +108,10 @@ def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path:
         *[("Grün", str(place)) for place in (1, 2)],  # padding is left out
         *[("Grün", str(place)) for place in (1, 2, 3, 4)],
     ]
-    metadata = json.loads((tmp_path / "paints.csv.json").read_text(encoding="utf-8"))
-    assert metadata["coords"]["make"]["data"] == library["make"].values.tolist()
+    assert (
+        json.loads((tmp_path / "paints.csv.json").read_text(encoding="utf-8"))["coords"]["make"]["data"]
+        == library["make"].values.tolist()
+    )
 
 
 def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path: Path) -> None:
@@ -125,19 +129,24 @@ def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path:
     values = table.iloc[:, table.columns.get_loc("400.0") :]
     assert [float(name) for name in values.columns] == library["wavelength"].values.tolist()
     np.testing.assert_array_equal(values.to_numpy("f4"), library["reflectance"].values)
-    plain = library.isel(signature=[0]).assign_coords(make=("signature", np.array(["VW"], object)))
-    assert hp.write_library(plain, tmp_path / "plain.csv").read_bytes().startswith(b"signature,")
+    assert (
+        hp.write_library(
+            library.isel(signature=[0]).assign_coords(make=("signature", np.array(["VW"], object))),
+            tmp_path / "plain.csv",
+        )
+        .read_bytes()
+        .startswith(b"signature,")
+    )
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_centres__are_the_default_and_come_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
     # Expected: the centre and what is said of paints, to the bit; no member, quantile or spread.
-    found = trip(library, tmp_path, name)
-    left = library.drop_vars(["reflectance_sd"]).drop_dims(["member", "quantile"])
-    xr.testing.assert_identical(found, left)
+    xr.testing.assert_identical(
+        trip(library, tmp_path, name), library.drop_vars(["reflectance_sd"]).drop_dims(["member", "quantile"])
+    )
     if name == "paints.csv":
-        rows = (tmp_path / "one" / name).read_text(encoding="utf-8-sig").splitlines()
-        assert len(rows) == 1 + len(NAMES)
+        assert len((tmp_path / "one" / name).read_text(encoding="utf-8-sig").splitlines()) == 1 + len(NAMES)
     else:
         assert (tmp_path / "one" / name).stat().st_size == 4 * library["reflectance"].size
 
@@ -150,8 +159,9 @@ def test_formats_hold_what_they_can(library: xr.Dataset, tmp_path: Path) -> None
             lambda: hp.write_library(library, tmp_path / "paints.csv", curves="members"),
         )
     )
-    found = hp.open_library(hp.write_library(library, tmp_path / "paints.zarr", curves="centre"))
-    assert not {"member", "quantile"} & {*found.dims}
+    assert not {"member", "quantile"} & {
+        *hp.open_library(hp.write_library(library, tmp_path / "paints.zarr", curves="centre")).dims
+    }
 
 
 def test_csv__written_by_earlier_versions_opens(library: xr.Dataset, tmp_path: Path) -> None:
@@ -224,8 +234,9 @@ def test_without_metadata__spectra_and_members_still_lead_back(
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path: Path, name: str) -> None:
     path = hp.write_library(library, tmp_path / name, curves="all")
-    shifted = library.assign_coords(wavelength=library["wavelength"] + 1.0)
-    other = hp.write_library(shifted, tmp_path / "other" / name, curves="all")
+    other = hp.write_library(
+        library.assign_coords(wavelength=library["wavelength"] + 1.0), tmp_path / "other" / name, curves="all"
+    )
     path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
     expect_errors((FormatError, "grid-mismatch", lambda: hp.open_library(path)))
     fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
@@ -335,8 +346,9 @@ def test_any_names_and_values__come_back(
         },
     )
     for name in ("paints.sli", "paints.csv"):
-        folder = tmp_path_factory.mktemp("any")
-        xr.testing.assert_identical(trip(library, folder, name, curves="all"), library)
+        xr.testing.assert_identical(
+            trip(library, tmp_path_factory.mktemp("any"), name, curves="all"), library
+        )
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
@@ -359,8 +371,9 @@ def test_what_is_read_from_others__can_be_written(shared_data: Path, tmp_path: P
     for name in ("usgs.sli", "usgs.csv"):
         xr.testing.assert_identical(trip(usgs, tmp_path, name, curves="all"), usgs)
     text = hp.open_library(sorted((shared_data / "spectra_ascii").glob("PVC_*.txt")))
-    found = trip(text, tmp_path, "pvc.csv")
-    np.testing.assert_array_equal(found["reflectance"].values, text["reflectance"].values)
+    np.testing.assert_array_equal(
+        trip(text, tmp_path, "pvc.csv")["reflectance"].values, text["reflectance"].values
+    )
 
 
 @pytest.mark.parametrize("name", ["=HYPERLINK(1)", "+red", "-matt", "@lab", "'=x", "''-y", "-5.25", "'red'"])

@@ -149,8 +149,7 @@ def test_planted_faults_are_found_by_their_rule(library, name):
 
 
 def test_rules_stand_in_the_page(library):
-    rules = {rule for rule, _ in FAULTS.values()}
-    assert all(f"`{rule}`" in PAGE for rule in rules)
+    assert all(f"`{rule}`" in PAGE for rule in {rule for rule, _ in FAULTS.values()})
     assert all(f"`{word}`" in PAGE for term in TERMS for word in term.words)
 
 

@@ -39,8 +39,10 @@ def spy_library(path: Path) -> Any:
 
 
 def assert_is_library(library: xr.Dataset) -> None:
-    found = [(library[name].dims, library[name].dtype, library[name].attrs["units"]) for name in AXES]
-    assert found == [(("signature", "band"), np.float32, "1"), (("band",), np.float64, "nm")]
+    assert [(library[name].dims, library[name].dtype, library[name].attrs["units"]) for name in AXES] == [
+        (("signature", "band"), np.float32, "1"),
+        (("band",), np.float64, "nm"),
+    ]
     assert all(library.attrs[key] for key in ("source", "format"))
 
 
@@ -78,10 +80,15 @@ def test_usgs_aviris__has_two_records_that_are_no_spectra_and_error_bars(sli: Pa
     )
     assert "Painted_Aluminum" in painted["signature"].item()
     np.testing.assert_allclose(painted["reflectance"].values[0, [20, 50]], [0.52703726, 0.4621601], rtol=1e-6)
-    toy = library.isel(
-        signature=[at for at, n in enumerate(library["signature"].values) if "GDS398" in n][:1]
+    np.testing.assert_allclose(
+        (
+            library.isel(
+                signature=[at for at, n in enumerate(library["signature"].values) if "GDS398" in n][:1]
+            )
+        )["reflectance"].values[0, [20, 50]],
+        [0.10421019, 0.670282],
+        rtol=1e-6,
     )
-    np.testing.assert_allclose(toy["reflectance"].values[0, [20, 50]], [0.10421019, 0.670282], rtol=1e-6)
     assert np.flatnonzero(np.diff(library["wavelength"].values) < 0).tolist() == [31, 95]
     assert float(library["reflectance"].min()) > -0.1
     assert float(library["reflectance_u_random"].min()) >= 0.0
@@ -196,12 +203,11 @@ def test_tables_with_headings__are_read(shared_data: Path) -> None:
     assert panel["reflectance"].values[0, 0] == np.float32(0.911211)
     assert "notes" not in panel.attrs  # "nm" stands in its heading
     lawn = hp.open_library(shared_data / "radiance_vs_field/insitu_BeckmanLawn.txt")
-    assert lawn["signature"].values.tolist() == ["insitu_BeckmanLawn"]
-    at = int(np.flatnonzero(lawn["wavelength"].values == 550.0)[0])
-    assert (lawn["reflectance"].values[0, at], lawn["reflectance_sd"].values[0, 0]) == (
-        np.float32(0.0670867),
-        np.float32(0.00805685),
-    )
+    assert (
+        lawn["signature"].values.tolist(),
+        lawn["reflectance"].values[0, int(np.flatnonzero(lawn["wavelength"].values == 550.0)[0])],
+        lawn["reflectance_sd"].values[0, 0],
+    ) == (["insitu_BeckmanLawn"], np.float32(0.0670867), np.float32(0.00805685))
 
 
 def test_several_files__make_one_library_where_wavelengths_are_equal(text: Path) -> None:

@@ -32,11 +32,15 @@ def test_a_file_of_others_is_a_library(tmp_path):
     assert library["signature"].values.tolist() == ["olivine", "asphalt"]
     np.testing.assert_array_equal(library.reflectance, np.float32([[0.1, np.nan, 0.3], [0.2, 0.2, 0.2]]))
     assert library.licence.values.tolist() == ["public domain"] * 2
-    wavenumbers = {
-        "spectral_data.wavelength_unit": ["cm-1"] * 2,
-        "spectral_data.wavelengths": [[20000.0, 16000.0, 12500.0]] * 2,
-    }
-    library = hp.open_library(foreign(tmp_path / "tes.parquet", **wavenumbers))
+    library = hp.open_library(
+        foreign(
+            tmp_path / "tes.parquet",
+            **{
+                "spectral_data.wavelength_unit": ["cm-1"] * 2,
+                "spectral_data.wavelengths": [[20000.0, 16000.0, 12500.0]] * 2,
+            },
+        )
+    )
     np.testing.assert_allclose(library.wavelength, [500.0, 625.0, 800.0])
 
 

@@ -53,8 +53,9 @@ def test_a_file_of_0_2_is_todays_library(released: Path, library: xr.Dataset, na
     assert "signature" in opened.indexes
     with pytest.warns(PaintWarning, match="'signature'"):
         assert hp.io.check_library(released / name).ok
-    again = hp.open_library(hp.write_library(opened, released / "again" / name, curves="all"))
-    xr.testing.assert_equal(again.load(), library)
+    xr.testing.assert_equal(
+        hp.open_library(hp.write_library(opened, released / "again" / name, curves="all")).load(), library
+    )
 
 
 @pytest.mark.parametrize("name", FILES[:3])
@@ -104,9 +105,12 @@ def test_a_library_of_an_old_session_is_taken_everywhere(library: xr.Dataset, tm
 
 
 def test_only_libraries_are_renamed(library: xr.Dataset) -> None:
-    line = xr.Dataset({"reflectance": (("paint", "band", "cross_track"), np.zeros((1, 2, 3)))})
-    mine = xr.Dataset({"reflectance": ("x", [1.0])}, {"paint": ("x", ["red"])})
-    for dataset in (line, mine, library, xr.Dataset({"paint": ("paint", [1])})):
+    for dataset in (
+        xr.Dataset({"reflectance": (("paint", "band", "cross_track"), np.zeros((1, 2, 3)))}),
+        xr.Dataset({"reflectance": ("x", [1.0])}, {"paint": ("x", ["red"])}),
+        library,
+        xr.Dataset({"paint": ("paint", [1])}),
+    ):
         assert with_new_names(dataset) is dataset
     with pytest.warns(PaintWarning):
         one = with_new_names(old(library).isel(paint=0))
@@ -136,8 +140,9 @@ def test_a_property_called_signature_keeps_its_values(library: xr.Dataset) -> No
 )
 def test_damaged_metadata_of_0_2_are_refused(released: Path, part: str, damage: object) -> None:
     file = released / "paints.csv.json"
-    document = json.loads(file.read_text(encoding="utf-8"))
-    file.write_text(json.dumps({**document, part: damage}), encoding="utf-8")
+    file.write_text(
+        json.dumps({**json.loads(file.read_text(encoding="utf-8")), part: damage}), encoding="utf-8"
+    )
     with pytest.warns(PaintWarning, match="'signature'"), pytest.raises(FormatError):
         hp.open_library(released / "paints.csv")
 

@@ -185,8 +185,10 @@ def test_columns_of_spread__are_those_of_the_paint_before_them(tmp_path: Path) -
 def test_a_white_standard_is_a_paint(tmp_path: Path) -> None:
     # Words of a spread name one only where the rest of the heading names another column.
     names = ["Red 12", "White Std", "SD45"]
-    library = text(GREY, GREY / 2, GREY / 3, heading="nm," + ",".join(names))(tmp_path)
-    assert library["signature"].values.tolist() == names
+    assert (
+        text(GREY, GREY / 2, GREY / 3, heading="nm," + ",".join(names))(tmp_path)["signature"].values.tolist()
+        == names
+    )
     spread = text(GREY, GREY / 2, GREY / 9, GREY / 8, heading="nm,red,blue,blue std,red std")(tmp_path)
     assert spread["signature"].values.tolist() == ["red", "blue"]
     np.testing.assert_allclose(spread["reflectance_sd"].values[0], GREY / 8, rtol=1e-6)

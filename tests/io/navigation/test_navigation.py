@@ -31,8 +31,11 @@ HEADER_D = (
 
 
 def date_of(time: np.datetime64, month_name: bool = False) -> str:
-    moment = time.astype("datetime64[us]").item()
-    return moment.strftime("%Y/%b/%d %H:%M:%S.%f" if month_name else "%Y/%m/%d %H:%M:%S.%f")
+    return (
+        time.astype("datetime64[us]")
+        .item()
+        .strftime("%Y/%b/%d %H:%M:%S.%f" if month_name else "%Y/%m/%d %H:%M:%S.%f")
+    )
 
 
 def write_a(
@@ -99,16 +102,17 @@ def test_variant_d_joins_by_the_clock_that_covers_the_frames(tmp_path: Path, clo
 
 def test_variant_b_takes_utc_from_gps_time(tmp_path: Path) -> None:
     nav = tmp_path / "imu_gps.txt"
-    rows = [f"1\t2\t{10 * i}\t-34\t138\t{60 + i}\t23:59:59 {990_000 + 2000 * i}\n" for i in range(5)]
-    nav.write_text("Roll\tPitch\tYaw\tLat\tLon\tAlt\tTime\n" + "".join(rows))
+    nav.write_text(
+        "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTime\n"
+        + "".join([f"1\t2\t{10 * i}\t-34\t138\t{60 + i}\t23:59:59 {990_000 + 2000 * i}\n" for i in range(5)])
+    )
     gps_time = tmp_path / "gps_time.txt"
     gps_time.write_text(
         "PC\tPOS\n23:59:58 0\t2021/07/23 21:59:59.250000\n00:00:01 0\t2021/07/23 22:00:02.250000\n"
     )
     index = write_index(tmp_path / "f.txt", ["23:59:59 991000", "23:59:59 998000"], column="Time")
     made = line_times(Path("raw_0"), 2, Timing(frame_index=index, nav=nav, gps_time=gps_time, stamp="mid"))
-    start = np.datetime64("2021-07-23T22:00:01.241", "ns")
-    assert (made.time - start).tolist() == [0, 7_000_000]
+    assert (made.time - np.datetime64("2021-07-23T22:00:01.241", "ns")).tolist() == [0, 7_000_000]
     np.testing.assert_allclose(made.pose["altitude"], [60.5, 64.0])
     assert read_gps_time(gps_time).daily
 
@@ -118,8 +122,9 @@ def test_time_of_day_with_a_date_needs_the_offset_of_the_computer(tmp_path: Path
     timing = Timing(frame_index=index, date="2021-07-23", stamp="mid")
     expect_errors((TimeError, "clock_offset_s", lambda: line_times(Path("raw_0"), 2, timing)))
     timing = Timing(frame_index=index, date="2021-07-23", stamp="mid", clock_offset_s=18_000.5)
-    made = line_times(Path("raw_0"), 2, timing)
-    assert (made.time - np.datetime64("2021-07-24T05:00:00.49", "ns")).tolist() == [0, 10_000_000]
+    assert (
+        line_times(Path("raw_0"), 2, timing).time - np.datetime64("2021-07-24T05:00:00.49", "ns")
+    ).tolist() == [0, 10_000_000]
     expect_errors(
         (
             TimeError,
@@ -189,8 +194,7 @@ def test_a_slow_receiver_repeats_its_time(tmp_path: Path) -> None:
         nav=write_a(tmp_path / "imu_gps.txt", rows),
         stamp="mid",
     )
-    made = line_times(Path("raw_0"), 2, timing)
-    assert (made.time - T0).tolist() == [5_000_000, 22_000_000]
+    assert (line_times(Path("raw_0"), 2, timing).time - T0).tolist() == [5_000_000, 22_000_000]
 
 
 @pytest.mark.parametrize(
@@ -232,8 +236,9 @@ def test_place_is_interpolated_and_heading_goes_the_short_way(tmp_path: Path) ->
         rows, (350.0, 10.0, 0.0), (179.9, -179.9, -179.8), (10.0, 20.0, 0.0), strict=True
     ):
         row.update(yaw=yaw, lon=lon, alt=alt)
-    nav = read_imu_gps(write_a(tmp_path / "imu_gps.txt", rows))
-    made = nav.at(T0 + np.array([0, 5, 7, 15, 20, 21, -1]) * MS)
+    made = read_imu_gps(write_a(tmp_path / "imu_gps.txt", rows)).at(
+        T0 + np.array([0, 5, 7, 15, 20, 21, -1]) * MS
+    )
     np.testing.assert_allclose(made["heading"][:5], [350, 0, 4, 5, 0], atol=1e-9)
     np.testing.assert_allclose(np.abs(made["longitude"][:2]), [179.9, 180.0], atol=1e-9)
     np.testing.assert_allclose(made["longitude"][2:5], [-179.96, -179.85, -179.8], atol=1e-9)
@@ -304,10 +309,15 @@ def test_times_that_are_missing(timing: Timing, match: str) -> None:
 
 
 def test_two_sources_of_utc_are_one_too_many_and_files_beside_a_cube_are_named(tmp_path: Path) -> None:
-    index = write_index(tmp_path / "frameIndex_7.txt", [600], first=7)
-    nav = write_a(tmp_path / "imu.txt", steady(3))
     for timing, match in (
-        (Timing(frame_index=index, nav=nav, start_time=T0), "option-conflict"),
+        (
+            Timing(
+                frame_index=write_index(tmp_path / "frameIndex_7.txt", [600], first=7),
+                nav=write_a(tmp_path / "imu.txt", steady(3)),
+                start_time=T0,
+            ),
+            "option-conflict",
+        ),
         (Timing(), r"frameIndex_7\.txt.*time-missing"),
     ):
         with pytest.raises(TimeError, match=match):
@@ -321,8 +331,10 @@ def test_any_datetime_unit_becomes_nanoseconds(unit: str) -> None:
 
 
 def test_zones_are_needed_of_texts_and_datetimes() -> None:
-    zone = datetime.timezone(datetime.timedelta(hours=-5))
-    assert utc_of(datetime.datetime(2021, 7, 23, 7, tzinfo=zone), "t") == T0
+    assert (
+        utc_of(datetime.datetime(2021, 7, 23, 7, tzinfo=datetime.timezone(datetime.timedelta(hours=-5))), "t")
+        == T0
+    )
     for value in (
         datetime.datetime(2021, 7, 23),
         np.datetime64("NaT", "ns"),

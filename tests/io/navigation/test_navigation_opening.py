@@ -164,10 +164,16 @@ def test_sbet_angles_and_times_come_back(
     count = data.draw(st.integers(1, 20))
     angle = st.floats(-np.pi, np.pi)
     columns = {name: data.draw(st.lists(angle, min_size=count, max_size=count)) for name in POSE[3:]}
-    ticks = data.draw(st.lists(st.integers(0, 604_800_000_000), min_size=count, max_size=count, unique=True))
-    micros = np.sort(np.array(ticks))
-    path = write_sbet(tmp_path_factory.mktemp("sbet") / "flight.sbet", micros / 1e6, **columns)
-    flight = hp.open_navigation(path, week=2158, time_scale="utc")
+    micros = np.sort(
+        np.array(
+            data.draw(st.lists(st.integers(0, 604_800_000_000), min_size=count, max_size=count, unique=True))
+        )
+    )
+    flight = hp.open_navigation(
+        write_sbet(tmp_path_factory.mktemp("sbet") / "flight.sbet", micros / 1e6, **columns),
+        week=2158,
+        time_scale="utc",
+    )
     for name, values in columns.items():
         assert flight[name].values.tolist() == values  # no wrap, no turn
     week = (GPS_EPOCH + np.timedelta64(2158 * 7, "D")).astype(np.int64)
@@ -178,8 +184,13 @@ def test_sbet_angles_and_times_come_back(
 
 
 def write_lcf(path: Path, times: list[float], *, columns: int = 9) -> Path:
-    rows = [[time, 0.1, -0.05, 6.28, -77.6, 43.1, 150.0, 0, 0][:columns] for time in times]
-    path.write_text("\n".join("\t".join(map(repr, row)) for row in rows) + "\r\n")
+    path.write_text(
+        "\n".join(
+            "\t".join(map(repr, row))
+            for row in [[time, 0.1, -0.05, 6.28, -77.6, 43.1, 150.0, 0, 0][:columns] for time in times]
+        )
+        + "\r\n"
+    )
     return path
 
 
@@ -239,8 +250,7 @@ def test_csv_keeps_what_its_comments_declare(tmp_path: Path) -> None:
         *("# stamp_reference: start", CSV_HEADER, *CSV_ROWS),
     )
     flight = hp.open_navigation(path)
-    found = Convention.from_attrs(flight.attrs)
-    assert found == Convention(
+    assert Convention.from_attrs(flight.attrs) == Convention(
         roll_positive="right_wing_up", column_order="right_to_left", stamp_reference="start"
     )
     assert "pitch_positive" in flight.attrs["assumed"]
@@ -264,10 +274,18 @@ def test_csv_units_are_converted_but_angles_stay(tmp_path: Path, separator: str)
         "yaw [rad]",
         "note",
     ]
-    row = ["1717243200250", "0.75", "-77.6", "100", "0.1", "", "-3", "x"]
-    flight = hp.open_navigation(write_csv(tmp_path / "f.csv", separator.join(header), separator.join(row)))
-    values = [float(flight[name].values[0]) for name in POSE]
-    np.testing.assert_allclose(values, [np.degrees(0.75), -77.6, 30.48, 0.1, np.nan, -3.0], rtol=1e-12)
+    flight = hp.open_navigation(
+        write_csv(
+            tmp_path / "f.csv",
+            separator.join(header),
+            separator.join(["1717243200250", "0.75", "-77.6", "100", "0.1", "", "-3", "x"]),
+        )
+    )
+    np.testing.assert_allclose(
+        [float(flight[name].values[0]) for name in POSE],
+        [np.degrees(0.75), -77.6, 30.48, 0.1, np.nan, -3.0],
+        rtol=1e-12,
+    )
     assert (
         flight["roll"].attrs["units"],
         flight.attrs["convention_angle_unit"],
@@ -287,9 +305,14 @@ def test_csv_units_are_converted_but_angles_stay(tmp_path: Path, separator: str)
     ],
 )
 def test_csv_clocks(tmp_path: Path, column: str, cell: str, expected: str) -> None:
-    head = CSV_HEADER.replace("time", column, 1)
-    path = write_csv(tmp_path / "f.csv", "# gps_week: 2316", head, f"{cell},43,-77,150,0,0,0")
-    assert hp.open_navigation(path).navigation_time.values[0] == np.datetime64(expected, "ns")
+    assert hp.open_navigation(
+        write_csv(
+            tmp_path / "f.csv",
+            "# gps_week: 2316",
+            CSV_HEADER.replace("time", column, 1),
+            f"{cell},43,-77,150,0,0,0",
+        )
+    ).navigation_time.values[0] == np.datetime64(expected, "ns")
 
 
 @pytest.mark.parametrize(
@@ -343,9 +366,15 @@ def test_rows_without_a_time_are_counted(tmp_path: Path) -> None:
 
 
 def write_imu(path: Path, **changes: str) -> Path:
-    header = "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTimestamp\tGps_UTC_Date&Time"
-    rows = [f"1.5\t-2\t359\t43\t-77\t150\t{500 + i}\t2021/07/23 12:00:0{i}.500" for i in range(3)]
-    path.write_text("\n".join([header, *rows]) + "\n")
+    path.write_text(
+        "\n".join(
+            [
+                "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTimestamp\tGps_UTC_Date&Time",
+                *[f"1.5\t-2\t359\t43\t-77\t150\t{500 + i}\t2021/07/23 12:00:0{i}.500" for i in range(3)],
+            ]
+        )
+        + "\n"
+    )
     return path
 
 
@@ -361,21 +390,31 @@ def test_headwall_assumes_what_nobody_publishes(tmp_path: Path) -> None:
         "heading_reference",
         "height_reference",
     }
-    gps = hp.open_navigation(tmp_path / "imu_gps.txt", time_scale="gps")
-    assert seconds_since(gps.navigation_time.values, "2021-07-23T12:00:00")[0] == 0.5 - 18
+    assert (
+        seconds_since(
+            hp.open_navigation(tmp_path / "imu_gps.txt", time_scale="gps").navigation_time.values,
+            "2021-07-23T12:00:00",
+        )[0]
+        == 0.5 - 18
+    )
 
 
 def test_headwall_with_the_clock_of_the_computer_alone(tmp_path: Path) -> None:
     path = tmp_path / "imu_gps.txt"
-    rows = [f"1\t2\t3\t43\t-77\t150\t12:00:0{i} 250000\n" for i in range(3)]
-    path.write_text("Roll\tPitch\tYaw\tLat\tLon\tAlt\tTime\n" + "".join(rows))
+    path.write_text(
+        "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTime\n"
+        + "".join([f"1\t2\t3\t43\t-77\t150\t12:00:0{i} 250000\n" for i in range(3)])
+    )
     expect_errors((TimeError, "date-missing", lambda: hp.open_navigation(path)))
-    flight = hp.open_navigation(path, date="2021-07-23", clock_offset_s=18_000.0)
-    assert seconds_since(flight.navigation_time.values, "2021-07-23T17:00:00") == [0.25, 1.25, 2.25]
+    assert seconds_since(
+        hp.open_navigation(path, date="2021-07-23", clock_offset_s=18_000.0).navigation_time.values,
+        "2021-07-23T17:00:00",
+    ) == [0.25, 1.25, 2.25]
     clock = tmp_path / "gps_time.txt"
     clock.write_text("12:00:00 0\t2021/07/23 16:00:00.5\n12:00:05 0\t2021/07/23 16:00:05.5\n")
-    tied = hp.open_navigation(path, gps_time=clock)
-    assert seconds_since(tied.navigation_time.values, "2021-07-23T16:00:00") == [0.75, 1.75, 2.75]
+    assert seconds_since(
+        hp.open_navigation(path, gps_time=clock).navigation_time.values, "2021-07-23T16:00:00"
+    ) == [0.75, 1.75, 2.75]
 
 
 def write_eph(folder: Path, interleave: str = "bip", **header: str) -> Path:
@@ -541,8 +580,10 @@ def test_position_date_and_attitude(tmp_path: Path) -> None:
     )
     flight = hp.open_navigation(path)
     assert flight.format == "NMEA 0183"
-    expected = np.array(["2024-05-31T23:59:59.5", "2024-06-01T00:00:00", "2024-06-01T00:00:00.5"], "M8[ns]")
-    np.testing.assert_array_equal(flight.navigation_time, expected)
+    np.testing.assert_array_equal(
+        flight.navigation_time,
+        np.array(["2024-05-31T23:59:59.5", "2024-06-01T00:00:00", "2024-06-01T00:00:00.5"], "M8[ns]"),
+    )
     np.testing.assert_allclose(flight.latitude, [43.5, 43.5001, -33.5])
     np.testing.assert_allclose(flight.longitude, [-77.6, -77.6, 151.2])
     np.testing.assert_allclose(flight.altitude, [150.0, 150.0, 20.0])
@@ -567,8 +608,10 @@ def test_late_sentences_headings_first_and_positions_that_are_none(tmp_path: Pat
         gga("000002.00").replace(",4,12,", ",8,12,"),  # simulated
     )
     flight = hp.open_navigation(path)
-    expected = np.array(["2024-05-31T23:59:59", "2024-06-01T00:00:00", "2024-06-01T00:00:01"], "M8[ns]")
-    np.testing.assert_array_equal(flight.navigation_time, expected)
+    np.testing.assert_array_equal(
+        flight.navigation_time,
+        np.array(["2024-05-31T23:59:59", "2024-06-01T00:00:00", "2024-06-01T00:00:01"], "M8[ns]"),
+    )
     np.testing.assert_allclose(flight.heading, [90.0, 100.0, 110.0])
 
 
@@ -622,8 +665,12 @@ COLUMNS = (
 @pytest.mark.parametrize("separator", [" ", "  ", ",", "\t", ";"])
 def test_columns_of_a_table_without_a_header(tmp_path: Path, separator: str) -> None:
     path = tmp_path / "poses.txt"
-    rows = "302400.5 0.76 -1.35 150 x 0.5 -1 359.5", "302401 0.76 -1.35 151 y 0.4 -1 0.5"
-    path.write_text("".join(row.replace(" ", separator) + "\n" for row in rows))
+    path.write_text(
+        "".join(
+            row.replace(" ", separator) + "\n"
+            for row in ("302400.5 0.76 -1.35 150 x 0.5 -1 359.5", "302401 0.76 -1.35 151 y 0.4 -1 0.5")
+        )
+    )
     flight = hp.open_navigation(path, columns=COLUMNS, week=2316)
     np.testing.assert_allclose(flight.latitude, np.degrees([0.76, 0.76]))
     np.testing.assert_allclose(flight.heading, [359.5, 0.5])
@@ -667,10 +714,9 @@ def test_the_two_records_of_pdal(shared_data: Path) -> None:
     np.testing.assert_allclose(np.degrees(flight["roll"][0]), -1.611964, rtol=0, atol=1e-6)
     np.testing.assert_allclose(np.degrees(flight.pitch[0]), -1.392233, rtol=0, atol=1e-6)
     np.testing.assert_allclose(np.degrees(flight.platform_heading[0]), 174.567247, rtol=0, atol=1e-6)
-    week = GPS_EPOCH + np.timedelta64(1947 * 7, "D") - np.timedelta64(18, "s")
-    assert seconds_since(flight.navigation_time.values, week) == pytest.approx(
-        [151631.0028360710, 151631.0078318641], abs=1e-8
-    )
+    assert seconds_since(
+        flight.navigation_time.values, GPS_EPOCH + np.timedelta64(1947 * 7, "D") - np.timedelta64(18, "s")
+    ) == pytest.approx([151631.0028360710, 151631.0078318641], abs=1e-8)
 
 
 @pytest.mark.real_data
@@ -678,8 +724,12 @@ def test_the_sign_of_the_wander_angle(shared_data: Path) -> None:
     # velocities are along the axes of the wander frame (north, west, up): turned by the wander angle they
     # must point where the platform went
     stored = np.fromfile(shared_data / "nav/2-points.sbet", "<f8").reshape(2, 17)
-    north = (stored[1, 1] - stored[0, 1]) * 6.3540e6
-    track = np.degrees(np.arctan2((stored[1, 2] - stored[0, 2]) * 6.3843e6 * np.cos(stored[0, 1]), north))
+    track = np.degrees(
+        np.arctan2(
+            (stored[1, 2] - stored[0, 2]) * 6.3843e6 * np.cos(stored[0, 1]),
+            (stored[1, 1] - stored[0, 1]) * 6.3540e6,
+        )
+    )
     velocity = stored[:, 4:6].mean(axis=0)
     in_frame = np.degrees(np.arctan2(-velocity[1], velocity[0]))
     wander = np.degrees(stored[0, 10])
@@ -703,9 +753,14 @@ def test_a_line_of_aviris(shared_data: Path) -> None:
     smooth = np.ones(51) / 51
     turn = np.convolve(np.gradient(np.unwrap(flight.heading.values, period=360.0), time), smooth, "valid")
     slope = np.polyfit(np.convolve(flight["roll"].values, smooth, "valid"), turn, 1)[0]
-    north = np.gradient(flight.latitude.values, time) * 110.9e3
-    east = np.gradient(flight.longitude.values, time) * 111.3e3 * np.cos(np.radians(flight.latitude.values))
-    assert slope == pytest.approx(9.8 / np.hypot(north, east).mean(), rel=0.1)
+    assert slope == pytest.approx(
+        9.8
+        / np.hypot(
+            np.gradient(flight.latitude.values, time) * 110.9e3,
+            np.gradient(flight.longitude.values, time) * 111.3e3 * np.cos(np.radians(flight.latitude.values)),
+        ).mean(),
+        rel=0.1,
+    )
 
 
 @pytest.mark.real_data
@@ -732,10 +787,13 @@ def test_real_attitude_through_every_format(shared_data: Path, tmp_path: Path) -
         tmp_path / "a.sbet", seconds, latitude=0.75, longitude=-1.35,
         roll=angles[0], pitch=angles[1], heading=angles[2],
     )  # fmt: skip
-    names = "tow [s],lat [rad],lon [rad],alt [m],roll [rad],pitch [rad],yaw [rad]"
-    rows = zip(seconds.tolist(), *angles.tolist(), strict=True)
     csv = write_csv(
-        tmp_path / "a.csv", names, *(f"{t!r},0.75,-1.35,0,{r!r},{p!r},{y!r}" for t, r, p, y in rows)
+        tmp_path / "a.csv",
+        "tow [s],lat [rad],lon [rad],alt [m],roll [rad],pitch [rad],yaw [rad]",
+        *(
+            f"{t!r},0.75,-1.35,0,{r!r},{p!r},{y!r}"
+            for t, r, p, y in zip(seconds.tolist(), *angles.tolist(), strict=True)
+        ),
     )
     one, other = (hp.open_navigation(path, week=2158) for path in (sbet, csv))
     for name in POSE:
@@ -749,8 +807,9 @@ def test_real_attitude_through_every_format(shared_data: Path, tmp_path: Path) -
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("meaning")
-    return simulate_collect(folder, scene="plan", lines=40, bands=4, columns=6, stamp="mid")
+    return simulate_collect(
+        tmp_path_factory.mktemp("meaning"), scene="plan", lines=40, bands=4, columns=6, stamp="mid"
+    )
 
 
 def opened(collect: Path, **options: object) -> xr.Dataset:
@@ -805,8 +864,11 @@ def test_what_does_not_exist_is_refused(collect: Path, declared: dict[str, str],
 
 
 def test_collect_declares_it(collect: Path) -> None:
-    line = open_collect(changed(collect, "^column_order = .*", 'column_order = "right_to_left"'))
-    meant = Convention.from_attrs(line["flightlines/raw_0"].attrs)
+    meant = Convention.from_attrs(
+        open_collect(changed(collect, "^column_order = .*", 'column_order = "right_to_left"'))[
+            "flightlines/raw_0"
+        ].attrs
+    )
     assert meant == Convention(stamp_reference="mid", column_order="right_to_left")
 
 

@@ -192,9 +192,12 @@ def test_a_foreign_sky_is_fitted_and_the_misfit_said() -> None:
     truth = sky_radiance(550.0, SUN, photons=8000)
     zenith, azimuth = np.degrees(np.arccos(truth.cosine)), np.degrees(truth.azimuth)
     radiance = np.stack([truth.relative, truth.relative]) * 0.2 / np.pi
-    nm = np.array([549.0, 551.0])
-    table = sky_dataset("Monte Carlo", nm, np.ones(2), np.full(2, 0.2), (zenith, azimuth, radiance))
-    fit = hp.light.fit_sky(table, SUN)
+    fit = hp.light.fit_sky(
+        sky_dataset(
+            "Monte Carlo", np.array([549.0, 551.0]), np.ones(2), np.full(2, 0.2), (zenith, azimuth, radiance)
+        ),
+        SUN,
+    )
     assert 0.01 < float(fit.misfit[0]) < 0.06
     parts = [relative_radiance(shape, np.array(1.0), np.array(0.5)) for shape in function_shapes(SUN)]
     assert (fit.share[0].values @ [1.0, *parts], fit.share[0].values @ [1.0, *parts]) == (
@@ -205,9 +208,12 @@ def test_a_foreign_sky_is_fitted_and_the_misfit_said() -> None:
 
 def test_a_sky_that_is_none_of_ours_is_told() -> None:
     stripes = np.where(np.arange(ZENITHS.size) % 2, 0.2, 0.02)[:, None] * np.ones(AZIMUTHS.size)
-    nm = np.array([450.0, 550.0])
     table = sky_dataset(
-        "stripes", nm, np.ones(2), np.full(2, 0.2), (ZENITHS, AZIMUTHS, np.stack([stripes] * 2))
+        "stripes",
+        np.array([450.0, 550.0]),
+        np.ones(2),
+        np.full(2, 0.2),
+        (ZENITHS, AZIMUTHS, np.stack([stripes] * 2)),
     )
     with pytest.warns(PaintWarning, match=r"stripes.*sky-fit-poor"):
         Atmosphere.from_table(table, sun_zenith=SUN)

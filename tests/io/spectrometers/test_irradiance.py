@@ -63,8 +63,9 @@ def sky(times, **coords):
 def test_the_real_skyward_exports_make_a_series(shared_data):
     folder = shared_data / "asd_ascii"
     # the later one first
-    files = [folder / "asd-e-irrad-sky.csv", folder / "asd-e-irrad-sky.tsv"]
-    series = open_irradiance(files, "irradiance", utc_offset_h=3)
+    series = open_irradiance(
+        [folder / "asd-e-irrad-sky.csv", folder / "asd-e-irrad-sky.tsv"], "irradiance", utc_offset_h=3
+    )
     expected = utc("2024-05-21T08:33:06.932", "2024-05-21T08:33:12.932")  # the middle of 136 ms
     np.testing.assert_array_equal(series["irradiance_time"].values, expected)
     assert (series["irradiance_time"].dtype, series["irradiance"].dims, series["irradiance"].dtype) == (
@@ -72,12 +73,16 @@ def test_the_real_skyward_exports_make_a_series(shared_data):
         ("irradiance_time", "irradiance_wavelength"),
         np.float32,
     )
-    at_550 = series["irradiance"].sel(irradiance_wavelength=550).values
-    np.testing.assert_allclose(at_550, [0.890753970640618, 0.890642958711871], rtol=1e-7)
-    integral = (
-        series["irradiance"].sel(irradiance_wavelength=slice(400, 1000)).integrate("irradiance_wavelength")
+    np.testing.assert_allclose(
+        series["irradiance"].sel(irradiance_wavelength=550).values,
+        [0.890753970640618, 0.890642958711871],
+        rtol=1e-7,
     )
-    np.testing.assert_allclose(integral, [391.381, 391.411], atol=6e-4)
+    np.testing.assert_allclose(
+        series["irradiance"].sel(irradiance_wavelength=slice(400, 1000)).integrate("irradiance_wavelength"),
+        [391.381, 391.411],
+        atol=6e-4,
+    )
     # those of the detectors: 3 nm of the first, which a camera up to 1000 nm sees
     assert (series["irradiance_fwhm"].sel(irradiance_wavelength=slice(350, 1000)) == 3.0).all()
     assert (series["irradiance_fwhm"].sel(irradiance_wavelength=slice(1001, 2500)) == 10.0).all()
@@ -107,8 +112,9 @@ def test_real_exports_need_a_zone_and_a_quantity(shared_data):
 
 def test_binaries_through_their_calibration(log):
     series = open_irradiance(log(0, 2, 4, averages=10), utc_offset_h=0)
-    expected = SKY[:651] * np.array([[1.0], [1.01], [1.02]])
-    np.testing.assert_allclose(series["irradiance"].values, expected, rtol=1e-6)
+    np.testing.assert_allclose(
+        series["irradiance"].values, SKY[:651] * np.array([[1.0], [1.01], [1.02]]), rtol=1e-6
+    )
     np.testing.assert_array_equal(series["irradiance_wavelength"].values, GRID[:651])
     middles = utc(
         "2024-05-21T11:59:59.32", "2024-05-21T12:00:01.32", "2024-05-21T12:00:03.32"
@@ -130,8 +136,10 @@ def test_binaries_through_their_calibration(log):
     ],
 )
 def test_stamps_move_to_the_middle(log, options, second):
-    times = open_irradiance(log(1, 2), utc_offset_h=0, **options)["irradiance_time"].values
-    elapsed = (times[0] - np.datetime64("2024-05-21T12:00:01", "ns")) / np.timedelta64(1, "s")
+    elapsed = (
+        open_irradiance(log(1, 2), utc_offset_h=0, **options)["irradiance_time"].values[0]
+        - np.datetime64("2024-05-21T12:00:01", "ns")
+    ) / np.timedelta64(1, "s")
     assert elapsed == pytest.approx(second)
 
 
@@ -166,10 +174,15 @@ def test_files_that_say_nothing_take_the_zone_of_those_that_do(log):
 def test_shuffled_files_come_out_sorted_and_duplicates_are_refused(log, tmp_path):
     seconds = [8, 2, 6, 0, 4]
     series = open_irradiance(log(*seconds), utc_offset_h=0, stamp="mid")
-    elapsed = (series["irradiance_time"].values - np.datetime64(NOON, "ns")) / np.timedelta64(1, "s")
-    np.testing.assert_array_equal(elapsed, sorted(seconds))
-    scale = series["irradiance"].values[:, 0] / series["irradiance"].values[1, 0]
-    np.testing.assert_allclose(scale, np.array([1.03, 1.01, 1.04, 1.02, 1.0]) / 1.01, rtol=1e-6)
+    np.testing.assert_array_equal(
+        (series["irradiance_time"].values - np.datetime64(NOON, "ns")) / np.timedelta64(1, "s"),
+        sorted(seconds),
+    )
+    np.testing.assert_allclose(
+        series["irradiance"].values[:, 0] / series["irradiance"].values[1, 0],
+        np.array([1.03, 1.01, 1.04, 1.02, 1.0]) / 1.01,
+        rtol=1e-6,
+    )
     files = log(0, 2, 2)
     (tmp_path / "copy.asd").write_bytes(files[0].read_bytes())
     with pytest.raises(TimeError) as raised:
@@ -190,8 +203,9 @@ def test_saturated_and_empty_samples_become_nan(log, write_asd):
         "zero throughout" in empty,
         "dead.asd" in empty,
     ) == (True, True, True, True)
-    missing = np.isnan(series["irradiance"]).all("irradiance_wavelength")
-    np.testing.assert_array_equal(missing, [False, False, False, True, True])
+    np.testing.assert_array_equal(
+        np.isnan(series["irradiance"]).all("irradiance_wavelength"), [False, False, False, True, True]
+    )
 
 
 def test_raw_counts_with_calibration_files(log, write_asd):
@@ -205,8 +219,11 @@ def test_raw_counts_with_calibration_files(log, write_asd):
             lambda: open_irradiance(files, utc_offset_h=0),
         )
     )
-    calibration = {"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)}
-    series = open_irradiance(files, utc_offset_h=0, calibration=calibration)
+    series = open_irradiance(
+        files,
+        utc_offset_h=0,
+        calibration={"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)},
+    )
     np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
 
 
@@ -256,8 +273,9 @@ def test_impossible_light_is_refused(log, factor, unit):
     # W mm-2 is as likely as others
     named = "irradiance-implausible" if factor == 1e-6 else f"values in {unit} .*taken for W m-2 nm-1"
     expect_errors((UnitsError, named, lambda: open_irradiance(files, utc_offset_h=0)))
-    series = open_irradiance(files, utc_offset_h=0, units=unit)
-    np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
+    np.testing.assert_allclose(
+        open_irradiance(files, utc_offset_h=0, units=unit)["irradiance"].values[0], SKY[:651], rtol=1e-6
+    )
     expect_errors(
         (
             UnitsError,
@@ -287,8 +305,10 @@ def test_csv_series(tmp_path):
     np.testing.assert_allclose(series["irradiance"].values, [[0.89, np.nan], [0.9, 0.8]], rtol=1e-6)
     assert (series["irradiance_fwhm"], series["irradiance"].dtype) == (2.5, np.float32)
     # stamps may each have their zone
-    rows = "2024-05-21T12:00:02+03:00,0.9\n2024-05-21T09:00:00Z,0.8\n"
-    (tmp_path / "sky.csv").write_text("# units: W m-2 nm-1\n# fwhm_nm: 3\ntime,500\n" + rows)
+    (tmp_path / "sky.csv").write_text(
+        "# units: W m-2 nm-1\n# fwhm_nm: 3\ntime,500\n"
+        + "2024-05-21T12:00:02+03:00,0.9\n2024-05-21T09:00:00Z,0.8\n"
+    )
     series = open_irradiance(tmp_path / "sky.csv")
     np.testing.assert_allclose(series["irradiance"].values[:, 0], [0.8, 0.9], rtol=1e-6)
     assert series["irradiance_max_gap"] == 5.0

@@ -89,8 +89,11 @@ def test_a_reflectance(write) -> None:
     [("radiance", VENDORS, "W m-2 sr-1 nm-1"), ("counts", 1.0, "count"), ("irradiance", 1e-6, "W m-2 nm-1")],
 )
 def test_every_quantity_of_either_scan(write, scan, scanned, quantity, factor, units) -> None:
-    path = write(units=f"{quantity.capitalize()}, {quantity.capitalize()}")
-    found = open_svc(path, None if scan == "reference" else quantity, scan=scan)
+    found = open_svc(
+        write(units=f"{quantity.capitalize()}, {quantity.capitalize()}"),
+        None if scan == "reference" else quantity,
+        scan=scan,
+    )
     np.testing.assert_allclose(found[quantity].values[0], scanned * factor, rtol=1e-14)
     assert (found[quantity].attrs["units"], found.attrs["scan"]) == (units, scan)
     clock = {"target": "07:42:50.357", "reference": "07:39:23.357"}[scan]
@@ -140,8 +143,12 @@ def test_trimming_takes_one_detector_at_each_join(write, joins) -> None:
     found = open_svc(write(), overlap="trim", joins=joins)
     first, second = joins or SVC_JOINS
     number = np.cumsum(np.diff(GRID, prepend=0.0) <= 0.0)
-    kept = [GRID[(number == 0) & (first >= GRID)], GRID[(number == 1) & (first < GRID) & (second >= GRID)]]
-    expected = np.concatenate([*kept, GRID[(number == 2) & (second < GRID)]])
+    expected = np.concatenate(
+        [
+            *[GRID[(number == 0) & (first >= GRID)], GRID[(number == 1) & (first < GRID) & (second >= GRID)]],
+            GRID[(number == 2) & (second < GRID)],
+        ]
+    )
     np.testing.assert_array_equal(found["wavelength"].values, expected)
     assert np.all(np.diff(expected) > 0.0)
     assert (found.attrs["overlap_trimmed_at_nm"], found["overlap"].item()) == (
@@ -209,9 +216,11 @@ def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
     )
     monkeypatch.setattr(svc, "DIALECTS", (*svc.DIALECTS, row))
     path = tmp_path / "door.sed"
-    header = "Comment: left door\nModel: PSR-3500\nUnits: W/m^2/sr/nm\nGPS clock: 073923, 074250\nTime: "
-    stamps = "27.05.2025 09:39:32, 27.05.2025 09:42:59\nData:\nWvl Target Reference Percent\n"
-    path.write_text(header + stamps + "350 0.04 0.08 50\n351 0.02 0.08 25\n")
+    path.write_text(
+        "Comment: left door\nModel: PSR-3500\nUnits: W/m^2/sr/nm\nGPS clock: 073923, 074250\nTime: "
+        + "27.05.2025 09:39:32, 27.05.2025 09:42:59\nData:\nWvl Target Reference Percent\n"
+        + "350 0.04 0.08 50\n351 0.02 0.08 25\n"
+    )
     found = open_svc(tmp_path)
     assert (
         found.attrs["instrument"],
@@ -222,8 +231,10 @@ def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
     assert open_svc(path, "radiance", scan="reference")["radiance"].values.tolist() == [[0.08, 0.08]]
     # its content is enough, whatever its name
     other = path.rename(tmp_path / "door.txt")
-    references = open_references([other, write()])
-    assert [reference.attrs["instrument"] for reference in references] == ["PSR", "SVC"]
+    assert [reference.attrs["instrument"] for reference in open_references([other, write()])] == [
+        "PSR",
+        "SVC",
+    ]
     assert "PSR spectrum, PSR-3500" in describe_path(other)
     path.write_text("nothing to see")
     for read in (open_svc, describe_path):
@@ -233,8 +244,10 @@ def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
 
 def test_a_file_that_was_resampled(write) -> None:
     grid = np.arange(350.0, 2501.0)
-    path = write(wavelength=grid, panel=grid, surface=grid / 4, instrument="HI: 1152050 (HR-1024i)")
-    found = open_svc(path, overlap="trim")
+    found = open_svc(
+        write(wavelength=grid, panel=grid, surface=grid / 4, instrument="HI: 1152050 (HR-1024i)"),
+        overlap="trim",
+    )
     assert found["reflectance"].sel(wavelength=550.0).item() == 0.25
     assert "overlap_trimmed_at_nm" not in found.attrs
     assert "detector" not in found.coords
@@ -327,8 +340,19 @@ def test_all_bad_files_are_named_at_once(write, tmp_path) -> None:
     os.mkfifo(tmp_path / "pipe.sig")
     with pytest.raises(FormatError) as raised:
         open_svc([tmp_path, tmp_path / "gone.sig"])
-    names = ("cut.sig", "head.sig", "note.sig", "ger.sig", "pipe.sig", "gone.sig", "SVC's software converts")
-    assert [name for name in names if name not in str(raised.value)] == []
+    assert [
+        name
+        for name in (
+            "cut.sig",
+            "head.sig",
+            "note.sig",
+            "ger.sig",
+            "pipe.sig",
+            "gone.sig",
+            "SVC's software converts",
+        )
+        if name not in str(raised.value)
+    ] == []
     assert "good.sig" not in str(raised.value)
 
 
@@ -488,8 +512,7 @@ def test_what_the_simulator_writes_comes_back(tmp_path, position, zone) -> None:
         ((found["latitude"].item(), found["longitude"].item())),
     ) == (np.datetime64(stamp + 15, "s"), np.datetime64(stamp, "s"), pytest.approx(position, abs=1e-6))
     assert (found["overlap"].item(), found["overlap_matched"].item()) == ("preserved", False)
-    trimmed = open_svc(tmp_path, overlap="trim")
-    assert np.all(np.diff(trimmed["wavelength"].values) > 0.0)
+    assert np.all(np.diff(open_svc(tmp_path, overlap="trim")["wavelength"].values) > 0.0)
 
 
 # --- clocks of SVC files: stamps of any locale, and UTC by the GPS ----------------------------------------
@@ -582,8 +605,9 @@ def test_times_of_several_files(tmp_path) -> None:
     with pytest.warns(PaintWarning, match="a.sig.*date-ambiguous"):
         assert np.isnat(open_svc(tmp_path / "a.sig", utc_offset_h=-5)["time"].values).all()
     found = open_svc(tmp_path, utc_offset_h=-5)["time"].values
-    expected = np.array(["2025-05-06T14:42:59", "2025-05-27T14:42:59"], "datetime64[ns]")
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(
+        found, np.array(["2025-05-06T14:42:59", "2025-05-27T14:42:59"], "datetime64[ns]")
+    )
     found = open_svc(tmp_path, utc_offset_h=-5, dayfirst=True)["time"].values
     assert found[0] == np.datetime64("2025-06-05T14:42:59")
     with pytest.warns(PaintWarning, match=r"a\.sig, b\.sig \[zone-"):
@@ -792,8 +816,12 @@ def test_trimmed_wavelengths_increase(folder: Path, name: str) -> None:
     assert at.size == (kept["wavelength"].size if "removed" in kept["overlap"].item() else at.size)
     for detector in ("VNIR", "SWIR1", "SWIR2"):
         ours = trimmed["reflectance"].isel(wavelength=(trimmed["detector"] == detector).values)
-        theirs = kept["reflectance"].isel(wavelength=(kept["detector"] == detector).values)
-        np.testing.assert_array_equal(ours, theirs.sel(wavelength=ours["wavelength"]))
+        np.testing.assert_array_equal(
+            ours,
+            kept["reflectance"]
+            .isel(wavelength=(kept["detector"] == detector).values)
+            .sel(wavelength=ours["wavelength"]),
+        )
 
 
 @pytest.mark.real_data
@@ -834,8 +862,9 @@ def test_the_german_twin_is_the_same(folder: Path, tmp_path: Path, name: str) ->
     assert "0,99" in path.read_text() or "1,0" in path.read_text() or "0,8" in path.read_text()
     ours = opened(folder / path.name, **DATE, utc_offset_h=-5)
     twin = opened(path, utc_offset_h=-5)
-    header = {key: coord for key, coord in ours.coords.items() if key not in ("header", "factors")}
-    for key, coord in header.items():
+    for key, coord in {
+        key: coord for key, coord in ours.coords.items() if key not in ("header", "factors")
+    }.items():
         xr.testing.assert_identical(coord.variable, twin[key].variable)
     np.testing.assert_array_equal(ours["reflectance"], twin["reflectance"])
     assert not np.isnat(twin["time"].values).any()
