@@ -63,12 +63,12 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
     offsets = np.array(list(LEAP_SECONDS.values()), np.int64)
     days = np.array(list(LEAP_SECONDS), "datetime64[ns]").astype(np.int64)
     number = np.searchsorted(days + offsets * NS_PER_S, gps, side="right") - 1
-    if np.any(number < 0):
-        raise TimeError(
-            "times before 1980-01-06, the beginning of GPS time",
-            mend="check that this clock counts GPS time",
-            code="time-before-gps",
-        )
+    TimeError.raise_if(
+        np.any(number < 0),
+        "times before 1980-01-06, the beginning of GPS time",
+        mend="check that this clock counts GPS time",
+        code="time-before-gps",
+    )
     if np.any(gps > np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)):
         warn_user(
             f"the table of leap seconds ends on {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for "
@@ -141,12 +141,12 @@ class ClockCorrection:
     leap_seconds: int | None = None  # GPS minus UTC [s]; None takes it from `LEAP_SECONDS`
 
     def __post_init__(self) -> None:
-        if not abs(self.offset_s) <= _MAX_OFFSET_S:
-            raise TimeError(
-                f"clock offset {self.offset_s} s",
-                expected=f"-{_MAX_OFFSET_S:g} to {_MAX_OFFSET_S:g} s",
-                code="value-out-of-range",
-            )
+        TimeError.raise_if(
+            not abs(self.offset_s) <= _MAX_OFFSET_S,
+            f"clock offset {self.offset_s} s",
+            expected=f"-{_MAX_OFFSET_S:g} to {_MAX_OFFSET_S:g} s",
+            code="value-out-of-range",
+        )
         one_of(self.time_scale, ("utc", "gps"), "time_scale", error=TimeError)
 
     def apply(self, stamp: NDArray[np.int64]) -> NDArray[np.int64]:

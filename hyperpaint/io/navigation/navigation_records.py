@@ -260,8 +260,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     if record.stamps and is_aligned.any():
         offset = utc / 1e9 - next(iter(record.stamps.values())) / 1e6
         keep &= (np.abs(offset - np.median(offset[is_aligned])) < 1.0) | ~is_unaligned
-    if not keep.any():
-        raise FormatError(f"{path}: no row with a date", code="date-missing")
+    FormatError.raise_if(not keep.any(), f"{path}: no row with a date", code="date-missing")
     return replace(
         record, utc=(correction or ClockCorrection()).apply(np.where(keep, utc, utc[keep][0]))
     )._of_rows(keep)
@@ -280,11 +279,11 @@ def limited_numbers(
     if "_" in "".join(cells):  # float() would accept 1_000
         numbers[["_" in cell for cell in cells]] = np.inf
     invalid_rows = table.rows[np.abs(numbers) > limit]
-    if invalid_rows.size:
-        problems.add(
-            f"column {column!r} is not a number within {limit:g} in {name_rows(invalid_rows)}",
-            code="value-out-of-range",
-        )
+    problems.add_if(
+        invalid_rows.size,
+        f"column {column!r} is not a number within {limit:g} in {name_rows(invalid_rows)}",
+        code="value-out-of-range",
+    )
     return numbers
 
 
@@ -292,12 +291,12 @@ def _dates(table: Table, column: str, is_unaligned: NDArray[np.bool_]) -> NDArra
     # Return nanoseconds since 1970-01-01; NaT for an unaligned row without a date.
     dates = instants([_iso_text(cell) for cell in table.columns[column]])
     invalid_rows = table.rows[np.isnat(dates) & ~is_unaligned]
-    if invalid_rows.size:
-        raise FormatError(
-            f"{table.name}: column {column!r} is unreadable in {name_rows(invalid_rows)}",
-            expected="times such as '2021/07/23 12:34:56.789'",
-            code="time-unreadable",
-        )
+    FormatError.raise_if(
+        invalid_rows.size,
+        f"{table.name}: column {column!r} is unreadable in {name_rows(invalid_rows)}",
+        expected="times such as '2021/07/23 12:34:56.789'",
+        code="time-unreadable",
+    )
     return dates.astype(np.int64)
 
 
@@ -332,18 +331,17 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
     lines = [(number, line) for number, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
     if lines and _iso_text(lines[0][1].partition("\t")[2]) == "NaT":
         del lines[0]
-    if not lines:
-        raise FormatError(
-            f"{path}: no rows of computer time, tab, receiver date and time", code="table-missing"
-        )
+    FormatError.raise_if(
+        not lines, f"{path}: no rows of computer time, tab, receiver date and time", code="table-missing"
+    )
     rows = np.array([number for number, _ in lines], np.int64)
     pairs = [line.split("\t") for _, line in lines]
     rows_without_tab = [int(row) for row, pair in zip(rows, pairs, strict=True) if len(pair) < 2]
-    if rows_without_tab:
-        raise FormatError(
-            f"{path}: {name_rows(rows_without_tab)} without a tab between computer time and receiver time",
-            code="row-unreadable",
-        )
+    FormatError.raise_if(
+        rows_without_tab,
+        f"{path}: {name_rows(rows_without_tab)} without a tab between computer time and receiver time",
+        code="row-unreadable",
+    )
     columns = {name: [pair[k] for pair in pairs] for k, name in enumerate(("computer", "receiver"))}
     table = Table(path.name, rows, columns)
     utc = _dates(table, "receiver", np.zeros(len(rows), bool))
