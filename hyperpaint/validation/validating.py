@@ -194,13 +194,15 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
     # Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is not a certificate;
     # all problems are listed.
     array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
-    if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:
-        raise SchemaError(
-            f"panel= is {type(panel).__name__}",
-            expected="a DataArray of reflectance on wavelength",
-            mend="see read_certificate",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not hasattr(array, "dims")
+        or tuple(array.dims) != ("wavelength",)
+        or "wavelength" not in array.coords,
+        f"panel= is {type(panel).__name__}",
+        expected="a DataArray of reflectance on wavelength",
+        mend="see read_certificate",
+        code="type-wrong",
+    )
     problems = Problems("references cannot be scaled by the panel", SchemaError)
     wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
     values = convert(array, "1", "panel").values.astype(np.float64)
@@ -336,30 +338,33 @@ def join_detectors(
     >>> order.tolist(), joins
     ([0, 4, 5], (985.0,))
     """
-    if not (wavelength.size and np.isfinite(wavelength).all()):
-        raise SchemaError("wavelengths must be finite, and at least one [nm]", code="not-finite")
+    SchemaError.raise_if(
+        not (wavelength.size and np.isfinite(wavelength).all()),
+        "wavelengths must be finite, and at least one [nm]",
+        code="not-finite",
+    )
     is_falling = (np.diff(wavelength) < 0).sum() > wavelength.size // 2
     order = np.arange(wavelength.size)[:: -1 if is_falling else 1]
     begins = np.flatnonzero(np.diff(wavelength[order]) <= 0) + 1
     detectors = np.split(order, begins)
-    if len(detectors) > _MAX_DETECTORS:
-        raise SchemaError(
-            f"wavelengths fall {len(begins)} times",
-            expected="an increasing axis, except where detectors join",
-            mend="sort the spectrum",
-            code="wavelengths-unordered",
-        )
+    SchemaError.raise_if(
+        len(detectors) > _MAX_DETECTORS,
+        f"wavelengths fall {len(begins)} times",
+        expected="an increasing axis, except where detectors join",
+        mend="sort the spectrum",
+        code="wavelengths-unordered",
+    )
     channels, number, joins = detectors[0], np.zeros(detectors[0].size, np.intp), []
     for index, following in enumerate(detectors[1:], 1):
         join = float(0.5 * (wavelength[channels[-1]] + wavelength[following[0]]))
         below_join = wavelength[channels] <= join
         above_join = following[wavelength[following] > join]
-        if not (below_join.any() and above_join.size):
-            raise SchemaError(
-                f"one detector's wavelengths lie within another's near {join:g} nm",
-                mend="open the detectors as separate datasets",
-                code="detectors-overlap",
-            )
+        SchemaError.raise_if(
+            not (below_join.any() and above_join.size),
+            f"one detector's wavelengths lie within another's near {join:g} nm",
+            mend="open the detectors as separate datasets",
+            code="detectors-overlap",
+        )
         channels = np.concatenate([channels[below_join], above_join])
         number = np.concatenate([number[below_join], np.full(above_join.size, index)])
         joins.append(join)
@@ -394,12 +399,12 @@ def signatures_from(signatures: xr.Dataset) -> list[Measured]:
     # Return the spectra of a paint library; bad bands are NaN.
     # Raises `SchemaError`: It is not a paint library; all problems are listed. Raises `UnitsError`: Units
     # cannot be read.
-    if not hasattr(signatures, "data_vars"):
-        raise SchemaError(
-            f"signatures are {type(signatures).__name__}",
-            expected="a paint library (xarray.Dataset)",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not hasattr(signatures, "data_vars"),
+        f"signatures are {type(signatures).__name__}",
+        expected="a paint library (xarray.Dataset)",
+        code="type-wrong",
+    )
     return list(_library_spectra(signatures, 0, None, "band"))
 
 
@@ -424,12 +429,12 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
             spectra += _dataset_spectra(dataset, number, fwhm)
         except (SchemaError, UnitsError) as error:
             problems.add_error(f"reference {number}", error)
-    if not spectra and not problems:
-        problems.add(
-            "references= is empty",
-            mend="open references with open_svc, open_asd or open_library",
-            code="empty-input",
-        )
+    problems.add_if(
+        not spectra and not problems,
+        "references= is empty",
+        mend="open references with open_svc, open_asd or open_library",
+        code="empty-input",
+    )
     problems.raise_if_any()
     # serial numbers distinguish several instruments of one make
     serials: dict[str, set[str]] = {}
@@ -444,8 +449,12 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
 
 
 def _dataset_spectra(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
-    if not hasattr(dataset, "data_vars"):
-        raise SchemaError(f"{type(dataset).__name__}", expected="a Dataset", code="type-wrong")
+    SchemaError.raise_if(
+        not hasattr(dataset, "data_vars"),
+        f"{type(dataset).__name__}",
+        expected="a Dataset",
+        code="type-wrong",
+    )
     if "reflectance" not in dataset.data_vars:
         variables = ", ".join(map(str, dataset.data_vars)) or "nothing"
         raise SchemaError(
@@ -556,10 +565,11 @@ def _light_notes(dataset: xr.Dataset, number: int) -> list[str]:
 def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float | None) -> Iterator[Measured]:
     if "spectrum" not in dataset["reflectance"].dims:
         dataset = dataset.expand_dims("spectrum")
-    if "wavelength" not in dataset.coords:
-        raise SchemaError(
-            "the coordinate 'wavelength' of reflectance is missing [nm]", code="variable-missing"
-        )
+    SchemaError.raise_if(
+        "wavelength" not in dataset.coords,
+        "the coordinate 'wavelength' of reflectance is missing [nm]",
+        code="variable-missing",
+    )
     order = ("spectrum", "wavelength")
     values = convert(dataset["reflectance"], "1").transpose(*order).values.astype(np.float64)
     wavelength = convert(dataset["wavelength"], "nm").values.astype(np.float64)
@@ -1005,10 +1015,12 @@ def _named_pairs(
     names_of_paint: dict[str, tuple[str, ...]] = {}
     for paint, value in pairs.items():
         names = (value,) if isinstance(value, str) else tuple(value)
-        if paint not in paints:
-            problems.add(
-                f"there is no paint {paint!r}", expected=_listed(sorted(paints)), code="paint-unknown"
-            )
+        problems.add_if(
+            paint not in paints,
+            f"there is no paint {paint!r}",
+            expected=_listed(sorted(paints)),
+            code="paint-unknown",
+        )
         problems.extend(
             Problem(
                 f"there is no reference {name!r} for {paint!r}",
@@ -1560,8 +1572,9 @@ def _limits(tolerance: Any) -> dict[str, float]:
         one_of(name, (RELATIVE, FLOOR, *STATISTICS), "statistic", problems=problems)
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0:
             problems.add(f"{name}: {limit!r}", expected="a number from 0 on", code="value-out-of-range")
-    if not limits:
-        problems.add("no limit", mend="pass at least one limit, such as rmse 0.02", code="argument-missing")
+    problems.add_if(
+        not limits, "no limit", mend="pass at least one limit, such as rmse 0.02", code="argument-missing"
+    )
     if RELATIVE in limits:
         limits.setdefault(FLOOR, TOLERANCE[FLOOR])
     elif FLOOR in limits:

@@ -74,8 +74,9 @@ class _Options(NamedTuple):
 
     def refuse_for(self, path: Path_) -> None:
         # Raise if there is an option, for a file that hyperpaint wrote with its axes and scale
-        if any(option is not None for option in self[:3]):
-            raise FormatError(OWN_AXES.format(path), code="option-conflict")
+        FormatError.raise_if(
+            any(option is not None for option in self[:3]), OWN_AXES.format(path), code="option-conflict"
+        )
 
 
 def open_library(
@@ -147,19 +148,19 @@ def open_library(
     ('red', [[0.10000000149011612, 0.5]])
     >>> scratch.cleanup()
     """
-    if scale is not None and not (is_number(scale) and scale > 0):
-        raise FormatError(
-            f"scale is {scale}",
-            expected="the stored value of a reflectance of one, such as 100",
-            code="value-out-of-range",
-        )
-    if quantity not in (None, "reflectance"):
-        raise FormatError(
-            f"quantity={quantity!r}",
-            expected="'reflectance', as in every paint library",
-            mend="leave quantity= out",
-            code="choice-unknown",
-        )
+    FormatError.raise_if(
+        scale is not None and not (is_number(scale) and scale > 0),
+        f"scale is {scale}",
+        expected="the stored value of a reflectance of one, such as 100",
+        code="value-out-of-range",
+    )
+    FormatError.raise_if(
+        quantity not in (None, "reflectance"),
+        f"quantity={quantity!r}",
+        expected="'reflectance', as in every paint library",
+        mend="leave quantity= out",
+        code="choice-unknown",
+    )
     axes: dict[str, Floats | None] = {}
     for name, argument in (("wavelength", wavelength), ("fwhm", fwhm)):
         if argument is None or isinstance(argument, str | os.PathLike):
@@ -169,12 +170,12 @@ def open_library(
             values = np.asarray(argument, np.float64)
         except (TypeError, ValueError):
             values = np.empty(0)
-        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-            raise FormatError(
-                f"{name}= is {str(argument)[:60]!r}",
-                expected="a finite number for every band [nm], or a file",
-                code="value-out-of-range",
-            )
+        FormatError.raise_if(
+            values.ndim != 1 or not values.size or not np.isfinite(values).all(),
+            f"{name}= is {str(argument)[:60]!r}",
+            expected="a finite number for every band [nm], or a file",
+            code="value-out-of-range",
+        )
         axes[name] = values
     options = _Options(**axes, scale=scale, is_reflectance=quantity is not None)
     if is_zarr(path):
@@ -472,8 +473,12 @@ def write_library(
             expected=f"format= one of {', '.join(_WRITERS)}, or suffix .sli, .csv, .parquet, .zarr",
             code="choice-unknown",
         )
-    if curves not in (None, "centre", "all"):
-        raise SchemaError(f"curves={curves!r}", expected=f"centre or all for {chosen}", code="choice-unknown")
+    SchemaError.raise_if(
+        curves not in (None, "centre", "all"),
+        f"curves={curves!r}",
+        expected=f"centre or all for {chosen}",
+        code="choice-unknown",
+    )
     # a suffix that `open_library` recognises
     if chosen == "envi":
         path = path.with_suffix(".sli") if suffix in _ENVI_SUFFIXES else path.with_name(f"{path.name}.sli")

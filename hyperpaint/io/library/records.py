@@ -317,10 +317,18 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
         dtype = LIBRARY_VARIABLES[name].dtype
         kind = np.dtype("object" if dtype == "str" else dtype).kind
         accepted_kinds = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(kind, kind)
-        if array.dtype.kind not in accepted_kinds:
-            problems.add(f"{name!r} is {array.dtype}", expected=str(dtype), code="type-wrong")
-        if name in ("wavelength", "fwhm", "good") and array.dims != (BAND,):
-            problems.add(f"{name!r} has dims {array.dims}", expected="one value a band", code="dims-wrong")
+        problems.add_if(
+            array.dtype.kind not in accepted_kinds,
+            f"{name!r} is {array.dtype}",
+            expected=str(dtype),
+            code="type-wrong",
+        )
+        problems.add_if(
+            name in ("wavelength", "fwhm", "good") and array.dims != (BAND,),
+            f"{name!r} has dims {array.dims}",
+            expected="one value a band",
+            code="dims-wrong",
+        )
     if CENTRE in variables and not variables[CENTRE].size:
         problems.add(
             f"reflectance has sizes {dict(variables[CENTRE].sizes)}",
@@ -338,12 +346,12 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     )
     problems.raise_if_any()
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
-    if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
-        raise SchemaError(
-            "the library has wavelengths that are not finite, or not above 0",
-            mend="drop these bands with .isel",
-            code="wavelength-range",
-        )
+    SchemaError.raise_if(
+        not (np.isfinite(wavelength).all() and (wavelength > 0).all()),
+        "the library has wavelengths that are not finite, or not above 0",
+        mend="drop these bands with .isel",
+        code="wavelength-range",
+    )
     coords = [name for name in variables if name in library.coords]
     return library.assign_coords({name: variables.pop(name) for name in coords}).assign(variables)
 
@@ -447,10 +455,12 @@ def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
             data = np.where(np.isnat(values), "", np.datetime_as_string(values))
         elif values.dtype.kind == "f":
             data[np.isnan(values)] = None
-            if np.isinf(values).any():
-                problems.add(
-                    f"{name!r} contains infinity", expected="finite numbers or NaN", code="not-finite"
-                )
+            problems.add_if(
+                np.isinf(values).any(),
+                f"{name!r} contains infinity",
+                expected="finite numbers or NaN",
+                code="not-finite",
+            )
         entries[name] |= {"dtype": dtype, "data": data.tolist()}
     problems.raise_if_any()
     # xarray gathers coordinates from sets, whose order differs from run to run
@@ -729,12 +739,12 @@ def _with_metadata(
     coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
     for name, (_, values, _) in coords.items():
         known = library.variables.get(name)
-        if name != SIGNATURE and known is not None and not np.array_equal(known.values, values):
-            problems.add(
-                f"{name!r} of the file and of the metadata differ",
-                mend="put the files of one library together",
-                code="grid-mismatch",
-            )
+        problems.add_if(
+            name != SIGNATURE and known is not None and not np.array_equal(known.values, values),
+            f"{name!r} of the file and of the metadata differ",
+            mend="put the files of one library together",
+            code="grid-mismatch",
+        )
     problems.raise_if_any()
     own_coords = {name: coord for name, coord in coords.items() if name not in library.variables}
     try:

@@ -225,13 +225,13 @@ def read_plain_table(
     # the first column changes direction where detectors join, and not more often
     steps = np.diff(table[:, 0])
     reversals = min(int((steps < 0).sum()), int((steps > 0).sum()))
-    if np.isnan(table[:, 0]).any() or reversals > max(4, steps.size // 20) or not steps.any():
-        raise FormatError(
-            f"{source}: the first column rises and falls",
-            expected="wavelengths",
-            mend="write every spectrum as a column",
-            code="wavelength-unordered",
-        )
+    FormatError.raise_if(
+        np.isnan(table[:, 0]).any() or reversals > max(4, steps.size // 20) or not steps.any(),
+        f"{source}: the first column rises and falls",
+        expected="wavelengths",
+        mend="write every spectrum as a column",
+        code="wavelength-unordered",
+    )
     preamble = lines[:first]
     headings = _headings(preamble, dialect[0], columns)
     if not is_reflectance:
@@ -302,13 +302,13 @@ def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) 
         return other_quantity(text) or (match[0].strip() if match else "")
 
     named = [name.strip() for name in headings[1:] if foreign(name) or _STATISTIC.fullmatch(name.strip())]
-    if named:
-        raise FormatError(
-            f"{source}: column headings name {', '.join(map(repr, named[:5]))}",
-            expected="reflectance",
-            mend=f"remove these columns, or {_SAY_SO}",
-            code="quantity-wrong",
-        )
+    FormatError.raise_if(
+        named,
+        f"{source}: column headings name {', '.join(map(repr, named[:5]))}",
+        expected="reflectance",
+        mend=f"remove these columns, or {_SAY_SO}",
+        code="quantity-wrong",
+    )
     text = " ".join(preamble)
     title = None if "reflect" in text.lower() else _TITLE.search(text) or _OF_LIGHT.search(text)
     if word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""):
@@ -460,8 +460,9 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     )
     units = fields.get("Y Units", "")
     file_scale = 100.0 if PERCENT.search(units) else 1.0 if _FRACTION.search(units) else None
-    if other_quantity(units):
-        problems.add(f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong")
+    problems.add_if(
+        other_quantity(units), f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong"
+    )
     problems.raise_if_any()
     table = _table(lines, first, 2, source)
     if (count := fields["Number of X Values"]) != str(len(table)):
@@ -477,8 +478,9 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
         # the header rounds
         if stated is not None and np.isfinite(stated) and abs(stated - actual) > 1e-2 * abs(actual):
             notes.append(f"{key!r} is {stated:g}, found {actual:g}")
-    if np.isnan(table[:, 0]).any():
-        raise FormatError(f"{source}: a wavelength is not a number", code="number-unreadable")
+    FormatError.raise_if(
+        np.isnan(table[:, 0]).any(), f"{source}: a wavelength is not a number", code="number-unreadable"
+    )
     nm, values, further_notes = _axis_and_values(table, fields["X Units"], source, wavelength)
     return Spectra(
         source=source,
@@ -589,8 +591,11 @@ def read_usgs_axis(path: Path) -> tuple[Floats, str]:
     # Return the wavelengths or bandwidths of a USGS file [nm], and a note on their units.
     # Raises FormatError: The file is damaged, or has other content.
     title, values = _column(path)
-    if not np.isfinite(values).all():
-        raise FormatError(f"{path.name}: not all of its {values.size} values are finite", code="not-finite")
+    FormatError.raise_if(
+        not np.isfinite(values).all(),
+        f"{path.name}: not all of its {values.size} values are finite",
+        code="not-finite",
+    )
     return _in_nanometres(title.replace("_", " "), values, path.name)
 
 
@@ -638,13 +643,13 @@ def _lines(path: Path, expected: str) -> list[str]:
     # Return the lines of a text file, in UTF-8 or else latin-1.
     # Raises FormatError: The file cannot be read, is too large, or is binary.
     raw = read_limited_text(path, MAX_BYTES, expected)
-    if b"\0" in raw:
-        raise FormatError(
-            f"{path}: holds NUL bytes",
-            expected=expected,
-            mend="save UTF-16 text as UTF-8",
-            code="text-unreadable",
-        )
+    FormatError.raise_if(
+        b"\0" in raw,
+        f"{path}: holds NUL bytes",
+        expected=expected,
+        mend="save UTF-16 text as UTF-8",
+        code="text-unreadable",
+    )
     return _BREAK.split(decoded_text(raw))
 
 
@@ -794,12 +799,12 @@ def read_csv_library(path: Path) -> xr.Dataset:
         head_size -= 1
     head, nm = first_row[:head_size], numbers(first_row[head_size:]) or []
     is_valid = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
-    if not head or head[0] not in _NAMES or not is_valid or not 0 < len(nm) <= _MAX_BANDS:
-        raise FormatError(
-            f"{source}: the first row is {','.join(first_row)[:60]!r}",
-            expected=f"{SIGNATURE}, distinct column names, and wavelengths",
-            code="header-unreadable",
-        )
+    FormatError.raise_if(
+        not head or head[0] not in _NAMES or not is_valid or not 0 < len(nm) <= _MAX_BANDS,
+        f"{source}: the first row is {','.join(first_row)[:60]!r}",
+        expected=f"{SIGNATURE}, distinct column names, and wavelengths",
+        code="header-unreadable",
+    )
     if head[0] != SIGNATURE:
         head = [NEW_NAMES.get(name, name) for name in head]
     has_keys = head[1:3] == _KEY_COLUMNS
@@ -847,10 +852,9 @@ def read_csv_library(path: Path) -> xr.Dataset:
     problems.raise_if_any()
     wavelength = np.array(nm, np.float64)
     check_wavelengths(wavelength, source)
-    if not names:
-        raise FormatError(
-            f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
-        )
+    FormatError.raise_if(
+        not names, f"{source}: no row of {CENTRE!r}", mend="write the library again", code="variable-missing"
+    )
     return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))], columns)
 
 
@@ -1059,12 +1063,13 @@ def read_parquet_library(path: Path) -> xr.Dataset:
                 code="record-unmatched",
             ) from error
     paints = sum(key[0] == CENTRE for key in keys)
-    if sorted({key[1] for key in keys}) != list(range(paints)) or any(
-        not -1 <= key[2] < _MAX_ROWS for key in keys
-    ):
-        raise FormatError(
-            f"{source}: rows of a paint are missing", mend="write the library again", code="record-unmatched"
-        )
+    FormatError.raise_if(
+        sorted({key[1] for key in keys}) != list(range(paints))
+        or any(not -1 <= key[2] < _MAX_ROWS for key in keys),
+        f"{source}: rows of a paint are missing",
+        mend="write the library again",
+        code="record-unmatched",
+    )
     kinds = sorted({str(kind) for kind in columns["spectral_data.type"]})
     units = sorted({str(unit) for unit in columns["spectral_data.wavelength_unit"]})
     refuse(
@@ -1095,12 +1100,12 @@ def read_parquet_library(path: Path) -> xr.Dataset:
                 mend="select rows of one instrument",
                 code="grid-mismatch",
             )
-        if spectrum.shape != axis.shape:
-            raise FormatError(
-                f"{source}: row {at} has {spectrum.size} values",
-                expected=f"{axis.size}, as many as wavelengths",
-                code="length-mismatch",
-            )
+        FormatError.raise_if(
+            spectrum.shape != axis.shape,
+            f"{source}: row {at} has {spectrum.size} values",
+            expected=f"{axis.size}, as many as wavelengths",
+            code="length-mismatch",
+        )
     values = np.stack(spectra)
     if is_restored:
         check_wavelengths(axes[0], source)
@@ -1143,10 +1148,12 @@ def _parquet_columns(file: Any, source: str) -> dict[str, list[Any]]:
     count = 0
     for batch in file.iter_batches(batch_size=256, columns=list(_COLUMNS)):
         count += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
-        if count > _MAX_VALUES:
-            raise FormatError(
-                f"{source}: more than {_MAX_VALUES} values", mend="split the file", code="file-too-large"
-            )
+        FormatError.raise_if(
+            count > _MAX_VALUES,
+            f"{source}: more than {_MAX_VALUES} values",
+            mend="split the file",
+            code="file-too-large",
+        )
         for name, cells in columns.items():
             column = batch.column(name)
             cells += (
@@ -1236,8 +1243,11 @@ def read_envi_library(
     problems.raise_if_any()
     if _MARK not in header.fields:
         return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
-    if scale is not None or wavelength is not None or fwhm is not None:
-        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
+    FormatError.raise_if(
+        scale is not None or wavelength is not None or fwhm is not None,
+        OWN_AXES.format(data_path.name),
+        code="option-conflict",
+    )
     # every record of a library of hyperpaint is named after its paint, variable and index
     source = data_path.name
     # names are counted before the text is split, so that millions of commas do not fill the memory
@@ -1291,8 +1301,11 @@ def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
         for start in range(0, header.lines, step):
             count = min(step, header.lines - start)
             stored = np.fromfile(file, header.dtype, count * header.samples)
-            if stored.size != count * header.samples:
-                raise FormatError(f"{path.name} became shorter during reading", code="file-truncated")
+            FormatError.raise_if(
+                stored.size != count * header.samples,
+                f"{path.name} became shorter during reading",
+                code="file-truncated",
+            )
             yield start, stored.reshape(count, header.samples)
 
 
@@ -1353,12 +1366,12 @@ def _foreign(
     title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
     match = _TITLE_SCALE.search(title)
     title_scale = float(match[1]) if match else 100.0 if PERCENT.search(title) else None
-    if other_quantity(title):
-        raise FormatError(
-            f"{source}: the z plot title is {title.strip()[:60]!r}",
-            expected="reflectance",
-            code="quantity-wrong",
-        )
+    FormatError.raise_if(
+        other_quantity(title),
+        f"{source}: the z plot title is {title.strip()[:60]!r}",
+        expected="reflectance",
+        code="quantity-wrong",
+    )
     if header_scale is not None and title_scale is not None and header_scale != title_scale:
         raise FormatError(
             (
@@ -1471,11 +1484,11 @@ def write_envi_library(
         *(f"{key} = {braced(values)}" for key, values in lists.items()),
     ]
     text = ("\n".join(lines) + "\n").encode()
-    if len(text) > MAX_LIBRARY_HEADER_BYTES:
-        raise SchemaError(
-            f"the header of {len(records)} spectra takes {len(text)} bytes",
-            expected=f"at most {MAX_LIBRARY_HEADER_BYTES}",
-            mend="shorten names, write fewer members, or write Zarr",
-            code="file-too-large",
-        )
+    SchemaError.raise_if(
+        len(text) > MAX_LIBRARY_HEADER_BYTES,
+        f"the header of {len(records)} spectra takes {len(text)} bytes",
+        expected=f"at most {MAX_LIBRARY_HEADER_BYTES}",
+        mend="shorten names, write fewer members, or write Zarr",
+        code="file-too-large",
+    )
     header_path.write_bytes(text)
