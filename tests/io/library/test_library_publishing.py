@@ -131,10 +131,8 @@ def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
             hp.write_library(new, path, overwrite=overwrite)
     expect_errors((FormatError, r"no header|no such file", lambda: hp.open_library(path)))
     hp.write_library(new, path, overwrite=overwrite)
-    assert (hp.open_library(path).sizes["signature"], sorted(p.name for p in tmp_path.iterdir())) == (
-        5,
-        ["paints.hdr", "paints.sli", "paints.sli.json"],
-    )
+    assert hp.open_library(path).sizes["signature"] == 5
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["paints.hdr", "paints.sli", "paints.sli.json"]
 
 
 def test_leftovers_of_a_killed_writer__are_cleared(library: xr.Dataset, tmp_path: Path) -> None:
@@ -196,7 +194,5 @@ def test_members_are_written_some_paints_at_a_time(tmp_path: Path) -> None:
     )
     assert seen == list(range(0, 400, 20))
     # what is computed is written before the next is
-    assert ([computed for computed, _ in done[1:]], path.stat().st_size) == (
-        list(range(1, 21)),
-        4 * 100 * (400 + 40_000),
-    )
+    assert [computed for computed, _ in done[1:]] == list(range(1, 21))
+    assert path.stat().st_size == 4 * 100 * (400 + 40_000)

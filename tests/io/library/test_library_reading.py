@@ -111,10 +111,8 @@ def test_sli__takes_the_scale_and_the_wavelengths_given(tmp_path: Path) -> None:
         scale=100, wavelength=[450, 550, 650], fwhm=np.full(3, 5.0),
     )  # fmt: skip
     np.testing.assert_allclose(given["reflectance"].values, ROWS, rtol=1e-6)
-    assert (given["wavelength"].values.tolist(), given["fwhm"].values.tolist()) == (
-        [450.0, 550.0, 650.0],
-        [5.0] * 3,
-    )
+    assert given["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
+    assert given["fwhm"].values.tolist() == [5.0] * 3
 
 
 def test_sli__wavelengths_and_bandwidths_as_records_alone(tmp_path: Path) -> None:
@@ -319,11 +317,8 @@ def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None
     library = hp.open_library(
         write_text(chapter, usgs("splib07a Record=9: Red paint GDS1 ASDFRa AREF", values), "a.txt")
     )
-    assert (
-        library["wavelength"].values.tolist(),
-        library["fwhm"].values.tolist(),
-        library["signature"].item(),
-    ) == ([450.0, 550.0, 650.0], [10.0] * 3, "Red paint GDS1")
+    assert library["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
+    assert (library["fwhm"].values.tolist(), library["signature"].item()) == ([10.0] * 3, "Red paint GDS1")
     np.testing.assert_array_equal(library["reflectance"].values, np.float32([[0.1, np.nan, 0.3]]))
     other = write_text(chapter, usgs("splib07a Record=9: Red paint XYZa AREF", values), "b.txt")
     expect_refusals(
@@ -361,11 +356,9 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("spectra names,kind\nred,car\nblue,van\n")
     table = write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n", "x-grey.csv")
     library = hp.open_library(str(tmp_path / "x*"))
-    assert (
-        library["signature"].values.tolist(),
-        library["kind"].values.tolist(),
-        library["file"].values.tolist(),
-    ) == (["red", "blue", "grey"], ["car", "van", ""], [path.with_suffix(".hdr").name] * 2 + [table.name])
+    assert library["signature"].values.tolist() == ["red", "blue", "grey"]
+    assert library["kind"].values.tolist() == ["car", "van", ""]
+    assert library["file"].values.tolist() == [path.with_suffix(".hdr").name] * 2 + [table.name]
 
 
 def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> None:
@@ -396,11 +389,8 @@ def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_p
             ),
         ]
     )
-    assert (
-        library["signature"].values.tolist(),
-        library["type"].values.tolist(),
-        library["reflectance"].shape,
-    ) == (["red 1", "red 2", "red 10", tmp_path.name], ["manmade"] * 3 + [""], ((4, 3)))
+    assert library["signature"].values.tolist() == ["red 1", "red 2", "red 10", tmp_path.name]
+    assert (library["type"].values.tolist(), library["reflectance"].shape) == (["manmade"] * 3 + [""], (4, 3))
 
 
 @pytest.mark.parametrize("path", ["absent.sli", "absent.txt", "*.nothing", "folder", []])
@@ -452,10 +442,8 @@ def test_nanometres_that_are_called_micrometres_are_refused(tmp_path: Path) -> N
 def test_a_dark_paint_in_percent_is_no_bright_one(tmp_path: Path) -> None:
     path = write_text(tmp_path, ecostress([0.4, 0.5, 0.6], [1.2, 1.1, 1.3], "Reflectance"))
     expect_refusals((FormatError, "scale-missing", "scale=1 ", lambda: hp.open_library(path)))
-    assert (
-        hp.open_library(path, scale=1)["reflectance"].values.max(),
-        hp.open_library(path, scale=100)["reflectance"].values.max(),
-    ) == (pytest.approx(1.3), pytest.approx(0.013))
+    assert hp.open_library(path, scale=1)["reflectance"].values.max() == pytest.approx(1.3)
+    assert hp.open_library(path, scale=100)["reflectance"].values.max() == pytest.approx(0.013)
 
 
 def test_a_bright_paint_among_dark_ones_tells_of_percent(tmp_path: Path) -> None:
@@ -556,11 +544,9 @@ def test_berlin__has_its_scale_in_a_plot_title_and_its_classes_beside_it(sli: Pa
     # Expected: first stored value 589.95611966 of a reflectance times 10,000; 75 spectra, 177 bands.
     library = hp.open_library(sli / "library_berlin.hdr")
     assert_is_library(library)
-    assert (
-        dict(library.sizes),
-        library["reflectance"].values[0, 0],
-        library["wavelength"].values[[0, -1]].tolist(),
-    ) == ({"signature": 75, "band": 177}, np.float32(0.058995611966), [460.0, 2409.0])
+    assert dict(library.sizes) == {"signature": 75, "band": 177}
+    assert library["reflectance"].values[0, 0] == np.float32(0.058995611966)
+    assert library["wavelength"].values[[0, -1]].tolist() == [460.0, 2409.0]
     roof = library.sel(signature="zinc")
     assert (roof["level_1"].item(), roof["level_3"].item()) == ("impervious", "roof")
     xr.testing.assert_identical(library, hp.open_library(sli / "library_berlin.sli"))
@@ -671,12 +657,9 @@ def test_ecostress_and_aster__are_as_spy_reads_them(text: Path, name: str) -> No
 def test_usgs_text__finds_its_wavelengths_or_is_told_them(text: Path, given: bool) -> None:
     library = hp.open_library(text / USGS, wavelength=text / WAVELENGTHS if given else None)
     assert_is_library(library)
-    assert (
-        library["signature"].values.tolist(),
-        library["spectrometer"].item(),
-        library["measurement"].item(),
-        library["reflectance"].values[0, 0],
-    ) == (["Brilliant(Hansa)yellowGDS785"], "ASDFRa", "AREF", np.float32(1.1358514e-2))
+    assert library["signature"].values.tolist() == ["Brilliant(Hansa)yellowGDS785"]
+    assert (library["spectrometer"].item(), library["measurement"].item()) == ("ASDFRa", "AREF")
+    assert library["reflectance"].values[0, 0] == np.float32(1.1358514e-2)
     assert (library["wavelength"].values[0], library.sizes["band"]) == (pytest.approx(349.99999), 2151)
 
 
@@ -707,11 +690,8 @@ def test_wavelengths_are_no_spectrum(text: Path) -> None:
 @pytest.mark.parametrize(("name", "first"), [("PVC_Red", (344.200012, 0.367868)), ("R90", (250.0, 0.942517))])
 def test_plain_tables__have_their_known_values(text: Path, name: str, first: tuple[float, float]) -> None:
     library = hp.open_library(text / f"{name}.txt")
-    assert (
-        library["signature"].values.tolist(),
-        library["wavelength"].values[0],
-        library["reflectance"].values[0, 0],
-    ) == ([name], first[0], np.float32(first[1]))
+    assert (library["signature"].values.tolist(), library["wavelength"].values[0]) == ([name], first[0])
+    assert library["reflectance"].values[0, 0] == np.float32(first[1])
 
 
 @pytest.mark.real_data
@@ -731,10 +711,8 @@ def test_tables_with_headings__are_read(shared_data: Path) -> None:
 @pytest.mark.real_data
 def test_several_files__make_one_library_where_wavelengths_are_equal(text: Path) -> None:
     library = hp.open_library(str(text / "PVC_*.txt"))
-    assert (library["signature"].values.tolist(), library["file"].values.tolist()) == (
-        ["PVC_Red", "PVC_White"],
-        ["PVC_Red.txt", "PVC_White.txt"],
-    )
+    assert library["signature"].values.tolist() == ["PVC_Red", "PVC_White"]
+    assert library["file"].values.tolist() == ["PVC_Red.txt", "PVC_White.txt"]
     assert "one of the equal rows is kept" in library.attrs["notes"]  # two of 1024, where detectors join
     expect_errors(
         (

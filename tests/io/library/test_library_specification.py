@@ -308,10 +308,8 @@ def test_a_property_called_signature_keeps_its_values(library_released: xr.Datas
     mine = old(library_released).assign_coords(signature=("paint", ["a", "b", "c"]))
     with pytest.warns(PaintWarning):
         renamed = with_new_names(mine)
-    assert (renamed["signature"].values.tolist(), renamed["paint"].values.tolist()) == (
-        ["red", "blue", "black"],
-        ["a", "b", "c"],
-    )
+    assert renamed["signature"].values.tolist() == ["red", "blue", "black"]
+    assert renamed["paint"].values.tolist() == ["a", "b", "c"]
     assert "signature" in renamed.indexes
 
 

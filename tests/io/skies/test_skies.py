@@ -200,10 +200,8 @@ def test_a_foreign_sky_is_fitted_and_the_misfit_said() -> None:
     )
     assert 0.01 < float(fit.misfit[0]) < 0.06
     parts = [relative_radiance(shape, np.array(1.0), np.array(0.5)) for shape in function_shapes(SUN)]
-    assert (fit.share[0].values @ [1.0, *parts], fit.share[0].values @ [1.0, *parts]) == (
-        pytest.approx(truth.zenith, rel=0.06),
-        pytest.approx(zenith_radiance([550.0], SUN)[0], rel=0.06),
-    )
+    assert fit.share[0].values @ [1.0, *parts] == pytest.approx(truth.zenith, rel=0.06)
+    assert fit.share[0].values @ [1.0, *parts] == pytest.approx(zenith_radiance([550.0], SUN)[0], rel=0.06)
 
 
 def test_a_sky_that_is_none_of_ours_is_told() -> None:

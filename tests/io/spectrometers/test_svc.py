@@ -52,35 +52,19 @@ def write(tmp_path: Path):
 
 def test_a_reflectance(write) -> None:
     found = open_svc(write(comm="left door, = fender", weather='{"wind": "=3"}'))
-    assert (list(found.data_vars), found["reflectance"].dims) == (
-        ["reflectance"],
-        ("spectrum", "wavelength"),
-    )
+    assert (list(found.data_vars), found["reflectance"].dims) == (["reflectance"], ("spectrum", "wavelength"))
     np.testing.assert_array_equal(found["reflectance"].values[0], SURFACE / PANEL)
     np.testing.assert_array_equal(found["wavelength"].values, GRID)
-    assert (
-        found["wavelength"].attrs["units"],
-        found.attrs,
-        found["time"].values[0],
-        found["reference_time"].values[0],
-    ) == (
-        "nm",
-        {"instrument": "SVC"},
-        np.datetime64("2025-05-27T07:42:50.357", "ns"),
-        np.datetime64("2025-05-27T07:39:23.357", "ns"),
-    )
+    assert (found["wavelength"].attrs["units"], found.attrs) == ("nm", {"instrument": "SVC"})
+    assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50.357", "ns")
+    assert found["reference_time"].values[0] == np.datetime64("2025-05-27T07:39:23.357", "ns")
     assert found["latitude"].attrs["units"] == "degree"
     assert hp.open_svc is open_svc
     # the header is kept
     header = json.loads(found["header"].item())
-    assert (
-        header["comm"],
-        header["weather"],
-        header["scan coadds"],
-        found["error_reference"].item(),
-        found["error_target"].item(),
-        found["factors"].item(),
-    ) == ("left door, = fender", '{"wind": "=3"}', "28, 170, 205, 10, 61, 205", 7, 3, header["factors"])
+    assert (header["comm"], header["weather"]) == ("left door, = fender", '{"wind": "=3"}')
+    assert (header["scan coadds"], found["error_reference"].item()) == ("28, 170, 205, 10, 61, 205", 7)
+    assert (found["error_target"].item(), found["factors"].item()) == (3, header["factors"])
 
 
 @pytest.mark.parametrize(("scan", "scanned"), [("target", SURFACE), ("reference", PANEL)])
@@ -124,10 +108,8 @@ def test_factors(write, factors, overlap, matched, numbers) -> None:
 
 def test_the_detectors_are_told_apart(write) -> None:
     names = open_svc(write())["detector"].values
-    assert ([str(name) for name in dict.fromkeys(names)], GRID[names == "SWIR1"].min()) == (
-        ["VNIR", "SWIR1", "SWIR2"],
-        965.0,
-    )
+    assert [str(name) for name in dict.fromkeys(names)] == ["VNIR", "SWIR1", "SWIR2"]
+    assert GRID[names == "SWIR1"].min() == 965.0
     # of a file without overlap by its joins; of one that says nothing, not at all
     flat = np.arange(400.0, 2500.0, 10.0)
     removed = {"wavelength": flat, "panel": flat, "surface": flat / 2}
@@ -151,10 +133,8 @@ def test_trimming_takes_one_detector_at_each_join(write, joins) -> None:
     )
     np.testing.assert_array_equal(found["wavelength"].values, expected)
     assert np.all(np.diff(expected) > 0.0)
-    assert (found.attrs["overlap_trimmed_at_nm"], found["overlap"].item()) == (
-        [first, second],
-        f"trimmed @ {first:g}, {second:g} nm",
-    )
+    assert found.attrs["overlap_trimmed_at_nm"] == [first, second]
+    assert found["overlap"].item() == f"trimmed @ {first:g}, {second:g} nm"
 
 
 def test_the_default_join_moves_into_a_short_overlap(write) -> None:
@@ -222,12 +202,9 @@ def test_a_dialect_is_a_row_of_a_table(write, tmp_path, monkeypatch) -> None:
         + "350 0.04 0.08 50\n351 0.02 0.08 25\n"
     )
     found = open_svc(tmp_path)
-    assert (
-        found.attrs["instrument"],
-        found["instrument"].item(),
-        found["reflectance"].values.tolist(),
-        found["time"].values[0],
-    ) == ("PSR", "PSR-3500", [[0.5, 0.25]], np.datetime64("2025-05-27T07:42:50"))
+    assert (found.attrs["instrument"], found["instrument"].item()) == ("PSR", "PSR-3500")
+    assert found["reflectance"].values.tolist() == [[0.5, 0.25]]
+    assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50")
     assert open_svc(path, "radiance", scan="reference")["radiance"].values.tolist() == [[0.08, 0.08]]
     # its content is enough, whatever its name
     other = path.rename(tmp_path / "door.txt")
@@ -257,11 +234,9 @@ def test_old_firmware_and_bytes_of_windows(write, tmp_path) -> None:
     path = write(longitude="11121.2335,W, 11121.2324,W", latitude="5330.5955,N, 5330.5964,S", comm="T\u00fcr")
     path.write_bytes(path.read_text("utf-8").encode("latin-1") + b"\r\n\r\n")
     found = open_svc(path)
-    assert (
-        found["longitude"].item(),
-        found["latitude"].item(),
-        json.loads(found["header"].item())["comm"],
-    ) == (pytest.approx(-(111 + 21.2324 / 60)), pytest.approx(-(53 + 30.5964 / 60)), "T\u00fcr")
+    assert found["longitude"].item() == pytest.approx(-(111 + 21.2324 / 60))
+    assert found["latitude"].item() == pytest.approx(-(53 + 30.5964 / 60))
+    assert json.loads(found["header"].item())["comm"] == "T\u00fcr"
 
 
 @pytest.mark.parametrize("blank", ["1.00", "0.00"])
@@ -317,15 +292,11 @@ def test_scans_that_do_not_match(write, units, quantity, code) -> None:
 def test_folders_globs_and_lists(write, tmp_path) -> None:
     paths = [write(f"{day}/{name}.sig") for day in ("mon", "tue") for name in ("red", "blue")]
     (tmp_path / "mon" / "notes.txt").write_text("no spectrum")
-    assert (
-        open_svc(tmp_path / "mon")["spectrum"].values.tolist(),
-        open_svc(str(tmp_path / "*" / "red.sig"))["spectrum"].values.tolist(),
-    ) == (["blue", "red"], ["mon/red", "tue/red"])
+    assert open_svc(tmp_path / "mon")["spectrum"].values.tolist() == ["blue", "red"]
+    assert open_svc(str(tmp_path / "*" / "red.sig"))["spectrum"].values.tolist() == ["mon/red", "tue/red"]
     found = open_svc([*paths, paths[0]])
-    assert (found["spectrum"].values.tolist(), found.sel(spectrum="tue/blue")["source"].item()) == (
-        ["mon/red", "mon/blue", "tue/red", "tue/blue", "mon/red (2)"],
-        "blue.sig",
-    )
+    assert found["spectrum"].values.tolist() == ["mon/red", "mon/blue", "tue/red", "tue/blue", "mon/red (2)"]
+    assert found.sel(spectrum="tue/blue")["source"].item() == "blue.sig"
     for nothing in ([], "none*.sig", tmp_path):
         with pytest.raises(FormatError, match="file-not-found" if nothing else "empty-input"):
             open_svc(nothing)
@@ -443,10 +414,8 @@ def test_metadata_that_cannot_be_read_is_missing_and_said(write) -> None:
     assert "position-unreadable" in said
     assert "gps-time-unreadable" in said
     assert np.isnan(opened["latitude"].item())
-    assert (opened["error_target"].item(), opened["time"].values[0]) == (
-        -1,
-        np.datetime64("2025-05-27T07:42:59", "ns"),
-    )
+    assert opened["error_target"].item() == -1
+    assert opened["time"].values[0] == np.datetime64("2025-05-27T07:42:59", "ns")
     assert "cannot be read" in describe_path(path)
 
 
@@ -506,11 +475,9 @@ def test_what_the_simulator_writes_comes_back(tmp_path, position, zone) -> None:
     np.testing.assert_array_equal(found["wavelength"].values, grid)
     np.testing.assert_allclose(found["reflectance"].values[0], share, atol=1.5e-2 * 1e-6 / white.min())
     np.testing.assert_allclose(open_svc(tmp_path, "radiance")["radiance"].values[0], white * share, atol=6e-9)
-    assert (
-        found["time"].values[0],
-        found["reference_time"].values[0],
-        ((found["latitude"].item(), found["longitude"].item())),
-    ) == (np.datetime64(stamp + 15, "s"), np.datetime64(stamp, "s"), pytest.approx(position, abs=1e-6))
+    assert found["time"].values[0] == np.datetime64(stamp + 15, "s")
+    assert found["reference_time"].values[0] == np.datetime64(stamp, "s")
+    assert (found["latitude"].item(), found["longitude"].item()) == pytest.approx(position, abs=1e-6)
     assert (found["overlap"].item(), found["overlap_matched"].item()) == ("preserved", False)
     assert np.all(np.diff(open_svc(tmp_path, overlap="trim")["wavelength"].values) > 0.0)
 
@@ -557,11 +524,9 @@ def test_other_files_of_an_instrument_settle_the_order() -> None:
     def orders(*dates):
         return orders_of((name, read_stamp(f"{date} 10:00:00")) for name, date in dates)
 
-    assert (
-        orders(("a", "5/6/2024"), ("a", "5/16/2024"), ("b", "5/6/2024")),
-        orders(("a", "16/5/2024"), ("b", "5/16/2024")),
-        orders(("a", "16/5/2024"), ("a", "5/16/2024")),
-    ) == ({"a": False}, {"a": True, "b": False}, {})
+    assert orders(("a", "5/6/2024"), ("a", "5/16/2024"), ("b", "5/6/2024")) == {"a": False}
+    assert orders(("a", "16/5/2024"), ("b", "5/16/2024")) == {"a": True, "b": False}
+    assert orders(("a", "16/5/2024"), ("a", "5/16/2024")) == {}
     assert orders(("a", "16.05.2024")) == {}  # another way to write, which tells nothing about slashes
 
 
@@ -590,12 +555,9 @@ def test_gps_time_finds_its_date(moment, zone, wrong) -> None:
     longitude = max(-180.0, min(180.0, 15.0 * hours))
     local = moment + dt.timedelta(hours=hours, seconds=wrong)
     gps = moment - dt.datetime.combine(moment.date(), dt.time())
-    assert (
-        utc_of(local, gps, longitude, None),
-        utc_of(local, gps, float("nan"), hours),
-        utc_of(local, None, longitude, hours),
-        utc_of(local, None, longitude, None),
-    ) == (moment, moment, local - dt.timedelta(hours=hours), None)
+    assert (utc_of(local, gps, longitude, None), utc_of(local, gps, float("nan"), hours)) == (moment, moment)
+    assert utc_of(local, None, longitude, hours) == local - dt.timedelta(hours=hours)
+    assert utc_of(local, None, longitude, None) is None
 
 
 def test_times_of_several_files(tmp_path) -> None:
@@ -619,10 +581,8 @@ def test_gps_wins_over_a_zone_that_contradicts_it(tmp_path) -> None:
     path.write_text(svc_text())
     with pytest.warns(PaintWarning, match="utc-offset-conflict"):
         found = open_svc(path, utc_offset_h=-7)
-    assert (found["time"].values[0], open_svc(path, utc_offset_h=2)["time"].values[0]) == (
-        np.datetime64("2025-05-27T07:42:50.357"),
-        found["time"].values[0],
-    )
+    assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50.357")
+    assert open_svc(path, utc_offset_h=2)["time"].values[0] == found["time"].values[0]
 
 
 @pytest.mark.parametrize("time", [None, "", "long ago, yesterday", "27.05.2025 09:39:32"])
@@ -676,11 +636,9 @@ def test_reflectance_is_the_files_own_with_more_digits(folder: Path, name: str) 
     np.testing.assert_allclose(found["reflectance"].values[0], table[:, 3] / 100.0, atol=5.5e-5)
     assert 0.0 < found["column_difference"].item() < 5.5e-5
     assert found["reflectance"].dtype == found["wavelength"].dtype == np.float64
-    assert (
-        found["reflectance"].attrs["units"],
-        found["reflectance"].attrs["reflectance_scale"],
-        found["spectrum"].values.tolist(),
-    ) == ("1", "relative", [name])
+    assert found["reflectance"].attrs["units"] == "1"
+    assert found["reflectance"].attrs["reflectance_scale"] == "relative"
+    assert found["spectrum"].values.tolist() == [name]
 
 
 @pytest.mark.real_data
@@ -705,11 +663,9 @@ def test_known_values(
     if panel is not None:
         target = opened(path, quantity="radiance")["radiance"]
         white = opened(path, quantity="radiance", scan="reference")["radiance"]
-        assert (target.sel(wavelength=nm).item(), white.sel(wavelength=nm).item(), target.attrs["units"]) == (
-            pytest.approx(surface * VENDORS, rel=1e-12),
-            pytest.approx(panel * VENDORS, rel=1e-12),
-            "W m-2 sr-1 nm-1",
-        )
+        assert target.sel(wavelength=nm).item() == pytest.approx(surface * VENDORS, rel=1e-12)
+        assert white.sel(wavelength=nm).item() == pytest.approx(panel * VENDORS, rel=1e-12)
+        assert target.attrs["units"] == "W m-2 sr-1 nm-1"
 
 
 @pytest.mark.real_data
@@ -736,16 +692,11 @@ def test_what_files_say_of_overlap_and_errors(
     folder: Path, name: str, rows: int, overlap: str, matched: bool, factors: tuple, errors: tuple
 ) -> None:
     found = opened(folder / f"{name}.sig")
-    assert (
-        found.sizes,
-        found["overlap"].item(),
-        found["overlap_matched"].item(),
-        ((found["factor_reference"].item(), found["factor_target"].item())),
-    ) == ({"spectrum": 1, "wavelength": rows}, overlap, matched, factors)
-    assert (
-        ((found["error_reference"].item(), found["error_target"].item())),
-        np.all(np.diff(found["wavelength"].values) > 0),
-    ) == (errors, overlap.startswith("removed"))
+    assert (found.sizes, found["overlap"].item()) == ({"spectrum": 1, "wavelength": rows}, overlap)
+    assert found["overlap_matched"].item() == matched
+    assert (found["factor_reference"].item(), found["factor_target"].item()) == factors
+    assert (found["error_reference"].item(), found["error_target"].item()) == errors
+    assert np.all(np.diff(found["wavelength"].values) > 0) == overlap.startswith("removed")
     header = json.loads(found["header"].item())
     assert (header["factors"], found["instrument"].item()) == (found["factors"].item(), header["instrument"])
 
@@ -800,11 +751,9 @@ def test_raw_and_matched_files_do_not_mix_unless_trimmed_alike(folder: Path) -> 
         (FormatError, "grid-mismatch", lambda: opened([folder / "ACPL_D2_P1_B_1_001.sig", both[0]]))
     )
     found = opened(both, overlap="trim", joins=(970, 1901))
-    assert (found.sizes, found["overlap"].values.tolist(), found["overlap_matched"].values.tolist()) == (
-        {"spectrum": 2, "wavelength": 982},
-        ["trimmed @ 970, 1901 nm", "removed @ 970, 1901 nm"],
-        [False, True],
-    )
+    assert found.sizes == {"spectrum": 2, "wavelength": 982}
+    assert found["overlap"].values.tolist() == ["trimmed @ 970, 1901 nm", "removed @ 970, 1901 nm"]
+    assert found["overlap_matched"].values.tolist() == [False, True]
 
 
 @pytest.mark.real_data
@@ -827,18 +776,14 @@ def test_trimmed_wavelengths_increase(folder: Path, name: str) -> None:
 @pytest.mark.real_data
 def test_times_and_places(folder: Path) -> None:
     found = open_svc(folder / "HR.020824.0000.sig", **DATE)
-    assert (found["time"].values[0], found["reference_time"].values[0], found["latitude"].item()) == (
-        np.datetime64("2024-02-08T09:07:53.786", "ns"),
-        np.datetime64("2024-02-08T09:07:24.786", "ns"),
-        pytest.approx(52 + 25.9416 / 60, abs=1e-9),
-    )
+    assert found["time"].values[0] == np.datetime64("2024-02-08T09:07:53.786", "ns")
+    assert found["reference_time"].values[0] == np.datetime64("2024-02-08T09:07:24.786", "ns")
+    assert found["latitude"].item() == pytest.approx(52 + 25.9416 / 60, abs=1e-9)
     assert found["longitude"].item() == pytest.approx(13 + 32.0176 / 60, abs=1e-9)
     found = open_svc(folder / "ACPL_D2_P1_B_1_001.sig", **DATE)
-    assert (found["longitude"].item(), found["time"].values[0], found["time"].dtype) == (
-        pytest.approx(-(92 + 31.1626 / 60), abs=1e-9),
-        np.datetime64("2015-08-06T14:37:08", "ns"),
-        np.dtype("datetime64[ns]"),
-    )
+    assert found["longitude"].item() == pytest.approx(-(92 + 31.1626 / 60), abs=1e-9)
+    assert found["time"].values[0] == np.datetime64("2015-08-06T14:37:08", "ns")
+    assert found["time"].dtype == np.dtype("datetime64[ns]")
     # no fix: day first is plain, the zone is not
     with pytest.warns(PaintWarning, match="zone-missing"):
         found = open_svc(folder / "241016_1051_R009_T014.sig")
