@@ -20,8 +20,7 @@ from hyperpaint.base.mirrored_light import BODY, OUTSIDE, THROUGH_COAT
 from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.rendering.materials import coated_reflectance
-from hyperpaint.validation.validating import join_detectors, statistics_of, uncertainty_of
-from hyperpaint.validation.validation_result import STATISTICS
+from hyperpaint.validation.validating import STATISTICS, join_detectors, statistics_of, uncertainty_of
 
 # --- common bands ------------------------------------------------------------------------------------------
 
