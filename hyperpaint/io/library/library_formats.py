@@ -24,23 +24,18 @@ from hyperpaint.io.spectrometers.spectrum_files import find_paths
 from hyperpaint.io.store import list_groups, open_store, to_store
 from hyperpaint.io.store.reader import is_zarr
 
-from .records import (
+from .spectra_files import (
     CENTRE,
     OWN_AXES,
     blocks_of,
     checked_library,
+    is_csv_library,
+    is_usgs,
+    is_usgs_axis,
     library_of,
     metadata_path,
     metadata_text,
     names_of,
-    spectral_variables,
-    text_column,
-    with_numbers_as_data,
-)
-from .spectra_files import (
-    is_csv_library,
-    is_usgs,
-    is_usgs_axis,
     read_csv_library,
     read_ecostress,
     read_envi_library,
@@ -48,7 +43,10 @@ from .spectra_files import (
     read_plain_table,
     read_usgs,
     read_usgs_axis,
+    spectral_variables,
+    text_column,
     warn_of_light,
+    with_numbers_as_data,
     write_csv_library,
     write_envi_library,
     write_parquet_library,

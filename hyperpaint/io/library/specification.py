@@ -19,7 +19,7 @@ from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, TH
 from hyperpaint.base.old_names import VERSION_NAME, with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 
-from .records import CENTRE
+from .spectra_files import CENTRE
 
 #: Version of the specification, the attribute `VERSION_NAME` of a library. 1 had the dim `paint`.
 VERSION = 2

@@ -219,8 +219,8 @@ def test_without_metadata__spectra_and_members_still_lead_back(
     for variable in ("reflectance", "member_reflectance", "reflectance_quantiles", "reflectance_sd"):
         np.testing.assert_array_equal(found[variable].values, library[variable].values)
         assert found[variable].dims == library[variable].dims
-    assert found["signature"].values[0] == "red; matt" if name.endswith("sli") else "red, matt"
-    assert "make" in found.coords == name.endswith("csv")
+    assert found["signature"].values[0] == ("red; matt" if name.endswith("sli") else "red, matt")
+    assert ("make" in found.coords) == name.endswith("csv")
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
