@@ -19,7 +19,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.cli.program import main
-from hyperpaint.io.library.specification import TERMS
+from hyperpaint.io.library.library_formats import TERMS
 
 ROOT = Path(__file__).resolve().parents[3]
 SCHEMA = json.loads((ROOT / "docs" / "paint-library.schema.json").read_text(encoding="utf-8"))
