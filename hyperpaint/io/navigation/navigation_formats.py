@@ -49,14 +49,20 @@ from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
 from hyperpaint.io.files.reading import numbered_lines
 from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, Table, name_rows, read_text, table_of
 
-from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, instants, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import (
     ANGLES,
+    GPS_EPOCH,
     LIMITS,
+    NS_PER_S,
     POSE,
+    WEEK_S,
     PoseRecord,
     check_poses,
+    instants,
     limited_numbers,
+    nanoseconds,
+    refuse_backwards,
+    unwrap_weeks,
 )
 
 _MAX_TEXT_BYTES = 2**28

@@ -22,7 +22,6 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.store import load_group
 from hyperpaint.io.store.reader import is_zarr
 
-from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, midnight_of, refuse_backwards
 from .navigation_formats import (
     is_nmea,
     read_eph_att,
@@ -31,7 +30,20 @@ from .navigation_formats import (
     read_nmea,
     read_sbet,
 )
-from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
+from .navigation_records import (
+    ASSUMED,
+    GPS_EPOCH,
+    NS_PER_S,
+    POSE,
+    WEEK_S,
+    ClockCorrection,
+    Navigation,
+    PoseRecord,
+    midnight_of,
+    read_gps_time,
+    read_imu_gps,
+    refuse_backwards,
+)
 
 #: A file's record, its UTC [ns since 1970-01-01], and attributes that describe the conversion to UTC.
 Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]

@@ -29,15 +29,16 @@ from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, Sche
 from hyperpaint.cli.info_command import describe_path
 from hyperpaint.io.collect.collect_toml import open_collect
 from hyperpaint.io.flightline.timing import Timing, line_times, utc_of
-from hyperpaint.io.navigation.clocks import (
+from hyperpaint.io.navigation.control_points import read_control_points
+from hyperpaint.io.navigation.navigation_records import (
     LEAP_SECONDS,
     LEAP_SECONDS_EXPIRY,
     Clock,
     ClockCorrection,
     gps_to_utc,
+    read_gps_time,
+    read_imu_gps,
 )
-from hyperpaint.io.navigation.control_points import read_control_points
-from hyperpaint.io.navigation.navigation_records import read_gps_time, read_imu_gps
 from hyperpaint.simulation import simulate_collect
 
 # --- SBET --------------------------------------------------------------------------------------------------
