@@ -383,7 +383,7 @@ def _regions_of_line(path: Path, line: xr.Dataset) -> hp.Regions:
 
 
 def _detection_table(detections: xr.Dataset) -> str:
-    from hyperpaint.validation.validation_result import aligned
+    from hyperpaint.validation.validating import aligned
 
     numbers = detections["best_paint"].values[detections["detected"].values]
     rows = [
@@ -485,7 +485,7 @@ def list_paints(
     LIBRARY is a Zarr store of signatures, or any file of spectra that hyperpaint reads; by default the
     starter library. A paint must meet all conditions.
     """
-    from hyperpaint.validation.validation_result import aligned
+    from hyperpaint.validation.validating import aligned
 
     if options["maximum_angle"] is not None and like is None:
         raise click.UsageError("--maximum-angle needs --like [argument-missing]")

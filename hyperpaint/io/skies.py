@@ -33,10 +33,12 @@ def sky_lines(path: str | Path) -> list[str]:
 
 def _cosine(sun_zenith: float) -> float:
     # Return the cosine of the sun's zenith angle [degree]; refuse a sun that is not above the horizon.
-    if not 0.0 <= sun_zenith < 90.0:
-        raise SchemaError(
-            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        not 0.0 <= sun_zenith < 90.0,
+        f"sun_zenith is {sun_zenith!r}",
+        expected="0 to below 90 degrees",
+        code="value-out-of-range",
+    )
     return float(np.cos(np.radians(sun_zenith)))
 
 
@@ -306,21 +308,25 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
     (array([450., 850.]), array([1.59, 0.92]), array([0.3 , 0.04]))
     """
     cosine = _cosine(sun_zenith)
-    if not 0.0 < ground <= 1.0:
-        raise SchemaError(f"ground {ground!r}", expected="above 0, at most 1", code="value-out-of-range")
+    SchemaError.raise_if(
+        not 0.0 < ground <= 1.0,
+        f"ground {ground!r}",
+        expected="above 0, at most 1",
+        code="value-out-of-range",
+    )
     lines = sky_lines(path)
     name_line, heading = next(((n, line) for n, line in enumerate(lines) if "FREQ" in line), (0, ""))
     for name in _TWO_WORDS:
         heading = heading.replace(name, name.replace(" ", "_"))
     names = heading.split()
-    if not set(_TAPE7_COLUMNS) <= set(names):
-        raise FormatError(
-            f"{path}: no line of names with {', '.join(_TAPE7_COLUMNS)}",
-            expected="a tape7 over wavenumbers",
-            mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; give direct and "
-            "diffuse light as CSV instead of a .7sc",
-            code="model-output-wrong",
-        )
+    FormatError.raise_if(
+        not set(_TAPE7_COLUMNS) <= set(names),
+        f"{path}: no line of names with {', '.join(_TAPE7_COLUMNS)}",
+        expected="a tape7 over wavenumbers",
+        mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; give direct and "
+        "diffuse light as CSV instead of a .7sc",
+        code="model-output-wrong",
+    )
     rows = []
     for count, line in enumerate(lines[name_line + 1 :], name_line + 2):
         row = numbers(line.split())

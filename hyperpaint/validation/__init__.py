@@ -4,7 +4,6 @@ A paint library and reference datasets come in; a `Validation` (statistics, comm
 Called by users, workflows, the command line and reports.
 """
 
-from .validating import validate
-from .validation_result import Validation
+from .validating import Validation, validate
 
 __all__ = ["Validation", "validate"]

@@ -19,7 +19,7 @@ from hyperpaint.io.spectrometers.asd import open_asd
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.simulation.collect import MARKER, PARTS
 from hyperpaint.simulation.instruments import CAMERA_SOFTWARE
-from hyperpaint.validation.validation_result import aligned
+from hyperpaint.validation.validating import aligned
 
 from .maps import LINES, lines_of_store
 from .pipeline import run

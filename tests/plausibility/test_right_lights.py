@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.plausibility.line_judging import judge_bands
+from hyperpaint.plausibility.line_judging import CubeSample, judge_bands, judge_dark
 
 FINE = np.arange(350.0, 1100.0, 0.5)
 DAYLIGHT = sum(ClearSky(45.0).irradiance(FINE))
@@ -21,8 +21,12 @@ def _lamps(*peaks: tuple[float, float, float]) -> np.ndarray:
 
 
 def _said(light: np.ndarray, nm: np.ndarray, sky: np.ndarray | None = None) -> list[str]:
-    record = None if sky is None else (FINE, sky)
-    return [str(finding) for finding in judge_bands("line", light, np.ones(nm.size), nm, 5.6, record)]
+    return [
+        str(finding)
+        for finding in judge_bands(
+            "line", light, np.ones(nm.size), nm, 5.6, None if sky is None else (FINE, sky)
+        )
+    ]
 
 
 MERCURY = _lamps(*((at, 1.5, height) for at, height in (
@@ -38,17 +42,23 @@ def test_lights_that_are_not_smooth_over_bands_are_right(bands: int, seed: int) 
     drift = rng.normal(0.0, rng.uniform(0.1, 1.0), bands)  # of the dark, band by band
     sky = _seen(DAYLIGHT, nm)
     dead = np.where(np.arange(bands) == rng.integers(bands), 0.0, 900.0 * sky)
-    water = 10.0 * sky * np.exp(-np.clip(nm - 520.0, 0.0, None) / 70.0)
-    saturated = 4095.0 - rng.normal(60.0, 3.0, bands)
-    for light in (drift, dead, water + drift, saturated, 900.0 * _seen(MERCURY, nm) + drift):
+    for light in (
+        drift,
+        dead,
+        (10.0 * sky * np.exp(-np.clip(nm - 520.0, 0.0, None) / 70.0)) + drift,
+        (4095.0 - rng.normal(60.0, 3.0, bands)),
+        900.0 * _seen(MERCURY, nm) + drift,
+    ):
         assert _said(light, nm, DAYLIGHT) == []
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_bands_in_any_order_are_named(seed: int) -> None:
     nm = np.linspace(400.0, 1000.0, 120)
-    light = np.random.default_rng(seed).permutation(900.0 * _seen(DAYLIGHT, nm))
-    assert "neighbouring bands" in _said(light, nm)[0]
+    assert (
+        "neighbouring bands"
+        in _said(np.random.default_rng(seed).permutation(900.0 * _seen(DAYLIGHT, nm)), nm)[0]
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -62,3 +72,62 @@ def test_lamps_are_right_and_bands_of_daylight_that_are_shifted_are_not(seed: in
     assert _said(light, nm, DAYLIGHT) == []
     for shifted in (light[::-1], np.roll(light, 10), _seen(900.0 * DAYLIGHT, nm + 30.0)):
         assert "correlation of the bands with daylight" in _said(shifted, nm, DAYLIGHT)[0]
+
+
+# --- Right darks of which nothing is said, and wrong ones that are named, as plain arrays ---
+
+NM = np.linspace(400.0, 1000.0, 60)
+RNG = np.random.default_rng(18)
+
+
+def _said_darks(dark: np.ndarray, scene: np.ndarray, uncertainty: np.ndarray | None = None) -> list[str]:
+    sample = CubeSample(128, scene, scene, 1)
+    return [
+        finding.kind.name
+        for finding in judge_dark("dark", dark, uncertainty, np.ones_like(dark), sample, 4000.0)
+    ]
+
+
+def _daylight(level: float) -> np.ndarray:
+    # Return light with the lines of water and oxygen [count], (band, column)
+    light = 1.0 - ((NM - 650.0) / 400.0) ** 2
+    for line, depth in ((687.0, 0.2), (761.0, 0.5), (820.0, 0.15), (940.0, 0.4)):
+        light *= 1.0 - depth * np.exp(-(((NM - line) / 8.0) ** 2))
+    return level * np.tile(light[:, None], 40)
+
+
+def test_zeros_under_no_light_and_of_a_low_black_level_are_right() -> None:
+    dark, scene = RNG.normal(60.0, 3.0, (60, 40)), _daylight(800.0) + 60.0
+    dark[:, :4], scene[:, :4] = 0.0, 0.02  # masked columns, with a stray count
+    assert _said_darks(dark, scene) == []
+    assert _said_darks(np.where(RNG.random((60, 40)) < 0.51, 0.0, 0.4), _daylight(80.0) + 0.2) == []
+    dark[:, 4:] *= np.arange(36) % 2
+    assert _said_darks(dark, scene) == ["dark-of-zeros"]
+
+
+def test_a_dark_that_drifts_with_temperature_over_dim_water_is_right() -> None:
+    dark, water = RNG.normal(100.0, 3.0, (60, 40)), _daylight(2.0)
+    assert _said_darks(1.15 * dark, dark + water) == []
+    assert _said_darks(dark + 60.0, dark + water) == ["dark-over-scene"]
+
+
+def test_a_gradient_of_the_bias_under_a_spectrum_that_rises_as_well_is_right() -> None:
+    bias = 60.0 + np.linspace(0.0, 20.0, 60)[:, None] + RNG.normal(0.0, 0.5, (60, 40))
+    rising = np.tile(np.linspace(0.0, 1.0, 60)[:, None] ** 2, 40)
+    for light in (_daylight(15.0), 30.0 * rising, 500.0 * rising, _daylight(800.0)):
+        assert _said_darks(bias, bias + light) == []
+    for share in (0.1, 0.3):
+        light = _daylight(800.0)
+        assert _said_darks(bias + share * light, bias + light) == ["dark-lit"]
+
+
+def test_rounded_darks_are_right_and_those_of_another_exposure_are_not() -> None:
+    pattern, light = RNG.normal(8.4, 0.2, (60, 40)), _daylight(120.0)
+    still = np.zeros((60, 40))  # a camera of 8 bits whose noise is under a count: every frame the same
+    assert _said_darks(np.rint(pattern), pattern + light, still) == []
+    dark = RNG.normal(60.0, 6.0, (60, 40))
+    noise = np.full(dark.shape, 0.2)
+    for factor, named in ((0.5, True), (0.8, False), (1.0, False), (1.25, False), (2.0, True)):
+        assert _said_darks(dark, 60.0 + factor * (dark - 60.0) + light, noise) == ["dark-pattern"] * named, (
+            factor
+        )

@@ -14,8 +14,15 @@ from numpy.typing import NDArray
 from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
 from hyperpaint.base.errors import Problems, TimeError, warn_user
 from hyperpaint.base.facts import one_of
-from hyperpaint.io.navigation.clocks import NS_PER_S, Clock, ClockCorrection, midnight_of
-from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_time, read_imu_gps
+from hyperpaint.io.navigation.navigation_records import (
+    NS_PER_S,
+    Clock,
+    ClockCorrection,
+    Navigation,
+    midnight_of,
+    read_gps_time,
+    read_imu_gps,
+)
 
 from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
 

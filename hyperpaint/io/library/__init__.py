@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from .library_formats import open_library, write_library
-from .specification import check_library, declare_library
+from .library_formats import check_library, declare_library, open_library, write_library
 
 __all__ = ["check_library", "declare_library", "open_library", "write_library"]

@@ -120,13 +120,13 @@ def read_control_points(path: str | Path) -> xr.Dataset:
                 code="column-missing",
             )
     for name, cell in zip(header, cells, strict=True):
-        if name.endswith("_track") and _ONE_BASED.search(cell):
-            problems.add(
-                f"column {name!r} is {cell.strip()[:40]!r}",
-                expected="pixels counted from 0",
-                mend="subtract 1",
-                code="pixel-origin",
-            )
+        problems.add_if(
+            name.endswith("_track") and _ONE_BASED.search(cell),
+            f"column {name!r} is {cell.strip()[:40]!r}",
+            expected="pixels counted from 0",
+            mend="subtract 1",
+            code="pixel-origin",
+        )
     problems.raise_if_any()
     table = table_of(path, header, [(number, _cells(line, separator)) for number, line in rows[1:]])
     # the last comment with a CRS is valid
@@ -246,10 +246,12 @@ def _is_unit(text: str) -> bool:
 def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:
     # Return the size of a column's unit in metres, pixels, or units of the CRS axis; 1 without a unit.
     if name.endswith("_track"):
-        if unit.lower() not in _PIXELS:
-            problems.add(
-                f"column {name!r} in {unit!r:.40}", expected="pixels, counted from 0", code="units-unknown"
-            )
+        problems.add_if(
+            unit.lower() not in _PIXELS,
+            f"column {name!r} in {unit!r:.40}",
+            expected="pixels, counted from 0",
+            code="units-unknown",
+        )
         return 1.0
     if axis is None or not unit:
         return metres_of(name, unit, problems)
@@ -258,14 +260,13 @@ def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | 
     if unit.lower() in ("ft", "foot", "feet") and "foot" in axis_unit.lower():
         return 1.0
     if _metres(axis_unit) is None:
-        if unit.lower() != axis_unit.lower() and not (
-            axis_unit == "degree" and unit.lower().startswith(("deg", "°"))
-        ):
-            problems.add(
-                f"column {name!r} in {unit!r:.40}",
-                expected=f"{axis_unit!r}, the unit of the crs",
-                code="units-conflict",
-            )
+        problems.add_if(
+            unit.lower() != axis_unit.lower()
+            and not (axis_unit == "degree" and unit.lower().startswith(("deg", "°"))),
+            f"column {name!r} in {unit!r:.40}",
+            expected=f"{axis_unit!r}, the unit of the crs",
+            code="units-conflict",
+        )
         return 1.0
     factor = metres_of(name, unit, problems) / axis_unit_size
     return 1.0 if abs(factor - 1.0) < _UNIT_TOLERANCE else factor

@@ -49,14 +49,20 @@ from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
 from hyperpaint.io.files.reading import numbered_lines
 from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, Table, name_rows, read_text, table_of
 
-from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, instants, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import (
     ANGLES,
+    GPS_EPOCH,
     LIMITS,
+    NS_PER_S,
     POSE,
+    WEEK_S,
     PoseRecord,
     check_poses,
+    instants,
     limited_numbers,
+    nanoseconds,
+    refuse_backwards,
+    unwrap_weeks,
 )
 
 _MAX_TEXT_BYTES = 2**28
@@ -148,16 +154,17 @@ def read_sbet(path: str | Path) -> PoseRecord:
     with open_input(path, "an SBET file", _SBET.max_bytes) as file:
         size = os.fstat(file.fileno()).st_size
         count, extra_bytes = divmod(size, layout.itemsize)
-        if extra_bytes or not count:
-            raise FormatError(
-                f"{path}: {size} bytes",
-                expected=f"a multiple of {layout.itemsize}, the size of a record",
-                mend="copy the file again, or check its format",
-                code="file-truncated",
-            )
+        FormatError.raise_if(
+            extra_bytes or not count,
+            f"{path}: {size} bytes",
+            expected=f"a multiple of {layout.itemsize}, the size of a record",
+            mend="copy the file again, or check its format",
+            code="file-truncated",
+        )
         records = np.fromfile(file, layout, count)
-    if records.size != count:
-        raise FormatError(f"{path}: became shorter during reading", code="file-truncated")
+    FormatError.raise_if(
+        records.size != count, f"{path}: became shorter during reading", code="file-truncated"
+    )
     names = (*_SBET.columns, *_SBET.others)  # heading is the difference of the others
     columns = {name: records[name].astype(np.float64) for name in names if name != "heading"}
     # values of damaged files may overflow; `check_poses` refuses the results
@@ -231,8 +238,11 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     with open_input(data_path, "navigation") as file:
         file.seek(header.header_offset)
         stored = np.fromfile(file, header.dtype, header.lines * header.bands)
-    if stored.size != header.lines * header.bands:
-        raise FormatError(f"{data_path}: became shorter during reading", code="file-truncated")
+    FormatError.raise_if(
+        stored.size != header.lines * header.bands,
+        f"{data_path}: became shorter during reading",
+        code="file-truncated",
+    )
     # with one sample per line, the dims are lines and bands
     is_band_sequential = header.interleave == "bsq"
     bands = stored.reshape((header.bands, -1)) if is_band_sequential else stored.reshape(header.lines, -1).T
@@ -379,12 +389,12 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     is_unit_declared = "angle_unit" not in assumed
     is_radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in ANGLES]
     unit: Literal["degree", "radian"] = "radian" if all(is_radian) else "degree"
-    if is_unit_declared and convention.angle_unit != unit:
-        problems.add(
-            f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
-            mend="remove one of them",
-            code="units-conflict",
-        )
+    problems.add_if(
+        is_unit_declared and convention.angle_unit != unit,
+        f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
+        mend="remove one of them",
+        code="units-conflict",
+    )
     values: dict[str, NDArray[np.float64]] = {}
     for name in POSE:
         target_unit = unit if name in ANGLES else "m" if name == "altitude" else "degree"
@@ -397,8 +407,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     if not len(problems):  # else the same cells would be listed twice
         check_poses(values, unit, problems, "row", np.arange(1, stamp.size + 1))
     problems.raise_if_any()
-    if not has_time.any():
-        raise FormatError(f"{path}: no row with a time", code="time-missing")
+    FormatError.raise_if(not has_time.any(), f"{path}: no row with a time", code="time-missing")
     timed_stamps = unwrap_weeks(stamp[has_time]) if clock == "week" else stamp[has_time]
     refuse_backwards(path.name, timed_stamps, row="row")
     rows_left_out = int((~has_time).sum())
@@ -676,24 +685,30 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
             damaged += 1
             continue
         log.take(match[1].split(","))
-        if len(log.rows) > _MAX_POSITIONS:
-            raise FormatError(
-                f"{path}: over {_MAX_POSITIONS} positions",
-                expected="a log of hours",
-                mend="shorten the log to the flight",
-                code="file-too-large",
-            )
+        FormatError.raise_if(
+            len(log.rows) > _MAX_POSITIONS,
+            f"{path}: over {_MAX_POSITIONS} positions",
+            expected="a log of hours",
+            mend="shorten the log to the flight",
+            code="file-too-large",
+        )
     wrong_checksums = f"{damaged} of {total} sentences have a wrong checksum"
-    if damaged > _MAX_DAMAGED_SHARE * total:
-        raise FormatError(f"{path}: {wrong_checksums}", mend="copy it again", code="checksum-wrong")
+    FormatError.raise_if(
+        damaged > _MAX_DAMAGED_SHARE * total,
+        f"{path}: {wrong_checksums}",
+        mend="copy it again",
+        code="checksum-wrong",
+    )
     if damaged:
         message = f"{path.name}: {wrong_checksums}, and are ignored"
         warn_user(message, "checksum-wrong")
     log.problems.raise_if_any()
-    if not log.rows:
-        raise FormatError(
-            f"{path}: no position with a fix", expected="GGA sentences of NMEA 0183", code="position-missing"
-        )
+    FormatError.raise_if(
+        not log.rows,
+        f"{path}: no position with a fix",
+        expected="GGA sentences of NMEA 0183",
+        code="position-missing",
+    )
     midnight_ns = log.first_day if log.first_day is not None else midnight
     if midnight_ns is None:
         raise TimeError(
@@ -742,10 +757,11 @@ class _Log:
         try:
             self._take(fields)
         except (ValueError, LookupError):
-            if len(self.problems) < 5:
-                self.problems.add(
-                    f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183", code="row-unreadable"
-                )
+            self.problems.add_if(
+                len(self.problems) < 5,
+                f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183",
+                code="row-unreadable",
+            )
 
     def _take(self, fields: list[str]) -> None:
         match fields[0][-3:]:

@@ -22,7 +22,6 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.store import load_group
 from hyperpaint.io.store.reader import is_zarr
 
-from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, midnight_of, refuse_backwards
 from .navigation_formats import (
     is_nmea,
     read_eph_att,
@@ -31,7 +30,20 @@ from .navigation_formats import (
     read_nmea,
     read_sbet,
 )
-from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
+from .navigation_records import (
+    ASSUMED,
+    GPS_EPOCH,
+    NS_PER_S,
+    POSE,
+    WEEK_S,
+    ClockCorrection,
+    Navigation,
+    PoseRecord,
+    midnight_of,
+    read_gps_time,
+    read_imu_gps,
+    refuse_backwards,
+)
 
 #: A file's record, its UTC [ns since 1970-01-01], and attributes that describe the conversion to UTC.
 Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
@@ -154,20 +166,21 @@ def open_navigation(
     if is_zarr(paths):
         return _stored_record(paths, convention)
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
-    if not files:
-        raise FormatError("an empty list of navigation files", expected="one or more", code="empty-input")
+    FormatError.raise_if(
+        not files, "an empty list of navigation files", expected="one or more", code="empty-input"
+    )
     source = TimeSource(week, date, leap_seconds, time_scale, clock_offset_s)
     source.check()
     if format is not None:
         one_of(format, get_args(NavigationFormat), "format")
     parts: list[Part] = []
     findings = Findings("the navigation cannot be used")
-    if columns is not None and format not in (None, "csv"):
-        raise SchemaError(
-            f"columns= with format {format!r}",
-            expected="format 'csv'",
-            code="option-conflict",
-        )
+    SchemaError.raise_if(
+        columns is not None and format not in (None, "csv"),
+        f"columns= with format {format!r}",
+        expected="format 'csv'",
+        code="option-conflict",
+    )
     for path in files:
         with findings.step():
             kind = format or ("csv" if columns is not None else navigation_format(path))
@@ -266,10 +279,12 @@ def _stored_record(path: Any, convention: Convention | Mapping[str, Any] | None)
             )
     problems.raise_if_any()
     time = record[NAVIGATION_TIME].values
-    if time.dtype.kind != "M" or not time.size or np.isnat(time).any():
-        raise TimeError(
-            f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]", code="type-wrong"
-        )
+    TimeError.raise_if(
+        time.dtype.kind != "M" or not time.size or np.isnat(time).any(),
+        f"{path}: {NAVIGATION_TIME} is {time.dtype}",
+        expected="UTC, datetime64[ns]",
+        code="type-wrong",
+    )
     refuse_backwards(str(path), time.astype("datetime64[ns]").astype(np.int64), row="sample")
     own = Convention.from_attrs(record.attrs)
     declared = _convention(str(path), own or Convention(), ("angle_unit",) if own is None else (), convention)
@@ -362,8 +377,7 @@ class TimeSource:
             (offset is None or (is_number(offset) and abs(offset) <= 1e9), f"clock_offset_s {offset!r:.40}",
              "seconds, -1e9 to 1e9", "value-out-of-range"),
         ):  # fmt: skip
-            if not is_valid:
-                problems.add(found, expected=expected, code=code)
+            problems.add_if(not is_valid, found, expected=expected, code=code)
         problems.raise_if_any()
 
     @property
@@ -408,14 +422,17 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
     problems, first = Problems(f"{record.name} contradicts week or date", TimeError), int(stamp[0])
     begins = f"it begins at {np.datetime64(first // NS_PER_S, 's')}"
     stamp_week = (first - GPS_EPOCH) // (WEEK_S * NS_PER_S)
-    if midnight is not None and abs(first - midnight - _DAY_NS // 2) > 1.5 * _DAY_NS:
-        problems.add(
-            f"{begins}, but date is {source.date}",
-            mend="correct date, or open another file",
-            code="date-conflict",
-        )
-    if source.week not in (None, stamp_week) and record.counts_from != "week":
-        problems.add(f"{begins}, in week {stamp_week}, but week is {source.week}", code="gps-week-conflict")
+    problems.add_if(
+        midnight is not None and abs(first - midnight - _DAY_NS // 2) > 1.5 * _DAY_NS,
+        f"{begins}, but date is {source.date}",
+        mend="correct date, or open another file",
+        code="date-conflict",
+    )
+    problems.add_if(
+        source.week not in (None, stamp_week) and record.counts_from != "week",
+        f"{begins}, in week {stamp_week}, but week is {source.week}",
+        code="gps-week-conflict",
+    )
     problems.raise_if_any()
     scale = source.time_scale or record.time_scale
     leap = record.leap_seconds if source.leap_seconds is None else int(source.leap_seconds)
@@ -438,19 +455,18 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
 def _refuse_mixtures(parts: Sequence[Part]) -> None:
     first = parts[0][0]
     for (earlier_record, earlier_utc, _), (record, utc, _) in itertools.pairwise(parts):
-        if (record.format, record.convention, set(record.others)) != (
-            first.format,
-            first.convention,
-            set(first.others),
-        ):
-            raise FormatError(
-                (
-                    f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format, "
-                    "columns or convention"
-                ),
-                mend="open them separately",
-                code="formats-mixed",
-            )
+        FormatError.raise_if(
+            (record.format, record.convention, set(record.others))
+            != (
+                first.format,
+                first.convention,
+                set(first.others),
+            ),
+            f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format, "
+            "columns or convention",
+            mend="open them separately",
+            code="formats-mixed",
+        )
         if utc[0] <= earlier_utc[-1]:
             end, start = (
                 np.datetime64(int(t), "ns").astype("datetime64[ms]") for t in (earlier_utc[-1], utc[0])

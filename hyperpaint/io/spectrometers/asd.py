@@ -565,13 +565,13 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
             is_ended = is_ended or bool(labels and line.strip())
             continue
         row = [cell_number(cell) for cell in cells[1:]]
-        if len(cells) != len(names) or None in row or is_ended:
-            raise FormatError(
-                f"{name}: line {line_number} of the table holds {line.strip()[:60]!r}",
-                expected=f"{len(names)} cells separated by {separator!r}",
-                mend=again,
-                code="row-unreadable",
-            )
+        FormatError.raise_if(
+            len(cells) != len(names) or None in row or is_ended,
+            f"{name}: line {line_number} of the table holds {line.strip()[:60]!r}",
+            expected=f"{len(names)} cells separated by {separator!r}",
+            mend=again,
+            code="row-unreadable",
+        )
         labels.append(cells[0])
         rows.append(row)
     spectra, nanometres = (labels, names[1:]) if is_spectrum_per_row else (names[1:], labels)
@@ -713,13 +713,13 @@ def read_spectra(
             f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}"
         )
         warn_user(text, "quantity-assumed")
-    if absolute and target_quantity != "reflectance":
-        raise SchemaError(
-            f"absolute=True with quantity {target_quantity!r}",
-            expected="reflectance",
-            mend="omit absolute=, or pass quantity='reflectance'",
-            code="option-conflict",
-        )
+    SchemaError.raise_if(
+        absolute and target_quantity != "reflectance",
+        f"absolute=True with quantity {target_quantity!r}",
+        expected="reflectance",
+        mend="omit absolute=, or pass quantity='reflectance'",
+        code="option-conflict",
+    )
 
     def spectra_of(content: AsdFile | AsdText) -> list[Spectrum]:
         if isinstance(content, AsdFile):
@@ -908,12 +908,12 @@ def utc_offsets(
             text = f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}"
             warn_user(text, "utc-offset-conflict")
         return [utc_offset_h] * len(spectra)
-    if one_clock and len(sources_by_offset) > 1:
-        raise TimeError(
-            f"UTC offsets differ within one series: {offsets_text}",
-            mend="pass utc_offset_h=",
-            code="utc-offset-conflict",
-        )
+    TimeError.raise_if(
+        one_clock and len(sources_by_offset) > 1,
+        f"UTC offsets differ within one series: {offsets_text}",
+        mend="pass utc_offset_h=",
+        code="utc-offset-conflict",
+    )
     if one_clock and sources_by_offset:
         return [next(iter(sources_by_offset))] * len(spectra)
     without_zone = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]

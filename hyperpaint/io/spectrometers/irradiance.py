@@ -243,10 +243,12 @@ def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
     stamps = data[_HYPERNETS_TIME].values
     if stamps.dtype.kind != "M":
         count = stamps / np.timedelta64(1, "s") if stamps.dtype.kind == "m" else stamps.astype(np.float64)
-        if (np.abs(count) > _MAX_TIME_S).any():
-            raise FormatError(
-                "'acquisition_time' is out of range", expected="seconds from 1970", code="time-unreadable"
-            )
+        FormatError.raise_if(
+            (np.abs(count) > _MAX_TIME_S).any(),
+            "'acquisition_time' is out of range",
+            expected="seconds from 1970",
+            code="time-unreadable",
+        )
         is_known = np.isfinite(count)
         nanoseconds = np.where(is_known, count * 1e9, 0.0).round().astype(np.int64)
         stamps = np.where(is_known, nanoseconds.astype("datetime64[ns]"), np.datetime64("NaT", "ns"))
@@ -448,8 +450,7 @@ def open_irradiance(
             f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
             code="time-duplicate",
         )
-    if len(repeats) > _MAX_SHOWN:
-        problems.add(f"... ({len(repeats)} pairs in all)", code="time-duplicate")
+    problems.add_if(len(repeats) > _MAX_SHOWN, f"... ({len(repeats)} pairs in all)", code="time-duplicate")
     problems.raise_if_any()
     factor = conversion_factor(series.units, VARIABLES["irradiance"].units)
     # in the units of the schema; refused where float32 would overflow
@@ -499,22 +500,22 @@ def _from_files(
     kinds, default_units = [sniff(path) for path in files], VARIABLES["irradiance"].units
     if "csv" in kinds:
         other_names = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
-        if other_names:
-            raise FormatError(
-                f"csv and other files in one series; not csv: {listed(other_names)}",
-                mend="open them separately",
-                code="formats-mixed",
-            )
+        FormatError.raise_if(
+            other_names,
+            f"csv and other files in one series; not csv: {listed(other_names)}",
+            mend="open them separately",
+            code="formats-mixed",
+        )
         tables = for_all(files, read_irradiance_csv)
         names = listed([table.name for table in tables])
         for field_name in ("units", "fwhm_nm", "wavelength"):
             found = [getattr(table, field_name) for table in tables]
-            if any(not np.array_equal(content, found[0]) for content in found):
-                raise FormatError(
-                    f"the csv files differ in their {field_name}: {names}",
-                    mend="open them separately",
-                    code="series-mismatch",
-                )
+            FormatError.raise_if(
+                any(not np.array_equal(content, found[0]) for content in found),
+                f"the csv files differ in their {field_name}: {names}",
+                mend="open them separately",
+                code="series-mismatch",
+            )
         units = units or tables[0].units
         if units is None:
             mend = f"pass units=, or add a line on top, for example '# units: {default_units}'"
@@ -535,13 +536,13 @@ def _from_files(
     if quantity is None and "text" not in kinds:
         quantity = "irradiance"  # binary files yield it by their calibration, whatever quantity was displayed
     spectra, file_quantity = read_spectra(files, quantity, calibration=calibration)
-    if file_quantity != "irradiance":
-        raise FormatError(
-            f"the files seem to hold {file_quantity}: {listed([path.name for path in files])}",
-            expected="irradiance",
-            mend="pass quantity='irradiance' if they hold it",
-            code="quantity-wrong",
-        )
+    FormatError.raise_if(
+        file_quantity != "irradiance",
+        f"the files seem to hold {file_quantity}: {listed([path.name for path in files])}",
+        expected="irradiance",
+        mend="pass quantity='irradiance' if they hold it",
+        code="quantity-wrong",
+    )
     wavelength = spectra[0].wavelength
     # the widths that are assumed for an ASD instrument, which may have more detectors than the first
     fwhm: Floats | float = ASD_FWHM_NM
@@ -569,12 +570,12 @@ def _from_spectra(
     **extra: Any,
 ) -> _Series:
     without_stamp = [spectrum.source for spectrum in spectra if spectrum.local_time is None]
-    if without_stamp:
-        raise TimeError(
-            f"spectra without a time stamp cannot make a series: {listed(without_stamp)}",
-            mend="export them with the header ('Spectrum saved: ...'), or write a csv series",
-            code="time-missing",
-        )
+    TimeError.raise_if(
+        without_stamp,
+        f"spectra without a time stamp cannot make a series: {listed(without_stamp)}",
+        mend="export them with the header ('Spectrum saved: ...'), or write a csv series",
+        code="time-missing",
+    )
     sources = [spectrum.source for spectrum in spectra]
     last_source_text = f" to {sources[-1]} ({len(sources)} spectra)" if len(sources) > 1 else ""
     return _Series(
@@ -770,12 +771,12 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     #     wavelengths are outside sunlight.
     # Warns PaintWarning: The brightest sample is as dim as before sunrise.
     first, last = wavelength[0], wavelength[-1]
-    if last < _SUNLIGHT_RANGE_NM[0] or first > _SUNLIGHT_RANGE_NM[1]:
-        raise UnitsError(
-            f"wavelengths from {first:g} to {last:g} nm, where there is no sunlight",
-            mend="convert micrometres, angstroms or wavenumbers to nanometres",
-            code="wavelength-range",
-        )
+    UnitsError.raise_if(
+        last < _SUNLIGHT_RANGE_NM[0] or first > _SUNLIGHT_RANGE_NM[1],
+        f"wavelengths from {first:g} to {last:g} nm, where there is no sunlight",
+        mend="convert micrometres, angstroms or wavenumbers to nanometres",
+        code="wavelength-range",
+    )
     brightest = brightest_median(wavelength, values)
     slip = unit_slip(brightest)
     median = f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1"
@@ -813,12 +814,12 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
         names.append("irradiance_clock_uncertainty")
     variables = require(irradiance, names, "the irradiance of a flight line")
     stamps = variables["irradiance"][IRRADIANCE_TIME].values.astype("datetime64[ns]")
-    if np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0, "ns")).any():
-        raise TimeError(
-            "irradiance times repeat, run backwards or are missing",
-            mend="sort them, and remove repeated ones",
-            code="time-unordered",
-        )
+    TimeError.raise_if(
+        np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0, "ns")).any(),
+        "irradiance times repeat, run backwards or are missing",
+        mend="sort them, and remove repeated ones",
+        code="time-unordered",
+    )
     lines = np.sort(time[~np.isnat(time)])
     if not lines.size or not stamps.size or stamps[-1] < lines[0] or stamps[0] > lines[-1]:
         record, line = (

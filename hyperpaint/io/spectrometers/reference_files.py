@@ -179,7 +179,6 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
             references_by_paint.setdefault(paint, {}).update(dict.fromkeys(references))
         elif len(problems) < _MAX_SHOWN:
             problems.extend([Problem(found, expected=expected, code=code)])
-    if not references_by_paint and not problems:
-        problems.add("the file contains no pair", code="empty-input")
+    problems.add_if(not references_by_paint and not problems, "the file contains no pair", code="empty-input")
     problems.raise_if_any()
     return {paint: tuple(references) for paint, references in references_by_paint.items()}

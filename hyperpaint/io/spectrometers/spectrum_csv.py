@@ -353,12 +353,12 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     path = Path(path)
     text = read_limited_text(path, _MAX_BYTES, "a radiometric calibration").decode("utf-8", "replace")
     lines = [line.strip() for line in text.splitlines()]
-    if tuple(lines[:2]) != _FIRST_LINES:
-        raise FormatError(
-            f"{path} begins with {' '.join(lines[:2])[:60]!r}",
-            expected=" and ".join(_FIRST_LINES),
-            code="format-unknown",
-        )
+    FormatError.raise_if(
+        tuple(lines[:2]) != _FIRST_LINES,
+        f"{path} begins with {' '.join(lines[:2])[:60]!r}",
+        expected=" and ".join(_FIRST_LINES),
+        code="format-unknown",
+    )
     # numbered lines by section
     sections: dict[str, list[tuple[int, str]]] = {}
     section: list[tuple[int, str]] = []
@@ -383,11 +383,11 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
             continue
         table = np.array(cells, np.float64)
         tables[name] = table[1:] if name == "CALDATA" else table  # whose first row holds integration times
-        if not np.isfinite(table).all() or (np.diff(tables[name][:, nm_column]) <= 0).any():
-            problems.add(
-                f"[{name}] has wavelengths that do not increase, or values that are not finite",
-                code="wavelength-unordered",
-            )
+        problems.add_if(
+            not np.isfinite(table).all() or (np.diff(tables[name][:, nm_column]) <= 0).any(),
+            f"[{name}] has wavelengths that do not increase, or values that are not finite",
+            code="wavelength-unordered",
+        )
     problems.raise_if_any()
     data = xr.Dataset(
         coords={dim: (dim, tables[name][:, nm], {"units": "nm"}) for name, (_, dim, nm) in _TABLES.items()}

@@ -84,11 +84,11 @@ def find_paths(
             except ValueError as error:
                 problems.add(f"{path}: {error}", code="pattern-unusable")
                 continue
-        if not matches:
-            problems.add(f"{path}: no spectra found", expected=expected, code="file-not-found")
+        problems.add_if(not matches, f"{path}: no spectra found", expected=expected, code="file-not-found")
         files += matches
-    if not files and not problems:
-        problems.add("an empty list of files", mend="name at least one", code="empty-input")
+    problems.add_if(
+        not files and not problems, "an empty list of files", mend="name at least one", code="empty-input"
+    )
     problems.raise_if_any()
     return files
 
@@ -198,12 +198,12 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
 def check_utc_offset(hours: float) -> None:
     # Refuse local time minus UTC [h] beyond the offsets of all zones.
     # Raises TimeError: It is outside -14 to 14.
-    if not -14.0 <= hours <= 14.0:
-        raise TimeError(
-            f"utc_offset_h={hours}",
-            expected="local time minus UTC in hours, within -14 to 14",
-            code="value-out-of-range",
-        )
+    TimeError.raise_if(
+        not -14.0 <= hours <= 14.0,
+        f"utc_offset_h={hours}",
+        expected="local time minus UTC in hours, within -14 to 14",
+        code="value-out-of-range",
+    )
 
 
 def listed(names: Sequence[str], max_names: int = 20) -> str:

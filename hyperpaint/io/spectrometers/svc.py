@@ -173,12 +173,12 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
                 header[last_key] += f"\n{line.strip()}"
             continue
         last_key = dialect.keys.get(key, key)
-        if header.setdefault(last_key, value) != value:
-            raise FormatError(
-                f"{path.name}: the header has {key!r} twice with different values",
-                mend="copy the file again",
-                code="key-duplicate",
-            )
+        FormatError.raise_if(
+            header.setdefault(last_key, value) != value,
+            f"{path.name}: the header has {key!r} twice with different values",
+            mend="copy the file again",
+            code="key-duplicate",
+        )
     else:
         raise FormatError(
             f"{path.name}: no line '{dialect.data}{dialect.assigns}' among the first {_MAX_HEADER_LINES}",
@@ -202,13 +202,13 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
         if line.strip()
     ]
     for number, line, cells in rows:
-        if len(cells) != count or None in cells:
-            raise FormatError(
-                f"{path.name}: line {number} holds {line.strip()[:60]!r}",
-                expected="four numbers (wavelength, reference, target, percent)",
-                mend="copy the file again",
-                code="row-unreadable",
-            )
+        FormatError.raise_if(
+            len(cells) != count or None in cells,
+            f"{path.name}: line {number} holds {line.strip()[:60]!r}",
+            expected="four numbers (wavelength, reference, target, percent)",
+            mend="copy the file again",
+            code="row-unreadable",
+        )
     table = np.array([cells for *_, cells in rows], np.float64).reshape(-1, count).T
     columns = np.ascontiguousarray(table[list(dialect.columns)])
     columns.flags.writeable = False
@@ -479,17 +479,19 @@ def open_svc(
     if quantity is not None:
         one_of(quantity, QUANTITIES, "quantity", problems=problems)
     one_of(scan, SCANS, "scan", problems=problems)
-    if scan == "reference" and quantity == "reflectance":
-        problems.add(
-            "scan='reference' with quantity='reflectance', which is a ratio of both scans",
-            mend="omit scan, or pass quantity='radiance'",
-            code="option-conflict",
-        )
+    problems.add_if(
+        scan == "reference" and quantity == "reflectance",
+        "scan='reference' with quantity='reflectance', which is a ratio of both scans",
+        mend="omit scan, or pass quantity='radiance'",
+        code="option-conflict",
+    )
     one_of(overlap, get_args(Overlap), "overlap", problems=problems)
-    if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
-        problems.add(
-            f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
-        )
+    problems.add_if(
+        joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf),
+        f"joins={joins!r}",
+        expected="two increasing wavelengths in nm",
+        code="value-out-of-range",
+    )
     problems.raise_if_any()
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)

@@ -57,8 +57,9 @@ def test_texts_of_0_2_open() -> None:
     # Rationale: hyperpaint 0.2 wrote these texts in the format of the ECOSTRESS library.
     paths = sorted((FILES / "ecostress").glob("*.txt"))
     library, back = declared_library(bands=6), hp.open_library(paths)
-    centres = library.reflectance.sel(signature=back["signature"].values)
-    np.testing.assert_allclose(back.reflectance, centres, rtol=1e-6)
+    np.testing.assert_allclose(
+        back.reflectance, library.reflectance.sel(signature=back["signature"].values), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("rule", FAULTY)

@@ -40,8 +40,9 @@ def test_nothing_is_replaced_unasked(library: xr.Dataset, tmp_path: Path, format
     assert hp.write_library(library, path, format=format) == path
     before = state(tmp_path)
     other = library.isel(signature=[0, 1])
-    with pytest.raises(StoreError, match=r"exist.*overwrite=True"):
-        hp.write_library(other, path, format=format)
+    expect_errors(
+        (StoreError, r"exist.*overwrite=True", lambda: hp.write_library(other, path, format=format))
+    )
     assert state(tmp_path) == before
     hp.write_library(other, path, format=format, overwrite=True)
     assert hp.open_library(path).sizes["signature"] == 2
@@ -49,8 +50,15 @@ def test_nothing_is_replaced_unasked(library: xr.Dataset, tmp_path: Path, format
     thesis = tmp_path / "folder" / "thesis.doc"
     thesis.parent.mkdir()
     thesis.write_text("ten years of work")
-    with pytest.raises(StoreError, match=r"is a folder|holds|other"):
-        hp.write_library(library, thesis.parent, format="zarr" if format == "zarr" else "csv", overwrite=True)
+    expect_errors(
+        (
+            StoreError,
+            r"is a folder|holds|other",
+            lambda: hp.write_library(
+                library, thesis.parent, format="zarr" if format == "zarr" else "csv", overwrite=True
+            ),
+        )
+    )
     assert thesis.read_text() == "ten years of work"
 
 
@@ -153,8 +161,7 @@ def test_a_header_too_large_to_be_read__is_refused(
     library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(spectra_files, "MAX_LIBRARY_HEADER_BYTES", 500)
-    with pytest.raises(ValueError, match="file-too-large"):
-        hp.write_library(library, tmp_path / "paints.sli")
+    expect_errors((ValueError, "file-too-large", lambda: hp.write_library(library, tmp_path / "paints.sli")))
     assert list(tmp_path.iterdir()) == []
 
 

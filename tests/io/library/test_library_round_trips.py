@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
@@ -36,8 +38,7 @@ def trip(library: xr.Dataset, folder: Path, name: str, **options: Any) -> xr.Dat
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_sli_and_csv__give_the_library_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
     # Expected: every value, dtype, attribute and name, members with their padding, and NaN as it was.
-    falling = library.isel(band=slice(None, None, -1))
-    for folder, one in (("rising", library), ("falling", falling)):
+    for folder, one in (("rising", library), ("falling", library.isel(band=slice(None, None, -1)))):
         found = trip(one, tmp_path / folder, name, curves="all")
         xr.testing.assert_identical(found, one)
     assert {key: found[key].dtype for key in library.variables} == dict(library.dtypes) | {
@@ -76,8 +77,10 @@ def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
     theirs = envi.open(str(path.with_suffix(".hdr")), str(path))
     assert list(theirs.names[:5]) == ["red; matt", "Grün", "Grün (2)", 'a/b "x" / c (d)', "unnamed"]
     np.testing.assert_array_equal(theirs.spectra[:5], library["reflectance"].values)
-    at = list(theirs.names).index("Grün (2) | member 3")
-    np.testing.assert_array_equal(theirs.spectra[at], library["member_reflectance"].values[2, 2])
+    np.testing.assert_array_equal(
+        theirs.spectra[list(theirs.names).index("Grün (2) | member 3")],
+        library["member_reflectance"].values[2, 2],
+    )
     np.testing.assert_array_equal(theirs.bands.centers, library["wavelength"].values)
     # the header of centres has the columns of the paints
     path = hp.write_library(library, tmp_path / "centres.sli")
@@ -88,8 +91,9 @@ def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path: Path) -> None:
-    path = hp.write_library(library, tmp_path / "paints.csv", curves="all")
-    with open(path, encoding="utf-8-sig", newline="") as file:
+    with open(
+        hp.write_library(library, tmp_path / "paints.csv", curves="all"), encoding="utf-8-sig", newline=""
+    ) as file:
         head, *rows = csv.reader(file)
     assert head[:3] == ["signature", "variable", "place"]
     first = len(head) - library.sizes["band"]
@@ -101,8 +105,10 @@ def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path:
         *[("Grün", str(place)) for place in (1, 2)],  # padding is left out
         *[("Grün", str(place)) for place in (1, 2, 3, 4)],
     ]
-    metadata = json.loads((tmp_path / "paints.csv.json").read_text(encoding="utf-8"))
-    assert metadata["coords"]["make"]["data"] == library["make"].values.tolist()
+    assert (
+        json.loads((tmp_path / "paints.csv.json").read_text(encoding="utf-8"))["coords"]["make"]["data"]
+        == library["make"].values.tolist()
+    )
 
 
 def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path: Path) -> None:
@@ -110,36 +116,46 @@ def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path:
     path = hp.write_library(library, tmp_path / "paints.csv")
     assert path.read_bytes().startswith(b"\xef\xbb\xbfsignature,make,n,n_eff,quality,time,year,400.0,")
     table = pd.read_csv(path, keep_default_na=False, na_values={"n_eff": [""]}, dtype={"make": str})
-    assert table["signature"].tolist() == NAMES
-    assert table["make"].tolist() == ["VW", "", "Škoda", "a b", "ß"]
+    assert (table["signature"].tolist(), table["make"].tolist()) == (NAMES, ["VW", "", "Škoda", "a b", "ß"])
     assert table["year"].tolist() == [2001, 2, 3, 4, 5]
     np.testing.assert_array_equal(table["n_eff"], library["n_eff"])
     assert str(table["time"][0]) == "2024-05-21T11:33:07.123456789"
     values = table.iloc[:, table.columns.get_loc("400.0") :]
     assert [float(name) for name in values.columns] == library["wavelength"].values.tolist()
     np.testing.assert_array_equal(values.to_numpy("f4"), library["reflectance"].values)
-    plain = library.isel(signature=[0]).assign_coords(make=("signature", np.array(["VW"], object)))
-    assert hp.write_library(plain, tmp_path / "plain.csv").read_bytes().startswith(b"signature,")
+    assert (
+        hp.write_library(
+            library.isel(signature=[0]).assign_coords(make=("signature", np.array(["VW"], object))),
+            tmp_path / "plain.csv",
+        )
+        .read_bytes()
+        .startswith(b"signature,")
+    )
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_centres__are_the_default_and_come_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
     # Expected: the centre and what is said of paints, to the bit; no member, quantile or spread.
-    found = trip(library, tmp_path, name)
-    left = library.drop_vars(["reflectance_sd"]).drop_dims(["member", "quantile"])
-    xr.testing.assert_identical(found, left)
+    xr.testing.assert_identical(
+        trip(library, tmp_path, name), library.drop_vars(["reflectance_sd"]).drop_dims(["member", "quantile"])
+    )
     if name == "paints.csv":
-        rows = (tmp_path / "one" / name).read_text(encoding="utf-8-sig").splitlines()
-        assert len(rows) == 1 + len(NAMES)
+        assert len((tmp_path / "one" / name).read_text(encoding="utf-8-sig").splitlines()) == 1 + len(NAMES)
     else:
         assert (tmp_path / "one" / name).stat().st_size == 4 * library["reflectance"].size
 
 
 def test_formats_hold_what_they_can(library: xr.Dataset, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        hp.write_library(library, tmp_path / "paints.csv", curves="members")
-    found = hp.open_library(hp.write_library(library, tmp_path / "paints.zarr", curves="centre"))
-    assert not {"member", "quantile"} & {*found.dims}
+    expect_errors(
+        (
+            SchemaError,
+            "choice-unknown",
+            lambda: hp.write_library(library, tmp_path / "paints.csv", curves="members"),
+        )
+    )
+    assert not {"member", "quantile"} & {
+        *hp.open_library(hp.write_library(library, tmp_path / "paints.zarr", curves="centre")).dims
+    }
 
 
 def test_csv__written_by_earlier_versions_opens(library: xr.Dataset, tmp_path: Path) -> None:
@@ -210,8 +226,9 @@ def test_without_metadata__spectra_and_members_still_lead_back(
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path: Path, name: str) -> None:
     path = hp.write_library(library, tmp_path / name, curves="all")
-    shifted = library.assign_coords(wavelength=library["wavelength"] + 1.0)
-    other = hp.write_library(shifted, tmp_path / "other" / name, curves="all")
+    other = hp.write_library(
+        library.assign_coords(wavelength=library["wavelength"] + 1.0), tmp_path / "other" / name, curves="all"
+    )
     path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
     expect_errors((FormatError, "grid-mismatch", lambda: hp.open_library(path)))
     fewer = hp.write_library(library.isel(signature=[0, 1]), tmp_path / "fewer" / name, curves="all")
@@ -253,8 +270,9 @@ def test_units__are_brought_to_those_of_the_table(library: xr.Dataset, tmp_path:
     np.testing.assert_allclose(found["reflectance"].values, library["reflectance"].values, rtol=1e-6)
     np.testing.assert_allclose(found["wavelength"].values, library["wavelength"].values)
     del percent["reflectance"].attrs["units"]
-    with pytest.raises(SchemaError, match=r"'reflectance'.*units"):
-        hp.write_library(percent, tmp_path / "more.sli")
+    expect_errors(
+        (SchemaError, r"'reflectance'.*units", lambda: hp.write_library(percent, tmp_path / "more.sli"))
+    )
 
 
 def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_path: Path) -> None:
@@ -275,8 +293,13 @@ def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_pa
     ):
         with pytest.raises(FormatError, match=r"envi, csv, parquet, zarr.*choice-unknown"):
             hp.write_library(library, tmp_path / name, **options)
-    with pytest.raises(SchemaError, match=r"'when'.*type-wrong"):
-        hp.write_library(library.assign_attrs(when=object()), tmp_path / "paints.csv")
+    expect_errors(
+        (
+            SchemaError,
+            r"'when'.*type-wrong",
+            lambda: hp.write_library(library.assign_attrs(when=object()), tmp_path / "paints.csv"),
+        )
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -315,8 +338,9 @@ def test_any_names_and_values__come_back(
         },
     )
     for name in ("paints.sli", "paints.csv"):
-        folder = tmp_path_factory.mktemp("any")
-        xr.testing.assert_identical(trip(library, folder, name, curves="all"), library)
+        xr.testing.assert_identical(
+            trip(library, tmp_path_factory.mktemp("any"), name, curves="all"), library
+        )
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
@@ -339,8 +363,9 @@ def test_what_is_read_from_others__can_be_written(shared_data: Path, tmp_path: P
     for name in ("usgs.sli", "usgs.csv"):
         xr.testing.assert_identical(trip(usgs, tmp_path, name, curves="all"), usgs)
     text = hp.open_library(sorted((shared_data / "spectra_ascii").glob("PVC_*.txt")))
-    found = trip(text, tmp_path, "pvc.csv")
-    np.testing.assert_array_equal(found["reflectance"].values, text["reflectance"].values)
+    np.testing.assert_array_equal(
+        trip(text, tmp_path, "pvc.csv")["reflectance"].values, text["reflectance"].values
+    )
 
 
 @pytest.mark.parametrize("name", ["=HYPERLINK(1)", "+red", "-matt", "@lab", "'=x", "''-y", "-5.25", "'red'"])
@@ -368,5 +393,105 @@ def test_no_name_is_a_formula_to_a_spreadsheet(tmp_path: Path, name: str) -> Non
 def test_a_wavelength_given_twice_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "twice.csv"
     path.write_text("wavelength (nm),red\n400,0.1\n500,0.2\n600,0.3\n700,0.4\n500,0.25\n800,0.3\n900,0.2\n")
-    with pytest.raises(FormatError, match="wavelength-duplicate"):
-        hp.open_library(path, wavelength=[400.0, 500.0, 600.0, 700.0, 500.0, 800.0, 900.0])
+    expect_errors(
+        (
+            FormatError,
+            "wavelength-duplicate",
+            lambda: hp.open_library(path, wavelength=[400.0, 500.0, 600.0, 700.0, 500.0, 800.0, 900.0]),
+        )
+    )
+
+
+# --- Parquet in the columns of OpenSpecLib: read by pyarrow alone, and files of others ---
+
+
+def foreign(path, **changes):
+    # Write a file as OpenSpecLib describes it, with pyarrow alone.
+    wavelengths = [0.4, 0.5, 0.6]
+    columns = {
+        "id": ["usgs:1", "usgs:2"], "name": ["olivine", "asphalt"],
+        "source.license": ["public domain"] * 2, "source.citation": ["Kokaly 2017"] * 2,
+        "spectral_data.type": ["reflectance"] * 2, "spectral_data.wavelength_unit": ["um"] * 2,
+        "spectral_data.wavelengths": [wavelengths] * 2,
+        "spectral_data.values": [[0.1, None, 0.3], [0.2, 0.2, 0.2]], "additional_properties": ["{}"] * 2,
+    } | changes  # fmt: skip
+    pq.write_table(pa.table(columns), path)
+    return path
+
+
+def test_a_file_of_others_is_a_library(tmp_path):
+    library = hp.open_library(foreign(tmp_path / "usgs.parquet"))
+    np.testing.assert_allclose(library.wavelength, [400.0, 500.0, 600.0])
+    assert library["signature"].values.tolist() == ["olivine", "asphalt"]
+    np.testing.assert_array_equal(library.reflectance, np.float32([[0.1, np.nan, 0.3], [0.2, 0.2, 0.2]]))
+    assert library.licence.values.tolist() == ["public domain"] * 2
+    library = hp.open_library(
+        foreign(
+            tmp_path / "tes.parquet",
+            **{
+                "spectral_data.wavelength_unit": ["cm-1"] * 2,
+                "spectral_data.wavelengths": [[20000.0, 16000.0, 12500.0]] * 2,
+            },
+        )
+    )
+    np.testing.assert_allclose(library.wavelength, [500.0, 625.0, 800.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"spectral_data.type": ["emissivity"] * 2}, "quantity-wrong"),
+        ({"spectral_data.wavelength_unit": ["um", "nm"]}, "units-unknown"),
+        ({"spectral_data.wavelengths": [[0.4, 0.5, 0.6], [0.4, 0.5, 0.7]]}, "different wavelengths"),
+        ({"spectral_data.values": [[0.1, 0.2], [0.2, 0.2, 0.2]]}, "row 0.*length-mismatch"),
+        ({"spectral_data.values": [None, [0.2, 0.2, 0.2]]}, "row 0.*length-mismatch"),
+    ],
+)
+def test_what_is_no_library_is_refused(tmp_path, changes, message):
+    expect_errors(
+        (hp.FormatError, message, lambda: hp.open_library(foreign(tmp_path / "x.parquet", **changes)))
+    )
+
+
+def test_damaged_files_are_refused(tmp_path):
+    whole = foreign(tmp_path / "x.parquet").read_bytes()
+    pq.write_table(pa.table({"name": ["a"]}), tmp_path / "x.parquet")
+    expect_errors((hp.FormatError, "column-missing", lambda: hp.open_library(tmp_path / "x.parquet")))
+    for cut in (4, 40, len(whole) // 2, len(whole) - 4):
+        (tmp_path / "cut.parquet").write_bytes(whole[:cut])
+        with pytest.raises(hp.FormatError, match="file-unreadable"):
+            hp.open_library(tmp_path / "cut.parquet")
+
+
+def test_pandas_readers_see_a_row_a_paint(tmp_path):
+    starter = hp.paints.starter_library(members=2)
+    path = hp.write_library(starter, tmp_path / "starter.parquet")
+    rows = pq.read_table(path).to_pylist()
+    assert [row["material.name"] for row in rows] == starter["signature"].values.tolist()
+    assert {row["material.category"] for row in rows} == {"man_made"}
+    assert json.loads(rows[0]["additional_properties"])["finish"] == "solid"
+    np.testing.assert_array_equal(
+        np.float32([row["spectral_data.values"] for row in rows]), starter.reflectance.values
+    )
+    path.with_name("starter.parquet.json").unlink()  # as others hand it on
+    alone = hp.open_library(path)
+    np.testing.assert_array_equal(alone.reflectance.values, starter.reflectance.values)
+    assert alone["signature"].values.tolist() == starter["signature"].values.tolist()
+
+
+def test_paints_of_one_name_stay_apart(tmp_path):
+    starter = (
+        hp.paints.starter_library(members=3)
+        .isel(signature=[0, 1, 2])
+        .assign_coords(signature=["a", "a", "b"])
+    )
+    path = hp.write_library(starter, tmp_path / "p.parquet", curves="all")
+    xr.testing.assert_identical(hp.open_library(path), starter)
+    # a number beyond 64 bits
+    rows = pq.read_table(path)
+    keys = [
+        text.replace('"place": 2', f'"place": {10**30}') for text in rows["additional_properties"].to_pylist()
+    ]
+    at = rows.schema.get_field_index("additional_properties")
+    pq.write_table(rows.set_column(at, rows.schema.field(at), pa.array(keys)), path)
+    expect_errors((hp.FormatError, "record-unmatched", lambda: hp.open_library(path)))

@@ -1,19 +1,25 @@
 """A library against its specification: planted faults are found by their rules, right libraries pass."""
 
+import itertools
 import json
+import warnings
+import zipfile
 from pathlib import Path
 
 import jsonschema
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from click.testing import CliRunner
 from support.library_examples import declared_library
-from support.refusals import expect_refusals
+from support.refusals import expect_errors, expect_refusals
 
 import hyperpaint as hp
+from hyperpaint.base.errors import FormatError, PaintWarning
+from hyperpaint.base.old_names import with_new_names
 from hyperpaint.cli.program import main
-from hyperpaint.io.library.specification import TERMS
+from hyperpaint.io.library.library_formats import TERMS
 
 ROOT = Path(__file__).resolve().parents[3]
 SCHEMA = json.loads((ROOT / "docs" / "paint-library.schema.json").read_text(encoding="utf-8"))
@@ -149,8 +155,7 @@ def test_planted_faults_are_found_by_their_rule(library, name):
 
 
 def test_rules_stand_in_the_page(library):
-    rules = {rule for rule, _ in FAULTS.values()}
-    assert all(f"`{rule}`" in PAGE for rule in rules)
+    assert all(f"`{rule}`" in PAGE for rule in {rule for rule, _ in FAULTS.values()})
     assert all(f"`{word}`" in PAGE for term in TERMS for word in term.words)
 
 
@@ -193,3 +198,146 @@ def test_command(library, tmp_path):
     assert CliRunner().invoke(main, ["check-library", str(path)]).exit_code == 0
     (tmp_path / "none.csv").write_text("a,b\n")
     assert CliRunner().invoke(main, ["check-library", str(tmp_path / "none.csv")]).exit_code == 2
+
+
+# --- libraries of hyperpaint 0.2 and before, whose dimension was `paint`
+
+FILES = ("paints.csv", "paints.sli", "paints.parquet", "paints.zarr")
+
+
+@pytest.fixture
+def released(tmp_path: Path) -> Path:
+    with zipfile.ZipFile(Path(__file__).with_name("released") / "version_1.zip") as archive:
+        archive.extractall(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def library_released() -> xr.Dataset:
+    return declared_library(bands=6)
+
+
+def old(library_released: xr.Dataset) -> xr.Dataset:
+    # Return a library as a session of hyperpaint 0.2 held it.
+    return library_released.rename(signature="paint").assign_attrs(paint_library_version=1)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_of_0_2_is_todays_library(released: Path, library_released: xr.Dataset, name: str) -> None:
+    if name.endswith("parquet"):
+        pytest.importorskip("pyarrow")
+    with pytest.warns(PaintWarning, match="'paint'.*'signature'") as caught:
+        opened = hp.open_library(released / name)
+    assert len(caught) == 1
+    xr.testing.assert_equal(opened.load(), library_released)
+    assert opened.attrs["paint_library_version"] == 2
+    assert "signature" in opened.indexes
+    with pytest.warns(PaintWarning, match="'signature'"):
+        assert hp.io.check_library(released / name).ok
+    xr.testing.assert_equal(
+        hp.open_library(hp.write_library(opened, released / "again" / name, curves="all")).load(),
+        library_released,
+    )
+
+
+@pytest.mark.parametrize("name", FILES[:3])
+def test_metadata_of_version_2_are_read(tmp_path: Path, library_released: xr.Dataset, name: str) -> None:
+    if name.endswith("parquet"):
+        pytest.importorskip("pyarrow")
+    with zipfile.ZipFile(Path(__file__).with_name("released") / "version_2.zip") as archive:
+        archive.extractall(tmp_path)
+    xr.testing.assert_identical(hp.open_library(tmp_path / name), library_released)
+
+
+def test_a_table_of_0_2_without_its_metadata_opens(released: Path) -> None:
+    (released / "paints.csv.json").unlink()
+    with pytest.warns(PaintWarning, match="is missing"):
+        opened = hp.open_library(released / "paints.csv")
+    assert opened["signature"].values.tolist() == ["red", "blue", "black"]
+
+
+def test_a_netcdf_of_0_2_is_taken_by_functions(released: Path, library_released: xr.Dataset) -> None:
+    pytest.importorskip("netCDF4")
+    with xr.open_dataset(released / "paints.nc") as opened, pytest.warns(PaintWarning, match="'signature'"):
+        path = hp.write_library(opened, released / "new.zarr")
+    xr.testing.assert_equal(hp.open_library(path).load(), library_released)
+
+
+def test_a_library_of_an_old_session_is_taken_everywhere(
+    library_released: xr.Dataset, tmp_path: Path
+) -> None:
+    jobs = {
+        "validate": lambda lib: hp.validate(lib, lib).statistics["signature"].values.tolist(),
+        "dirsig": lambda lib: hp.write_dirsig(lib, tmp_path / str("paint" in lib.dims))[
+            "signature"
+        ].values.tolist(),
+        "search": lambda lib: hp.paints.search_library(lib, name="red")["signature"].values.tolist(),
+        "colours": lambda lib: hp.paints.paint_colours(lib).tolist(),
+        "sample": lambda lib: hp.paints.sample_paints(lib, 3)["signature"].values.tolist(),
+        "mix": lambda lib: hp.paints.shade_paints(lib, [0.5])["signature"].values.tolist(),
+        "check": lambda lib: hp.io.check_library(lib).ok,
+        "declare": lambda lib: dict(hp.io.declare_library(lib).sizes),
+        "summary": lambda lib: "3 paints" in repr(lib.paint),
+        "figure": lambda lib: len(lib.paint.spectrum().lines),
+    }
+    for name, job in jobs.items():
+        with pytest.warns(PaintWarning, match="'signature'"):
+            found = job(old(library_released))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PaintWarning)
+            assert found == job(library_released), name
+
+
+def test_only_libraries_are_renamed(library_released: xr.Dataset) -> None:
+    for dataset in (
+        xr.Dataset({"reflectance": (("paint", "band", "cross_track"), np.zeros((1, 2, 3)))}),
+        xr.Dataset({"reflectance": ("x", [1.0])}, {"paint": ("x", ["red"])}),
+        library_released,
+        xr.Dataset({"paint": ("paint", [1])}),
+    ):
+        assert with_new_names(dataset) is dataset
+    with pytest.warns(PaintWarning):
+        one = with_new_names(old(library_released).isel(paint=0))
+    assert one["signature"].item() == "red"
+    with pytest.warns(PaintWarning):
+        spectra = with_new_names(old(library_released)["reflectance"])
+    assert spectra.dims == ("signature", "band")
+
+
+def test_a_property_called_signature_keeps_its_values(library_released: xr.Dataset) -> None:
+    mine = old(library_released).assign_coords(signature=("paint", ["a", "b", "c"]))
+    with pytest.warns(PaintWarning):
+        renamed = with_new_names(mine)
+    assert renamed["signature"].values.tolist() == ["red", "blue", "black"]
+    assert renamed["paint"].values.tolist() == ["a", "b", "c"]
+    assert "signature" in renamed.indexes
+
+
+@pytest.mark.parametrize(
+    ("part", "damage"),
+    [
+        *itertools.product(("spectra", "variables", "attrs", "sizes"), (None, 3, [1])),
+        *itertools.product(("spectra", "variables"), ({"paint": 3}, {"paint": {"dims": [1, "paint"]}})),
+    ],
+)
+def test_damaged_metadata_of_0_2_are_refused(released: Path, part: str, damage: object) -> None:
+    file = released / "paints.csv.json"
+    file.write_text(
+        json.dumps({**json.loads(file.read_text(encoding="utf-8")), part: damage}), encoding="utf-8"
+    )
+    with pytest.warns(PaintWarning, match="'signature'"), pytest.raises(FormatError):
+        hp.open_library(released / "paints.csv")
+
+
+@pytest.mark.parametrize("curves", ["centre", "all"])
+def test_our_table_comes_back_through_pandas_with_its_index(
+    library_released: xr.Dataset, tmp_path: Path, curves: str
+) -> None:
+    path = hp.write_library(library_released, tmp_path / "own.csv", curves=curves)
+    pd.read_csv(path).to_csv(tmp_path / "index.csv")
+    with pytest.warns(PaintWarning, match="is missing"):
+        opened = hp.open_library(tmp_path / "index.csv")
+    assert opened["signature"].values.tolist() == ["red", "blue", "black"]
+    np.testing.assert_array_equal(opened["reflectance"], library_released["reflectance"])
+    pd.read_csv(path).iloc[::-1].to_csv(tmp_path / "turned.csv")
+    expect_errors((FormatError, "column-name-missing", lambda: hp.open_library(tmp_path / "turned.csv")))

@@ -1,11 +1,18 @@
+import contextlib
 import datetime as dt
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from campaigns.faults.seed_files import RADCAL
+from hypothesis import given, strategies as st
 from support.codecs import plain_zarr
-from support.refusals import expect_refusals, refusal
+from support.refusals import expect_errors, expect_refusals, refusal
 
+import hyperpaint as hp
+from hyperpaint.base import schema
 from hyperpaint.base.errors import (
     FormatError,
     IncompleteStoreError,
@@ -15,6 +22,9 @@ from hyperpaint.base.errors import (
     UnitsError,
 )
 from hyperpaint.io.spectrometers.irradiance import open_irradiance, read_irradiance_csv
+from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
+from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
+from hyperpaint.io.spectrometers.spectrum_files import find_paths, for_all, name_spectra, same_grids
 from hyperpaint.io.store import to_store
 
 GRID = np.arange(350.0, 1051.0)
@@ -63,19 +73,24 @@ def sky(times, **coords):
 def test_the_real_skyward_exports_make_a_series(shared_data):
     folder = shared_data / "asd_ascii"
     # the later one first
-    files = [folder / "asd-e-irrad-sky.csv", folder / "asd-e-irrad-sky.tsv"]
-    series = open_irradiance(files, "irradiance", utc_offset_h=3)
+    series = open_irradiance(
+        [folder / "asd-e-irrad-sky.csv", folder / "asd-e-irrad-sky.tsv"], "irradiance", utc_offset_h=3
+    )
     expected = utc("2024-05-21T08:33:06.932", "2024-05-21T08:33:12.932")  # the middle of 136 ms
     np.testing.assert_array_equal(series["irradiance_time"].values, expected)
     assert series["irradiance_time"].dtype == np.dtype("datetime64[ns]")
     assert series["irradiance"].dims == ("irradiance_time", "irradiance_wavelength")
     assert series["irradiance"].dtype == np.float32
-    at_550 = series["irradiance"].sel(irradiance_wavelength=550).values
-    np.testing.assert_allclose(at_550, [0.890753970640618, 0.890642958711871], rtol=1e-7)
-    integral = (
-        series["irradiance"].sel(irradiance_wavelength=slice(400, 1000)).integrate("irradiance_wavelength")
+    np.testing.assert_allclose(
+        series["irradiance"].sel(irradiance_wavelength=550).values,
+        [0.890753970640618, 0.890642958711871],
+        rtol=1e-7,
     )
-    np.testing.assert_allclose(integral, [391.381, 391.411], atol=6e-4)
+    np.testing.assert_allclose(
+        series["irradiance"].sel(irradiance_wavelength=slice(400, 1000)).integrate("irradiance_wavelength"),
+        [391.381, 391.411],
+        atol=6e-4,
+    )
     # those of the detectors: 3 nm of the first, which a camera up to 1000 nm sees
     assert (series["irradiance_fwhm"].sel(irradiance_wavelength=slice(350, 1000)) == 3.0).all()
     assert (series["irradiance_fwhm"].sel(irradiance_wavelength=slice(1001, 2500)) == 10.0).all()
@@ -88,8 +103,7 @@ def test_the_real_skyward_exports_make_a_series(shared_data):
 @pytest.mark.real_data
 def test_real_exports_need_a_zone_and_a_quantity(shared_data):
     files = str(shared_data / "asd_ascii" / "asd-e-irrad-sky.*")
-    with pytest.raises(TimeError, match="utc_offset_h="):
-        open_irradiance(files, "irradiance")
+    expect_errors((TimeError, "utc_offset_h=", lambda: open_irradiance(files, "irradiance")))
     with pytest.warns(PaintWarning, match="quantity-assumed"):
         guessed = open_irradiance(files, utc_offset_h=3)
     xr.testing.assert_identical(guessed, open_irradiance(files, "irradiance", utc_offset_h=3))
@@ -106,8 +120,9 @@ def test_real_exports_need_a_zone_and_a_quantity(shared_data):
 
 def test_binaries_through_their_calibration(log):
     series = open_irradiance(log(0, 2, 4, averages=10), utc_offset_h=0)
-    expected = SKY[:651] * np.array([[1.0], [1.01], [1.02]])
-    np.testing.assert_allclose(series["irradiance"].values, expected, rtol=1e-6)
+    np.testing.assert_allclose(
+        series["irradiance"].values, SKY[:651] * np.array([[1.0], [1.01], [1.02]]), rtol=1e-6
+    )
     np.testing.assert_array_equal(series["irradiance_wavelength"].values, GRID[:651])
     middles = utc(
         "2024-05-21T11:59:59.32", "2024-05-21T12:00:01.32", "2024-05-21T12:00:03.32"
@@ -129,8 +144,10 @@ def test_binaries_through_their_calibration(log):
     ],
 )
 def test_stamps_move_to_the_middle(log, options, second):
-    times = open_irradiance(log(1, 2), utc_offset_h=0, **options)["irradiance_time"].values
-    elapsed = (times[0] - np.datetime64("2024-05-21T12:00:01", "ns")) / np.timedelta64(1, "s")
+    elapsed = (
+        open_irradiance(log(1, 2), utc_offset_h=0, **options)["irradiance_time"].values[0]
+        - np.datetime64("2024-05-21T12:00:01", "ns")
+    ) / np.timedelta64(1, "s")
     assert elapsed == pytest.approx(second)
 
 
@@ -154,19 +171,24 @@ def test_files_that_say_nothing_take_the_zone_of_those_that_do(log):
         "2024-05-21T11:00", "ns"
     )
     files += log(6, prefix="v", reference=COUNTS, reference_epoch=1716300000, utc_offset_h=2.0)
-    with refusal(TimeError, "utc-offset-conflict", "w00000.asd", "v00000.asd"):
-        open_irradiance(files)
-    with pytest.raises(TimeError, match="utc_offset_h="):
-        open_irradiance(files[:2])
+    expect_refusals(
+        (TimeError, "utc-offset-conflict", "w00000.asd", "v00000.asd", lambda: open_irradiance(files))
+    )
+    expect_errors((TimeError, "utc_offset_h=", lambda: open_irradiance(files[:2])))
 
 
 def test_shuffled_files_come_out_sorted_and_duplicates_are_refused(log, tmp_path):
     seconds = [8, 2, 6, 0, 4]
     series = open_irradiance(log(*seconds), utc_offset_h=0, stamp="mid")
-    elapsed = (series["irradiance_time"].values - np.datetime64(NOON, "ns")) / np.timedelta64(1, "s")
-    np.testing.assert_array_equal(elapsed, sorted(seconds))
-    scale = series["irradiance"].values[:, 0] / series["irradiance"].values[1, 0]
-    np.testing.assert_allclose(scale, np.array([1.03, 1.01, 1.04, 1.02, 1.0]) / 1.01, rtol=1e-6)
+    np.testing.assert_array_equal(
+        (series["irradiance_time"].values - np.datetime64(NOON, "ns")) / np.timedelta64(1, "s"),
+        sorted(seconds),
+    )
+    np.testing.assert_allclose(
+        series["irradiance"].values[:, 0] / series["irradiance"].values[1, 0],
+        np.array([1.03, 1.01, 1.04, 1.02, 1.0]) / 1.01,
+        rtol=1e-6,
+    )
     files = log(0, 2, 2)
     (tmp_path / "copy.asd").write_bytes(files[0].read_bytes())
     with pytest.raises(TimeError) as raised:
@@ -183,16 +205,27 @@ def test_saturated_and_empty_samples_become_nan(log, write_asd):
     saturated, empty = sorted(str(warning.message) for warning in found)
     assert ("saturated" in saturated, "bright00000.asd" in saturated) == (True, True)
     assert ("zero throughout" in empty, "dead.asd" in empty) == (True, True)
-    missing = np.isnan(series["irradiance"]).all("irradiance_wavelength")
-    np.testing.assert_array_equal(missing, [False, False, False, True, True])
+    np.testing.assert_array_equal(
+        np.isnan(series["irradiance"]).all("irradiance_wavelength"), [False, False, False, True, True]
+    )
 
 
 def test_raw_counts_with_calibration_files(log, write_asd):
     files = log(0, 2, blocks={}, data_type=0)
-    with refusal(FormatError, "calibration-missing", "sky00000.asd", "sky00001.asd"):
-        open_irradiance(files, utc_offset_h=0)
-    calibration = {"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)}
-    series = open_irradiance(files, utc_offset_h=0, calibration=calibration)
+    expect_refusals(
+        (
+            FormatError,
+            "calibration-missing",
+            "sky00000.asd",
+            "sky00001.asd",
+            lambda: open_irradiance(files, utc_offset_h=0),
+        )
+    )
+    series = open_irradiance(
+        files,
+        utc_offset_h=0,
+        calibration={"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)},
+    )
     np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
 
 
@@ -200,17 +233,20 @@ def test_a_folder_prefers_binaries_and_a_single_sample_needs_a_gap(log, tmp_path
     files = log(0, 2)
     (tmp_path / "sky00000.asd.txt").write_text("Wavelength;sky00000.asd\n350;1\n")
     assert open_irradiance(tmp_path, utc_offset_h=0).sizes["irradiance_time"] == 2
-    with pytest.raises(TimeError, match="max_gap_s="):
-        open_irradiance(files[:1], utc_offset_h=0)
+    expect_errors((TimeError, "max_gap_s=", lambda: open_irradiance(files[:1], utc_offset_h=0)))
     assert open_irradiance(files[:1], utc_offset_h=0, max_gap_s=5)["irradiance_max_gap"] == 5.0
     (tmp_path / "sky.csv").write_text(CSV.format(z="Z"))
-    with pytest.raises(FormatError, match="formats-mixed"):
-        open_irradiance([files[0], tmp_path / "sky.csv"])
+    expect_errors((FormatError, "formats-mixed", lambda: open_irradiance([files[0], tmp_path / "sky.csv"])))
     text = tmp_path / "only" / "a.txt"
     text.parent.mkdir()
     text.write_text("Wavelength;a.asd\n500;0.8\n501;0.8\n")
-    with pytest.raises(TimeError, match=r"a\.txt.*time-missing"):
-        open_irradiance(text.parent, "irradiance", utc_offset_h=0)
+    expect_errors(
+        (
+            TimeError,
+            r"a\.txt.*time-missing",
+            lambda: open_irradiance(text.parent, "irradiance", utc_offset_h=0),
+        )
+    )
 
 
 def test_all_wrong_arguments_at_once():
@@ -238,12 +274,17 @@ def test_impossible_light_is_refused(log, factor, unit):
     files = log(0, 2, blocks={2: (0, LAMP * factor), 3: (136, LAMP_COUNTS)})
     # W mm-2 is as likely as others
     named = "irradiance-implausible" if factor == 1e-6 else f"values in {unit} .*taken for W m-2 nm-1"
-    with pytest.raises(UnitsError, match=named):
-        open_irradiance(files, utc_offset_h=0)
-    series = open_irradiance(files, utc_offset_h=0, units=unit)
-    np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
-    with pytest.raises(UnitsError, match="W m-2 sr-1 nm-1"):
-        open_irradiance(files, utc_offset_h=0, units="W m-2 sr-1 nm-1")
+    expect_errors((UnitsError, named, lambda: open_irradiance(files, utc_offset_h=0)))
+    np.testing.assert_allclose(
+        open_irradiance(files, utc_offset_h=0, units=unit)["irradiance"].values[0], SKY[:651], rtol=1e-6
+    )
+    expect_errors(
+        (
+            UnitsError,
+            "W m-2 sr-1 nm-1",
+            lambda: open_irradiance(files, utc_offset_h=0, units="W m-2 sr-1 nm-1"),
+        )
+    )
 
 
 # --- csv
@@ -266,8 +307,10 @@ def test_csv_series(tmp_path):
     np.testing.assert_allclose(series["irradiance"].values, [[0.89, np.nan], [0.9, 0.8]], rtol=1e-6)
     assert (series["irradiance_fwhm"], series["irradiance"].dtype) == (2.5, np.float32)
     # stamps may each have their zone
-    rows = "2024-05-21T12:00:02+03:00,0.9\n2024-05-21T09:00:00Z,0.8\n"
-    (tmp_path / "sky.csv").write_text("# units: W m-2 nm-1\n# fwhm_nm: 3\ntime,500\n" + rows)
+    (tmp_path / "sky.csv").write_text(
+        "# units: W m-2 nm-1\n# fwhm_nm: 3\ntime,500\n"
+        + "2024-05-21T12:00:02+03:00,0.9\n2024-05-21T09:00:00Z,0.8\n"
+    )
     series = open_irradiance(tmp_path / "sky.csv")
     np.testing.assert_allclose(series["irradiance"].values[:, 0], [0.8, 0.9], rtol=1e-6)
     assert series["irradiance_max_gap"] == 5.0
@@ -276,8 +319,7 @@ def test_csv_series(tmp_path):
 def test_csv_needs_zone_units_and_width(tmp_path):
     path = tmp_path / "sky.csv"
     path.write_text(CSV.format(z="").replace("890,", "890,790"))
-    with pytest.raises(TimeError, match="utc_offset_h="):
-        open_irradiance(path)
+    expect_errors((TimeError, "utc_offset_h=", lambda: open_irradiance(path)))
     assert open_irradiance(path, utc_offset_h=-5)["irradiance_time"].values[0] == utc("2024-05-21T17:00")[0]
     path.write_text("time,500,600\n2024-05-21T12:00:02Z,0.9,0.8\n2024-05-21T12:00:00Z,0.9,0.8\n")
     expect_refusals(
@@ -304,8 +346,7 @@ def test_csv_needs_zone_units_and_width(tmp_path):
 )
 def test_damaged_csv(tmp_path, text, problem):
     (tmp_path / "sky.csv").write_text(text)
-    with pytest.raises(FormatError, match=problem):
-        read_irradiance_csv(tmp_path / "sky.csv")
+    expect_errors((FormatError, problem, lambda: read_irradiance_csv(tmp_path / "sky.csv")))
 
 
 # --- xarray and its stores
@@ -378,8 +419,7 @@ def test_an_unfinished_group_of_a_collect_is_refused(log, tmp_path):
     np.testing.assert_array_equal(again["irradiance"].values, series["irradiance"].values)
     np.testing.assert_array_equal(again["irradiance_time"].values, series["irradiance_time"].values)
     (tmp_path / "lot.zarr/irradiance/irradiance/c/0/0").unlink()
-    with pytest.raises(IncompleteStoreError, match="1 of 1 chunks"):
-        open_irradiance(tmp_path / "lot.zarr")
+    expect_errors((IncompleteStoreError, "1 of 1 chunks", lambda: open_irradiance(tmp_path / "lot.zarr")))
 
 
 def test_a_damaged_store_is_named(tmp_path):
@@ -388,4 +428,321 @@ def test_a_damaged_store_is_named(tmp_path):
     expect_refusals(
         (FormatError, "file-unreadable", lambda: open_irradiance(tmp_path / "sky.zarr")),
         (FormatError, "file-unreadable", "gone.zarr", lambda: open_irradiance(tmp_path / "gone.zarr")),
+    )
+
+
+# --- Certificates of panels, lists of pairs, and files of references ---
+
+
+@pytest.mark.real_data
+def test_real_certificates(shared_data: Path) -> None:
+    panel = hp.io.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
+    assert (panel.dtype, panel.attrs["units"], panel["wavelength"].attrs["units"]) == (np.float64, "1", "nm")
+    assert float(panel.sel(wavelength=250.0)) == 0.942517
+    zenith = hp.io.read_certificate(shared_data / "lab_calibration" / "zenith_lite_95R_certificate.csv")
+    assert (float(zenith.sel(wavelength=250.0)), float(zenith.sel(wavelength=312.0))) == (0.911211, 0.967611)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("p.csv", "paint,reference\na,b\na,c\nd,e\na,b\n", {"a": ("b", "c"), "d": ("e",)}),
+        ("p.csv", '\ufeff"a, b",x\n# note\n\nümlaut , y \n', {"a, b": ("x",), "ümlaut": ("y",)}),
+        ("p.json", '{"a": "b", "c": ["d", "e"]}', {"a": ("b",), "c": ("d", "e")}),
+    ],
+)
+def test_pairs(tmp_path: Path, name: str, content: str, expected: dict[str, tuple[str, ...]]) -> None:
+    path = tmp_path / name
+    path.write_text(content, encoding="utf-8")
+    assert read_pairs(path) == expected
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "content", "told"),
+    [
+        *(
+            (hp.io.read_certificate, "panel.csv", content, told)
+            for content, told in (
+                (b"400,98.1\n500,98.5\n", "divide percent by 100"),
+                (b"400,0.9\n", "table-missing"),
+                (b"0.4,0.9\n0.5,0.9\n", "expected nanometres"),
+                (b"500,0.9\n400,0.9\n", "wavelength-unordered"),
+                (b"heading\n" * 41 + b"400,0.9\n500,0.9\n", "line 41"),
+                (b"400,0.9\noops\n500,0.9\n", "line 2"),
+                (b"400,nan\n500,0.9\n", "not finite"),
+                (b"\0" * 50, "0 lines of numbers"),
+                (b"", "0 lines"),
+            )
+        ),
+        (read_pairs, "p.csv", b"a\nb,c,d\n", "line 1.*row-unreadable"),
+        (read_pairs, "p.csv", b"", "empty-input"),
+        (read_pairs, "p.csv", b"\xff\xfe", "save it as UTF-8"),
+        (read_pairs, "p.csv", b'a,"b\n', "after line"),
+        (read_pairs, "p.json", b"[" * 100_000, "text-unreadable"),
+        (read_pairs, "p.json", b"[1]", "type-wrong"),
+        (read_pairs, "p.json", b'{"a": 3, "b": []}', "'a': 3.*\n.*'b'"),
+        *(
+            (hp.io.read_radcal, "cal.txt", RADCAL.replace(old, new, 1).encode(), told)
+            for old, new, told in (
+                ("!RADCAL", "!ANGDATA", "format-unknown"),
+                ("[END_OF_LAMPDATA]", "", "table-missing"),
+                ("500 0 4.0 1.0", "300 0 4.0 1.0", "wavelength-unordered"),
+                ("410 1e-4", "410 broken", "line 16.*row-unreadable"),
+                ("2.0 1.0", "nan 1.0", "not finite"),
+            )
+        ),
+    ],
+)
+def test_damaged_texts(tmp_path: Path, read: Any, name: str, content: bytes, told: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    expect_errors((FormatError, told, lambda: read(path)))
+
+
+@given(st.binary(max_size=80), st.sampled_from([b"", b'{"a":', b'{"a":["b",']))
+def test_any_bytes_are_read_or_refused(tmp_path: Path, data: bytes, head: bytes) -> None:
+    path = tmp_path / "a.json"  # the fault campaign has the other form
+    path.write_bytes(head + data)
+    with contextlib.suppress(FormatError):
+        read_pairs(path)
+
+
+def test_all_bad_files_are_named(tmp_path: Path) -> None:
+    (tmp_path / "a.sig").write_text("nothing")
+    (tmp_path / "b.asd").write_bytes(b"asd" + b"\0" * 20)
+    (tmp_path / "c.txt").write_text("poem")
+    with pytest.raises(FormatError, match="references cannot") as caught:
+        open_references([tmp_path / name for name in ("a.sig", "b.asd", "c.txt")])
+    for name in ("a.sig", "b.asd", "c.txt"):
+        assert name in str(caught.value)
+    expect_errors((FormatError, "file-not-found", lambda: open_references([tmp_path / "none*"])))
+    (tmp_path / "empty").mkdir()
+    expect_errors((FormatError, "file-not-found", lambda: open_references([tmp_path / "empty"])))
+
+
+def test_a_store_without_references(tmp_path: Path) -> None:
+    import xarray as xr
+
+    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "s.zarr", "flightlines/raw_0")
+    expect_errors((FormatError, "library-missing", lambda: open_references([tmp_path / "s.zarr"])))
+
+
+# --- certificates of panels: units of headings are converted, labels are none, percent is never guessed ---
+
+
+NM = "Wavelength [nm]"
+
+
+def _read(folder: Path, headings: str, first: float, scale: float) -> tuple[list[float], list[float]]:
+    path = folder / "panel.csv"
+    rows = "".join(f"{nm * scale:g},{first}\n" for nm in (400, 500))
+    path.write_text(f"{headings}\n{rows}", encoding="utf-8")
+    certificate = read_certificate(path)
+    return certificate.wavelength.values.tolist(), certificate.values.tolist()
+
+
+@pytest.mark.parametrize(
+    "heading",
+    [
+        f"{NM},Reflectance (99%)", f"{NM},Panel (50%)", f"{NM},R (2024)", f"{NM},Reflectance (8/h)",
+        f"{NM},R (45/0)", f"{NM},R (absolute)", f"{NM},R (k=2)", f"{NM},R (SRS-99)", f"{NM},R [1]",
+        "Wavelength (air), Reflectance (N)", "Panel,99 %", "Diffuse target;95 %\nnm;R",
+        f"# accurate to 0.5 %\n{NM},R", "wavelength reflectance", "# made in May, 2024\nnm,R/1", "nm;R",
+        "Wavelength (nm);Reflectance (fraction)",
+    ],
+)  # fmt: skip
+def test_a_label_is_no_factor(tmp_path: Path, heading: str) -> None:
+    assert _read(tmp_path, heading, 0.98, 1.0) == ([400.0, 500.0], [0.98, 0.98])
+
+
+@pytest.mark.parametrize(
+    "heading",
+    [
+        "Wavelength (um)  Reflectance (%)", "Wavelength (um) Diffuse Reflectance (%)",
+        "Wavelength  (um)   Hemispherical Reflectance Factor  (%)", "# Wavelength [um],Reflectance [%]",
+        "Wavelength/um;R/%", "Wavelength [um],Reflectance, %", "Wavelength um, Reflectance %",
+        "Wavelength [um],Reflectance [%]\n-----,-----", "Wavelength,R\num,%", "wavelength_um\tR_percent",
+        "Wavelength [µm],R (8/h) [%]", "Wavelength [Microns];R (per cent)", "# Wavelength [um],R [%]\na,b",
+        "Wavelength um R %",
+        "wavelength_um;reflectance_%", '"Wavelength um","Reflectance %"', "Wavelength   um   Reflectance   %",
+    ],
+)  # fmt: skip
+def test_percent_and_micrometres_are_converted(tmp_path: Path, heading: str) -> None:
+    wavelength, values = _read(tmp_path, heading, 98.0, 1e-3)
+    assert (wavelength, values) == (pytest.approx([400.0, 500.0]), [0.98, 0.98])
+    assert _read(tmp_path, heading, 1.5, 1e-3)[1] == [0.015, 0.015]
+
+
+@pytest.mark.parametrize(
+    ("heading", "problem"),
+    [
+        (f"# all values in %\n{NM},R", "units-ambiguous"),
+        (f"# {NM}, uncertainty [%]\n{NM},R", "units-ambiguous"),
+        (f"{NM},R [nm]", "contains 'nm'.*units-unknown"),
+        (f"{NM},R [W m-2 nm-1]", "contains 'W m-2 nm-1'"),
+        ("Wavenumber [cm-1],R", "contains 'cm-1'"),
+        (f"{NM},R [%]\n{NM},R [1]", "'%'.*units-conflict"),
+    ],
+)
+def test_what_is_not_clear_is_refused(tmp_path: Path, heading: str, problem: str) -> None:
+    expect_errors((FormatError, problem.replace("[", r"\["), lambda: _read(tmp_path, heading, 0.98, 1.0)))
+
+
+# --- calibrations of FRM4SOC, and irradiance of HYPERNETS -------------------------------------------------
+
+
+NAME = "CP_SAT0385_RADCAL_20220606105303.TXT"
+
+
+def test_a_real_calibration(shared_data: Path, tmp_path: Path) -> None:
+    made = hp.io.read_radcal(shared_data / "lab_calibration" / NAME)
+    assert (made.device, made.lamp, made.laboratory) == ("SAT0385", "TO_717", "Tartu Observatory")
+    assert float(made.lamp_irradiance.sel(lamp_wavelength=300.0)) == pytest.approx(1.5637e-3)
+    assert float(made.lamp_irradiance_u.sel(lamp_wavelength=300.0)) == pytest.approx(0.0231 / 2)
+    assert float(made.panel_reflectance.sel(panel_wavelength=350.0)) == pytest.approx(0.989)
+    assert made.sizes["wavelength"] == 255
+    pixel = made.isel(wavelength=50)
+    assert (float(pixel.wavelength), float(pixel.coefficient)) == (471.98, 1.119e-4)
+    assert float(pixel.coefficient_u) == pytest.approx(0.00835)
+    assert pixel.counts.values.tolist() == [13893.0, 13901.87]
+    assert np.isnan(made.coefficient[0])
+    inside = made.panel_radiance.sel(lamp_wavelength=350.0)
+    expected = made.lamp_irradiance.sel(lamp_wavelength=350.0) * 0.989 / np.pi
+    assert float(inside) == pytest.approx(float(expected))
+    assert np.isnan(made.panel_radiance[0])
+    path = tmp_path / "cal.txt"
+    path.write_text(RADCAL)
+    assert hp.io.read_radcal(path).sizes["wavelength"] == 2
+
+
+def _hypernets(path: Path, dim: str, level: list[float], time: np.ndarray, flags: list[int]) -> Path:
+    # Write a product with names and units as hypernets_processor writes them: no real file is at hand
+    nm = np.arange(400.0, 1001.0, 5.0)
+    values = np.outer(np.ones(nm.size), level)
+    data = xr.Dataset(
+        {
+            "irradiance": (("wavelength", dim), values, {"units": "mW m^-2 nm^-1"}),
+            "bandwidth": ("wavelength", np.full(nm.size, 3.2)),
+            "acquisition_time": (dim, time),
+            "quality_flag": (dim, np.array(flags, np.uint32)),
+        },
+        {"wavelength": ("wavelength", nm, {"units": "nm"})},
+    )
+    if time.dtype.kind != "M":
+        data["acquisition_time"].attrs["units"] = "s"
+    data.to_netcdf(path)
+    return path
+
+
+@pytest.mark.parametrize("dim", ["series", "scan"])
+def test_hypernets_irradiance(tmp_path: Path, dim: str) -> None:
+    level, time = [1000.0, 1010.0, 990.0], np.array([1717243200, 1717243210, 1717243220], np.uint32)
+    series = hp.open_irradiance(
+        _hypernets(tmp_path / "HYPERNETS_L_TEST_L1B_IRR_20240601T1200.nc", dim, level, time, [0, 0, 0])
+    )
+    np.testing.assert_allclose(series.irradiance[:, 0], np.multiply(level, 1e-3), rtol=1e-6)
+    assert series.irradiance_time.values[0] == np.datetime64("2024-06-01T12:00:00")
+    assert float(series.irradiance_fwhm.max()) == pytest.approx(3.2)
+
+
+def test_flagged_spectra_of_hypernets_are_left_out(tmp_path: Path) -> None:
+    time = np.array(["2024-06-01T12:00:00", "NaT", "2024-06-01T12:00:20", "2024-06-01T12:00:30"], "M8[ns]")
+    path = _hypernets(tmp_path / "flagged.nc", "scan", [1000.0] * 4, time, [0, 0, 4, 0])
+    with pytest.warns(PaintWarning, match="samples-flagged"):
+        series = hp.open_irradiance(path)
+    np.testing.assert_array_equal(series.irradiance_time, time[[0, 3]])
+
+
+# --- the chain against numbers that others published, on their own files ----------------------------------
+
+
+@pytest.fixture
+def specim(shared_data: Path) -> dict[str, xr.DataArray]:
+    # Raw counts of a Specim FX10, whose own names for the dims are sample, point and wavelength
+    pytest.importorskip("h5netcdf")
+    names = {schema.ALONG_TRACK: "sample", schema.CROSS_TRACK: "point"}
+    found = {}
+    for name in ("capture", "white", "black"):
+        with xr.open_dataset(shared_data / "real_counts" / f"specim_fx10_{name}.nc") as file:
+            (array,) = schema.rename_to_roles(file.load(), names).data_vars.values()
+        found[name] = array.assign_attrs(units="count")
+    return found
+
+
+@pytest.mark.real_data
+def test_specim_counts_give_the_four_published_ratios(specim):
+    # Rationale: real counts of another camera, dark and white frames, and ratios its users published
+    # Expected: line 0 peaks at 0.7786328655500226 and bottoms at 0.125; its pixel 0 is 0.28365385 at the band
+    # nearest 1000 nm and 0.61686938 on the mean over wavelength. A float32 dark, as stores hold it, moves a
+    # count by no more than rounding does.
+    dark = specim["black"].mean(schema.ALONG_TRACK, keep_attrs=True)
+    single, above, white = (
+        (specim[name].astype(level.dtype) - level).transpose(*schema.CUBE)
+        for name, level in (("capture", dark.astype(np.float32)), ("capture", dark), ("white", dark))
+    )
+    assert (above.dims, above.dtype, single.dtype) == (schema.CUBE, np.float64, np.float32)
+    np.testing.assert_allclose(single, above, atol=1e-3)
+    line = (above / white.mean(schema.ALONG_TRACK)).isel(along_track=0)
+    assert (float(line.max()), float(line.min())) == (0.7786328655500226, 0.125)
+    pixel, wavelength = line.isel(cross_track=0).values, line["wavelength"].values
+    assert pixel[np.abs(wavelength - 1000.0).argmin()] == pytest.approx(0.28365385, abs=5e-9)
+    assert np.trapezoid(pixel, wavelength) / np.ptp(wavelength) == pytest.approx(0.61686938, abs=5e-9)
+
+
+# --- what readers of field spectrometers share ------------------------------------------------------------
+
+
+NAMES = st.sampled_from(["red", "red (2)", "blue", "a/red", ""])
+
+
+@given(st.lists(st.tuples(st.sampled_from(["a/x.sig", "b/x.sig", "x.sig", "/x.sig"]), NAMES)))
+def test_names_are_unique_and_plain_where_they_can_be(sources) -> None:
+    made = name_spectra([(Path(path), name) for path, name in sources])
+    assert len(set(made)) == len(made) == len(sources)
+    given_names = [name for _, name in sources]
+    for (_, name), unique in zip(sources, made, strict=True):
+        assert name in unique
+        if given_names.count(name) == 1 and made.count(name):
+            assert unique.startswith(name)
+
+
+def test_grids_are_the_same_to_the_last_bit() -> None:
+    grid = np.array([400.0, 401.0])
+    assert [
+        names for _, names in same_grids([("a", grid), ("b", np.nextafter(grid, 0)), ("c", grid.copy())])
+    ] == [["a", "c"], ["b"]]
+
+
+def test_one_error_for_all_with_each_reason_once() -> None:
+    def read(name: str) -> str:
+        if name == "good":
+            return name
+        raise FormatError(f"{name}: truncated: at 3", code="file-truncated")
+
+    assert for_all(["good"], read) == ["good"]
+    with pytest.raises(FormatError) as caught:
+        for_all(["a", "good", "b"], read)
+    assert (caught.value.codes, caught.value.problem.found) == (("file-truncated",), "spectra cannot be used")
+    assert caught.value.problems[0].found == "a, b: truncated: at 3"
+
+
+def test_files_folders_globs_and_lists(tmp_path) -> None:
+    for name in ("b.sig", "a.sig", ".hidden.sig", "c.txt", "sub/d.sig"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+
+    def find(paths):
+        return [
+            path.name
+            for path in find_paths(
+                paths, lambda inside: [p for p in inside if p.suffix == ".sig"], ".sig files"
+            )
+        ]
+
+    assert find(tmp_path) == ["a.sig", "b.sig"]
+    assert find([tmp_path / "c.txt", str(tmp_path / "**" / "*.sig")]) == ["c.txt", "a.sig", "b.sig", "d.sig"]
+    assert find(tmp_path / "gone.sig") == ["gone.sig"]  # to read it is the error that names it
+    expect_refusals(
+        (FormatError, "file-not-found", lambda: find([str(tmp_path / "one*"), str(tmp_path / "two*")])),
+        (FormatError, "empty-input", lambda: find([])),
     )
