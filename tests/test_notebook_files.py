@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.notebook_desk import BANDS, COLUMNS, LINES, Habit, laid_out, same
+from support.refusals import expect_error
 
 import hyperpaint as hp
 
@@ -84,8 +85,7 @@ def open_a_collect_with_xarray_alone(desk: SimpleNamespace) -> None:
         xr.testing.assert_identical(tree, hp.open_collect(desk.collect))
     one = xr.open_dataset(desk.collect, group="flightlines/raw_0")
     assert one.counts.dims == ("along_track", "band", "cross_track")
-    with pytest.raises(hp.SchemaError, match="flightlines/raw_0"):
-        xr.open_dataset(desk.collect)
+    expect_error(hp.SchemaError, "flightlines/raw_0", lambda: xr.open_dataset(desk.collect))
 
 
 @habit
@@ -115,8 +115,10 @@ def copy_deeply(desk: SimpleNamespace) -> None:
 @habit
 def library_to_dataframe(desk: SimpleNamespace) -> None:
     frame = desk.library[["reflectance", "reflectance_sd"]].to_dataframe()
-    assert len(frame) == desk.library.sizes["signature"] * BANDS
-    assert desk.library.reflectance.to_pandas().shape == (3, BANDS)
+    assert (len(frame), desk.library.reflectance.to_pandas().shape) == (
+        desk.library.sizes["signature"] * BANDS,
+        (3, BANDS),
+    )
 
 
 @habit
@@ -179,11 +181,18 @@ def one_cube_alone_has_the_methods_of_a_cube(desk: SimpleNamespace) -> None:
     smoothed = cube.paint.smooth(window=5)
     assert smoothed.name == "reflectance"
     same(smoothed, desk.line.paint.smooth(window=5).reflectance)
-    assert (2 * cube).rename(None).paint.at([500.0, 600.0]).sizes["band"] == 2
-    assert desk.line.wavelength.paint.at(550.0).name == "wavelength"
-    assert cube.isel(along_track=0, cross_track=0).paint.at(550.0).ndim == 0
-    with pytest.raises(hp.SchemaError, match="'reflectance' is missing"):
-        desk.line.radiance.paint.smooth() if "radiance" in desk.line else desk.line.counts.paint.smooth()
+    assert (
+        (2 * cube).rename(None).paint.at([500.0, 600.0]).sizes["band"],
+        desk.line.wavelength.paint.at(550.0).name,
+        cube.isel(along_track=0, cross_track=0).paint.at(550.0).ndim,
+    ) == (2, "wavelength", 0)
+    expect_error(
+        hp.SchemaError,
+        "'reflectance' is missing",
+        lambda: (
+            desk.line.radiance.paint.smooth() if "radiance" in desk.line else desk.line.counts.paint.smooth()
+        ),
+    )
 
 
 @habit
@@ -259,8 +268,7 @@ def the_accessor_of_rioxarray(desk: SimpleNamespace) -> None:
         .rio.set_spatial_dims("cross_track", "along_track")
         .rio.write_crs("EPSG:32617")
     )
-    assert flat.rio.width == COLUMNS
-    assert flat.rio.clip_box(2, 3, 5, 9).shape == (7, 4)
+    assert (flat.rio.width, flat.rio.clip_box(2, 3, 5, 9).shape) == (COLUMNS, (7, 4))
 
 
 @habit

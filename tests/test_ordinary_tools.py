@@ -10,6 +10,7 @@ import pickle
 import re
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error, expect_errors
 
 import hyperpaint as hp
 from hyperpaint.accessor import METHODS
@@ -119,9 +121,10 @@ def test_gaps_of_flags_are_no_data(flown: SimpleNamespace) -> None:
 
 @pytest.mark.parametrize("part", ["of lines", "of pixels", "not dropped"])
 def test_counts_that_where_emptied_are_told_of_sel(flown: SimpleNamespace, part: str) -> None:
-    with pytest.raises(SchemaError, match=re.escape(".sel() or .isel()")) as caught:
-        PARTS[part](flown.raw).paint.reflectance()
-    assert "rename" not in str(caught.value)
+    caught = expect_error(
+        SchemaError, re.escape(".sel() or .isel()"), lambda: PARTS[part](flown.raw).paint.reflectance()
+    )
+    assert "rename" not in str(caught)
 
 
 @pytest.mark.parametrize("source", ["line", "lazy"])
@@ -136,10 +139,10 @@ def test_what_differs_from_part_to_part_is_refused(flown: SimpleNamespace) -> No
     first, second = (flown.raw.isel(along_track=part) for part in (slice(0, 20), slice(20, None)))
     second = second.assign(radiance_gain=second.radiance_gain * 2)
     both = xr.concat([first, second], "along_track", data_vars="all", coords="all")
-    with pytest.raises(SchemaError, match="minimal"):
-        both.paint.reflectance()
-    with pytest.raises(SchemaError, match="radiance_gain"):
-        both.chunk({"along_track": 16}).paint.reflectance().compute()
+    expect_errors(
+        (SchemaError, "minimal", lambda: both.paint.reflectance()),
+        (SchemaError, "radiance_gain", lambda: both.chunk({"along_track": 16}).paint.reflectance().compute()),
+    )
 
 
 def test_means_of_counts_are_flagged(flown: SimpleNamespace) -> None:
@@ -187,18 +190,17 @@ def test_nothing_selected_is_told(flown: SimpleNamespace, dim: str, tmp_path: Pa
     none = flown.line.isel({dim: slice(0, 0)})
     arguments = ARGUMENTS | {"detect": (flown.library,)}
     for name in METHODS.keys() - DRAWN:
-        with pytest.raises(SchemaError, match=f"selected: {dim}"):
-            getattr(none.paint, name)(*arguments.get(name, ()))
+        expect_error(
+            SchemaError, f"selected: {dim}", partial(getattr(none.paint, name), *arguments.get(name, ()))
+        )
     for function in (hp.slab, hp.reflectance, lambda line: hp.regions.region_mask(REGIONS, line)):
-        with pytest.raises(SchemaError, match="selection-empty"):
-            function(none)
+        expect_error(SchemaError, "selection-empty", partial(function, none))
     assert "flight line" in summary_html(none)
     assert hp.to_store(none, tmp_path / "none.zarr", "flightlines/a")
 
 
 def test_no_irradiance_selected_is_told(flown: SimpleNamespace) -> None:
-    with pytest.raises(TimeError, match="size 0"):
-        flown.raw.isel(irradiance_time=slice(0, 0)).paint.reflectance()
+    expect_error(TimeError, "size 0", lambda: flown.raw.isel(irradiance_time=slice(0, 0)).paint.reflectance())
 
 
 @pytest.mark.parametrize("dim", ["along_track", "cross_track", "band"])
@@ -217,10 +219,9 @@ def test_a_dropped_dimension_is_told(flown: SimpleNamespace, dim: str) -> None:
     ):
         if name == "flag_overlay" and dim == "band":
             continue  # which needs none
-        with pytest.raises(SchemaError) as caught:
-            getattr(one.paint, name)(*arguments.get(name, ()))
-        assert f"isel({dim}=[5])" in str(caught.value), name
-        assert "rename" not in str(caught.value)
+        caught = expect_error(SchemaError, None, partial(getattr(one.paint, name), *arguments.get(name, ())))
+        assert f"isel({dim}=[5])" in str(caught), name
+        assert "rename" not in str(caught)
     kept = flown.raw.isel({dim: [5]}).paint.reflectance().reflectance
     np.testing.assert_allclose(kept, flown.again.reflectance.isel({dim: [5]}), rtol=1e-6)
     assert one.paint._repr_html_()
@@ -228,8 +229,7 @@ def test_a_dropped_dimension_is_told(flown: SimpleNamespace, dim: str) -> None:
 
 def test_a_stack_is_told(flown: SimpleNamespace) -> None:
     stacked = flown.raw.stack(pixel=("along_track", "cross_track"))
-    with pytest.raises(SchemaError, match=re.escape("unstack('pixel')")):
-        stacked.paint.reflectance()
+    expect_error(SchemaError, re.escape("unstack('pixel')"), lambda: stacked.paint.reflectance())
 
 
 # --- a calibration without its smile -----------------------------------------------------------------------
@@ -300,8 +300,7 @@ def test_dims_of_other_names(flown: SimpleNamespace) -> None:
     renamed = flown.raw.rename(along_track="row", cross_track="pixel", band="layer")
     dims = {"along_track": "row", "cross_track": "pixel", "band": "layer"}
     np.testing.assert_array_equal(renamed.paint.reflectance(dims=dims).reflectance, flown.again.reflectance)
-    with pytest.raises(SchemaError, match="dims="):
-        renamed.paint.reflectance()
+    expect_error(SchemaError, "dims=", lambda: renamed.paint.reflectance())
 
 
 def test_tables_and_means_of_a_processed_line(flown: SimpleNamespace) -> None:

@@ -81,9 +81,11 @@ def test_module_runs_like_the_command(tmp_path: Path) -> None:
 
 
 def test_usage_errors_exit_with_two(tmp_path: Path) -> None:
-    assert hyperpaint("process").exit_code == 2
-    assert hyperpaint("process", tmp_path / "none.toml", "--out", tmp_path / "s.zarr").exit_code == 2
-    assert (hyperpaint("paint").exit_code, hyperpaint("info", tmp_path / "none").exit_code) == (2, 2)
+    assert (
+        hyperpaint("process").exit_code,
+        hyperpaint("process", tmp_path / "none.toml", "--out", tmp_path / "s.zarr").exit_code,
+        (hyperpaint("paint").exit_code, hyperpaint("info", tmp_path / "none").exit_code),
+    ) == (2, 2, (2, 2))
 
 
 # --- process -----------------------------------------------------------------------------------------------

@@ -285,8 +285,10 @@ def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # A simulated collect, processed, with signatures of its solid paints by the commands themselves
     folder = tmp_path_factory.mktemp("lot")
     size = ("--scene", "plan", "--lines", 64, "--bands", 60, "--columns", 48, "--seed", 1, "--set", "glint=0")
-    assert hyperpaint("simulate", folder / "raw", *size).exit_code == 0
-    assert hyperpaint("process", folder / "raw" / "collect.toml", "--out", folder / "lot.zarr").exit_code == 0
+    assert (
+        hyperpaint("simulate", folder / "raw", *size).exit_code,
+        hyperpaint("process", folder / "raw" / "collect.toml", "--out", folder / "lot.zarr").exit_code,
+    ) == (0, 0)
     hp.write_regions(_painted(folder / "raw" / "truth.zarr", folder / "lot.zarr"), folder / "cars.geojson")
     # in a plan every pixel shows one surface
     words = ("--regions", folder / "cars.geojson", "--out", folder / "paints.zarr", "--keep", "mixed_edge")

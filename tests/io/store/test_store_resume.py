@@ -18,6 +18,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.store import chunks, open_store, to_store, verify
@@ -139,8 +140,11 @@ def interrupt(*_: object) -> None:
 def cut_short(path: Path, count: int = 7, error: BaseException | None = None) -> list[int]:
     # Fail after some blocks of the source; return those that are left to do
     before.append(fail_after(count, error or OSError(errno.ENOSPC, "No space left on device")))
-    with pytest.raises((StoreError, KeyboardInterrupt, MemoryError)):
-        to_store(line(), path, GROUP, source_token=TOKEN)
+    expect_error(
+        (StoreError, KeyboardInterrupt, MemoryError),
+        None,
+        lambda: to_store(line(), path, GROUP, source_token=TOKEN),
+    )
     left = sorted({*range(BLOCKS)} - {*asked})
     before.clear()
     asked.clear()
@@ -202,8 +206,7 @@ def test_stopped_just_before_the_end(
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("hyperpaint.io.store.writer.flush_group", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            to_store(line(), path, GROUP, source_token=TOKEN)
+        expect_error(KeyboardInterrupt, None, lambda: to_store(line(), path, GROUP, source_token=TOKEN))
     asked.clear()
     to_store(line(), path, GROUP, source_token=TOKEN)
     assert asked == []
@@ -216,8 +219,7 @@ def test_stopped_while_it_is_taken_up(
     left = cut_short(path)
     with monkeypatch.context() as patch:
         patch.setattr("hyperpaint.io.store.writer.discard", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            to_store(line(), path, GROUP, source_token=TOKEN)
+        expect_error(KeyboardInterrupt, None, lambda: to_store(line(), path, GROUP, source_token=TOKEN))
     assert len(list(partial(path).glob("build-*"))) == 2
     asked.clear()
     to_store(line(), path, GROUP, source_token=TOKEN)
@@ -289,8 +291,7 @@ def test_leftovers_of_another_group_are_discarded(path: Path, tmp_path: Path) ->
 def test_wrong_data_leave_nothing(error: Exception, path: Path, tmp_path: Path) -> None:
     cut_short(path)
     before.append(fail_after(2, error))
-    with pytest.raises(type(error)):
-        to_store(line(), path, GROUP, source_token=TOKEN)
+    expect_error(type(error), None, lambda: to_store(line(), path, GROUP, source_token=TOKEN))
     assert os.listdir(tmp_path) == []
 
 
@@ -298,8 +299,7 @@ def test_one_group_of_a_tree_is_taken_up(path: Path, whole: dict[str, Any]) -> N
     tree = xr.DataTree.from_dict({"/flightlines/raw_0": line(), "/irradiance": line()[["wavelength"]]})
     before.append(fail_after(7, OSError(errno.EROFS, "read-only")))
     for _ in range(2):
-        with pytest.raises(StoreError, match="read-only"):
-            to_store(tree, path, source_token=TOKEN)
+        expect_error(StoreError, "read-only", lambda: to_store(tree, path, source_token=TOKEN))
     before.clear()
     assert len(asked) == 7
     to_store(tree, path, source_token=TOKEN)

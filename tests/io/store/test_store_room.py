@@ -13,6 +13,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import budget, chunks, disk, is_complete, to_store, verify, writer
@@ -44,8 +45,7 @@ def test_a_full_disk_is_told_before_anything_is_read(tmp_path: Path, monkeypatch
         data=unread.counts.data.map_blocks(read, dtype="uint16", meta=block)
     )
     free(monkeypatch, 1000)
-    with pytest.raises(StoreError, match="disk-short"):
-        to_store(unread, tmp_path / "far" / "lot.zarr", GROUP)
+    expect_error(StoreError, "disk-short", lambda: to_store(unread, tmp_path / "far" / "lot.zarr", GROUP))
     assert not any(tmp_path.iterdir())
 
 
@@ -56,8 +56,9 @@ def test_what_is_there_already_needs_no_room(tmp_path: Path, monkeypatch: pytest
     to_store(line(), tmp_path / "lot.zarr", GROUP)
     free(monkeypatch, 0)
     to_store(line(), tmp_path / "lot.zarr", GROUP)
-    with pytest.raises(StoreError, match="disk-short"):
-        to_store(line(160), tmp_path / "lot.zarr", GROUP, overwrite=True)
+    expect_error(
+        StoreError, "disk-short", lambda: to_store(line(160), tmp_path / "lot.zarr", GROUP, overwrite=True)
+    )
 
 
 def test_only_what_is_taken_up_is_taken_off(
@@ -67,8 +68,7 @@ def test_only_what_is_taken_up_is_taken_off(
     needed = disk_needed(whole["one"])
     content = writer.Job("one", whole["one"], writer._token(whole["one"], "token")).build
     free(monkeypatch, needed - 500)
-    with pytest.raises(StoreError, match="disk-short"):
-        writer.check_room(whole, path, {"one": "token"})
+    expect_error(StoreError, "disk-short", lambda: writer.check_room(whole, path, {"one": "token"}))
     attempt = "0" * 12
     ours = f"build-one-{content}-{attempt}"
     for build in (ours, f"build-two-{content}-{attempt}", f"build-one-other-{attempt}", "replaced-one"):
@@ -78,8 +78,7 @@ def test_only_what_is_taken_up_is_taken_off(
         if build == ours:
             writer.check_room(whole, path, {"one": "token"})
             shutil.rmtree(folder)
-    with pytest.raises(StoreError, match="disk-short"):
-        writer.check_room(whole, path, {"one": "token"})
+    expect_error(StoreError, "disk-short", lambda: writer.check_room(whole, path, {"one": "token"}))
 
 
 def test_a_small_group_asks_for_little_but_for_every_chunk(tmp_path: Path) -> None:
@@ -112,8 +111,7 @@ def test_a_disk_that_fills_up_says_what_was_needed(
 
     monkeypatch.setattr(chunks, "replace_file", full)
     with dask.config.set(scheduler="synchronous"):
-        with pytest.raises(StoreError, match="disk-full"):
-            to_store(line(), path, GROUP, source_token="a")
+        expect_error(StoreError, "disk-full", lambda: to_store(line(), path, GROUP, source_token="a"))
         assert not is_complete(path, GROUP)
         monkeypatch.setattr(chunks, "replace_file", plain)
         to_store(line(), path, GROUP, source_token="a")
@@ -153,8 +151,11 @@ def test_other_errors_stay_as_they_are() -> None:
 def test_blocks_that_cannot_fit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     huge = da.zeros((64_000, 272, 640), chunks=(32_000, 272, 640), dtype="uint16")
     monkeypatch.setattr(budget, "available_memory", lambda: 2**30)
-    with pytest.raises(StoreError, match="memory-short"):
-        to_store(xr.Dataset({"counts": (CUBE, huge)}), tmp_path / "lot.zarr", GROUP)
+    expect_error(
+        StoreError,
+        "memory-short",
+        lambda: to_store(xr.Dataset({"counts": (CUBE, huge)}), tmp_path / "lot.zarr", GROUP),
+    )
     assert not any(tmp_path.iterdir())
 
 
@@ -206,8 +207,7 @@ def test_a_chunk_that_somebody_removed_is_missed(tmp_path: Path, monkeypatch: py
         plain(folder, expected)
 
     monkeypatch.setattr(writer, "flush_group", clear_up)
-    with pytest.raises(StoreError, match="file-unusable"):
-        to_store(line(), path, GROUP, source_token="a")
+    expect_error(StoreError, "file-unusable", lambda: to_store(line(), path, GROUP, source_token="a"))
     assert not path.exists()
     monkeypatch.setattr(writer, "flush_group", plain)
     to_store(line(), path, GROUP, source_token="a")
@@ -235,8 +235,9 @@ def test_a_disk_that_refuses_to_flush_leaves_nothing_finished(
 
     plain: Callable[[Any], None] = disk.sync
     monkeypatch.setattr(disk, "sync", broken)
-    with pytest.raises(StoreError, match="broken disk"):
-        to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
+    expect_error(
+        StoreError, "broken disk", lambda: to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
+    )
     assert not is_complete(tmp_path / "lot.zarr", GROUP)
     monkeypatch.setattr(disk, "sync", plain)
     to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
