@@ -74,8 +74,7 @@ def test_counts_are_those_of_a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     common.counts_block.cache_clear()
     assert first.dtype == "uint16"
     assert (first == common.counts_block(64, 40, 96)).all()
-    saturated = (first == common.FULL_SCALE).any(axis=1).mean()
-    assert 0.0002 < saturated < 0.02
+    assert 0.0002 < (first == common.FULL_SCALE).any(axis=1).mean() < 0.02
     # shot noise: neighbouring lines of one surface differ by the square root of their electrons
     assert 5 < first[:, 20, 2].std() < 200
 
@@ -92,8 +91,7 @@ def test_the_bare_job_makes_what_the_store_holds(monkeypatch: pytest.MonkeyPatch
         floor, ours = sorted(common.scratch().glob("out-*"), key=lambda p: int(p.name.split("-")[1]))
         for number, file in enumerate(common.chunk_files(ours, "reflectance")):
             assert file.read_bytes() == (floor / str(number)).read_bytes()
-        made = case.line.paint.reflectance()["reflectance"]
-        assert np.isfinite(made.values).mean() > 0.98
+        assert np.isfinite(case.line.paint.reflectance()["reflectance"].values).mean() > 0.98
     finally:
         case.teardown(64)
 
@@ -123,8 +121,7 @@ def test_flags_are_counted_by_surface_and_apart_from_mixed_pixels() -> None:
         "indirect": np.zeros((2, 4)),
         "mixed": np.array([[False, False, True, True], [False, False, False, False]]),
     }
-    surface = np.array([[0, 0, 0, 3], [4, 4, 0, 4]])
-    counts = scenes.count(bits, true, surface)
+    counts = scenes.count(bits, true, np.array([[0, 0, 0, 3], [4, 4, 0, 4]]))
     assert (
         counts["glint, outside mixed pixels, coloured paint"],
         counts["glint, outside mixed pixels, glass"],

@@ -137,8 +137,7 @@ def parameter_texts(doc: str) -> dict[str, str]:
 def test_every_parameter_of_a_public_function_has_a_description():
     texts = {name: parameter_texts(inspect.getdoc(one) or "") for name, one in public_functions().items()}
     assert sum(map(len, texts.values())) > 500
-    lacking = [(name, key) for name, each in texts.items() for key, text in each.items() if not text]
-    assert not lacking
+    assert not [(name, key) for name, each in texts.items() for key, text in each.items() if not text]
 
 
 def test_descriptions_of_parameters_that_functions_share_stand_in_one_table():

@@ -35,8 +35,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
 
 @pytest.fixture(params=["simulated", "processed"])
 def line(desk: SimpleNamespace, request: pytest.FixtureRequest) -> xr.Dataset:
-    lines = {"simulated": desk.line, "processed": desk.processed.compute()}
-    return lines[request.param]
+    return {"simulated": desk.line, "processed": desk.processed.compute()}[request.param]
 
 
 def habit(function: Habit) -> Habit:
@@ -325,8 +324,7 @@ def pickle_everything(desk: SimpleNamespace) -> None:
 
 @habit
 def copy_deeply(desk: SimpleNamespace) -> None:
-    other = copy.deepcopy(desk.line)
-    other["counts"][:] = 0
+    copy.deepcopy(desk.line)["counts"][:] = 0
     assert (desk.line.counts != 0).any()
 
 
@@ -355,8 +353,7 @@ def dask_gives_the_same(desk: SimpleNamespace) -> None:
     options: dict[str, Any] = {"dask": "parallelized", "output_dtypes": [np.float32]}
     mean = xr.apply_ufunc(np.nanmean, cube, input_core_dims=[["band"]], kwargs={"axis": -1}, **options)
     same(mean, line.reflectance.mean("band"))
-    cut = lazy.chunk(band=5, along_track=7, cross_track=4)
-    same(cut.paint.reflectance().reflectance, line.reflectance)
+    same(lazy.chunk(band=5, along_track=7, cross_track=4).paint.reflectance().reflectance, line.reflectance)
     # small indexes have no chunks
     assert (lazy.along_track.chunks, lazy.unify_chunks().sizes["along_track"]) == (None, LINES)
 
@@ -397,8 +394,7 @@ def a_tree_of_lines(desk: SimpleNamespace) -> None:
 def quantify_and_dequantify(desk: SimpleNamespace) -> None:
     pytest.importorskip("pint_xarray")
     view = desk.line.paint.quantify()
-    lit = (view.irradiance * 2).pint.to("mW m-2 nm-1")
-    same(lit.pint.magnitude, 2000 * desk.line.irradiance)
+    same((view.irradiance * 2).pint.to("mW m-2 nm-1").pint.magnitude, 2000 * desk.line.irradiance)
     same(view.pint.dequantify().paint.reflectance().reflectance, desk.line.reflectance)
 
 

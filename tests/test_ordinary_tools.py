@@ -39,8 +39,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     settings: dict[str, Any] = {"lines": 64, "bands": 40, "columns": 24, "seed": 11, "smile_nm": 2.0}
     collect = hp.simulate_collect(folder / "raw", scene="plan", **settings)
     store = hp.process(collect, folder / "lot.zarr")
-    lazy = xr.open_zarr(store, group="flightlines/raw_0")
-    line = lazy.load().copy()
+    line = xr.open_zarr(store, group="flightlines/raw_0").load().copy()
     raw = line.drop_vars(PRODUCTS)
     return SimpleNamespace(
         folder=folder, store=store, collect=Path(collect), line=line, raw=raw,
@@ -113,8 +112,7 @@ def test_parts_keep_flags_and_pictures(flown: SimpleNamespace, part: str, source
 
 
 def test_gaps_of_flags_are_no_data(flown: SimpleNamespace) -> None:
-    kept = flown.line.where(flown.line.cross_track > 3)
-    flags = kept.paint.smooth().quality
+    flags = flown.line.where(flown.line.cross_track > 3).paint.smooth().quality
     assert (flags[:, :4] == Quality.NO_DATA).all()
     np.testing.assert_array_equal(flags[:, 4:], flown.line.quality[:, 4:])
 
@@ -129,8 +127,7 @@ def test_counts_that_where_emptied_are_told_of_sel(flown: SimpleNamespace, part:
 
 @pytest.mark.parametrize("source", ["line", "lazy"])
 def test_concat_with_all_variables(flown: SimpleNamespace, source: str) -> None:
-    both = PARTS["concat"](getattr(flown, source).drop_vars(PRODUCTS))
-    again = both.paint.reflectance()
+    again = PARTS["concat"](getattr(flown, source).drop_vars(PRODUCTS)).paint.reflectance()
     np.testing.assert_array_equal(again.reflectance, flown.again.reflectance)
     assert again.dark_counts.dims == ("band", "cross_track")
 
@@ -258,13 +255,10 @@ def test_raw_counts_have_a_picture(flown: SimpleNamespace) -> None:
     assert picture.sizes["rgb"] == 3
     assert "raw counts" in picture.attrs["long_name"]
     assert 0.0 <= float(picture.min()) < float(picture.max()) <= 1.0
-    whole = cube.paint.rgb(stretch=(0.0, 100.0)).compute()
-    assert whole.values.std() > 0.01
-    titles = [axes.get_title() for axes in cube.paint.quicklook().axes]
-    assert "counts of all pixels" in titles
+    assert cube.paint.rgb(stretch=(0.0, 100.0)).compute().values.std() > 0.01
+    assert "counts of all pixels" in [axes.get_title() for axes in cube.paint.quicklook().axes]
     assert ".rgb()" in repr(cube.paint)
-    unlit = flown.raw.drop_vars(["irradiance"])
-    assert "radiance" in unlit.paint.rgb().attrs["long_name"]
+    assert "radiance" in flown.raw.drop_vars(["irradiance"]).paint.rgb().attrs["long_name"]
 
 
 # --- others ------------------------------------------------------------------------------------------------
@@ -304,19 +298,16 @@ def test_dims_of_other_names(flown: SimpleNamespace) -> None:
 
 
 def test_tables_and_means_of_a_processed_line(flown: SimpleNamespace) -> None:
-    spectrum = flown.lazy.reflectance.isel(along_track=5, cross_track=3).to_dataframe()
-    assert spectrum.reflectance.size == 40
+    assert flown.lazy.reflectance.isel(along_track=5, cross_track=3).to_dataframe().reflectance.size == 40
     near = flown.lazy.swap_dims(band="wavelength").sel(wavelength=550, method="nearest")
     np.testing.assert_array_equal(near.reflectance, flown.lazy.paint.at(550.0).reflectance)
     seconds = flown.lazy.reflectance.swap_dims(along_track="time").resample(time="1s").mean()
     assert seconds.sizes["time"] >= 1
-    by_flag = flown.line.reflectance.groupby(flown.line.quality).mean()
-    assert by_flag.sizes["quality"] >= 1
+    assert flown.line.reflectance.groupby(flown.line.quality).mean().sizes["quality"] >= 1
 
 
 def test_a_library_after_where(flown: SimpleNamespace, tmp_path: Path) -> None:
-    red = flown.library.where(flown.library.n > 3, drop=True)
-    path = hp.write_library(red, tmp_path / "red.csv")
+    path = hp.write_library(flown.library.where(flown.library.n > 3, drop=True), tmp_path / "red.csv")
     np.testing.assert_allclose(hp.open_library(path).reflectance, flown.library.reflectance, rtol=1e-6)
     assert hp.open_library(path).n.values.tolist() == flown.library.n.values.tolist()
 

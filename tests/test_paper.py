@@ -222,8 +222,7 @@ def test_a_quantity_of_another_dimension_is_refused(call: Callable[[Any], Any]) 
 def test_the_cosine_is_in_a_level_irradiance_already() -> None:
     tilted = np.radians(60.0)
     assert paper.lambertian_radiance(1.3, 0.4, tilted) == pytest.approx(RADIANCE)
-    printed = paper.lambertian_radiance(1.3, 0.4, tilted, variant="as_printed")
-    assert printed == pytest.approx(RADIANCE / 2)
+    assert paper.lambertian_radiance(1.3, 0.4, tilted, variant="as_printed") == pytest.approx(RADIANCE / 2)
 
 
 @pytest.mark.parametrize("variant", ["corrected", "as_printed"])

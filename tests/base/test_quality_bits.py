@@ -16,8 +16,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 def test_from_radiance_keeps_every_flag_that_was_set() -> None:
     line = flight().line
     line["counts"].values[2, 3, 1] = line.saturation_count
-    calibrated = radiance(line).compute().drop_vars("counts")
-    got = reflectance(calibrated)
+    got = reflectance(radiance(line).compute().drop_vars("counts"))
     assert got.quality.values[2, 1] & Quality.SATURATED
     assert np.isnan(got.reflectance.values[2, 3, 1])
 
@@ -33,8 +32,7 @@ def test_saturation_starts_sixteen_counts_below_the_end(dtype: Any) -> None:
     line["counts"].values[3, 5, 2] = line.saturation_count - 16
     line["counts"].values[4, 5, 2] = line.saturation_count - 17
     got = reflectance(line).compute()
-    flagged = np.argwhere(got.quality.values & Quality.SATURATED)
-    np.testing.assert_array_equal(flagged, [[3, 2]])
+    np.testing.assert_array_equal(np.argwhere(got.quality.values & Quality.SATURATED), [[3, 2]])
     np.testing.assert_array_equal(np.argwhere(np.isnan(got.reflectance.values)), [[3, 5, 2]])
     assert got.quality.values.sum() == Quality.SATURATED
 
@@ -70,8 +68,7 @@ def test_unknown_saturation_of_an_element_never_saturates() -> None:
     line["saturation_count"] = (("band", "cross_track"), own, {"units": "count"})
     line["counts"].values[0, 2, 2] = 4090
     line["counts"].values[1, 2, 3] = 4090
-    got = reflectance(line).compute()
-    np.testing.assert_array_equal(np.argwhere(got.quality.values), [[1, 3]])
+    np.testing.assert_array_equal(np.argwhere(reflectance(line).compute().quality.values), [[1, 3]])
 
 
 def test_a_stuck_bad_element_does_not_saturate_its_column() -> None:
@@ -193,8 +190,7 @@ def test_low_sun_needs_a_position() -> None:
 
 
 def test_dropped_frames_are_no_data_and_nothing_else() -> None:
-    made = flight(dtype=np.uint16, position=True)
-    line = made.line
+    line = flight(dtype=np.uint16, position=True).line
     line["counts"].values[5] = 65535
     stamps = line.time.values.copy()
     stamps[5] = np.datetime64("NaT", "ns")
@@ -221,8 +217,7 @@ def test_flags_of_others_stay() -> None:
         Quality.SATURATED,
         3,
     )
-    again = reflectance(reflectance(line)).quality.values
-    np.testing.assert_array_equal(again, quality)
+    np.testing.assert_array_equal(reflectance(reflectance(line)).quality.values, quality)
 
 
 def test_quality_attributes_follow_cf() -> None:

@@ -125,8 +125,7 @@ def in_registry(line: xr.Dataset, units: Any, irradiance: str, gain: str, exposu
     for name, unit in (("irradiance", irradiance), ("radiance_gain", gain), ("exposure_time", exposure)):
         old = line[name].attrs["units"]
         values = line[name].values.astype(np.float64) / conversion_factor(unit, old)
-        dims = line[name].dims
-        other[name] = (dims, units.Quantity(values, units.Unit(unit_of(unit))), {"units": old})
+        other[name] = (line[name].dims, units.Quantity(values, units.Unit(unit_of(unit))), {"units": old})
     other["counts"] = (line.counts.dims, units.Quantity(line.counts.values, "count"), {})
     return other
 

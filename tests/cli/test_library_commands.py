@@ -130,8 +130,7 @@ def test_dirsig(store: Path, tmp_path: Path) -> None:
     assert [material.id for material in read_materials(out / "materials.mat")] == ["Tuerkis_matt", "rot_blau"]
     again = open_emissivity(out / "emissivity/rot_blau.ems").member_reflectance[0]
     np.testing.assert_allclose(again, open_library(store).member_reflectance[1], atol=1e-6)
-    refused = export(store, "--format", "dirsig", "--out", out, status=2)
-    assert "pass --overwrite" in refused.output
+    assert "pass --overwrite" in export(store, "--format", "dirsig", "--out", out, status=2).output
     assert export(store, "--format", "dirsig", "--out", out, "--overwrite").exit_code == 0
 
 
@@ -167,8 +166,7 @@ def test_options_of_dirsig(store: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("form", "name"), [("envi", "p.sli"), ("csv", "p.csv"), ("zarr", "p.zarr")])
 def test_libraries(form: str, name: str, store: Path, tmp_path: Path) -> None:
-    done = export(store, "--format", form, "--out", tmp_path / name, status=0)
-    assert "2 paints, 6 bands" in done.output
+    assert "2 paints, 6 bands" in export(store, "--format", form, "--out", tmp_path / name, status=0).output
     opened = open_library(tmp_path / name)
     assert sorted(opened["signature"].values.tolist()) == ["Türkis, matt", "rot/blau"]
     again = export(store, "--format", form, "--out", tmp_path / name, "--gaps", "refuse", status=2)
@@ -357,8 +355,7 @@ def test_the_store_keeps_its_references(lot: Path, tmp_path: Path) -> None:
             np.testing.assert_array_equal(kept[name].values, opened[name].values)
         assert kept["reflectance"].attrs["units"] == "1"
     own = hyperpaint("validate", lot / "paints.zarr", status=0)
-    said = hyperpaint("validate", lot / "paints.zarr", "--reference", lot / "lot.zarr")
-    assert said.stdout == own.stdout
+    assert hyperpaint("validate", lot / "paints.zarr", "--reference", lot / "lot.zarr").stdout == own.stdout
     expect_words(own.stdout, "(SVC)", "(ASD)", "references against one another")
     assert hyperpaint("validate", lot / "paints.zarr", "--out", tmp_path / "t.csv").exit_code == 0
     rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
@@ -379,8 +376,7 @@ def test_a_wrong_gain_fails(lot: Path, tmp_path: Path) -> None:
     bright = paints.assign(reflectance=(paints["reflectance"] * np.float32(1.1)).assign_attrs(units="1"))
     hp.to_store(bright, tmp_path / "bright.zarr")
     words = ("validate", tmp_path / "bright.zarr", "--reference", lot / "raw/svc/*.sig")
-    done = hyperpaint(*words, status=1)
-    assert "not passed: " in done.stderr
+    assert "not passed: " in hyperpaint(*words, status=1).stderr
     assert hyperpaint(*words, "--tolerance", "spectral_angle=1.7", "--tolerance", "scale=0.12").exit_code == 0
 
 
@@ -485,8 +481,7 @@ def test_bad_calls_are_one_message(stored: Path, references: Path, tmp_path: Pat
 
 def test_a_store_named_inside_a_library_is_looked_for_beside_it_only(tmp_path: Path) -> None:
     for name in ("../elsewhere.zarr", "/etc", "", ".."):
-        paints = agreeing()[0].assign_attrs(store=name)
-        hp.to_store(paints, tmp_path / "p.zarr", overwrite=True)
+        hp.to_store(agreeing()[0].assign_attrs(store=name), tmp_path / "p.zarr", overwrite=True)
         (tmp_path / "references").mkdir(exist_ok=True)
         assert "pass files with --reference" in hyperpaint("validate", tmp_path / "p.zarr").stderr
 

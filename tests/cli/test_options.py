@@ -104,8 +104,7 @@ def test_parameters_are_read_without_an_import() -> None:
     ],
 )  # fmt: skip
 def test_an_old_spelling_names_the_new_one(old: str, new: str) -> None:
-    message = run(*old.split(), "1")
-    assert f"is now {new} [option-renamed]" in message
+    assert f"is now {new} [option-renamed]" in run(*old.split(), "1")
 
 
 @pytest.mark.parametrize(
@@ -196,8 +195,7 @@ def test_a_stopped_process_goes_on_where_it_was(
     assert "Traceback" not in stopped.output
     assert (len(written), (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT))) == (1, before)
 
-    again = hyperpaint(*call, status=0)
-    assert f"/{written[0]} there already" in again.output
+    assert f"/{written[0]} there already" in hyperpaint(*call, status=0).output
     assert hp.verify(tmp_path / "lot.zarr").ok
     assert [path.name for path in tmp_path.iterdir()] == ["lot.zarr"]
 
@@ -223,8 +221,7 @@ def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
         raise KeyboardInterrupt("by somebody else")
 
     monkeypatch.setattr("hyperpaint.verify", stop)
-    stopped = hyperpaint("verify", ".", status=130)
-    assert stopped.stderr == "stopped by SIGINT\n"
+    assert hyperpaint("verify", ".", status=130).stderr == "stopped by SIGINT\n"
 
 
 def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -207,8 +207,7 @@ def test_groups_are_listed_opened_and_verified(zarr_format: int, container: str,
         fsspec.filesystem("memory").put(str(place), f"/{tmp_path.name}.zarr", recursive=True)
         place = f"memory://{tmp_path.name}.zarr"
     assert list_groups(place) == ["flightlines/a", "flightlines/b"]
-    tree = hp.open_store(place)
-    xr.testing.assert_equal(tree["flightlines/a"].to_dataset(), cube())
+    xr.testing.assert_equal(hp.open_store(place)["flightlines/a"].to_dataset(), cube())
     report = hp.verify(place)
     assert report.ok, str(report)
     assert report.chunks >= 6

@@ -47,8 +47,7 @@ def test_every_reader_reads_what_was_written(tmp_path: Path, *, is_lazy: bool) -
     expect_error(IncompleteStoreError, "c/2/4/0", lambda: hp.open_store(store))
     (tmp_path / "away").rename(store / "counts/c/2/4/0")
     # a copy has the layout that is asked for, not that of its source
-    again = hp.to_store(ours, tmp_path / "again.zarr")
-    assert xr.open_zarr(again).counts.data.chunksize == (32, 20, 6)
+    assert xr.open_zarr(hp.to_store(ours, tmp_path / "again.zarr")).counts.data.chunksize == (32, 20, 6)
 
 
 def test_what_is_there_whole_is_not_written_again(tmp_path: Path) -> None:

@@ -136,8 +136,7 @@ def test_two_half_runs_are_not_whole(store: Path) -> None:
     run(store, "b", stop=0)
     assert hp.verify(store).ok  # nothing had been replaced yet
     run(store, "b", stop=1)
-    said = problems(store)
-    expect_words(said, "unfinished: 1 of 3", "/flightlines/raw_1, /flightlines/raw_2")
+    expect_words(problems(store), "unfinished: 1 of 3", "/flightlines/raw_1, /flightlines/raw_2")
     expect_error(IncompleteStoreError, None, lambda: hp.open_store(store, LINES[1]))
     run(store, "b")
     assert hp.verify(store).ok
@@ -159,8 +158,7 @@ def test_swapped_groups_are_told(store: Path) -> None:
     for old, new in ((LINES[0], "moved"), (LINES[1], LINES[0]), ("moved", LINES[1])):
         os.rename(store / old, store / new)
     consolidate(store)
-    said = problems(store)
-    assert f"/{LINES[0]}: changed" in said
+    assert f"/{LINES[0]}: changed" in problems(store)
     expect_error(IncompleteStoreError, "group-changed", lambda: open_group(store, LINES[0]))
     run(store)
     assert hp.verify(store).ok
@@ -173,8 +171,7 @@ def test_a_group_of_another_store_is_foreign(store: Path, tmp_path: Path) -> Non
     shutil.rmtree(store / LINES[0])
     shutil.copytree(other / LINES[0], store / LINES[0])
     consolidate(store)
-    said = problems(store)
-    expect_words(said, f"/{LINES[0]}: changed", without=("raw_3",))
+    expect_words(problems(store), f"/{LINES[0]}: changed", without=("raw_3",))
     assert any("/flightlines/raw_3: added by another program" in note for note in hp.verify(store).notes)
     expect_error(IncompleteStoreError, None, lambda: hp.open_store(store, LINES[0]))
     # what others add is opened
@@ -199,8 +196,7 @@ def test_a_deleted_group_is_forgotten_on_demand_only(store: Path) -> None:
     shutil.rmtree(store / LINES[1])
     hp.to_store(line(7), store, "signatures", overwrite=True)
     run(store, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}")
-    said = problems(store)
-    expect_words(said, f"/{LINES[1]}: deleted", "run its command with --overwrite")
+    expect_words(problems(store), f"/{LINES[1]}: deleted", "run its command with --overwrite")
     hp.to_store(xr.Dataset(), store, LINES[1])
     assert hp.verify(store).ok
 
@@ -370,8 +366,7 @@ def test_a_root_with_arrays_names_the_groups_below(path: Path, tmp_path: Path) -
 
 def test_a_huge_list_in_the_root_is_not_read(store: Path) -> None:
     document = json.loads((store / "zarr.json").read_text())
-    turned = {key: document[key] for key in reversed(document)}
-    (store / "zarr.json").write_text(json.dumps(turned))
+    (store / "zarr.json").write_text(json.dumps({key: document[key] for key in reversed(document)}))
     assert len(hp.open_store(store)["flightlines"].children) == 3
     document["consolidated_metadata"]["metadata"]["long"] = "x" * 33 * 2**20
     (store / "zarr.json").write_text(json.dumps(document))
@@ -471,7 +466,6 @@ def test_attributes_that_others_add_to_a_root_with_arrays_refuse_nothing(tmp_pat
 def test_a_document_cut_in_half_is_a_line_of_the_report(name: str, store: Path) -> None:
     whole = (store / name).read_bytes()
     (store / name).write_bytes(whole[: len(whole) // 2])
-    report = hp.verify(store)
-    assert any("damaged" in problem or "cannot be read" in problem for problem in report.problems)
+    assert any("damaged" in problem or "cannot be read" in problem for problem in hp.verify(store).problems)
     run(store)
     assert hp.verify(store).ok

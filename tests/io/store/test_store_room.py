@@ -189,8 +189,7 @@ def test_everything_is_flushed_before_the_place(
     monkeypatch.setattr(writer.Staging, "publish", publish)
     to_store(line().assign_coords(frame=("along_track", np.arange(128))), path, GROUP)
     ((_, count, present),) = states
-    before = flushed.order[:count]
-    assert set(present) <= set(before)
+    assert set(present) <= set(flushed.order[:count])
     after = flushed.order[count:]
     for folder in (path / "flightlines", path, tmp_path):
         assert str(folder) in after

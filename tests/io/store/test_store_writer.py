@@ -228,13 +228,11 @@ def test_an_interrupted_copy_of_a_source_that_is_rewritten_is_not_mixed(tmp_path
     url, path = f"memory://{os.urandom(4).hex()}.zarr", tmp_path / "lot.zarr"
 
     def source(number: int, *, failing: bool) -> xr.Dataset:
-        counts = np.full((128, 2, 3), number, "uint16")
-        made = xr.Dataset({"counts": (CUBE, counts)}).chunk(along_track=32)
+        made = xr.Dataset({"counts": (CUBE, np.full((128, 2, 3), number, "uint16"))}).chunk(along_track=32)
         made.to_zarr(url, mode="w", consolidated=False)
         if failing:
             zarr.open_array(f"{url}/counts").store_path.store.fs.rm(f"{url}/counts/c/3/0/0")
-            broken = b"x"
-            zarr.open_array(f"{url}/counts").store_path.store.fs.pipe_file(f"{url}/counts/c/3/0/0", broken)
+            zarr.open_array(f"{url}/counts").store_path.store.fs.pipe_file(f"{url}/counts/c/3/0/0", b"x")
         return xr.open_zarr(url, consolidated=False)
 
     with dask.config.set(scheduler="synchronous"):
