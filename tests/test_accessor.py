@@ -58,11 +58,23 @@ line.paint.reflectance(uncertainly=True)
 """
 
 
+#: Other modules than the accessor and xarray are not read, which would take most of the time.
+MYPY = """
+[mypy-hyperpaint.*, numpy.*, pandas.*, dask.*, zarr.*, distributed.*, pint.*, scipy.*, matplotlib.*]
+follow_imports = skip
+ignore_missing_imports = True
+[mypy-hyperpaint.accessor]
+follow_imports = normal
+"""
+
+
 @pytest.mark.slow
 def test_mypy_knows_the_accessor(tmp_path: Path) -> None:
     api = pytest.importorskip("mypy.api")
-    (tmp_path / "script.py").write_text(TYPED)
-    text, _, status = api.run(["--cache-dir", str(tmp_path), str(tmp_path / "script.py")])
+    script, config = tmp_path / "script.py", tmp_path / "mypy.ini"
+    script.write_text(TYPED)
+    config.write_text(f"[mypy]{MYPY}")
+    text, _, status = api.run(["--config-file", str(config), "--cache-dir", str(tmp_path), str(script)])
     assert status == 1
     expect_words(text, "xarray.core.dataarray.DataArray", 'Unexpected keyword argument "uncertainly"')
 

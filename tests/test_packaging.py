@@ -45,7 +45,7 @@ def test_workflows_call_what_is_there():
 def test_every_name_is_there_right_after_the_import():
     names = [name for name in hyperpaint.__all__ if name != "__version__"]
     code = "import sys, hyperpaint; getattr(hyperpaint, sys.argv[1])"
-    for name in ("errors", *names[:2]):  # each needs a process of its own; the first was missing once
+    for name in ("errors", names[0]):  # each needs a process of its own; the first was missing once
         subprocess.run([sys.executable, "-c", code, name], check=True)
 
 

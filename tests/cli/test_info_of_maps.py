@@ -84,7 +84,9 @@ def test_info_of_regions(folder: Path) -> None:
 
 
 def test_info_of_a_field_folder(tmp_path: Path) -> None:
-    document = facts(hp.simulate_collect(tmp_path / "day", lines=8, bands=8, columns=6, truth=False).parent)
+    document = facts(
+        hp.simulate_collect(tmp_path / "day", scene="plan", lines=8, bands=8, columns=6, truth=False).parent
+    )
     assert document["is"].startswith("folder of a field day: 1 raw cube")
     assert any("frame index" in str(text) for text in document.values())
     empty = tmp_path / "empty"
