@@ -136,7 +136,8 @@ VALUES: dict[str, tuple[Callable[[xr.Dataset], Any], Any]] = {
     "ratios of bands": (lambda line: index_of(line).shape, AREA),
     "angles between pixels": (
         lambda line: xr.dot(
-            line.reflectance.fillna(0), line.reflectance.isel(along_track=0, cross_track=0, drop=True).fillna(0),
+            line.reflectance.fillna(0),
+            line.reflectance.isel(along_track=0, cross_track=0, drop=True).fillna(0),
             dim="band",
         ).shape,
         AREA,

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -57,6 +58,12 @@ def run(
                 raise KeyboardInterrupt
             turn.write(name, dataset)
         last()
+
+
+def mend(path: Path, settings: str = "a") -> None:
+    # Run again, after which the store is whole
+    run(path, settings)
+    assert hp.verify(path).ok
 
 
 @pytest.fixture
@@ -128,8 +135,7 @@ def test_a_run_that_was_cut_short_is_unfinished(stop: int, path: Path) -> None:
     assert hp.verify(path).resume == f"hyperpaint process lot.toml --out {path}"
     expect_error(IncompleteStoreError, "store-unfinished", lambda: hp.open_store(path, LINES[0]))
     assert open_group(path, LINES[0]).counts.values[0, 0, 0] == 98
-    run(path)
-    assert hp.verify(path).ok
+    mend(path)
 
 
 def test_two_half_runs_are_not_whole(store: Path) -> None:
@@ -138,8 +144,7 @@ def test_two_half_runs_are_not_whole(store: Path) -> None:
     run(store, "b", stop=1)
     expect_words(problems(store), "unfinished: 1 of 3", "/flightlines/raw_1, /flightlines/raw_2")
     expect_error(IncompleteStoreError, None, lambda: hp.open_store(store, LINES[1]))
-    run(store, "b")
-    assert hp.verify(store).ok
+    mend(store, "b")
 
 
 def test_a_deleted_group_is_missed(store: Path) -> None:
@@ -150,8 +155,7 @@ def test_a_deleted_group_is_missed(store: Path) -> None:
     assert "\n" not in said
     # of the other lines each is what it was
     assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
-    run(store)
-    assert hp.verify(store).ok
+    mend(store)
 
 
 def test_swapped_groups_are_told(store: Path) -> None:
@@ -160,8 +164,7 @@ def test_swapped_groups_are_told(store: Path) -> None:
     consolidate(store)
     assert f"/{LINES[0]}: changed" in problems(store)
     expect_error(IncompleteStoreError, "group-changed", lambda: open_group(store, LINES[0]))
-    run(store)
-    assert hp.verify(store).ok
+    mend(store)
 
 
 def test_a_group_of_another_store_is_foreign(store: Path, tmp_path: Path) -> None:
@@ -179,17 +182,14 @@ def test_a_group_of_another_store_is_foreign(store: Path, tmp_path: Path) -> Non
 
 
 def test_what_a_user_adds_is_of_the_store(store: Path) -> None:
-    hp.to_store(line(7), store, "signatures")
-    assert hp.verify(store).ok
+    assert hp.verify(hp.to_store(line(7), store, "signatures")).ok
     assert set(manifest(store).groups) == {"", "flightlines", *LINES, "signatures"}
-    run(store, "b")
-    assert hp.verify(store).ok
+    mend(store, "b")
     shutil.rmtree(store / "signatures")
     assert "/signatures: deleted" in problems(store)
     hp.to_store(line(8), store, LINES[0], overwrite=True)
     assert "/signatures: deleted" in problems(store)
-    run(store, "b")  # forgets what is gone
-    assert hp.verify(store).ok
+    mend(store, "b")  # forgets what is gone
 
 
 def test_a_deleted_group_is_forgotten_on_demand_only(store: Path) -> None:
@@ -197,20 +197,19 @@ def test_a_deleted_group_is_forgotten_on_demand_only(store: Path) -> None:
     hp.to_store(line(7), store, "signatures", overwrite=True)
     run(store, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}")
     expect_words(problems(store), f"/{LINES[1]}: deleted", "run its command with --overwrite")
-    hp.to_store(xr.Dataset(), store, LINES[1])
-    assert hp.verify(store).ok
+    assert hp.verify(hp.to_store(xr.Dataset(), store, LINES[1])).ok
 
 
 def test_groups_without_variables_are_of_the_store(store: Path) -> None:
     hp.to_store(xr.Dataset(attrs={"a": 1}), store, "meta")
-    hp.to_store(line(7), store, "signatures")
-    assert hp.verify(store).ok
+    assert hp.verify(hp.to_store(line(7), store, "signatures")).ok
     hp.open_store(store)
     shutil.rmtree(store / LINES[1] / "counts")
     assert "counts: the array is missing" in problems(store)
 
 
-def _publish_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_half_written_tree_is_finished_by_itself_alone(store: Path) -> None:
+    tree = xr.DataTree.from_dict({"/sig/a": line(1), "/sig/b": line(2)})
     publish, calls = stage.Staging.publish, iter([True])
 
     def killed(self: Any, *arguments: Any) -> None:
@@ -218,15 +217,7 @@ def _publish_once(monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
         publish(self, *arguments)
 
-    monkeypatch.setattr(stage.Staging, "publish", killed)
-
-
-def test_a_half_written_tree_is_finished_by_itself_alone(
-    store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tree = xr.DataTree.from_dict({"/sig/a": line(1), "/sig/b": line(2)})
-    with monkeypatch.context() as patch:
-        _publish_once(patch)
+    with mock.patch.object(stage.Staging, "publish", killed):
         expect_error(KeyboardInterrupt, None, lambda: hp.to_store(tree, store))
     hp.to_store(line(9), store, "other")
     for _ in range(2):
@@ -243,8 +234,7 @@ def test_a_half_written_tree_is_finished_by_itself_alone(
             (IncompleteStoreError, "/sig/b", lambda: hp.open_store(store, "sig/a")),
             (IncompleteStoreError, "/sig/b", lambda: run(store)),
         )
-    hp.to_store(tree, store)
-    assert hp.verify(store).ok
+    assert hp.verify(hp.to_store(tree, store)).ok
 
 
 def test_a_run_does_not_finish_another(path: Path) -> None:
@@ -255,8 +245,7 @@ def test_a_run_does_not_finish_another(path: Path) -> None:
         lambda: run(path, lines=("renders/clear",), command="hyperpaint render car.toml --out {store}"),
     )
     assert "to finish it: hyperpaint process lot.toml" in problems(path)
-    run(path)
-    assert hp.verify(path).ok
+    mend(path)
 
 
 def test_a_run_that_could_not_be_sealed_says_so(path: Path) -> None:
@@ -265,8 +254,7 @@ def test_a_run_that_could_not_be_sealed_says_so(path: Path) -> None:
         "store-unfinished",
         lambda: run(path, last=lambda: shutil.rmtree(path / LINES[0])),
     )
-    run(path)
-    assert hp.verify(path).ok
+    mend(path)
 
 
 def test_texts_of_a_manifest_do_no_harm(store: Path) -> None:
@@ -297,27 +285,21 @@ def test_what_a_user_adds_does_not_finish_a_run(path: Path) -> None:
     hp.to_store(line(7), path, "signatures")
     hp.to_store(line(8), path, "signatures", overwrite=True)
     assert "unfinished: 1 of 3" in problems(path)
-    run(path)
-    assert hp.verify(path).ok
+    mend(path)
     assert set(list_groups(path)) == {*LINES, "signatures"}
 
 
 @pytest.mark.parametrize("group", ["signatures", LINES[0]])
 @pytest.mark.parametrize("point", ["publish", "finish"])
-def test_one_group_more_leaves_the_store_whole_at_every_instant(
-    group: str, point: str, store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_group_more_leaves_the_store_whole_at_every_instant(group: str, point: str, store: Path) -> None:
     target = {"publish": "stage.Staging.publish", "finish": "writer._StoreWriter.finish"}[point]
-    with monkeypatch.context() as patch:
-        patch.setattr(f"hyperpaint.io.store.{target}", _interrupt)
+    with mock.patch(f"hyperpaint.io.store.{target}", side_effect=KeyboardInterrupt):
         expect_error(KeyboardInterrupt, None, lambda: hp.to_store(line(7), store, group, overwrite=True))
     assert hp.open_store(store, LINES[1]).counts.values[0, 0, 0] == 98
     hp.open_store(store)
     assert [text for text in hp.verify(store).problems if "listing-missing" not in text] == []
-    hp.to_store(line(9), store, "other")
-    assert hp.verify(store).ok
-    hp.to_store(line(7), store, group, overwrite=True)
-    assert hp.verify(store).ok
+    assert hp.verify(hp.to_store(line(9), store, "other")).ok
+    assert hp.verify(hp.to_store(line(7), store, group, overwrite=True)).ok
 
 
 def test_what_is_written_while_a_store_is_read_is_said(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -332,32 +314,20 @@ def test_what_is_written_while_a_store_is_read_is_said(store: Path, monkeypatch:
     assert "a writer changed the store" in hp.verify(store).problems[0]
 
 
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
-
-
-def test_a_tree_is_whole_when_all_of_it_is_there(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tree_is_whole_when_all_of_it_is_there(path: Path, tmp_path: Path) -> None:
     tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"name": "lot"}), "/a": line(1), "/b/c": line(2)})
-    with monkeypatch.context() as patch:
-        patch.setattr(writer._StoreWriter, "finish", _interrupt)
+    with mock.patch.object(writer._StoreWriter, "finish", side_effect=KeyboardInterrupt):
         expect_error(KeyboardInterrupt, None, lambda: hp.to_store(tree, path))
     assert hp.open_store(path, "a").counts.values[0, 0, 0] == 1  # each is there; the list in the root is not
-    hp.to_store(tree, path)
-    assert hp.verify(path).ok
-    hp.to_store(hp.open_store(path), tmp_path / "copy.zarr")
-    assert hp.verify(tmp_path / "copy.zarr").ok
+    assert hp.verify(hp.to_store(tree, path)).ok
+    assert hp.verify(hp.to_store(hp.open_store(path), tmp_path / "copy.zarr")).ok
 
 
 def test_a_root_with_arrays_names_the_groups_below(path: Path, tmp_path: Path) -> None:
-    hp.to_store(xr.DataTree.from_dict({"/": line(1), "/a": line(2)}), path)
-    assert hp.verify(path).ok
+    assert hp.verify(hp.to_store(xr.DataTree.from_dict({"/": line(1), "/a": line(2)}), path)).ok
     alone = tmp_path / "alone.zarr"
-    hp.to_store(line(1), alone)
-    assert hp.verify(alone).ok
-    hp.to_store(line(2), alone, "a")
-    assert hp.verify(alone).ok
+    assert hp.verify(hp.to_store(line(1), alone)).ok
+    assert hp.verify(hp.to_store(line(2), alone, "a")).ok
     for each in (path, alone):
         assert hp.open_store(each).counts.values[0, 0, 0] == 1
         shutil.rmtree(each / "a")
@@ -381,8 +351,7 @@ def test_a_lost_manifest_is_told_and_made_again(store: Path) -> None:
     assert not is_complete(store, LINES[0])
     assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
     expect_error(StoreError, "manifest-lost", lambda: hp.to_store(line(7), store, "signatures"))
-    hp.to_store(line(7), store, "signatures", overwrite=True)
-    assert hp.verify(store).ok
+    assert hp.verify(hp.to_store(line(7), store, "signatures", overwrite=True)).ok
     made = manifest(store)
     assert {name: made.groups[name] for name in LINES} == {name: before.groups[name] for name in LINES}
 
@@ -399,8 +368,7 @@ def test_a_damaged_manifest_is_told(old: str, new: str, code: str, store: Path) 
     assert "is damaged" in problems(store)
     for act in (lambda: hp.open_store(store, LINES[0]), lambda: hp.to_store(line(7), store, "signatures")):
         expect_error(hp.PaintError, code, act)
-    run(store)
-    assert hp.verify(store).ok
+    mend(store)
 
 
 def test_manifests_survive_their_document() -> None:
@@ -467,5 +435,4 @@ def test_a_document_cut_in_half_is_a_line_of_the_report(name: str, store: Path) 
     whole = (store / name).read_bytes()
     (store / name).write_bytes(whole[: len(whole) // 2])
     assert any("damaged" in problem or "cannot be read" in problem for problem in hp.verify(store).problems)
-    run(store)
-    assert hp.verify(store).ok
+    mend(store)

@@ -145,8 +145,7 @@ def test_kill_before_the_root_is_consolidated(stage: str, store: Path) -> None:
     assert not verify(store).ok
     source = open_store(store, GROUP).compute()
     expect_error(StoreError, "store-exists", lambda: to_store(source, store, GROUP))
-    to_store(source, store, GROUP, overwrite=True)
-    assert verify(store).ok
+    assert verify(to_store(source, store, GROUP, overwrite=True)).ok
     xr.open_zarr(store, group=GROUP)
 
 
@@ -208,8 +207,7 @@ def test_damaged_metadata(damage: Callable[[Path], object], store: Path) -> None
     expect_error(StoreError, None, lambda: open_store(store, GROUP))
     # the other group is none the worse, and this one can be written again
     assert is_complete(store, "flightlines/raw_1")
-    to_store(open_store(store, "flightlines/raw_1").compute(), store, GROUP, overwrite=True)
-    assert verify(store).ok
+    assert verify(to_store(open_store(store, "flightlines/raw_1").compute(), store, GROUP, overwrite=True)).ok
 
 
 @pytest.mark.slow
@@ -218,8 +216,7 @@ def test_second_writer_is_refused(path: Path) -> None:
     wait_for(lambda: chunks_built(path) > 1)
     expect_error(StoreError, "store-locked", lambda: to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other"))
     assert writer.communicate(timeout=60)[0] == "done\n"
-    to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
-    assert verify(path).ok
+    assert verify(to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")).ok
 
 
 def test_concurrent_writers_take_turns_or_are_refused(tmp_path: Path) -> None:

@@ -328,6 +328,5 @@ def test_texts_and_empty_arrays_in_several_chunks(tmp_path: Path) -> None:
             "empty": (("along_track", "c"), np.zeros((70, 0))),
         }
     )
-    to_store(names, tmp_path / "n.zarr")
-    assert verify(tmp_path / "n.zarr").ok
+    assert verify(to_store(names, tmp_path / "n.zarr")).ok
     xr.testing.assert_equal(open_store(tmp_path / "n.zarr").load(), names)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import dask
 import dask.array as da
@@ -22,6 +23,7 @@ from support.refusals import expect_error
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.store import chunks, open_store, to_store, verify
+from hyperpaint.io.store.groups import version_of_program
 from hyperpaint.io.store.location import MANIFEST_NODE
 
 CUBE = ("along_track", "band", "cross_track")
@@ -133,10 +135,6 @@ def fail_after(count: int, error: BaseException) -> Callable[[int], None]:
     return fail
 
 
-def interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
-
-
 def cut_short(path: Path, count: int = 7, error: BaseException | None = None) -> list[int]:
     # Fail after some blocks of the source; return those that are left to do
     before.append(fail_after(count, error or OSError(errno.ENOSPC, "No space left on device")))
@@ -199,11 +197,8 @@ def test_cut_short_again_and_again(path: Path, whole: dict[str, Any]) -> None:
     assert_whole(path, whole)
 
 
-def test_stopped_just_before_the_end(
-    path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.io.store.writer.flush_group", interrupt)
+def test_stopped_just_before_the_end(path: Path, whole: dict[str, Any]) -> None:
+    with mock.patch("hyperpaint.io.store.writer.flush_group", side_effect=KeyboardInterrupt):
         expect_error(KeyboardInterrupt, None, lambda: to_store(line(), path, GROUP, source_token=TOKEN))
     asked.clear()
     to_store(line(), path, GROUP, source_token=TOKEN)
@@ -211,12 +206,9 @@ def test_stopped_just_before_the_end(
     assert_whole(path, whole)
 
 
-def test_stopped_while_it_is_taken_up(
-    path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stopped_while_it_is_taken_up(path: Path, whole: dict[str, Any]) -> None:
     left = cut_short(path)
-    with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.io.store.writer.discard", interrupt)
+    with mock.patch("hyperpaint.io.store.writer.discard", side_effect=KeyboardInterrupt):
         expect_error(KeyboardInterrupt, None, lambda: to_store(line(), path, GROUP, source_token=TOKEN))
     assert len(list(partial(path).glob("build-*"))) == 2
     asked.clear()
@@ -260,20 +252,13 @@ def test_damaged_leftovers_are_made_again(
     assert_whole(path, whole)
 
 
-def test_leftovers_of_other_content_are_discarded(path: Path, whole: dict[str, Any]) -> None:
-    cut_short(path)
-    to_store(line(), path, GROUP, source_token="other inputs")
-    assert sorted(asked) == list(range(BLOCKS))
-    assert_whole(path, whole)
-
-
-def test_leftovers_of_another_version_are_discarded(
-    path: Path, whole: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("version", "token"), [("0.0", TOKEN), (version_of_program(), "other inputs")])
+def test_leftovers_of_other_content_or_version_are_discarded(
+    version: str, token: str, path: Path, whole: dict[str, Any]
 ) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.io.store.writer.version_of_program", lambda: "0.0")
+    with mock.patch("hyperpaint.io.store.writer.version_of_program", return_value=version):
         cut_short(path)
-    to_store(line(), path, GROUP, source_token=TOKEN)
+    to_store(line(), path, GROUP, source_token=token)
     assert sorted(asked) == list(range(BLOCKS))
     assert_whole(path, whole)
 
