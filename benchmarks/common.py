@@ -29,8 +29,8 @@ import zarr
 import hyperpaint
 import hyperpaint.accessor
 
-SMOKE = bool(os.environ.get("HYPERPAINT_SMOKE"))  # as in CI: the smallest sizes, a tenth of the swath
-BANDS, COLUMNS = 272, 64 if SMOKE else 640
+SMOKE = bool(os.environ.get("HYPERPAINT_SMOKE"))  # as in CI: the smallest sizes, a sixteenth of the samples
+BANDS, COLUMNS = (68, 160) if SMOKE else (272, 640)
 BLOCK_LINES = 256  # lines that differ; longer cubes repeat them
 THREADS = 2
 ELECTRONS_PER_COUNT, READ_NOISE, FULL_SCALE = 20.0, 0.5, 4095

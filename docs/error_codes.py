@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,9 +45,10 @@ class Fault:
     room: str
 
 
-def faults() -> Iterator[Fault]:
-    """Yield every fault with a literal code, in the order of the files."""
-    root = Path(hyperpaint.__file__).parent
+@functools.cache
+def faults() -> tuple[Fault, ...]:
+    """Return every fault with a literal code, in the order of the files."""
+    root, found_faults = Path(hyperpaint.__file__).parent, []
     for path in sorted(root.rglob("*.py")):
         room = path.relative_to(root).parts[0].removesuffix(".py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -58,9 +59,10 @@ def faults() -> Iterator[Fault]:
             if isinstance(code, ast.Constant) and isinstance(code.value, str) and node.args:
                 found = next((text for text in map(_template, node.args) if " " in text), "")
                 expected, mend = (_template(keywords.get(name)) for name in ("expected", "mend"))
-                yield Fault(code.value, found, expected, mend or _template(keywords.get("option")), room)
-    for kind in KINDS.values():
-        yield Fault(kind.name, kind.meaning, "", kind.mend, "plausibility")
+                mend = mend or _template(keywords.get("option"))
+                found_faults.append(Fault(code.value, found, expected, mend, room))
+    kinds = (Fault(kind.name, kind.meaning, "", kind.mend, "plausibility") for kind in KINDS.values())
+    return (*found_faults, *kinds)
 
 
 def _template(node: ast.expr | None) -> str:

@@ -280,8 +280,7 @@ class Setup:
         """Return the counts above the dark of a radiance [W m-2 sr-1 nm-1] in flight."""
         width = _GAUSSIAN_AREA * _amount(self.flight_bandwidth, "nm")
         power = _amount(radiance, _RADIANCE) * _amount(self.etendue, "m2 sr") * width
-        energy = power * _amount(self.flight_exposure, "s")
-        amount = energy * _amount(self.peak_responsivity, "count J-1")
+        amount = power * _amount(self.flight_exposure, "s") * _amount(self.peak_responsivity, "count J-1")
         return _result(amount, "count", radiance, *self._values())
 
 

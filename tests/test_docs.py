@@ -137,8 +137,7 @@ def parameter_texts(doc: str) -> dict[str, str]:
 def test_every_parameter_of_a_public_function_has_a_description():
     texts = {name: parameter_texts(inspect.getdoc(one) or "") for name, one in public_functions().items()}
     assert sum(map(len, texts.values())) > 500
-    lacking = [(name, key) for name, each in texts.items() for key, text in each.items() if not text]
-    assert not lacking
+    assert not [(name, key) for name, each in texts.items() for key, text in each.items() if not text]
 
 
 def test_descriptions_of_parameters_that_functions_share_stand_in_one_table():
@@ -172,8 +171,7 @@ def test_links_of_a_built_site_that_lead_nowhere_are_named(tmp_path):
     links = "".join(f'<a href="{link}">x</a>' for link in [*right, *wrong])
     (tmp_path / "index.html").write_text(f'<p id="here">{links}</p>')
     count, faults = of_docs("check_links").faults(tmp_path)
-    assert count == len(right) + len(wrong)
-    assert [fault.split(": ")[1] for fault in faults] == list(wrong)
+    assert (count, [fault.split(": ")[1] for fault in faults]) == (len(right) + len(wrong), list(wrong))
     assert all(text in fault for text, fault in zip(wrong.values(), faults, strict=True))
 
 

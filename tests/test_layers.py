@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from support import house
+from support.refusals import expect_error
 from support.rooms import ALONE, ROOMS, SKY
 
 import hyperpaint
@@ -94,11 +95,11 @@ def test_every_public_name_resolves(room: str) -> None:
 
 
 def test_a_name_of_a_room_is_pointed_to() -> None:
-    with pytest.raises(AttributeError, match="orthorectify") as caught:
-        vars(hyperpaint)["__getattr__"]("orthorectify")
-    assert "hyperpaint.geometry.orthorectify" in caught.value.__notes__[0]
-    with pytest.raises(AttributeError, match="nothing"):
-        _ = hyperpaint.nothing
+    caught = expect_error(
+        AttributeError, "orthorectify", lambda: vars(hyperpaint)["__getattr__"]("orthorectify")
+    )
+    assert "hyperpaint.geometry.orthorectify" in caught.__notes__[0]
+    expect_error(AttributeError, "nothing", lambda: hyperpaint.nothing)
 
 
 def test_no_module_shares_its_name_with_a_public_function() -> None:

@@ -1,10 +1,14 @@
-"""Sixty things that people do to xarray objects in a notebook, done to lines, libraries and stores.
+"""Ninety things that people do in a notebook, done to lines, libraries and stores.
 
-Done to a simulated line and to one that `hyperpaint.process` wrote; `test_ordinary_tools` has others.
+Choosing, statistics and joining are done to a simulated line and to one that `hyperpaint.process` wrote;
+`test_ordinary_tools` has others.
 """
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,9 +16,15 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.notebook_desk import BANDS, COLUMNS, LINES, Habit, laid_out, same
+from support.refusals import expect_error
 
 import hyperpaint as hp
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::PendingDeprecationWarning"
+)
+ROWS, PIXELS = xr.DataArray([1, 5, 9], dims="pixel"), xr.DataArray([0, 2, 4], dims="pixel")
+AREA = (LINES, COLUMNS)
 HABITS: dict[str, Habit] = {}
 
 
@@ -23,292 +33,415 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     return laid_out(tmp_path_factory.mktemp("desk"))
 
 
+@pytest.fixture(params=["simulated", "processed"])
+def line(desk: SimpleNamespace, request: pytest.FixtureRequest) -> xr.Dataset:
+    return {"simulated": desk.line, "processed": desk.processed.compute()}[request.param]
+
+
 def habit(function: Habit) -> Habit:
     HABITS[function.__name__] = function
     return function
 
 
-# --- choosing ----------------------------------------------------------------------------------------------
+# --- one expression: its value, or another one of the same values -------------------------------------------
 
 
-@habit
-def sel_a_line_by_its_number(desk: SimpleNamespace) -> None:
-    same(desk.line.sel(along_track=7).reflectance, desk.line.isel(along_track=7).reflectance)
+def numbers(array: Any) -> list[float]:
+    found: list[float] = np.asarray(array).tolist()
+    return found
 
 
-@habit
-def sel_a_slice_includes_its_end(desk: SimpleNamespace) -> None:
-    part = desk.line.sel(along_track=slice(10, 20), cross_track=slice(2, 5))
-    assert (part.sizes["along_track"], part.sizes["cross_track"]) == (11, 4)
+def by_wavelength(line: xr.Dataset) -> xr.DataArray:
+    return line.reflectance.swap_dims(band="wavelength")
 
 
-@habit
-def sel_the_nearest(desk: SimpleNamespace) -> None:
-    assert int(desk.line.sel(along_track=7.4, method="nearest").along_track) == 7
+#: What is asked of a line, and the answer.
+VALUES: dict[str, tuple[Callable[[xr.Dataset], Any], Any]] = {
+    # choosing
+    "sel a slice includes its end": (
+        lambda line: line.quality.sel(along_track=slice(10, 20), cross_track=slice(2, 5)).shape, (11, 4),
+    ),
+    "sel the nearest": (lambda line: int(line.sel(along_track=7.4, method="nearest").along_track), 7),
+    "isel pixels by arrays": (
+        lambda line: line.reflectance.isel(along_track=ROWS, cross_track=PIXELS).dims, ("pixel", "band"),
+    ),
+    "where flags are not set": (
+        lambda line: set(line.reflectance.where(line.quality == 0).dims),
+        {"along_track", "band", "cross_track"},
+    ),
+    "where drops what is empty": (
+        lambda line: numbers(line.where(line.along_track < 5, drop=True).along_track), [0, 1, 2, 3, 4],
+    ),
+    "query": (lambda line: line.query(along_track="along_track > 40").sizes["along_track"], LINES - 41),
+    "thin": (lambda line: numbers(line.thin(along_track=4).along_track[:3]), [0, 4, 8]),
+    "tail": (lambda line: int(line.tail(along_track=1).along_track[0]), LINES - 1),
+    "a crop of a crop keeps its place": (
+        lambda line: numbers(
+            line.isel(along_track=slice(10, None)).isel(along_track=slice(5, 9)).along_track
+        ),
+        [15, 16, 17, 18],
+    ),
+    "slices of wavelength": (
+        lambda line: bool(
+            (abs(by_wavelength(line).sel(wavelength=slice(600, 700)).wavelength - 650) <= 50).all()
+        ),
+        True,
+    ),
+    # statistics
+    "mean of an area": (
+        lambda line: line.reflectance.mean(["along_track", "cross_track"]).sizes, {"band": BANDS},
+    ),
+    "coarsen lines": (
+        lambda line: numbers(line.reflectance.coarsen(along_track=4, cross_track=3).mean().along_track[:2]),
+        [1.5, 5.5],
+    ),
+    "rolling mean of lines": (
+        lambda line: line.reflectance.rolling(along_track=5, center=True).mean().sizes["along_track"], LINES,
+    ),
+    "rolling over bands": (
+        lambda line: line.reflectance.rolling(band=3, center=True).mean().sizes["band"], BANDS,
+    ),
+    "resample in time": (
+        lambda line: (
+            line.reflectance.swap_dims(along_track="time").resample(time="100ms").mean().sizes["time"]
+        ),
+        4,
+    ),
+    "resample the irradiance": (
+        lambda line: line.irradiance.resample(irradiance_time="4s").mean().sizes["irradiance_time"] >= 2,
+        True,
+    ),
+    "groupby bins of wavelength": (
+        lambda line: (
+            line.reflectance.groupby_bins("wavelength", [400, 500, 600, 700])
+            .mean("band").sizes["wavelength_bins"]
+        ),
+        3,
+    ),
+    "groupby bins of lines": (
+        lambda line: (
+            line.reflectance.groupby_bins("along_track", 4).mean("along_track").sizes["along_track_bins"]
+        ),
+        4,
+    ),
+    "quantiles": (
+        lambda line: line.reflectance.quantile([0.1, 0.9], "along_track").sizes["quantile"], 2,
+    ),
+    "derivative over wavelength": (
+        lambda line: line.reflectance.differentiate("wavelength").shape == line.reflectance.shape, True,
+    ),
+    "integrate over wavelength": (
+        lambda line: line.reflectance.fillna(0).integrate("wavelength").shape, AREA,
+    ),
+    "ratios of bands": (lambda line: index_of(line).shape, AREA),
+    "angles between pixels": (
+        lambda line: xr.dot(
+            line.reflectance.fillna(0),
+            line.reflectance.isel(along_track=0, cross_track=0, drop=True).fillna(0),
+            dim="band",
+        ).shape,
+        AREA,
+    ),
+    # joining
+    "merge products of a line": (
+        lambda line: {"before", "counts"} <= set(
+            xr.merge(
+                [line, line[["reflectance"]].rename(reflectance="before")], compat="override"
+            ).data_vars
+        ),
+        True,
+    ),
+    "bands have no number that joins two cameras": (lambda line: "band" in line.coords, False),
+}  # fmt: skip
+
+#: What has the same values.
+SAME: dict[str, tuple[Callable[[xr.Dataset], Any], Callable[[xr.Dataset], Any]]] = {
+    "sel a line by its number": (
+        lambda line: line.sel(along_track=7).reflectance, lambda line: line.isel(along_track=7).reflectance,
+    ),
+    "sel in a crop": (
+        lambda line: line.isel(along_track=slice(15, 19)).sel(along_track=16).reflectance,
+        lambda line: line.isel(along_track=16).reflectance,
+    ),
+    "sel pixels by arrays": (
+        lambda line: line.reflectance.sel(along_track=ROWS, cross_track=PIXELS),
+        lambda line: line.reflectance.isel(along_track=ROWS, cross_track=PIXELS),
+    ),
+    "swap dims to wavelength": (
+        lambda line: by_wavelength(line).sel(wavelength=550, method="nearest"),
+        lambda line: line.paint.at(550.0).reflectance,
+    ),
+    "interp between lines": (
+        lambda line: line.reflectance.interp(along_track=[3.5]).isel(along_track=0),
+        lambda line: line.reflectance.isel(along_track=[3, 4]).mean("along_track", skipna=False),
+    ),
+    "weighted mean of lines": (
+        lambda line: line.reflectance.weighted(xr.ones_like(line.along_track, float)).mean("along_track"),
+        lambda line: line.reflectance.mean("along_track"),
+    ),
+    "groupby columns": (
+        lambda line: (
+            line.reflectance.groupby("cross_track").mean("along_track").transpose("band", "cross_track")
+        ),
+        lambda line: line.reflectance.mean("along_track").transpose("band", "cross_track"),
+    ),
+    "idxmax gives the line": (
+        lambda line: line.reflectance.isel(band=3, cross_track=2).idxmax("along_track"),
+        lambda line: line.reflectance.isel(band=3, cross_track=2).argmax("along_track"),
+    ),
+    "concat two crops": (
+        lambda line: xr.concat(
+            [line.isel(along_track=slice(0, 20)), line.isel(along_track=slice(20, None))],
+            "along_track", data_vars="minimal", coords="minimal", compat="override",
+        ).pipe(lambda both: both.reflectance + both.along_track),
+        lambda line: line.reflectance + line.along_track,
+    ),
+    "combine crops in any order": (
+        lambda line: xr.combine_by_coords(
+            [line[["reflectance"]].isel(along_track=slice(*part)) for part in ((20, None), (0, 20))],
+            combine_attrs="override",
+        ).reflectance,
+        lambda line: line.reflectance,
+    ),
+    "the difference of a crop is where it belongs": (
+        lambda line: (line.reflectance.isel(along_track=slice(10, 20)) - line.reflectance).fillna(0),
+        lambda line: 0 * line.reflectance.sel(along_track=range(10, 20)).fillna(0),
+    ),
+    "stack pixels and back": (
+        lambda line: (
+            line.reflectance.stack(pixel=("along_track", "cross_track"))
+            .unstack("pixel").transpose(*line.reflectance.dims)
+        ),
+        lambda line: line.reflectance,
+    ),
+}  # fmt: skip
 
 
-@habit
-def a_crop_of_a_crop_keeps_its_place(desk: SimpleNamespace) -> None:
-    crop = desk.line.isel(along_track=slice(10, None)).isel(along_track=slice(5, 9))
-    assert crop.along_track.values.tolist() == [15, 16, 17, 18]
-    same(crop.sel(along_track=16).reflectance, desk.line.isel(along_track=16).reflectance)
+def index_of(line: xr.Dataset) -> xr.DataArray:
+    nir, red = (line.paint.at(nm).reflectance for nm in (800.0, 670.0))
+    return (nir - red) / (nir + red)
 
 
-@habit
-def isel_pixels_by_arrays(desk: SimpleNamespace) -> None:
-    rows, columns = xr.DataArray([1, 5, 9], dims="pixel"), xr.DataArray([0, 2, 4], dims="pixel")
-    assert desk.line.reflectance.isel(along_track=rows, cross_track=columns).dims == ("pixel", "band")
+@pytest.mark.parametrize("name", VALUES)
+def test_a_value_of_a_line(name: str, line: xr.Dataset) -> None:
+    ask, expected = VALUES[name]
+    assert ask(line) == expected
 
 
-@habit
-def sel_pixels_by_arrays(desk: SimpleNamespace) -> None:
-    rows, columns = xr.DataArray([1, 5, 9], dims="pixel"), xr.DataArray([0, 2, 4], dims="pixel")
-    picked = desk.line.reflectance.sel(along_track=rows, cross_track=columns)
-    same(picked, desk.line.reflectance.isel(along_track=rows, cross_track=columns))
+@pytest.mark.parametrize("name", SAME)
+def test_two_ways_to_the_same_values(name: str, line: xr.Dataset) -> None:
+    first, second = SAME[name]
+    same(first(line), second(line))
 
 
-@habit
-def where_flags_are_not_set(desk: SimpleNamespace) -> None:
-    clean = desk.line.reflectance.where(desk.line.quality == 0)
-    assert clean.dims == ("along_track", "band", "cross_track") or set(clean.dims) == set(
-        desk.line.reflectance.dims
-    )
-
-
-@habit
-def where_drops_what_is_empty(desk: SimpleNamespace) -> None:
-    part = desk.line.where(desk.line.along_track < 5, drop=True)
-    assert part.along_track.values.tolist() == [0, 1, 2, 3, 4]
-
-
-@habit
-def drop_and_query(desk: SimpleNamespace) -> None:
-    assert desk.line.query(along_track="along_track > 40").sizes["along_track"] == LINES - 41
-
-
-@habit
-def thin_head_and_tail(desk: SimpleNamespace) -> None:
-    assert desk.line.thin(along_track=4).along_track.values[:3].tolist() == [0, 4, 8]
-    assert int(desk.line.tail(along_track=1).along_track[0]) == LINES - 1
-
-
-@habit
-def swap_dims_to_wavelength(desk: SimpleNamespace) -> None:
-    by_wavelength = desk.line.reflectance.swap_dims(band="wavelength")
-    near = by_wavelength.sel(wavelength=550, method="nearest")
-    same(near, desk.line.paint.at(550.0).reflectance)
-
-
-@habit
-def slices_of_wavelength(desk: SimpleNamespace) -> None:
-    red = desk.line.reflectance.swap_dims(band="wavelength").sel(wavelength=slice(600, 700))
-    assert ((red.wavelength >= 600) & (red.wavelength <= 700)).all()
-
-
-@habit
-def interp_over_wavelength(desk: SimpleNamespace) -> None:
-    at = desk.line.reflectance.swap_dims(band="wavelength").interp(wavelength=[500.0, 550.0])
-    low, high = desk.line.reflectance.min(), desk.line.reflectance.max()
-    assert ((at >= low) & (at <= high) | at.isnull()).all()
-
-
-@habit
-def interp_between_lines(desk: SimpleNamespace) -> None:
-    middle = desk.line.reflectance.interp(along_track=[3.5])
-    same(
-        middle.isel(along_track=0),
-        desk.line.reflectance.isel(along_track=[3, 4]).mean("along_track", skipna=False),
-    )
-
-
-# --- statistics --------------------------------------------------------------------------------------------
-
-
-@habit
-def mean_of_an_area(desk: SimpleNamespace) -> None:
-    assert desk.line.reflectance.mean(["along_track", "cross_track"]).sizes == {"band": BANDS}
-
-
-@habit
-def weighted_mean_over_bands(desk: SimpleNamespace) -> None:
-    weights = desk.line.wavelength.fillna(0.0)
-    mean = desk.line.reflectance.weighted(weights).mean("band")
-    own = (desk.line.reflectance * weights).sum("band") / weights.where(desk.line.reflectance.notnull()).sum(
-        "band"
-    )
+def test_more_of_a_line(line: xr.Dataset, desk: SimpleNamespace) -> None:
+    # interpolated values lie between those of the line
+    at = by_wavelength(line).interp(wavelength=[500.0, 550.0])
+    assert (at.isnull() | (at >= line.reflectance.min()) & (at <= line.reflectance.max())).all()
+    # weights count where there are values
+    weights = line.wavelength.fillna(0.0)
+    mean = line.reflectance.weighted(weights).mean("band")
+    own = (line.reflectance * weights).sum("band") / weights.where(line.reflectance.notnull()).sum("band")
     np.testing.assert_allclose(mean, own.transpose(*mean.dims), rtol=1e-5)
-
-
-@habit
-def weighted_mean_of_lines(desk: SimpleNamespace) -> None:
-    weights = xr.DataArray(np.ones(LINES), dims="along_track", coords={"along_track": np.arange(LINES)})
-    same(
-        desk.line.reflectance.weighted(weights).mean("along_track"), desk.line.reflectance.mean("along_track")
-    )
-
-
-@habit
-def coarsen_lines(desk: SimpleNamespace) -> None:
-    coarse = desk.line.reflectance.coarsen(along_track=4, cross_track=3).mean()
-    assert coarse.along_track.values[:2].tolist() == [1.5, 5.5]
-
-
-@habit
-def rolling_mean_of_lines(desk: SimpleNamespace) -> None:
-    assert desk.line.reflectance.rolling(along_track=5, center=True).mean().sizes["along_track"] == LINES
-
-
-@habit
-def rolling_over_bands(desk: SimpleNamespace) -> None:
-    assert desk.line.reflectance.rolling(band=3, center=True).mean().sizes["band"] == BANDS
-
-
-@habit
-def resample_in_time(desk: SimpleNamespace) -> None:
-    timed = desk.line.reflectance.swap_dims(along_track="time")
-    assert timed.resample(time="100ms").mean().sizes["time"] == 4
-
-
-@habit
-def resample_the_irradiance(desk: SimpleNamespace) -> None:
-    assert desk.line.irradiance.resample(irradiance_time="4s").mean().sizes["irradiance_time"] >= 2
-
-
-@habit
-def groupby_columns(desk: SimpleNamespace) -> None:
-    means = desk.line.reflectance.groupby("cross_track").mean("along_track")
-    same(
-        means.transpose("band", "cross_track"),
-        desk.line.reflectance.mean("along_track").transpose("band", "cross_track"),
-    )
-
-
-@habit
-def groupby_a_mask_of_regions(desk: SimpleNamespace) -> None:
-    mask = hp.regions.region_mask(desk.regions, desk.line)
-    means = desk.line.reflectance.groupby(mask.rename("region")).mean()
-    assert means.region.values.tolist() == [-1, 0, 1, 2]
-
-
-@habit
-def signatures_of_a_crop_are_those_of_the_line(desk: SimpleNamespace) -> None:
-    crop = desk.line.isel(along_track=slice(8, 20), cross_track=slice(0, 11))
-    region = desk.regions[1:2]
-    options: dict[str, Any] = {"exclude": 0}
-    of_crop, of_line = (each.paint.signatures(region, **options) for each in (crop, desk.line))
+    mask = hp.regions.region_mask(desk.regions, line)
+    assert numbers(line.reflectance.groupby(mask.rename("region")).mean().region) == [-1, 0, 1, 2]
+    # signatures of a crop are those of the line
+    crop = line.isel(along_track=slice(8, 20), cross_track=slice(0, 11))
+    of_crop, of_line = (each.paint.signatures(desk.regions[1:2], exclude=0) for each in (crop, line))
     xr.testing.assert_equal(of_crop.reflectance, of_line.reflectance)
     inside = of_crop.member_along_track.values[of_crop.member_along_track.values >= 0]
     assert (inside.min(), inside.max()) == (11, 17)
-
-
-@habit
-def groupby_bins_of_wavelength(desk: SimpleNamespace) -> None:
-    parts = desk.line.reflectance.groupby_bins("wavelength", [400, 500, 600, 700]).mean("band")
-    assert parts.sizes["wavelength_bins"] == 3
-
-
-@habit
-def groupby_bins_of_lines(desk: SimpleNamespace) -> None:
-    assert (
-        desk.line.reflectance.groupby_bins("along_track", 4).mean("along_track").sizes["along_track_bins"]
-        == 4
+    # two lines have the numbers of their lines in common
+    second = xr.open_zarr(desk.store, group="flightlines/raw_1").paint.reflectance()[["reflectance"]]
+    both = xr.concat(
+        [line[["reflectance"]], second], "line", join="inner", coords="minimal", compat="override"
     )
+    assert both.sizes["along_track"] == 32
+    expect_error(ValueError, "band", lambda: line.reflectance + line.reflectance.isel(band=slice(0, 5)))
+
+
+# --- files -------------------------------------------------------------------------------------------------
+
+
+def again(dataset: xr.Dataset, desk: SimpleNamespace, name: str) -> xr.Dataset:
+    path = desk.folder / name
+    dataset.to_netcdf(path, engine="h5netcdf")
+    return xr.load_dataset(path, engine="h5netcdf")
 
 
 @habit
-def groupby_with_names(desk: SimpleNamespace) -> None:
+def netcdf_and_plain_zarr_and_back(desk: SimpleNamespace) -> None:
+    back = again(desk.line, desk, "line.nc")
+    xr.testing.assert_equal(back.drop_encoding(), desk.line)
+    same(back.drop_vars("reflectance").paint.reflectance().reflectance, desk.line.reflectance)
+    xr.testing.assert_equal(again(desk.library, desk, "library.nc"), desk.library)
+    desk.line.to_zarr(desk.folder / "plain.zarr", mode="w", consolidated=False)
+    xr.testing.assert_equal(xr.open_zarr(desk.folder / "plain.zarr", consolidated=False).load(), desk.line)
+
+
+@habit
+def the_store_keeps_the_numbers(desk: SimpleNamespace) -> None:
+    crop = desk.line.isel(along_track=slice(8, 40), cross_track=slice(3, 9))
+    hp.to_store(crop, desk.folder / "crop.zarr")
+    stored = hp.open_store(desk.folder / "crop.zarr")
+    assert stored.along_track.values.tolist() == list(range(8, 40))
+    assert isinstance(stored.indexes["cross_track"].dtype, np.dtype)
+
+
+@habit
+def open_the_whole_store(desk: SimpleNamespace) -> None:
+    tree = hp.open_store(desk.store)
+    assert (type(tree), sorted(tree["flightlines"].children)) == (xr.DataTree, ["raw_0", "raw_1"])
+    same(tree["flightlines/raw_0"].to_dataset().paint.reflectance().reflectance, desk.line.reflectance)
+    plain = xr.open_datatree(desk.store, engine="zarr", consolidated=False)
+    assert plain["flightlines/raw_0"].sizes["along_track"] == LINES
+
+
+@habit
+def open_a_collect_with_xarray_alone(desk: SimpleNamespace) -> None:
+    for options in ({}, {"engine": "hyperpaint"}):
+        tree = xr.open_datatree(desk.collect, **options)
+        xr.testing.assert_identical(tree, hp.open_collect(desk.collect))
+    one = xr.open_dataset(desk.collect, group="flightlines/raw_0")
+    assert one.counts.dims == ("along_track", "band", "cross_track")
+    expect_error(hp.SchemaError, "flightlines/raw_0", lambda: xr.open_dataset(desk.collect))
+
+
+@habit
+def open_a_spectrum_with_xarray_alone(desk: SimpleNamespace) -> None:
+    asd, sig = (sorted(desk.collect.parent.rglob(f"*.{ending}"))[0] for ending in ("asd", "sig"))
+    xr.testing.assert_identical(xr.open_dataset(asd), hp.open_asd(asd))
+    xr.testing.assert_identical(xr.open_dataset(sig), hp.open_svc(sig))
+    assert "radiance" in xr.open_dataset(sig, engine="svc", quantity="radiance")
+    assert "time" not in xr.open_dataset(asd, engine="asd", drop_variables="time").variables
+
+
+@habit
+def pickle_everything(desk: SimpleNamespace) -> None:
+    for each in (desk.line, desk.lazy, desk.library, desk.lazy.paint.reflectance(), desk.regions):
+        back = pickle.loads(pickle.dumps(each))
+        assert back == each if each is desk.regions else back.identical(each)
+
+
+@habit
+def copy_deeply(desk: SimpleNamespace) -> None:
+    copy.deepcopy(desk.line)["counts"][:] = 0
+    assert (desk.line.counts != 0).any()
+
+
+@habit
+def library_as_a_table(desk: SimpleNamespace) -> None:
+    frame = desk.library[["reflectance", "reflectance_sd"]].to_dataframe()
+    assert (len(frame), desk.library.reflectance.to_pandas().shape) == (
+        desk.library.sizes["signature"] * BANDS,
+        (3, BANDS),
+    )
+    assert desk.line[["quality"]].to_dataframe().index.names == ["along_track", "cross_track"]
+    assert xr.Dataset.from_dict(desk.library.to_dict()).sizes == desk.library.sizes
     firsts = desk.library.reflectance.groupby(desk.library["signature"].str.slice(0, 5)).mean()
     assert firsts.sizes["signature"] == 1
 
 
-@habit
-def quantiles_and_medians(desk: SimpleNamespace) -> None:
-    assert desk.line.reflectance.quantile([0.1, 0.9], "along_track").sizes["quantile"] == 2
+# --- dask --------------------------------------------------------------------------------------------------
 
 
 @habit
-def idxmax_gives_the_line(desk: SimpleNamespace) -> None:
-    brightest = desk.line.reflectance.isel(band=3, cross_track=2)
-    assert int(brightest.idxmax("along_track")) == int(brightest.argmax("along_track"))
+def dask_gives_the_same(desk: SimpleNamespace) -> None:
+    lazy, line = desk.lazy, desk.line
+    same(lazy.paint.reflectance().reflectance.persist(), line.reflectance)
+    cube = lazy.paint.reflectance().unify_chunks().reflectance
+    same(cube.map_blocks(lambda block: 2 * block, template=cube), 2 * line.reflectance)
+    options: dict[str, Any] = {"dask": "parallelized", "output_dtypes": [np.float32]}
+    mean = xr.apply_ufunc(np.nanmean, cube, input_core_dims=[["band"]], kwargs={"axis": -1}, **options)
+    same(mean, line.reflectance.mean("band"))
+    same(lazy.chunk(band=5, along_track=7, cross_track=4).paint.reflectance().reflectance, line.reflectance)
+    # small indexes have no chunks
+    assert (lazy.along_track.chunks, lazy.unify_chunks().sizes["along_track"]) == (None, LINES)
 
 
 @habit
-def derivative_over_wavelength(desk: SimpleNamespace) -> None:
-    assert desk.line.reflectance.differentiate("wavelength").shape == desk.line.reflectance.shape
+def one_cube_alone_has_the_methods_of_a_cube(desk: SimpleNamespace) -> None:
+    cube = desk.line.reflectance
+    xr.testing.assert_identical(cube.paint.at(550.0), desk.line.paint.at(550.0).reflectance)
+    xr.testing.assert_identical(cube.paint.rgb(), desk.line.paint.rgb())
+    smoothed = cube.paint.smooth(window=5)
+    assert smoothed.name == "reflectance"
+    same(smoothed, desk.line.paint.smooth(window=5).reflectance)
+    assert (
+        (2 * cube).rename(None).paint.at([500.0, 600.0]).sizes["band"],
+        desk.line.wavelength.paint.at(550.0).name,
+        cube.isel(along_track=0, cross_track=0).paint.at(550.0).ndim,
+    ) == (2, "wavelength", 0)
+    expect_error(
+        hp.SchemaError,
+        "'reflectance' is missing",
+        lambda: (
+            desk.line.radiance.paint.smooth() if "radiance" in desk.line else desk.line.counts.paint.smooth()
+        ),
+    )
 
 
 @habit
-def integrate_over_wavelength(desk: SimpleNamespace) -> None:
-    assert desk.line.reflectance.fillna(0).integrate("wavelength").shape == (LINES, COLUMNS)
+def a_tree_of_lines(desk: SimpleNamespace) -> None:
+    tree = xr.DataTree.from_dict({"a": desk.line, "b": desk.line.isel(along_track=slice(0, 9))})
+    done = tree.map_over_datasets(lambda node: node.paint.reflectance() if "counts" in node else node)
+    assert done["b"].sizes["along_track"] == 9
+
+
+# --- units, pictures, maps ---------------------------------------------------------------------------------
 
 
 @habit
-def ratios_of_bands(desk: SimpleNamespace) -> None:
-    nir, red = (desk.line.paint.at(nm).reflectance for nm in (800.0, 670.0))
-    index = (nir - red) / (nir + red)
-    assert index.shape == (LINES, COLUMNS)
+def quantify_and_dequantify(desk: SimpleNamespace) -> None:
+    pytest.importorskip("pint_xarray")
+    view = desk.line.paint.quantify()
+    same((view.irradiance * 2).pint.to("mW m-2 nm-1").pint.magnitude, 2000 * desk.line.irradiance)
+    same(view.pint.dequantify().paint.reflectance().reflectance, desk.line.reflectance)
 
 
 @habit
-def angles_between_pixels(desk: SimpleNamespace) -> None:
-    cube = desk.line.reflectance.fillna(0)
-    dot = xr.dot(cube, cube.isel(along_track=0, cross_track=0, drop=True), dim="band")
-    assert dot.shape == (LINES, COLUMNS)
-
-
-# --- joining -----------------------------------------------------------------------------------------------
-
-
-@habit
-def concat_two_crops(desk: SimpleNamespace) -> None:
-    parts = [desk.line.isel(along_track=slice(0, 20)), desk.line.isel(along_track=slice(20, None))]
-    whole = xr.concat(parts, "along_track", data_vars="minimal", coords="minimal", compat="override")
-    assert whole.along_track.values.tolist() == list(range(LINES))
-    same(whole.reflectance, desk.line.reflectance)
+def plots_of_xarray(desk: SimpleNamespace) -> None:
+    plt = pytest.importorskip("matplotlib.pyplot")
+    assert desk.line.reflectance.isel(band=5).plot().axes.get_xlabel().startswith("Column")
+    plt.close("all")
+    assert len(desk.library.reflectance.plot.line(x="wavelength", hue="signature")) == 3
+    desk.line.reflectance.isel(along_track=3, cross_track=[1, 5]).plot.line(x="wavelength")
+    plt.close("all")
+    desk.line.reflectance.isel(band=[2, 9]).plot(col="band")
+    desk.line.reflectance.plot.hist()
+    plt.close("all")
 
 
 @habit
-def combine_crops_in_any_order(desk: SimpleNamespace) -> None:
-    parts = [
-        desk.line[["reflectance"]].isel(along_track=slice(20, None)),
-        desk.line[["reflectance"]].isel(along_track=slice(0, 20)),
-    ]
-    same(xr.combine_by_coords(parts, combine_attrs="override").reflectance, desk.line.reflectance)
+def plots_of_hvplot(desk: SimpleNamespace) -> None:
+    pytest.importorskip("hvplot.xarray")
+    place = {"x": "cross_track", "y": "along_track"}
+    image = desk.line.paint.at(550.0).reflectance.hvplot.image(**place)
+    slider = by_wavelength(desk.line).hvplot.image(**place, groupby="wavelength", dynamic=False)
+    curves = by_wavelength(desk.library).hvplot.line(x="wavelength", by="signature")
+    assert ([dim.name for dim in image.kdims], len(slider), len(curves)) == ([*place.values()], BANDS, 3)
 
 
 @habit
-def merge_products_of_a_line(desk: SimpleNamespace) -> None:
-    other = desk.line[["reflectance"]].rename(reflectance="before")
-    assert {"before", "counts"} <= set(xr.merge([desk.line, other], compat="override").data_vars)
+def the_accessor_of_rioxarray(desk: SimpleNamespace) -> None:
+    pytest.importorskip("rioxarray")
+    flat = (
+        desk.line.reflectance.isel(band=0)
+        .rio.set_spatial_dims("cross_track", "along_track")
+        .rio.write_crs("EPSG:32617")
+    )
+    assert (flat.rio.width, flat.rio.clip_box(2, 3, 5, 9).shape) == (COLUMNS, (7, 4))
 
 
 @habit
-def concat_two_lines(desk: SimpleNamespace) -> None:
-    second = xr.open_zarr(desk.store, group="flightlines/raw_1")
-    parts = [desk.line[["reflectance"]], second.paint.reflectance()[["reflectance"]]]
-    both = xr.concat(parts, "line", join="inner", coords="minimal", compat="override")
-    assert both.sizes["along_track"] == 32
+def look_at_it(desk: SimpleNamespace) -> None:
+    for each in (desk.line, desk.library, desk.lazy):
+        assert repr(each.paint)
+        assert each.paint._repr_html_()
+        assert each._repr_html_()
+    assert repr(desk.regions)
 
 
-@habit
-def the_difference_of_a_crop_is_where_it_belongs(desk: SimpleNamespace) -> None:
-    difference = desk.line.reflectance.isel(along_track=slice(10, 20)) - desk.line.reflectance
-    assert difference.along_track.values.tolist() == list(range(10, 20))
-    assert float(abs(difference).max()) == 0.0
-
-
-@habit
-def two_cameras_are_not_joined_by_the_number_of_a_band(desk: SimpleNamespace) -> None:
-    assert "band" not in desk.line.coords
-    with pytest.raises(ValueError, match="band"):
-        desk.line.reflectance + desk.line.reflectance.isel(band=slice(0, 5))
-
-
-@pytest.mark.parametrize("source", ["simulated", "processed"])
 @pytest.mark.parametrize("name", HABITS)
-@pytest.mark.filterwarnings(
-    "ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::PendingDeprecationWarning"
-)
-def test_a_habit(name: str, source: str, desk: SimpleNamespace) -> None:
-    lines = {"simulated": desk.line, "processed": desk.processed.compute()}
-    HABITS[name](SimpleNamespace(**{**vars(desk), "line": lines[source]}))
+def test_a_habit(name: str, desk: SimpleNamespace) -> None:
+    HABITS[name](desk)

@@ -10,6 +10,7 @@ import pickle
 import re
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error, expect_errors
 
 import hyperpaint as hp
 from hyperpaint.accessor import METHODS
@@ -37,8 +39,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     settings: dict[str, Any] = {"lines": 64, "bands": 40, "columns": 24, "seed": 11, "smile_nm": 2.0}
     collect = hp.simulate_collect(folder / "raw", scene="plan", **settings)
     store = hp.process(collect, folder / "lot.zarr")
-    lazy = xr.open_zarr(store, group="flightlines/raw_0")
-    line = lazy.load().copy()
+    line = xr.open_zarr(store, group="flightlines/raw_0").load().copy()
     raw = line.drop_vars(PRODUCTS)
     return SimpleNamespace(
         folder=folder, store=store, collect=Path(collect), line=line, raw=raw,
@@ -111,23 +112,22 @@ def test_parts_keep_flags_and_pictures(flown: SimpleNamespace, part: str, source
 
 
 def test_gaps_of_flags_are_no_data(flown: SimpleNamespace) -> None:
-    kept = flown.line.where(flown.line.cross_track > 3)
-    flags = kept.paint.smooth().quality
+    flags = flown.line.where(flown.line.cross_track > 3).paint.smooth().quality
     assert (flags[:, :4] == Quality.NO_DATA).all()
     np.testing.assert_array_equal(flags[:, 4:], flown.line.quality[:, 4:])
 
 
 @pytest.mark.parametrize("part", ["of lines", "of pixels", "not dropped"])
 def test_counts_that_where_emptied_are_told_of_sel(flown: SimpleNamespace, part: str) -> None:
-    with pytest.raises(SchemaError, match=re.escape(".sel() or .isel()")) as caught:
-        PARTS[part](flown.raw).paint.reflectance()
-    assert "rename" not in str(caught.value)
+    caught = expect_error(
+        SchemaError, re.escape(".sel() or .isel()"), lambda: PARTS[part](flown.raw).paint.reflectance()
+    )
+    assert "rename" not in str(caught)
 
 
 @pytest.mark.parametrize("source", ["line", "lazy"])
 def test_concat_with_all_variables(flown: SimpleNamespace, source: str) -> None:
-    both = PARTS["concat"](getattr(flown, source).drop_vars(PRODUCTS))
-    again = both.paint.reflectance()
+    again = PARTS["concat"](getattr(flown, source).drop_vars(PRODUCTS)).paint.reflectance()
     np.testing.assert_array_equal(again.reflectance, flown.again.reflectance)
     assert again.dark_counts.dims == ("band", "cross_track")
 
@@ -136,10 +136,10 @@ def test_what_differs_from_part_to_part_is_refused(flown: SimpleNamespace) -> No
     first, second = (flown.raw.isel(along_track=part) for part in (slice(0, 20), slice(20, None)))
     second = second.assign(radiance_gain=second.radiance_gain * 2)
     both = xr.concat([first, second], "along_track", data_vars="all", coords="all")
-    with pytest.raises(SchemaError, match="minimal"):
-        both.paint.reflectance()
-    with pytest.raises(SchemaError, match="radiance_gain"):
-        both.chunk({"along_track": 16}).paint.reflectance().compute()
+    expect_errors(
+        (SchemaError, "minimal", lambda: both.paint.reflectance()),
+        (SchemaError, "radiance_gain", lambda: both.chunk({"along_track": 16}).paint.reflectance().compute()),
+    )
 
 
 def test_means_of_counts_are_flagged(flown: SimpleNamespace) -> None:
@@ -187,18 +187,17 @@ def test_nothing_selected_is_told(flown: SimpleNamespace, dim: str, tmp_path: Pa
     none = flown.line.isel({dim: slice(0, 0)})
     arguments = ARGUMENTS | {"detect": (flown.library,)}
     for name in METHODS.keys() - DRAWN:
-        with pytest.raises(SchemaError, match=f"selected: {dim}"):
-            getattr(none.paint, name)(*arguments.get(name, ()))
+        expect_error(
+            SchemaError, f"selected: {dim}", partial(getattr(none.paint, name), *arguments.get(name, ()))
+        )
     for function in (hp.slab, hp.reflectance, lambda line: hp.regions.region_mask(REGIONS, line)):
-        with pytest.raises(SchemaError, match="selection-empty"):
-            function(none)
+        expect_error(SchemaError, "selection-empty", partial(function, none))
     assert "flight line" in summary_html(none)
     assert hp.to_store(none, tmp_path / "none.zarr", "flightlines/a")
 
 
 def test_no_irradiance_selected_is_told(flown: SimpleNamespace) -> None:
-    with pytest.raises(TimeError, match="size 0"):
-        flown.raw.isel(irradiance_time=slice(0, 0)).paint.reflectance()
+    expect_error(TimeError, "size 0", lambda: flown.raw.isel(irradiance_time=slice(0, 0)).paint.reflectance())
 
 
 @pytest.mark.parametrize("dim", ["along_track", "cross_track", "band"])
@@ -217,10 +216,9 @@ def test_a_dropped_dimension_is_told(flown: SimpleNamespace, dim: str) -> None:
     ):
         if name == "flag_overlay" and dim == "band":
             continue  # which needs none
-        with pytest.raises(SchemaError) as caught:
-            getattr(one.paint, name)(*arguments.get(name, ()))
-        assert f"isel({dim}=[5])" in str(caught.value), name
-        assert "rename" not in str(caught.value)
+        caught = expect_error(SchemaError, None, partial(getattr(one.paint, name), *arguments.get(name, ())))
+        assert f"isel({dim}=[5])" in str(caught), name
+        assert "rename" not in str(caught)
     kept = flown.raw.isel({dim: [5]}).paint.reflectance().reflectance
     np.testing.assert_allclose(kept, flown.again.reflectance.isel({dim: [5]}), rtol=1e-6)
     assert one.paint._repr_html_()
@@ -228,8 +226,7 @@ def test_a_dropped_dimension_is_told(flown: SimpleNamespace, dim: str) -> None:
 
 def test_a_stack_is_told(flown: SimpleNamespace) -> None:
     stacked = flown.raw.stack(pixel=("along_track", "cross_track"))
-    with pytest.raises(SchemaError, match=re.escape("unstack('pixel')")):
-        stacked.paint.reflectance()
+    expect_error(SchemaError, re.escape("unstack('pixel')"), lambda: stacked.paint.reflectance())
 
 
 # --- a calibration without its smile -----------------------------------------------------------------------
@@ -258,13 +255,10 @@ def test_raw_counts_have_a_picture(flown: SimpleNamespace) -> None:
     assert picture.sizes["rgb"] == 3
     assert "raw counts" in picture.attrs["long_name"]
     assert 0.0 <= float(picture.min()) < float(picture.max()) <= 1.0
-    whole = cube.paint.rgb(stretch=(0.0, 100.0)).compute()
-    assert whole.values.std() > 0.01
-    titles = [axes.get_title() for axes in cube.paint.quicklook().axes]
-    assert "counts of all pixels" in titles
+    assert cube.paint.rgb(stretch=(0.0, 100.0)).compute().values.std() > 0.01
+    assert "counts of all pixels" in [axes.get_title() for axes in cube.paint.quicklook().axes]
     assert ".rgb()" in repr(cube.paint)
-    unlit = flown.raw.drop_vars(["irradiance"])
-    assert "radiance" in unlit.paint.rgb().attrs["long_name"]
+    assert "radiance" in flown.raw.drop_vars(["irradiance"]).paint.rgb().attrs["long_name"]
 
 
 # --- others ------------------------------------------------------------------------------------------------
@@ -300,24 +294,20 @@ def test_dims_of_other_names(flown: SimpleNamespace) -> None:
     renamed = flown.raw.rename(along_track="row", cross_track="pixel", band="layer")
     dims = {"along_track": "row", "cross_track": "pixel", "band": "layer"}
     np.testing.assert_array_equal(renamed.paint.reflectance(dims=dims).reflectance, flown.again.reflectance)
-    with pytest.raises(SchemaError, match="dims="):
-        renamed.paint.reflectance()
+    expect_error(SchemaError, "dims=", lambda: renamed.paint.reflectance())
 
 
 def test_tables_and_means_of_a_processed_line(flown: SimpleNamespace) -> None:
-    spectrum = flown.lazy.reflectance.isel(along_track=5, cross_track=3).to_dataframe()
-    assert spectrum.reflectance.size == 40
+    assert flown.lazy.reflectance.isel(along_track=5, cross_track=3).to_dataframe().reflectance.size == 40
     near = flown.lazy.swap_dims(band="wavelength").sel(wavelength=550, method="nearest")
     np.testing.assert_array_equal(near.reflectance, flown.lazy.paint.at(550.0).reflectance)
     seconds = flown.lazy.reflectance.swap_dims(along_track="time").resample(time="1s").mean()
     assert seconds.sizes["time"] >= 1
-    by_flag = flown.line.reflectance.groupby(flown.line.quality).mean()
-    assert by_flag.sizes["quality"] >= 1
+    assert flown.line.reflectance.groupby(flown.line.quality).mean().sizes["quality"] >= 1
 
 
 def test_a_library_after_where(flown: SimpleNamespace, tmp_path: Path) -> None:
-    red = flown.library.where(flown.library.n > 3, drop=True)
-    path = hp.write_library(red, tmp_path / "red.csv")
+    path = hp.write_library(flown.library.where(flown.library.n > 3, drop=True), tmp_path / "red.csv")
     np.testing.assert_allclose(hp.open_library(path).reflectance, flown.library.reflectance, rtol=1e-6)
     assert hp.open_library(path).n.values.tolist() == flown.library.n.values.tolist()
 

@@ -544,8 +544,7 @@ def find(
             is_repeated = any(fault.mend == other.mend for other in problems)
             problems.append(replace(fault, mend="") if is_repeated else fault)
             continue
-        order = next(dims for dims in row.allowed_dims if set(dims) == set(array.dims))
-        array = array.transpose(*order)
+        array = array.transpose(*next(dims for dims in row.allowed_dims if set(dims) == set(array.dims)))
         arrays[name] = convert(array, row.units) if row.units else array
     return arrays, problems
 

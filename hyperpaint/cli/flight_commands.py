@@ -190,8 +190,7 @@ def _list_kinds(ctx: click.Context, _parameter: click.Parameter, is_set: bool) -
     if is_set and not ctx.resilient_parsing:
         for kind in KINDS.values():
             texts = (textwrap.indent(textwrap.fill(text, 96), "    ") for text in (kind.meaning, kind.mend))
-            name = f"{kind.name}  ({'refused' if kind.refused else 'warned of'})"
-            click.echo("\n".join([name, *texts]))
+            click.echo("\n".join([f"{kind.name}  ({'refused' if kind.refused else 'warned of'})", *texts]))
         ctx.exit()
 
 

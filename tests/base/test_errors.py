@@ -2,7 +2,7 @@
 
 import pickle
 
-import pytest
+from support.refusals import expect_error
 
 import hyperpaint
 from hyperpaint.base import errors
@@ -33,8 +33,7 @@ def test_errors_survive_a_process_boundary() -> None:
         error = getattr(errors, name)
         if isinstance(error, type) and issubclass(error, errors.PaintError):
             copy = pickle.loads(pickle.dumps(error("2 lights", expected="1", code="light-number")))
-            assert str(copy) == "2 lights, expected 1 [light-number]"
-            assert copy.codes == ("light-number",)
+            assert (str(copy), copy.codes) == ("2 lights, expected 1 [light-number]", ("light-number",))
 
 
 def test_problems_are_listed_together() -> None:
@@ -42,11 +41,9 @@ def test_problems_are_listed_together() -> None:
     problems.raise_if_any()
     problems.add("one")
     problems.add("two\nlines")
-    assert list(problems) == ["one", "two\nlines"]
-    assert len(problems) == 2
-    with pytest.raises(errors.FormatError) as caught:
-        problems.raise_if_any()
-    assert str(caught.value) == "the file:\n  one\n  two\n  lines"
+    assert (list(problems), len(problems)) == (["one", "two\nlines"], 2)
+    caught = expect_error(errors.FormatError, None, lambda: problems.raise_if_any())
+    assert str(caught) == "the file:\n  one\n  two\n  lines"
 
 
 def test_a_missing_extra_says_how_to_install_it() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error, expect_words
 
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import (
@@ -95,14 +96,15 @@ def test_a_declared_class_documents_its_fields() -> None:
         "A lamp.\n\nAttributes\n----------\npower\n    Radiant flux [W]; a number from 0.\n\n"
         "Raises\n------\nSchemaError\n    Wrong."
     )
-    with pytest.raises(SchemaError, match="value-out-of-range"):
-        Lamp(-1.0)
+    expect_error(SchemaError, "value-out-of-range", lambda: Lamp(-1.0))
 
 
 def test_pint_quantities_follow_from_the_facts() -> None:
     pint = pytest.importorskip("pint")
-    assert SimulationSettings(exposure_time_ms=pint.Quantity(4.0, "ms")).exposure_time_ms == 4.0
-    assert SimulationSettings(swath=pint.Quantity(16.0, "m")).swath == 16.0
+    assert (
+        SimulationSettings(exposure_time_ms=pint.Quantity(4.0, "ms")).exposure_time_ms,
+        SimulationSettings(swath=pint.Quantity(16.0, "m")).swath,
+    ) == (4.0, 16.0)
 
 
 def test_every_field_of_the_simulator_is_documented() -> None:
@@ -130,8 +132,11 @@ def test_shared_parameters_are_described() -> None:
         """
 
     doc = walk.__doc__ or ""
-    assert "depth\n    Number of levels.\nown\n    Described here.\noverwrite\n    Replace the output" in doc
-    assert f"\nwidth\n    {PARAMETERS['picture']}\n**kwargs\n    Passed to" in doc
+    expect_words(
+        doc,
+        "depth\n    Number of levels.\nown\n    Described here.\noverwrite\n    Replace the output",
+        f"\nwidth\n    {PARAMETERS['picture']}\n**kwargs\n    Passed to",
+    )
     assert doc.endswith("\n\nReturns\n-------\nNothing.")
 
 

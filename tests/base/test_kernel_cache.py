@@ -13,6 +13,7 @@ from typing import Any
 import numba
 import pytest
 from numba.core.caching import IndexDataCacheFile, _CacheLocator
+from support.refusals import expect_error
 
 from hyperpaint.base import jit
 from hyperpaint.base.errors import PaintWarning
@@ -65,11 +66,9 @@ def _files(folder: Path, ending: str) -> list[Path]:
 
 
 def test_the_second_process_compiles_nothing(doubled: Callable[[], Any], tmp_path: Path) -> None:
-    assert doubled()(3) == 6
-    assert len(_files(tmp_path, "nbc")) == 1
+    assert (doubled()(3), len(_files(tmp_path, "nbc"))) == (6, 1)
     again = doubled()
-    assert again(4) == 8
-    assert list(again.stats.cache_hits.values()) == [1]
+    assert (again(4), list(again.stats.cache_hits.values())) == (8, [1])
 
 
 @pytest.mark.parametrize("owner", [IndexDataCacheFile, _CacheLocator])
@@ -102,16 +101,14 @@ def test_a_damaged_cache_is_replaced(
         assert doubled()(4) == 8
     assert doubled()(5) == 10
     again = doubled()
-    assert again(6) == 12
-    assert list(again.stats.cache_hits.values()) == [1]
+    assert (again(6), list(again.stats.cache_hits.values())) == (12, [1])
 
 
 def test_wrong_arguments_are_an_error_without_a_warning(doubled: Callable[[], Any]) -> None:
     kernel = doubled()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(numba.TypingError):
-            kernel({})
+        expect_error(numba.TypingError, None, lambda: kernel({}))
 
 
 def test_a_part_is_compiled_once_and_kept_in_the_whole_alone(
@@ -125,13 +122,11 @@ def test_a_part_is_compiled_once_and_kept_in_the_whole_alone(
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    assert module.whole(5) == 5 * (2 + 3) + 5 * 5 * 4
-    assert len(_files(tmp_path, "nbc")) == 1
+    assert (module.whole(5), len(_files(tmp_path, "nbc"))) == (5 * (2 + 3) + 5 * 5 * 4, 1)
     # a constant argument does not make a type of its own
     assert len(module.times._inner.overloads) == 1
     # what is part of a whole is a kernel of its own for Python
-    assert module.times(7, 6) == 42
-    assert len(_files(tmp_path, "nbc")) == 2
+    assert (module.times(7, 6), len(_files(tmp_path, "nbc"))) == (42, 2)
 
 
 LOADED = """

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -43,9 +44,11 @@ def test_all_are_told_the_same(attrs: dict[str, str], apart: bool, expected: str
     paints = library(attrs, apart)
     assert mirror_reflection(paints) == expected
     attrs = PaintCurves(paints, 0.0).attrs
-    assert attrs["mirror_reflection"] == (expected or INCLUDED)
-    assert attrs["mirror_reflection_source"].startswith("stated") == (expected is not None)
-    assert float(coating_of(paints, 0.04, 0.6, None).mirrored) == (0.0 if expected == EXCLUDED else 0.04)
+    assert (
+        attrs["mirror_reflection"],
+        attrs["mirror_reflection_source"].startswith("stated"),
+        float(coating_of(paints, 0.04, 0.6, None).mirrored),
+    ) == (expected or INCLUDED, expected is not None, 0.0 if expected == EXCLUDED else 0.04)
     assert signatures_from(paints)[0].mirror == (expected or "unknown")
 
 
@@ -58,9 +61,8 @@ def test_the_word_may_stand_at_the_library() -> None:
 
 def test_another_word_is_refused() -> None:
     paints = library({"mirror_reflection": "yes"}, False)
-    with pytest.raises(SchemaError, match=r"'yes'.*choice-unknown"):
-        mirror_reflection(paints)
-    with pytest.raises(SchemaError, match="'yes'"):
-        hp.paints.mix_paints(paints, {"same": {"red": 1.0}})
-    with pytest.raises(SchemaError, match="'yes'"):
-        PaintCurves(paints, 0.0)
+    expect_errors(
+        (SchemaError, r"'yes'.*choice-unknown", lambda: mirror_reflection(paints)),
+        (SchemaError, "'yes'", lambda: hp.paints.mix_paints(paints, {"same": {"red": 1.0}})),
+        (SchemaError, "'yes'", lambda: PaintCurves(paints, 0.0)),
+    )

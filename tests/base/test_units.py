@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base import schema, units
 from hyperpaint.base.errors import MissingExtraError, UnitsError
@@ -71,8 +72,7 @@ def test_usual_factors_are_those_of_pint(monkeypatch: pytest.MonkeyPatch) -> Non
 )
 def test_dimensions_that_pint_alone_lets_pass(found: str, wanted: str) -> None:
     assert not same_dimension(found, wanted)
-    with pytest.raises(UnitsError, match="units-not-convertible"):
-        conversion_factor(found, wanted)
+    expect_error(UnitsError, "units-not-convertible", lambda: conversion_factor(found, wanted))
 
 
 def test_pi_sr_makes_a_reflectance() -> None:
@@ -166,10 +166,17 @@ def test_convert_keeps_floats_and_loses_no_integer(dtype: str) -> None:
     array = xr.DataArray(np.array([5, 6], dtype), dims="x", attrs={"units": "ms", "note": "kept"}, name="t")
     made = convert(array, "s")
     np.testing.assert_allclose(made.values, [0.005, 0.006], rtol=1e-6)
-    assert made.dtype == (dtype if dtype.startswith("float") else np.result_type(dtype, np.float16))
-    assert made.attrs == {"units": "s", "note": "kept"}
-    assert array.attrs["units"] == "ms"
-    assert convert(array.assign_attrs(units="s"), "s").dtype == dtype
+    assert (
+        made.dtype,
+        made.attrs,
+        array.attrs["units"],
+        convert(array.assign_attrs(units="s"), "s").dtype,
+    ) == (
+        dtype if dtype.startswith("float") else np.result_type(dtype, np.float16),
+        {"units": "s", "note": "kept"},
+        "ms",
+        dtype,
+    )
 
 
 def test_small_integers_are_not_converted_in_half_precision() -> None:
@@ -186,10 +193,14 @@ def test_convert_is_lazy(no_compute: Any) -> None:
 
 
 def test_a_missing_unit_is_named() -> None:
-    with pytest.raises(UnitsError, match=r"'fwhm' .*units-missing"):
-        convert(xr.DataArray(1.0, name="fwhm"), "nm")
-    with pytest.raises(UnitsError, match="'fwhm': units"):
-        convert(xr.DataArray(1.0, name="fwhm", attrs={"units": "s"}), "nm")
+    expect_errors(
+        (UnitsError, r"'fwhm' .*units-missing", lambda: convert(xr.DataArray(1.0, name="fwhm"), "nm")),
+        (
+            UnitsError,
+            "'fwhm': units",
+            lambda: convert(xr.DataArray(1.0, name="fwhm", attrs={"units": "s"}), "nm"),
+        ),
+    )
 
 
 def test_quantify_gives_quantities_and_plain_coordinates() -> None:
@@ -203,26 +214,25 @@ def test_quantify_gives_quantities_and_plain_coordinates() -> None:
         {"wavelength": ("band", [500.0, 550.0, 600.0], {"units": "nm"})},
     )
     made = dataset.paint.quantify()
-    assert made.radiance.data.to("uW cm-2 sr-1 nm-1").magnitude == pytest.approx(100.0)
-    assert made.radiance.data.dtype == np.float32
+    assert (made.radiance.data.to("uW cm-2 sr-1 nm-1").magnitude, made.radiance.data.dtype) == (
+        pytest.approx(100.0),
+        np.float32,
+    )
     assert isinstance(made.wavelength.data, np.ndarray)
     assert isinstance(made.quality.data, np.ndarray)
     assert dataset.radiance.attrs["units"] == RADIANCE
-    with pytest.raises(Exception, match="Cannot convert"):
-        made.radiance.data.to("W m-2 nm-1")
+    expect_error(Exception, "Cannot convert", lambda: made.radiance.data.to("W m-2 nm-1"))
 
 
 def test_quantify_lists_what_it_cannot_read() -> None:
     pytest.importorskip("pint_xarray")
     values = {"a": "1e-10 W", "b": "garbage", "c": "9**9**9", "fine": "nm"}
     dataset = xr.Dataset({name: ("x", np.ones(2), {"units": unit}) for name, unit in values.items()})
-    with pytest.raises(UnitsError) as caught:
-        quantify(dataset)
-    assert all(repr(name) in str(caught.value) for name in "abc")
-    assert "'fine'" not in str(caught.value)
+    caught = expect_error(UnitsError, None, lambda: quantify(dataset))
+    assert all(repr(name) in str(caught) for name in "abc")
+    assert "'fine'" not in str(caught)
 
 
 def test_quantify_without_pint_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pint_xarray", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[units\]"):
-        quantify(xr.Dataset())
+    expect_error(MissingExtraError, r"hyperpaint\[units\]", lambda: quantify(xr.Dataset()))

@@ -4,13 +4,14 @@ import datetime
 import inspect
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_error, refusal
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -83,8 +84,7 @@ def test_a_wavelength_counts_by_its_unit_or_is_refused(name: str) -> None:
     value, expected = WAVELENGTHS[name]
     line = worked_example()
     if expected is None:
-        with pytest.raises(UnitsError, match="wavelength"):
-            line.paint.at(value())
+        expect_error(UnitsError, "wavelength", lambda: line.paint.at(value()))
     else:
         np.testing.assert_array_equal(np.unique(line.paint.at(value()).wavelength), [expected])
 
@@ -125,8 +125,7 @@ def in_registry(line: xr.Dataset, units: Any, irradiance: str, gain: str, exposu
     for name, unit in (("irradiance", irradiance), ("radiance_gain", gain), ("exposure_time", exposure)):
         old = line[name].attrs["units"]
         values = line[name].values.astype(np.float64) / conversion_factor(unit, old)
-        dims = line[name].dims
-        other[name] = (dims, units.Quantity(values, units.Unit(unit_of(unit))), {"units": old})
+        other[name] = (line[name].dims, units.Quantity(values, units.Unit(unit_of(unit))), {"units": old})
     other["counts"] = (line.counts.dims, units.Quantity(line.counts.values, "count"), {})
     return other
 
@@ -227,8 +226,7 @@ def test_units_of_places() -> None:
     np.testing.assert_allclose(other.north, located.north, rtol=0, atol=1e-6)
     assert other.attrs["ground"] == pytest.approx(50.0)
     for wrong in (50.0 * FIRST.s, FIRST.Quantity(50.0, "degC"), "50 ft"):
-        with pytest.raises(UnitsError, match="ground"):
-            line.paint.locate(ground=wrong, **options)
+        expect_error(UnitsError, "ground", partial(line.paint.locate, ground=wrong, **options))
 
 
 def test_a_height_model_in_feet() -> None:
@@ -260,8 +258,11 @@ def test_a_height_model_in_feet() -> None:
     ):
         located = line.paint.locate(dem=heights, **options)
         np.testing.assert_allclose(located.east, level.east, rtol=0, atol=1e-3)
-    with pytest.raises(UnitsError, match="dem"):
-        line.paint.locate(dem=dem.assign_attrs(units="fathom of my own"), **options)
+    expect_error(
+        UnitsError,
+        "dem",
+        lambda: line.paint.locate(dem=dem.assign_attrs(units="fathom of my own"), **options),
+    )
 
 
 def test_times_angles_and_shares() -> None:
@@ -295,8 +296,7 @@ def test_times_angles_and_shares() -> None:
     expected = plain_paint.paint.remove_mirrored_sky(sun_zenith=30.0)
     np.testing.assert_allclose(bare.reflectance, expected.reflectance, atol=1e-7)
     assert (bare.reflectance < [0.036, 0.032]).all()  # a sky was removed
-    with pytest.raises(UnitsError, match="strength"):
-        paint.paint.remove_mirrored_sky(strength=0.04 * u.m, **sky)
+    expect_error(UnitsError, "strength", lambda: paint.paint.remove_mirrored_sky(strength=0.04 * u.m, **sky))
 
 
 @pytest.mark.parametrize(
@@ -323,8 +323,11 @@ def test_a_flight_line_opened_with_quantities() -> None:
         for exposure, period in ((0.005, 0.007), (5 * FIRST.ms, SECOND.Quantity(7, "ms")))
     ]
     xr.testing.assert_identical(*opened)
-    with pytest.raises(UnitsError, match="exposure_time"):
-        hp.open_flightline(cube, exposure_time=5 * FIRST.m, frame_period=0.007, **options)
+    expect_error(
+        UnitsError,
+        "exposure_time",
+        lambda: hp.open_flightline(cube, exposure_time=5 * FIRST.m, frame_period=0.007, **options),
+    )
 
 
 def test_the_door_changes_no_call() -> None:
@@ -348,8 +351,7 @@ def test_a_simulation_set_up_with_quantities() -> None:
         )
     )
     assert hp.simulation.SweepSettings(step_exposure_ms=SECOND.Quantity(0.05, "s")).step_exposure_ms == 50.0
-    with pytest.raises(UnitsError, match="fwhm_nm"):
-        settings(fwhm_nm=6 * FIRST.ms)
+    expect_error(UnitsError, "fwhm_nm", lambda: settings(fwhm_nm=6 * FIRST.ms))
 
 
 def test_units_in_a_library_of_strangers() -> None:
@@ -392,16 +394,16 @@ def test_quantify_with_a_registry_of_ones_own() -> None:
     line = flight(lines=4, columns=3).line
     own = pint.UnitRegistry(force_ndarray_like=True)
     if "electrons_per_count" in line:
-        with pytest.raises(UnitsError, match=r"'electrons_per_count'.*electron.*define"):
-            line.paint.quantify(registry=own)
+        expect_error(
+            UnitsError, r"'electrons_per_count'.*electron.*define", lambda: line.paint.quantify(registry=own)
+        )
         own.define("electron = [electron_count]")
     view = line.paint.quantify(registry=own)
     assert view.irradiance.data.units == own.Unit("W/m**2/nm")
     assert (view.irradiance * 2).data.to("mW/m**2/nm").magnitude.max() == pytest.approx(
         2e3 * float(line.irradiance.max()), rel=1e-6
     )
-    with pytest.raises(UnitsError, match="registry-scalars"):
-        line.paint.quantify(registry=pint.UnitRegistry())
+    expect_error(UnitsError, "registry-scalars", lambda: line.paint.quantify(registry=pint.UnitRegistry()))
     xr.testing.assert_identical(quantify(view, own).irradiance, view.irradiance)
 
 

@@ -81,9 +81,11 @@ def test_module_runs_like_the_command(tmp_path: Path) -> None:
 
 
 def test_usage_errors_exit_with_two(tmp_path: Path) -> None:
-    assert hyperpaint("process").exit_code == 2
-    assert hyperpaint("process", tmp_path / "none.toml", "--out", tmp_path / "s.zarr").exit_code == 2
-    assert (hyperpaint("paint").exit_code, hyperpaint("info", tmp_path / "none").exit_code) == (2, 2)
+    assert (
+        hyperpaint("process").exit_code,
+        hyperpaint("process", tmp_path / "none.toml", "--out", tmp_path / "s.zarr").exit_code,
+        (hyperpaint("paint").exit_code, hyperpaint("info", tmp_path / "none").exit_code),
+    ) == (2, 2, (2, 2))
 
 
 # --- process -----------------------------------------------------------------------------------------------
@@ -221,8 +223,7 @@ def test_light_from_csv_is_taken_in_the_right_units(collect: Path, tmp_path: Pat
 
 def test_a_clock_hours_off_is_refused(collect: Path, tmp_path: Path) -> None:
     edit(collect, "utc_offset_h = -5.0", "utc_offset_h = 0.0")
-    message = refused(hyperpaint("process", collect, "--out", tmp_path / "lot.zarr"))
-    assert "utc_offset_h" in message
+    assert "utc_offset_h" in refused(hyperpaint("process", collect, "--out", tmp_path / "lot.zarr"))
 
 
 # --- info and verify ---------------------------------------------------------------------------------------
@@ -268,14 +269,12 @@ def test_info_and_verify_of_a_store(collect: Path, tmp_path: Path) -> None:
     assert "NOT COMPLETE" not in found
     one = hyperpaint("info", out / "flightlines" / "raw_0").stdout
     assert re.search(r"counts +40 along_track x 20 band x 8 cross_track, uint16 \[count\]", one)
-    whole = hyperpaint("verify", out, status=0)
-    assert "whole" in whole.stdout
+    assert "whole" in hyperpaint("verify", out, status=0).stdout
     chunk = next((out / "flightlines" / "raw_0" / "counts" / "c").rglob("0"))
     while chunk.is_dir():
         chunk = chunk / "0"
     chunk.unlink()
-    damaged = hyperpaint("verify", out, status=1)
-    assert "the chunk is missing" in damaged.stdout
+    assert "the chunk is missing" in hyperpaint("verify", out, status=1).stdout
     assert "not a Zarr store" in refused(hyperpaint("verify", tmp_path / "nothing.zarr"))
 
 
@@ -322,6 +321,5 @@ def test_simulate_never_replaces_a_real_collect(collect: Path) -> None:
     shape = ("--lines", 8, "--bands", 4, "--columns", 4)
     collect.write_text(collect.read_text().replace("# simulated by hyperpaint", "# flown on 20 July"))
     before = sorted(collect.parent.rglob("*"))
-    message = refused(hyperpaint("simulate", collect.parent, *shape, "--overwrite"))
-    assert "raw-data-present" in message
+    assert "raw-data-present" in refused(hyperpaint("simulate", collect.parent, *shape, "--overwrite"))
     assert sorted(collect.parent.rglob("*")) == before

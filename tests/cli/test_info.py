@@ -67,8 +67,7 @@ def test_the_simulators_stores(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])
 def test_a_paint_library(tmp_path: Path, name: str) -> None:
-    library = make_library().isel(band=[0, 1, 4])
-    path = hp.write_library(library, tmp_path / name)
+    path = hp.write_library(make_library().isel(band=[0, 1, 4]), tmp_path / name)
     text = describe_path(path)
     expect_words(text, "Grün; Grün", "reflectance", "400 to 800 nm")
     if path.suffix != ".zarr":
@@ -102,8 +101,7 @@ def test_an_unfinished_store_says_how_it_is_finished(
     expect_error(KeyboardInterrupt, None, lambda: hp.process(collect, out, to="radiance"))
     again = "unfinished: 1 of 2 groups are written, without /flightlines/raw_1; to finish it"
     for command, status in (("verify", 1), ("info", 0)):
-        output = hyperpaint(command, out, status=status).output
-        expect_words(output, again, f"--out {out} --to radiance")
+        expect_words(hyperpaint(command, out, status=status).output, again, f"--out {out} --to radiance")
     page = write_report(out, tmp_path / "report.html")
     assert page.flightlines == ("flightlines/raw_0",)
     assert again[:40] in page.problems[0]

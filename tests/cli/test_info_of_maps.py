@@ -72,8 +72,7 @@ def test_info_of_a_geotiff(folder: Path, tmp_path: Path) -> None:
     source = f"<SimpleSource><SourceFilename>{path}</SourceFilename></SimpleSource>"
     band = f'<VRTRasterBand dataType="Byte" band="1">{source}</VRTRasterBand>'
     trap.write_text(f'<VRTDataset rasterXSize="9" rasterYSize="9">{band}</VRTDataset>')
-    refused = hyperpaint("info", trap, status=2)
-    assert "not a TIFF" in refused.output
+    assert "not a TIFF" in hyperpaint("info", trap, status=2).output
 
 
 def test_info_of_regions(folder: Path) -> None:
@@ -85,20 +84,19 @@ def test_info_of_regions(folder: Path) -> None:
 
 
 def test_info_of_a_field_folder(tmp_path: Path) -> None:
-    collect = hp.simulate_collect(tmp_path / "day", lines=8, bands=8, columns=6, truth=False)
-    document = facts(collect.parent)
+    document = facts(
+        hp.simulate_collect(tmp_path / "day", scene="plan", lines=8, bands=8, columns=6, truth=False).parent
+    )
     assert document["is"].startswith("folder of a field day: 1 raw cube")
     assert any("frame index" in str(text) for text in document.values())
     empty = tmp_path / "empty"
     empty.mkdir()
-    refused = hyperpaint("info", empty, status=2)
-    assert "format-unknown" in refused.output
+    assert "format-unknown" in hyperpaint("info", empty, status=2).output
 
 
 def test_a_report_of_a_map(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    said = run("report", folder / "map.zarr", "--out", tmp_path / "map.html", "--quiet")
-    assert "map map.zarr" in said
+    assert "map map.zarr" in run("report", folder / "map.zarr", "--out", tmp_path / "map.html", "--quiet")
     page = (tmp_path / "map.html").read_text()
     expect_words(page, "WGS 84 / UTM zone 17N", without=("could not be shown",))
     assert page.count("data:image/png") >= 2  # true colour, and how reflectance is spread

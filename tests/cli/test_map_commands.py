@@ -107,8 +107,7 @@ def test_a_camera_a_dem_and_a_boresight_put_pixels_in_their_place(board: Path) -
 @_OLD_TRANSFORMS
 def test_a_dem_whose_heights_are_above_nothing(board: Path) -> None:
     call = ["orthorectify", str(board / "lot.zarr"), "--dem", str(board / "dem.tif"), *CAMERA]
-    done = hyperpaint(*call, "--out", board / "none.zarr", "--quiet", status=2)
-    assert "dem_heights" in done.output
+    assert "dem_heights" in hyperpaint(*call, "--out", board / "none.zarr", "--quiet", status=2).output
     assert not (board / "none.zarr").exists()
 
 
@@ -125,8 +124,7 @@ def test_a_line_that_declares_no_signs_is_not_guessed_at(board: Path, tmp_path: 
 def test_a_store_of_one_nameless_line_has_no_line_of_a_name(store: Path, tmp_path: Path) -> None:
     hp.to_store(hp.open_store(store, "flightlines/raw_0"), tmp_path / "one.zarr")
     call = ["orthorectify", str(tmp_path / "one.zarr"), "--out", str(tmp_path / "map.zarr"), "--quiet"]
-    done = hyperpaint(*call, "--line", "nope", status=2)
-    assert "no flight line 'nope'" in done.output
+    assert "no flight line 'nope'" in hyperpaint(*call, "--line", "nope", status=2).output
     assert hyperpaint(*call).exit_code == 0
 
 
@@ -178,5 +176,4 @@ def test_what_is_wrong_is_said_mosaic(store_mosaic: Path) -> None:
         ),
         (["--out", str(store_mosaic.parent), "--overwrite"], "ends in .tif or .zarr"),
     ):
-        done = hyperpaint("mosaic", store_mosaic, *options, status=2)
-        assert reason in done.output
+        assert reason in hyperpaint("mosaic", store_mosaic, *options, status=2).output

@@ -104,8 +104,7 @@ def test_parameters_are_read_without_an_import() -> None:
     ],
 )  # fmt: skip
 def test_an_old_spelling_names_the_new_one(old: str, new: str) -> None:
-    message = run(*old.split(), "1")
-    assert f"is now {new} [option-renamed]" in message
+    assert f"is now {new} [option-renamed]" in run(*old.split(), "1")
 
 
 @pytest.mark.parametrize(
@@ -196,8 +195,7 @@ def test_a_stopped_process_goes_on_where_it_was(
     assert "Traceback" not in stopped.output
     assert (len(written), (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT))) == (1, before)
 
-    again = hyperpaint(*call, status=0)
-    assert f"/{written[0]} there already" in again.output
+    assert f"/{written[0]} there already" in hyperpaint(*call, status=0).output
     assert hp.verify(tmp_path / "lot.zarr").ok
     assert [path.name for path in tmp_path.iterdir()] == ["lot.zarr"]
 
@@ -223,8 +221,7 @@ def test_only_what_goes_on_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
         raise KeyboardInterrupt("by somebody else")
 
     monkeypatch.setattr("hyperpaint.verify", stop)
-    stopped = hyperpaint("verify", ".", status=130)
-    assert stopped.stderr == "stopped by SIGINT\n"
+    assert hyperpaint("verify", ".", status=130).stderr == "stopped by SIGINT\n"
 
 
 def test_a_signal_that_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -258,34 +255,25 @@ def loaded_after(statements: str, modules: tuple[str, ...] = HEAVY) -> list[str]
     return done.stdout.splitlines()[-1].split()
 
 
-def test_info_of_a_store_loads_nothing_heavy(store: Path) -> None:
-    ask = "from hyperpaint.cli.info_command import describe_path"
-    assert loaded_after(f"{ask}\nprint(describe_path({str(store)!r}))") == []
-
-
-def test_info_of_a_cube_loads_nothing_heavy(tmp_path: Path) -> None:
+def test_info_of_a_store_and_a_cube_loads_nothing_heavy(store: Path, tmp_path: Path) -> None:
     np.arange(24, dtype=np.uint16).tofile(tmp_path / "raw_0")
     header = "samples = 4\nlines = 3\nbands = 2\ninterleave = bil\ndata type = 12\nbyte order = 0\n"
     spectral = "wavelength units = nm\nwavelength = {500, 600}\nfwhm = {6, 6}\ndescription = {raw counts}\n"
     (tmp_path / "raw_0.hdr").write_text(f"ENVI\n{header}{spectral};Exposure (ms): 5\n")
     ask = "from hyperpaint.cli.info_command import describe_path"
-    assert loaded_after(f"{ask}\nprint(describe_path({str(tmp_path / 'raw_0.hdr')!r}))") == []
+    describe = (f"print(describe_path({str(path)!r}))" for path in (store, tmp_path / "raw_0.hdr"))
+    assert loaded_after("\n".join([ask, *describe])) == []
 
 
-def test_a_pixel_is_read_without_distributed(store: Path) -> None:
-    read = (
-        f"import xarray as xr, hyperpaint\nline = xr.open_zarr({str(store)!r}, group='flightlines/raw_0')\n"
-    )
-    assert "distributed" not in loaded_after(f"{read}line.paint.pixels(3, 4)")
-
-
-def test_a_store_is_written_and_verified_without_distributed(store: Path) -> None:
-    write = (
-        "from hyperpaint.io.store import open_group, to_store, verify\n"
+def test_a_pixel_is_read_and_a_store_is_written_without_distributed(store: Path) -> None:
+    read_and_write = (
+        "import xarray as xr, hyperpaint\n"
+        "from hyperpaint.io.store import open_group, to_store\n"
+        f"xr.open_zarr({str(store)!r}, group='flightlines/raw_0').paint.pixels(3, 4)\n"
         f"line = open_group({str(store)!r}, 'flightlines/raw_0').drop_encoding()\n"
         f"to_store(line, {str(store.with_name('copy.zarr'))!r}, 'again')"
     )
-    assert "distributed" not in loaded_after(write)
+    assert "distributed" not in loaded_after(read_and_write)
 
 
 def test_times_are_those_that_xarray_decodes(store: Path) -> None:

@@ -81,16 +81,17 @@ def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
 @pytest.mark.slow
 def test_the_store_is_whole_and_says_what_it_is(store: Path) -> None:
     assert hp.verify(store).ok
-    groups = ["renders/cloudy", "renders/noon", "transport"]
-    assert list_groups(store) == groups
+    assert list_groups(store) == ["renders/cloudy", "renders/noon", "transport"]
     root = xr.open_zarr(store)
     assert (root.attrs["name"], root.attrs["scene_file"]) == ("tiny park", SCENE)
 
 
 def test_a_render_is_a_flight_line(store: Path) -> None:
     line = xr.open_zarr(store, group="renders/noon")
-    assert line.counts.dtype == np.uint16
-    assert dict(line.sizes) | {"along_track": 40, "band": 12, "cross_track": 24} == dict(line.sizes)
+    assert (line.counts.dtype, dict(line.sizes) | {"along_track": 40, "band": 12, "cross_track": 24}) == (
+        np.uint16,
+        dict(line.sizes),
+    )
     found = line.paint.reflectance().compute()
     seen = found.reflectance.notnull()
     assert (seen.sum() > 0.97 * seen.size).item()
@@ -102,8 +103,7 @@ def test_a_render_is_a_flight_line(store: Path) -> None:
     assert float(np.abs(error).quantile(0.9)) < 0.02
     for name in ("roll", "pitch", "heading", "altitude", "time"):
         assert name in line.coords, name
-    steps = np.diff(line.irradiance_time) / np.timedelta64(1, "s")
-    assert (steps == 2.0).all()
+    assert (np.diff(line.irradiance_time) == np.timedelta64(2, "s")).all()
     assert line.irradiance_time[0] < line.time[0]
     assert line.time[-1] < line.irradiance_time[-1]
 
@@ -112,8 +112,7 @@ def test_labels_say_what_their_numbers_mean(store: Path) -> None:
     line = opened(store, "renders/noon")
     kinds = line.surface_class.attrs["flag_meanings"].split()
     assert len(kinds) == len(line.surface_class.attrs["flag_values"])
-    shown = {kinds[number] for number in np.unique(line.surface_class)}
-    assert {"asphalt", "paint", "glass"} <= shown
+    assert {"asphalt", "paint", "glass"} <= {kinds[number] for number in np.unique(line.surface_class)}
     instances = json.loads(line.attrs["instances"])
     cars = np.unique(line.car_id)
     assert ((cars[0], len(cars) > 3), {instances[number]["kind"] for number in cars[1:]}) == (
@@ -194,8 +193,7 @@ def test_without_noise_counts_are_rounded_light(tmp_path: Path) -> None:
 @pytest.mark.parametrize("chunk", [7, 40])
 def test_counts_do_not_depend_on_chunks(chunk: int) -> None:
     camera = Camera.of(SimulationSettings(lines=40, columns=3, bands=4, fwhm_nm=30.0))
-    rng = np.random.default_rng(0)
-    values = rng.uniform(0.0, 0.2, (40, 4, 3)).astype(np.float32)
+    values = np.random.default_rng(0).uniform(0.0, 0.2, (40, 4, 3)).astype(np.float32)
 
     def counts(lines: int) -> xr.Dataset:
         cube = xr.DataArray(values, dims=("along_track", "band", "cross_track")).chunk(along_track=lines)
@@ -349,8 +347,7 @@ def test_the_example_is_printed_and_help_teaches() -> None:
     from hyperpaint.workflows.scene_files import example_scene
 
     assert hyperpaint("render", "--example").stdout == example_scene()
-    shown = hyperpaint("render", "--help").stdout
-    assert "hyperpaint render --example > scene.toml" in shown
+    assert "hyperpaint render --example > scene.toml" in hyperpaint("render", "--help").stdout
     assert " render  " in hyperpaint("--help").stdout
 
 

@@ -49,7 +49,7 @@ def expect_error(kind: type[F], match: str | None, call: Callable[[], Any]) -> F
     return caught.value
 
 
-def expect_errors(*rows: tuple[type[BaseException], str, Callable[[], Any]]) -> None:
+def expect_errors(*rows: tuple[Any, str | None, Callable[[], Any]]) -> None:
     """Expect the error of every row: class, pattern of its message, and the call that raises it."""
     for row in rows:
         expect_error(*row)

@@ -300,8 +300,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         for fault in faults[:MAX_MESSAGES]
     ]
     if len(faults) > MAX_MESSAGES:
-        omitted_text = counted(len(faults) - MAX_MESSAGES, "more problem")
-        shown.append(Problem(omitted_text, code="problems-omitted"))
+        shown.append(Problem(counted(len(faults) - MAX_MESSAGES, "more problem"), code="problems-omitted"))
     return StoreState(tuple(shown), tuple(notes), resume)
 
 

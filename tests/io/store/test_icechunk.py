@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_errors, expect_refusals
 
 import hyperpaint as hp
 
@@ -68,8 +68,10 @@ def test_a_collect_in_a_repository_is_the_one_in_the_folder(plain: Path, reposit
     assert ours.counts.chunks == theirs.counts.chunks
     xr.testing.assert_identical(ours.compute(), theirs.compute())
     made, expected = computed(ours).compute(), computed(theirs).compute()
-    assert made.reflectance.dtype == np.float32
-    assert made.reflectance.values.tobytes() == expected.reflectance.values.tobytes()
+    assert (made.reflectance.dtype, made.reflectance.values.tobytes()) == (
+        np.float32,
+        expected.reflectance.values.tobytes(),
+    )
     xr.testing.assert_identical(made, expected)
     xr.testing.assert_identical(ours.paint.rgb().compute(), theirs.paint.rgb().compute())
     assert next(snapshot.message for snapshot in repository.ancestry(branch="main")) == "ingest"
@@ -77,9 +79,11 @@ def test_a_collect_in_a_repository_is_the_one_in_the_folder(plain: Path, reposit
 
 def test_ingest_keeps_chunks_and_codec(repository: Any) -> None:
     counts = zarr.open_group(repository.readonly_session("main").store, mode="r")[LINE]["counts"]
-    assert counts.chunks == (32, 12, 16)
-    assert [type(codec).__name__ for codec in counts.compressors] == ["BloscCodec", "Crc32cCodec"]
-    assert counts.fill_value == 65535
+    assert (counts.chunks, [type(codec).__name__ for codec in counts.compressors], counts.fill_value) == (
+        (32, 12, 16),
+        ["BloscCodec", "Crc32cCodec"],
+        65535,
+    )
 
 
 def test_reflectance_is_written_from_threads(repository: Any) -> None:
@@ -114,10 +118,10 @@ def test_of_two_writers_one_is_refused(repository: Any) -> None:
     write(product, first)
     write(product * 0, second)
     first.commit("first")
-    with pytest.raises(icechunk.ConflictError, match="expected parent"):
-        second.commit("second")
-    with pytest.raises(icechunk.RebaseFailedError, match="conflict"):
-        second.rebase(icechunk.ConflictDetector())
+    expect_errors(
+        (icechunk.ConflictError, "expected parent", lambda: second.commit("second")),
+        (icechunk.RebaseFailedError, "conflict", lambda: second.rebase(icechunk.ConflictDetector())),
+    )
     xr.testing.assert_identical(open_group(repository, PRODUCT).compute(), product)
 
 
@@ -171,8 +175,7 @@ def test_only_our_codec_tells_a_flipped_bit(plain: Path, tmp_path: Path, protect
     chunk.write_bytes(damaged)
     opened = xr.open_zarr(session.store, consolidated=False)
     if protected:
-        with pytest.raises(ValueError, match="checksum"):
-            opened.load()
+        expect_error(ValueError, "checksum", lambda: opened.load())
     else:
         assert not opened.load().equals(product)  # and nothing was said
 
@@ -181,8 +184,7 @@ def test_a_session_is_opened_as_any_store(plain: Path, repository: Any) -> None:
     store = repository.readonly_session("main").store
     xr.testing.assert_equal(hp.open_store(store, LINE), hp.open_store(plain, LINE))
     assert set(hp.open_store(store).groups) >= {f"/{LINE}", "/irradiance", "/calibration"}
-    with pytest.raises(hp.StoreError, match="group-unknown"):
-        hp.open_store(store, "flightlines/raw_9")
+    expect_error(hp.StoreError, "group-unknown", lambda: hp.open_store(store, "flightlines/raw_9"))
 
 
 def test_verify_says_what_to_do_instead(plain: Path, tmp_path: Path) -> None:
@@ -193,5 +195,4 @@ def test_verify_says_what_to_do_instead(plain: Path, tmp_path: Path) -> None:
         (hp.StoreError, "type-wrong", lambda: hp.verify(repository.readonly_session("main").store)),
         (hp.StoreError, "store-unknown", lambda: open_group(repository, LINE).paint.verify()),
     )
-    with pytest.raises(hp.StoreError, match="store-foreign"):
-        hp.to_store(xr.Dataset(), folder)
+    expect_error(hp.StoreError, "store-foreign", lambda: hp.to_store(xr.Dataset(), folder))

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
+from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
@@ -108,8 +109,7 @@ def test_killed_writer(chunks_before_kill: int, replacing: bool, path: Path, tmp
     if writer.returncode == -signal.SIGKILL and not is_complete(path, GROUP):
         # what was not there is not there now
         assert not replacing
-        with pytest.raises(StoreError):
-            open_store(path, GROUP)
+        expect_error(StoreError, None, lambda: open_store(path, GROUP))
     elif replacing and chunks_before_kill < 20:
         # what was there is there still
         assert open_store(path, GROUP).sizes["along_track"] == 70
@@ -145,19 +145,17 @@ def test_kill_before_the_root_is_consolidated(stage: str, store: Path) -> None:
     (store / "zarr.json").write_text(json.dumps(root))
     assert not verify(store).ok
     source = open_store(store, GROUP).compute()
-    with pytest.raises(StoreError, match="store-exists"):
-        to_store(source, store, GROUP)
-    to_store(source, store, GROUP, overwrite=True)
-    assert verify(store).ok
+    expect_error(StoreError, "store-exists", lambda: to_store(source, store, GROUP))
+    assert verify(to_store(source, store, GROUP, overwrite=True)).ok
     xr.open_zarr(store, group=GROUP)
 
 
 def test_missing_store_and_group_are_named(store: Path) -> None:
-    with pytest.raises(StoreError, match="group-unknown"):
-        open_store(store, "flightlines/raw_7")
-    for function in (list_groups, verify):
-        with pytest.raises(StoreError, match="store-unreadable"):
-            function(store.parent / "none.zarr")
+    expect_errors(
+        (StoreError, "group-unknown", lambda: open_store(store, "flightlines/raw_7")),
+        (StoreError, "store-unreadable", lambda: list_groups(store.parent / "none.zarr")),
+        (StoreError, "store-unreadable", lambda: verify(store.parent / "none.zarr")),
+    )
 
 
 #: What happens to the chunks of a group; damaged, exchanged and stale ones: test_store_reading.py.
@@ -207,23 +205,19 @@ def test_damaged_metadata(damage: Callable[[Path], object], store: Path) -> None
     damage(store)
     assert not verify(store).ok
     assert not is_complete(store, GROUP)
-    with pytest.raises(StoreError):
-        open_store(store, GROUP)
+    expect_error(StoreError, None, lambda: open_store(store, GROUP))
     # the other group is none the worse, and this one can be written again
     assert is_complete(store, "flightlines/raw_1")
-    to_store(open_store(store, "flightlines/raw_1").compute(), store, GROUP, overwrite=True)
-    assert verify(store).ok
+    assert verify(to_store(open_store(store, "flightlines/raw_1").compute(), store, GROUP, overwrite=True)).ok
 
 
 @pytest.mark.slow
 def test_second_writer_is_refused(path: Path) -> None:
     writer = start_writer(path)
     wait_for(lambda: chunks_built(path) > 1)
-    with pytest.raises(StoreError, match="store-locked"):
-        to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
+    expect_error(StoreError, "store-locked", lambda: to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other"))
     assert writer.communicate(timeout=60)[0] == "done\n"
-    to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
-    assert verify(path).ok
+    assert verify(to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")).ok
 
 
 def test_concurrent_writers_take_turns_or_are_refused(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 import zarr
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_error
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import layout
@@ -123,12 +124,10 @@ def test_prepare_lists_all_problems() -> None:
         },
         attrs={"o": object()},
     )
-    with pytest.raises(StoreError) as caught:
-        layout.prepare(dataset, "g")
-    assert all(text in str(caught.value) for text in ("'a/b'", "'start' of 'when'", "'thing'", "'o'"))
+    caught = expect_error(StoreError, None, lambda: layout.prepare(dataset, "g"))
+    assert all(text in str(caught) for text in ("'a/b'", "'start' of 'when'", "'thing'", "'o'"))
 
 
 def test_multi_index_is_refused_with_the_mend() -> None:
     dataset = xr.Dataset(coords={"a": ("x", [1, 2]), "b": ("x", [3, 4])}).set_index(x=["a", "b"])
-    with pytest.raises(StoreError, match="reset_index"):
-        layout.prepare(dataset, "")
+    expect_error(StoreError, "reset_index", lambda: layout.prepare(dataset, ""))

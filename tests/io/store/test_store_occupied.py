@@ -2,11 +2,13 @@
 
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import open_store, to_store, verify
@@ -58,30 +60,30 @@ def test_groups_below_damaged_metadata_are_not_lost(
     damage(path)
     before = files(path)
     for overwrite in (True, False):
-        with pytest.raises(StoreError, match="group-occupied"):
-            to_store(line(2), path, group, overwrite=overwrite)
+        expect_error(
+            StoreError, "group-occupied", partial(to_store, line(2), path, group, overwrite=overwrite)
+        )
         assert files(path) == before
 
 
 def test_a_folder_of_somebody_elses_is_not_lost(path: Path) -> None:
     (path / "photos/2026").mkdir(parents=True)
     (path / "photos/2026/a.jpg").touch()
-    with pytest.raises(StoreError, match="group-occupied"):
-        to_store(line(2), path, "photos", overwrite=True)
+    expect_error(StoreError, "group-occupied", lambda: to_store(line(2), path, "photos", overwrite=True))
     (path / "notes").mkdir()
     (path / "notes/a.txt").touch()
     (path / GROUP / "notes.txt").touch()
     for group in ("notes", GROUP):
-        with pytest.raises(StoreError, match="group-occupied"):
-            to_store(line(2), path, group, overwrite=True)
+        expect_error(StoreError, "group-occupied", partial(to_store, line(2), path, group, overwrite=True))
 
 
 @pytest.mark.parametrize("place", [GROUP, f"{GROUP}/counts", "new"])
 def test_nothing_is_written_as_a_store_into_a_store(place: str, path: Path) -> None:
     before = files(path)
     for group in (None, "g"):
-        with pytest.raises(StoreError, match="path-inside-store"):
-            to_store(line(2), path / place, group, overwrite=True)
+        expect_error(
+            StoreError, "path-inside-store", partial(to_store, line(2), path / place, group, overwrite=True)
+        )
     assert files(path) == before
 
 
@@ -100,8 +102,7 @@ def test_a_root_is_rebuilt_when_asked_for(value: int, damage: str, path: Path) -
     else:
         (path / "zarr.json").unlink()
     before = files(path)
-    with pytest.raises(StoreError, match="metadata-damaged"):
-        to_store(line(value), path, GROUP)
+    expect_error(StoreError, "metadata-damaged", lambda: to_store(line(value), path, GROUP))
     assert files(path) == before
     to_store(line(value), path, GROUP, overwrite=True)
     assert holds(path, value)
@@ -111,8 +112,7 @@ def test_a_root_is_rebuilt_when_asked_for(value: int, damage: str, path: Path) -
 
 def test_a_damaged_group_above_is_rebuilt_when_asked_for(path: Path) -> None:
     (path / "flightlines/zarr.json").write_text("[" * 1000)
-    with pytest.raises(StoreError, match="metadata-damaged"):
-        to_store(line(2), path, "flightlines/raw_1")
+    expect_error(StoreError, "metadata-damaged", lambda: to_store(line(2), path, "flightlines/raw_1"))
     to_store(line(2), path, "flightlines/raw_1", overwrite=True)
     assert holds(path, 1)
     assert holds(path, 2, "flightlines/raw_1")
@@ -126,8 +126,7 @@ def test_a_group_that_lacks_a_chunk_is_made_again(group: str | None, tmp_path: P
     to_store(line(), path, group)
     assert holds(path, 1, group or "")
     (path / (group or "") / "counts/c/1/0/0").unlink()
-    with pytest.raises(StoreError, match="store-exists"):
-        to_store(line(2), path, group)
+    expect_error(StoreError, "store-exists", lambda: to_store(line(2), path, group))
 
 
 def test_a_store_behind_a_link_is_written_where_it_is(path: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
-from support.refusals import refusal
+from support.refusals import expect_error, expect_errors, refusal
 
 from hyperpaint.base.errors import (
     IncompleteStoreError,
@@ -96,9 +96,11 @@ def test_all_that_is_written_is_read(store: Path) -> None:
 @pytest.mark.parametrize("damage", [flip, cut, empty])
 def test_zarr_refuses_a_damaged_chunk(damage: Callable[[Path], None], key: str, store: Path) -> None:
     damage(store / GROUP / key)
-    for reader in (open_store, lambda path, name: xr.open_zarr(path, group=name)):
-        with pytest.raises((ValueError, StoreError, RuntimeError)):
-            reader(store, GROUP).load()
+    refusals = (ValueError, StoreError, RuntimeError)
+    expect_errors(
+        (refusals, None, lambda: open_store(store, GROUP).load()),
+        (refusals, None, lambda: xr.open_zarr(store, group=GROUP).load()),
+    )
     assert verify(store).problems == (f"/{GROUP}/{key}: the chunk is damaged [chunk-damaged]",)
 
 
@@ -113,8 +115,7 @@ def test_verify_alone_tells_whole_chunks_of_elsewhere(damage: Callable[[Path], N
 
 def test_a_missing_chunk_is_not_read_as_fill(store: Path) -> None:
     (store / GROUP / "counts/c/1/0/0").unlink()
-    with pytest.raises(IncompleteStoreError, match="chunk-missing"):
-        open_store(store, GROUP)
+    expect_error(IncompleteStoreError, "chunk-missing", lambda: open_store(store, GROUP))
     # where nobody asks whether it is whole, a chunk may be left out
     assert open_unverified(store, GROUP)["counts"].load()[40, 0, 0] == 65535
 
@@ -128,8 +129,7 @@ def test_behind_a_url_too() -> None:
     assert "exchanged, stale or altered" in str(verify(url))
     fs.rm(first)
     assert "counts/c/0/0/0: the chunk is missing" in str(verify(url))
-    with pytest.raises(IncompleteStoreError, match="chunk-missing"):
-        open_store(url, GROUP)
+    expect_error(IncompleteStoreError, "chunk-missing", lambda: open_store(url, GROUP))
 
 
 def test_what_is_opened_travels_and_keeps_its_codec_and_name(store: Path) -> None:
@@ -189,8 +189,7 @@ def change(path: Path, **attributes: str) -> None:
 def test_changed_attributes_are_not_handed_out(store: Path) -> None:
     change(store / GROUP / "zarr.json", srf_shape="slit")
     assert not is_complete(store, GROUP)
-    with pytest.raises(IncompleteStoreError, match="attributes-changed"):
-        open_store(store, GROUP)
+    expect_error(IncompleteStoreError, "attributes-changed", lambda: open_store(store, GROUP))
 
 
 @pytest.mark.parametrize("group", ["", "flightlines"])
@@ -209,8 +208,10 @@ def test_what_is_not_of_the_store_is_told(store: Path) -> None:
     (store / "more/x").write_text("x")
     (store / ".DS_Store").write_text("of a file manager")
     report = verify(store)
-    assert {problem.partition(":")[0] for problem in report.problems} == {f"/{GROUP}/counts/c/9"}
-    assert {note.partition(":")[0] for note in report.notes} == {"/more", f"/{GROUP}/junk.bin"}
+    assert (
+        {problem.partition(":")[0] for problem in report.problems},
+        {note.partition(":")[0] for note in report.notes},
+    ) == ({f"/{GROUP}/counts/c/9"}, {"/more", f"/{GROUP}/junk.bin"})
     zarr.open_group(store / GROUP).attrs["note"] = "of a user"
     assert open_store(store, GROUP).attrs["note"] == "of a user"
 
@@ -239,8 +240,7 @@ def array_of(store: Path, **changes: object) -> None:
 )
 def test_metadata_that_are_refused(changes: dict[str, object], match: str, store: Path) -> None:
     array_of(store, **changes)
-    with pytest.raises(StoreError, match=match):
-        open_store(store, GROUP)
+    expect_error(StoreError, match, lambda: open_store(store, GROUP))
     report = verify(store) if "attributes" not in changes else None
     assert report is None or not report.ok
 
@@ -249,9 +249,7 @@ def test_all_that_is_wrong_is_listed(store: Path) -> None:
     array_of(
         store, shape=[10**12], chunk_grid={"name": "regular", "configuration": {"chunk_shape": [10**11]}}
     )
-    with pytest.raises(StoreError) as caught:
-        open_store(store, GROUP)
-    assert len(caught.value.problems) == 2
+    assert len(expect_error(StoreError, None, lambda: open_store(store, GROUP)).problems) == 2
 
 
 def test_a_group_that_is_loaded_must_have_about_its_size_on_the_disk(tmp_path: Path) -> None:
@@ -260,8 +258,7 @@ def test_a_group_that_is_loaded_must_have_about_its_size_on_the_disk(tmp_path: P
         path / "a", shape=(2**13, 2**13), chunks=(2**11, 2**11), dtype="f4", dimension_names="xy"
     )
     zarr.create_group(path)
-    with pytest.raises(StoreError, match="file-too-large"):
-        load_group(path)
+    expect_error(StoreError, "file-too-large", lambda: load_group(path))
 
 
 EMPTY_GROUP = '{"zarr_format": 3, "node_type": "group", "attributes": {}}'
@@ -279,9 +276,8 @@ def test_deep_stores_are_refused_at_once(
         Path("zarr.json").write_text(EMPTY_GROUP)
     os.chdir(store)
     begun = time.perf_counter()
-    with pytest.raises(StoreError, match="nodes-too-many") as caught:
-        door(store)
-    assert caught.value.codes == ("nodes-too-many" if door in (verify, list_groups) else "group-unknown",)
+    caught = expect_error(StoreError, "nodes-too-many", lambda: door(store))
+    assert caught.codes == ("nodes-too-many" if door in (verify, list_groups) else "group-unknown",)
     assert time.perf_counter() - begun < 2
     # what is whole can still be read
     xr.testing.assert_equal(open_store(store, GROUP), scene())
@@ -315,8 +311,7 @@ def test_places_that_cannot_be_opened(
         if importlib.util.find_spec("s3fs") is not None:
             pytest.skip("it would ask the network")
         error = MissingExtraError
-    with pytest.raises(error, match=match):
-        door(url)
+    expect_error(error, match, lambda: door(url))
 
 
 def test_the_store_itself_may_be_reached_through_a_link(store: Path) -> None:
@@ -333,6 +328,5 @@ def test_texts_and_empty_arrays_in_several_chunks(tmp_path: Path) -> None:
             "empty": (("along_track", "c"), np.zeros((70, 0))),
         }
     )
-    to_store(names, tmp_path / "n.zarr")
-    assert verify(tmp_path / "n.zarr").ok
+    assert verify(to_store(names, tmp_path / "n.zarr")).ok
     xr.testing.assert_equal(open_store(tmp_path / "n.zarr").load(), names)

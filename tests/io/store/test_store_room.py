@@ -4,15 +4,17 @@ import errno
 import os
 import shutil
 from collections import namedtuple
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import dask
 import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import budget, chunks, disk, is_complete, to_store, verify, writer
@@ -36,28 +38,23 @@ def free(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
 
 
 def test_a_full_disk_is_told_before_anything_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(block: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        raise AssertionError
-
     unread = line()
+    never = mock.Mock(side_effect=AssertionError)
     unread["counts"] = unread.counts.copy(
-        data=unread.counts.data.map_blocks(read, dtype="uint16", meta=block)
+        data=unread.counts.data.map_blocks(never, dtype="uint16", meta=np.empty((0, 0, 0), "uint16"))
     )
     free(monkeypatch, 1000)
-    with pytest.raises(StoreError, match="disk-short"):
-        to_store(unread, tmp_path / "far" / "lot.zarr", GROUP)
+    expect_error(StoreError, "disk-short", lambda: to_store(unread, tmp_path / "far" / "lot.zarr", GROUP))
     assert not any(tmp_path.iterdir())
-
-
-block = np.empty((0, 0, 0), "uint16")
 
 
 def test_what_is_there_already_needs_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     to_store(line(), tmp_path / "lot.zarr", GROUP)
     free(monkeypatch, 0)
     to_store(line(), tmp_path / "lot.zarr", GROUP)
-    with pytest.raises(StoreError, match="disk-short"):
-        to_store(line(160), tmp_path / "lot.zarr", GROUP, overwrite=True)
+    expect_error(
+        StoreError, "disk-short", lambda: to_store(line(160), tmp_path / "lot.zarr", GROUP, overwrite=True)
+    )
 
 
 def test_only_what_is_taken_up_is_taken_off(
@@ -67,8 +64,7 @@ def test_only_what_is_taken_up_is_taken_off(
     needed = disk_needed(whole["one"])
     content = writer.Job("one", whole["one"], writer._token(whole["one"], "token")).build
     free(monkeypatch, needed - 500)
-    with pytest.raises(StoreError, match="disk-short"):
-        writer.check_room(whole, path, {"one": "token"})
+    expect_error(StoreError, "disk-short", lambda: writer.check_room(whole, path, {"one": "token"}))
     attempt = "0" * 12
     ours = f"build-one-{content}-{attempt}"
     for build in (ours, f"build-two-{content}-{attempt}", f"build-one-other-{attempt}", "replaced-one"):
@@ -78,8 +74,7 @@ def test_only_what_is_taken_up_is_taken_off(
         if build == ours:
             writer.check_room(whole, path, {"one": "token"})
             shutil.rmtree(folder)
-    with pytest.raises(StoreError, match="disk-short"):
-        writer.check_room(whole, path, {"one": "token"})
+    expect_error(StoreError, "disk-short", lambda: writer.check_room(whole, path, {"one": "token"}))
 
 
 def test_a_small_group_asks_for_little_but_for_every_chunk(tmp_path: Path) -> None:
@@ -92,32 +87,24 @@ def test_a_small_group_asks_for_little_but_for_every_chunk(tmp_path: Path) -> No
 def test_a_disk_of_unknown_size_is_no_reason_to_refuse(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unknown(_: Path) -> Usage:
-        raise OSError(errno.ENOSYS, "unknown")
-
-    monkeypatch.setattr(disk.shutil, "disk_usage", unknown)
+    monkeypatch.setattr(disk.shutil, "disk_usage", mock.Mock(side_effect=OSError(errno.ENOSYS, "unknown")))
     check_disk(tmp_path / "lot.zarr", 10**15)
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
-def test_a_disk_that_fills_up_says_what_was_needed(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain, path = chunks.replace_file, tmp_path / "lot.zarr"
+def test_a_disk_that_fills_up_says_what_was_needed(number: int, path: Path, tmp_path: Path) -> None:
+    plain, write = chunks.replace_file, partial(to_store, line(), path, GROUP, source_token="a")
 
     def full(file: Path, parts: Any, **options: Any) -> None:
         if "c/2/" in str(file):
             raise OSError(number, os.strerror(number), str(file))
         plain(file, parts, **options)
 
-    monkeypatch.setattr(chunks, "replace_file", full)
     with dask.config.set(scheduler="synchronous"):
-        with pytest.raises(StoreError, match="disk-full"):
-            to_store(line(), path, GROUP, source_token="a")
+        with mock.patch.object(chunks, "replace_file", full):
+            expect_error(StoreError, "disk-full", write)
         assert not is_complete(path, GROUP)
-        monkeypatch.setattr(chunks, "replace_file", plain)
-        to_store(line(), path, GROUP, source_token="a")
-    assert verify(path).ok
+        assert verify(write()).ok
     assert os.listdir(tmp_path) == ["lot.zarr"]
 
 
@@ -153,65 +140,58 @@ def test_other_errors_stay_as_they_are() -> None:
 def test_blocks_that_cannot_fit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     huge = da.zeros((64_000, 272, 640), chunks=(32_000, 272, 640), dtype="uint16")
     monkeypatch.setattr(budget, "available_memory", lambda: 2**30)
-    with pytest.raises(StoreError, match="memory-short"):
-        to_store(xr.Dataset({"counts": (CUBE, huge)}), tmp_path / "lot.zarr", GROUP)
+    expect_error(
+        StoreError,
+        "memory-short",
+        lambda: to_store(xr.Dataset({"counts": (CUBE, huge)}), tmp_path / "lot.zarr", GROUP),
+    )
     assert not any(tmp_path.iterdir())
 
 
 # --- power cuts --------------------------------------------------------------------------------------------
 
 
-class Flushed:
-    # Which files and folders have been flushed since they were last written
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.order: list[str] = []
-        plain = os.fsync
-
-        def fsync(descriptor: int) -> None:
-            self.order.append(os.readlink(f"/proc/self/fd/{descriptor}"))
-            plain(descriptor)
-
-        monkeypatch.setattr(os, "fsync", fsync)
-
-
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="open files are named in Linux's /proc")
 def test_everything_is_flushed_before_the_place(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flushed, states = Flushed(monkeypatch), []
-    plain = writer.Staging.publish
+    flushed: list[str] = []  # files and folders, in the order in which they were flushed
+    states: list[tuple[int, list[str]]] = []
+    fsync, plain = os.fsync, writer.Staging.publish
+
+    def note(descriptor: int) -> None:
+        flushed.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+        fsync(descriptor)
 
     def publish(stage: Any, build: Path, group: str) -> None:
-        states.append((build, len(flushed.order), sorted(map(str, [build, *build.rglob("*")]))))
+        states.append((len(flushed), [str(build), *map(str, build.rglob("*"))]))
         plain(stage, build, group)
 
+    monkeypatch.setattr(os, "fsync", note)
     monkeypatch.setattr(writer.Staging, "publish", publish)
     to_store(line().assign_coords(frame=("along_track", np.arange(128))), path, GROUP)
-    ((_, count, present),) = states
-    before = flushed.order[:count]
-    assert set(present) <= set(before)
-    after = flushed.order[count:]
-    for folder in (path / "flightlines", path, tmp_path):
-        assert str(folder) in after
+    ((count, present),) = states
+    assert set(present) <= set(flushed[:count])
+    assert {str(path / "flightlines"), str(path), str(tmp_path)} <= set(flushed[count:])
     # documents of the groups above come under another name, and replace what is there
-    for folder in (path, path / "flightlines"):
-        assert any(name.startswith(f"{folder}/.zarr.json.") for name in flushed.order)
+    temporary = {name.partition("/.zarr.json.")[0] for name in flushed if "/.zarr.json." in name}
+    assert {str(path), str(path / "flightlines")} <= temporary
 
 
-def test_a_chunk_that_somebody_removed_is_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plain, path = writer.flush_group, tmp_path / "lot.zarr"
+def test_a_chunk_that_somebody_removed_is_missed(tmp_path: Path) -> None:
+    plain, write = (
+        writer.flush_group,
+        partial(to_store, line(), tmp_path / "lot.zarr", GROUP, source_token="a"),
+    )
 
     def clear_up(folder: Path, expected: list[Path]) -> None:
         (folder / "counts/c/1/0/0").unlink()
         plain(folder, expected)
 
-    monkeypatch.setattr(writer, "flush_group", clear_up)
-    with pytest.raises(StoreError, match="file-unusable"):
-        to_store(line(), path, GROUP, source_token="a")
-    assert not path.exists()
-    monkeypatch.setattr(writer, "flush_group", plain)
-    to_store(line(), path, GROUP, source_token="a")
-    assert verify(path).ok
+    with mock.patch.object(writer, "flush_group", clear_up):
+        expect_error(StoreError, "file-unusable", write)
+    assert not (tmp_path / "lot.zarr").exists()
+    assert verify(write()).ok
 
 
 def test_a_rerun_clears_up_behind_a_writer_that_died_at_its_end(tmp_path: Path) -> None:
@@ -227,17 +207,9 @@ def test_a_rerun_clears_up_behind_a_writer_that_died_at_its_end(tmp_path: Path) 
     assert (partial / "build-other-1-1").exists()
 
 
-def test_a_disk_that_refuses_to_flush_leaves_nothing_finished(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(_: str) -> None:
-        raise OSError(errno.EIO, "broken disk")
-
-    plain: Callable[[Any], None] = disk.sync
-    monkeypatch.setattr(disk, "sync", broken)
-    with pytest.raises(StoreError, match="broken disk"):
-        to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
+def test_a_disk_that_refuses_to_flush_leaves_nothing_finished(tmp_path: Path) -> None:
+    write = partial(to_store, line(), tmp_path / "lot.zarr", GROUP, source_token="a")
+    with mock.patch.object(disk, "sync", side_effect=OSError(errno.EIO, "broken disk")):
+        expect_error(StoreError, "broken disk", write)
     assert not is_complete(tmp_path / "lot.zarr", GROUP)
-    monkeypatch.setattr(disk, "sync", plain)
-    to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
-    assert verify(tmp_path / "lot.zarr").ok
+    assert verify(write()).ok

@@ -11,6 +11,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_error
 
 import hyperpaint as hp
 from hyperpaint.base.errors import IncompleteStoreError, StoreError
@@ -83,10 +84,8 @@ def test_what_goes_wrong_in_the_background_ends_the_run(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     publish.append(full)
-    with pytest.raises(StoreError, match="disk-full"):
-        run(path)
-    with pytest.raises(IncompleteStoreError):
-        hp.open_store(path)
+    expect_error(StoreError, "disk-full", lambda: run(path))
+    expect_error(IncompleteStoreError, None, lambda: hp.open_store(path))
     assert set(list_groups(path)) == set(LINES[: LINES.index(which)])
     publish.clear()
     run(path)
@@ -116,8 +115,7 @@ def test_the_store_is_held_until_the_last_group_has_its_place(
 
     publish.append(slow)
     monkeypatch.setattr(writer, "wait", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        run(path, stop)
+    expect_error(KeyboardInterrupt, None, lambda: run(path, stop))
     assert (len(waits), set(list_groups(path))) == (3, {LINES[0]})
     assert not (tmp_path / ".partial-lot.zarr" / "lock").exists()
     monkeypatch.undo()
@@ -150,6 +148,5 @@ def test_what_failed_before_is_a_note_of_the_error(tmp_path: Path, publish: list
         raise ValueError("no light")
 
     publish.append(refuse)
-    with pytest.raises(ValueError, match="no light") as caught:
-        run(tmp_path / "lot.zarr", end)
-    assert any("the disk is gone" in note for note in caught.value.__notes__)
+    caught = expect_error(ValueError, "no light", lambda: run(tmp_path / "lot.zarr", end))
+    assert any("the disk is gone" in note for note in caught.__notes__)

@@ -1,6 +1,7 @@
 """Staging: what changes places, what a killed writer left, and what somebody else put there."""
 
 import contextlib
+import functools
 import os
 import shutil
 import subprocess
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from filelock._identity import host_name
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_refusals
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import is_complete, open_store, stage, to_store, verify
@@ -64,8 +65,7 @@ def test_names_that_lead_out_are_refused(name: str, path: Path) -> None:
     hostile = partial(path) / name
     hostile.mkdir()
     (hostile / "zarr.json").write_text("{}")
-    with pytest.raises(StoreError, match="staging-foreign"):
-        write(path)
+    expect_error(StoreError, "staging-foreign", lambda: write(path))
     assert sorted(os.listdir(path.parent)) == [".partial-lot.zarr", "lot.zarr"]
     assert hostile.is_dir()
 
@@ -75,8 +75,7 @@ def test_links_in_the_folder_are_refused(name: str, path: Path, tmp_path: Path) 
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious/keep").touch()
     (partial(path) / name).symlink_to(tmp_path / "precious")
-    with pytest.raises(StoreError, match="link-refused"):
-        write(path)
+    expect_error(StoreError, "link-refused", lambda: write(path))
     assert os.listdir(tmp_path / "precious") == ["keep"]
 
 
@@ -84,8 +83,7 @@ def test_a_link_for_the_folder_is_refused(path: Path, tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere/build-x-1").mkdir()
     (tmp_path / ".partial-lot.zarr").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(StoreError, match="link-refused"):
-        write(path)
+    expect_error(StoreError, "link-refused", lambda: write(path))
     assert os.listdir(tmp_path / "elsewhere") == ["build-x-1"]
 
 
@@ -120,8 +118,7 @@ def test_what_is_half_removed_does_not_come_back(path: Path, monkeypatch: pytest
     monkeypatch.setattr(stage, "exchange", lambda *_: False)
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "rmtree", die)
-        with pytest.raises(KeyboardInterrupt):
-            write(path, 2, "flightlines/raw_0", overwrite=True)
+        expect_error(KeyboardInterrupt, None, lambda: write(path, 2, "flightlines/raw_0", overwrite=True))
     assert not list(partial(path).glob("replaced-*"))
     assert open_store(path, "flightlines/raw_0")["a"][0] == 2
 
@@ -164,8 +161,7 @@ def test_two_folders_change_places(tmp_path: Path) -> None:
     if not exchange(tmp_path / "a", tmp_path / "b"):
         pytest.skip("this system cannot exchange two names")
     assert os.listdir(tmp_path / "a") == ["of-b"]
-    with pytest.raises(FileNotFoundError):
-        exchange(tmp_path / "a", tmp_path / "c")
+    expect_error(FileNotFoundError, None, lambda: exchange(tmp_path / "a", tmp_path / "c"))
 
 
 @pytest.mark.parametrize("exchanging", [True, False])
@@ -226,8 +222,7 @@ def is_taken_over(lock: Path) -> None:
 def test_what_is_no_lock_is_refused(make: Callable[[Path], object], code: str, lock: Path) -> None:
     (lock.parent / "precious").write_text("x")
     make(lock)
-    with pytest.raises(StoreError, match=code):
-        write(lock.parent.parent / "lot.zarr")
+    expect_error(StoreError, code, lambda: write(lock.parent.parent / "lot.zarr"))
     assert (lock.parent / "precious").read_text() == "x"
 
 
@@ -247,8 +242,7 @@ def test_locks_of_nobody_are_taken_over(content: str, lock: Path) -> None:
 
 def test_an_empty_lock_is_taken_over_once_it_is_old(lock: Path) -> None:
     lock.touch()
-    with pytest.raises(StoreError, match="store-locked"):
-        write(lock.parent.parent / "lot.zarr")
+    expect_error(StoreError, "store-locked", lambda: write(lock.parent.parent / "lot.zarr"))
     is_taken_over(lock)
 
 
@@ -265,8 +259,7 @@ def test_our_own_lock_is_respected_in_each_thread(lock: Path) -> None:
 def test_writers_that_cannot_be_seen_are_respected(lock: Path) -> None:
     for host in ("elsewhere", f"{host_name()}?pidns-1"):
         lock.write_text(record(2**30, host))  # the number is that of nobody here
-        with pytest.raises(StoreError, match="store-locked"):
-            write(lock.parent.parent / "lot.zarr")
+        expect_error(StoreError, "store-locked", lambda: write(lock.parent.parent / "lot.zarr"))
         assert lock.exists()
 
 
@@ -301,10 +294,13 @@ def test_a_folder_of_somebody_elses_is_refused_and_kept(name: str, tmp_path: Pat
     theirs.parent.mkdir(parents=True, exist_ok=True)
     theirs.write_text("precious")
     for overwrite in (False, True):
-        with pytest.raises(StoreError, match="staging-foreign"):
-            to_store(small(), path, overwrite=overwrite)
-    assert theirs.read_text() == "precious"
-    assert [each.name for each in unmarked(path).iterdir()] == [name.partition("/")[0]]
+        expect_error(
+            StoreError, "staging-foreign", functools.partial(to_store, small(), path, overwrite=overwrite)
+        )
+    assert (theirs.read_text(), [each.name for each in unmarked(path).iterdir()]) == (
+        "precious",
+        [name.partition("/")[0]],
+    )
 
 
 def test_what_a_power_failure_leaves_empty_is_ours(tmp_path: Path) -> None:

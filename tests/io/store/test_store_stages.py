@@ -40,8 +40,7 @@ def test_one_stage_is_one_call() -> None:
 
     graph, stages = _slabs_and_tiles(4, [])
     values = dict(in_stages(get, graph, dict.fromkeys(stages, 0)))
-    assert calls == [3]
-    assert [int(value[0]) for value in values.values()] == [1, 3, 5]
+    assert (calls, [int(value[0]) for value in values.values()]) == ([3], [1, 3, 5])
 
 
 def test_a_wide_map_is_stored_by_columns(tmp_path) -> None:

@@ -6,8 +6,10 @@ import sys
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import dask
 import dask.array as da
@@ -16,6 +18,7 @@ import pytest
 import xarray as xr
 import zarr
 from support.codecs import plain_zarr
+from support.refusals import expect_error, expect_errors
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, open_unverified, to_store, verify
@@ -94,8 +97,10 @@ def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         stored = xr.open_zarr(tmp_path / "lot.zarr", group=group)
-        assert stored.counts.chunks == ((32, 32, 6), (3,), (5,))
-        assert (stored.quality.chunks, stored.time.chunks) == (((32, 32, 6), (5,)), ((70,),))
+        assert (stored.counts.chunks, (stored.quality.chunks, stored.time.chunks)) == (
+            ((32, 32, 6), (3,), (5,)),
+            (((32, 32, 6), (5,)), ((70,),)),
+        )
         assert "wavelength" not in stored.indexes
         assert_same(stored, source)
         assert_same(open_store(tmp_path / "lot.zarr", group), source)
@@ -107,8 +112,10 @@ def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
 def test_attributes(tmp_path: Path) -> None:
     to_store(flightline().assign_attrs(history="2026-01-01 flown"), tmp_path / "lot.zarr", GROUP)
     attrs = xr.open_zarr(tmp_path / "lot.zarr", group=GROUP).attrs
-    assert (attrs["hyperpaint_format"], attrs["Conventions"]) == (3, "CF-1.11")
-    assert (attrs["srf_shape"], attrs["gain"], attrs["bands"]) == ("gaussian", 2, [0, 1, 2])
+    assert (
+        (attrs["hyperpaint_format"], attrs["Conventions"]),
+        (attrs["srf_shape"], attrs["gain"], attrs["bands"]),
+    ) == ((3, "CF-1.11"), ("gaussian", 2, [0, 1, 2]))
     assert attrs["history"].startswith("2026-01-01 flown\n20")
     assert attrs["created"] > "2024-01-01T00:00:00+00:00"
     assert zarr.open_group(tmp_path / "lot.zarr", mode="r").attrs["hyperpaint_format"] == 3
@@ -174,8 +181,7 @@ def test_other_content_needs_overwrite(path: Path, tmp_path: Path) -> None:
     to_store(flightline(), path, GROUP)
     to_store(flightline(seed=5), path, "flightlines/raw_1")
     before = files(tmp_path)
-    with pytest.raises(StoreError, match="store-exists"):
-        to_store(flightline(seed=1), path, GROUP)
+    expect_error(StoreError, "store-exists", lambda: to_store(flightline(seed=1), path, GROUP))
     assert files(tmp_path) == before
     to_store(flightline(lines=40, seed=1), path, GROUP, overwrite=True)
     assert_same(xr.open_zarr(path, group=GROUP), flightline(lines=40, seed=1))
@@ -194,9 +200,10 @@ def test_source_token_names_the_content(path: Path) -> None:
 
     to_store(unnamed(), path, source_token="a")
     to_store(unnamed(), path, source_token="a")
-    for token in ("b", None):
-        with pytest.raises(StoreError, match="store-exists"):
-            to_store(unnamed(), path, source_token=token)
+    expect_errors(
+        (StoreError, "store-exists", lambda: to_store(unnamed(), path, source_token="b")),
+        (StoreError, "store-exists", lambda: to_store(unnamed(), path)),
+    )
 
 
 @pytest.mark.parametrize("url", ["memory://{}.zarr", "{}/source.zarr"])
@@ -213,8 +220,7 @@ def test_a_source_that_was_rewritten_is_other_content(url: str, guarded: bool, t
     rewrite(0)
     to_store(source(), tmp_path / "lot.zarr", GROUP)
     rewrite(1)
-    with pytest.raises(StoreError, match="store-exists"):
-        to_store(source(), tmp_path / "lot.zarr", GROUP)
+    expect_error(StoreError, "store-exists", lambda: to_store(source(), tmp_path / "lot.zarr", GROUP))
     to_store(source() * 1, tmp_path / "lot.zarr", GROUP, overwrite=True)
     stored = open_store(tmp_path / "lot.zarr", GROUP)["counts"]
     np.testing.assert_array_equal(stored, flightline(seed=1)["counts"])
@@ -224,18 +230,15 @@ def test_an_interrupted_copy_of_a_source_that_is_rewritten_is_not_mixed(tmp_path
     url, path = f"memory://{os.urandom(4).hex()}.zarr", tmp_path / "lot.zarr"
 
     def source(number: int, *, failing: bool) -> xr.Dataset:
-        counts = np.full((128, 2, 3), number, "uint16")
-        made = xr.Dataset({"counts": (CUBE, counts)}).chunk(along_track=32)
+        made = xr.Dataset({"counts": (CUBE, np.full((128, 2, 3), number, "uint16"))}).chunk(along_track=32)
         made.to_zarr(url, mode="w", consolidated=False)
         if failing:
             zarr.open_array(f"{url}/counts").store_path.store.fs.rm(f"{url}/counts/c/3/0/0")
-            broken = b"x"
-            zarr.open_array(f"{url}/counts").store_path.store.fs.pipe_file(f"{url}/counts/c/3/0/0", broken)
+            zarr.open_array(f"{url}/counts").store_path.store.fs.pipe_file(f"{url}/counts/c/3/0/0", b"x")
         return xr.open_zarr(url, consolidated=False)
 
     with dask.config.set(scheduler="synchronous"):
-        with pytest.raises(Exception, match=r"."):
-            to_store(source(1, failing=True), path, GROUP)
+        expect_error(Exception, r".", lambda: to_store(source(1, failing=True), path, GROUP))
         to_store(source(2, failing=False), path, GROUP)
     assert (open_store(path, GROUP).counts == 2).all()
 
@@ -260,8 +263,7 @@ def test_refuses_to_overwrite_what_it_reads(path: Path, tmp_path: Path) -> None:
             reflectance=xr.open_zarr(os.path.relpath(path), group=GROUP)["reflectance"].astype("float32") * 2
         ),
     ):
-        with pytest.raises(StoreError, match="source-overwritten"):
-            to_store(opened, path, GROUP, overwrite=True)
+        expect_error(StoreError, "source-overwritten", partial(to_store, opened, path, GROUP, overwrite=True))
         assert files(tmp_path) == before
     to_store(xr.open_zarr(path, group=GROUP), path, "copies/raw_0")
     to_store(xr.open_zarr(path, group=GROUP).compute(), path, GROUP, overwrite=True)
@@ -272,9 +274,11 @@ def test_finds_the_source_through_a_rewritten_graph(path: Path, tmp_path: Path) 
 
     to_store(flightline(), path, GROUP)
     (optimised,) = dask.optimize(xr.open_zarr(path, group=GROUP)[["counts"]].reset_coords(drop=True) + 1)
-    assert reads_from(optimised, Location.of(path), GROUP) == ["counts"]
-    assert reads_from(optimised, Location.of(path), "flightlines/raw") == []
-    assert reads_from(optimised, Location.of(tmp_path), "") == ["counts"]
+    assert (
+        reads_from(optimised, Location.of(path), GROUP),
+        reads_from(optimised, Location.of(path), "flightlines/raw"),
+        reads_from(optimised, Location.of(tmp_path), ""),
+    ) == (["counts"], [], ["counts"])
 
 
 @pytest.mark.parametrize(
@@ -293,8 +297,11 @@ def test_finds_the_source_through_a_rewritten_graph(path: Path, tmp_path: Path) 
 def test_refusals(prepare: Callable[[Path], Any], group: str | None, message: str, tmp_path: Path) -> None:
     prepare(tmp_path / "lot.zarr")
     before = files(tmp_path)
-    with pytest.raises(StoreError, match=message):
-        to_store(flightline(seed=9), tmp_path / "lot.zarr", group, overwrite=True)
+    expect_error(
+        StoreError,
+        message,
+        lambda: to_store(flightline(seed=9), tmp_path / "lot.zarr", group, overwrite=True),
+    )
     assert files(tmp_path) == before
 
 
@@ -310,18 +317,15 @@ def test_source_that_fails_leaves_everything_as_it_was(path: Path, tmp_path: Pat
     counts = da.map_blocks(fail, da.zeros((96, 2, 2), chunks=(32, 2, 2), dtype="uint16"), dtype="uint16")
     source = xr.Dataset({"counts": (CUBE, counts)})
     for group in (GROUP, "flightlines/raw_1"):
-        with pytest.raises(RuntimeError, match="camera"):
-            to_store(source, path, group, overwrite=True)
+        expect_error(RuntimeError, "camera", partial(to_store, source, path, group, overwrite=True))
         assert files(tmp_path) == before
-    with pytest.raises(RuntimeError, match="camera"):
-        to_store(source, tmp_path / "new.zarr")
+    expect_error(RuntimeError, "camera", lambda: to_store(source, tmp_path / "new.zarr"))
     assert os.listdir(tmp_path) == ["lot.zarr"]
 
 
 def test_folder_that_must_not_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="file-unusable"):
-        to_store(flightline(), tmp_path / "file" / "lot.zarr")
+    (tmp_path / "file").touch()
+    expect_error(StoreError, "file-unusable", lambda: to_store(flightline(), tmp_path / "file" / "lot.zarr"))
 
 
 def test_datatree(path: Path, tmp_path: Path) -> None:
@@ -348,8 +352,7 @@ def test_datatree(path: Path, tmp_path: Path) -> None:
         assert_same(opened[node].to_dataset(), tree[node].to_dataset())
     assert verify(path).ok
     tree["flightlines/raw_1"] = xr.DataTree(flightline(lines=33, seed=2))
-    with pytest.raises(StoreError, match="raw_1"):
-        to_store(tree, path)
+    expect_error(StoreError, "raw_1", lambda: to_store(tree, path))
     to_store(tree["flightlines"], path, "flightlines", overwrite=True)
     assert_same(xr.open_zarr(path, group="flightlines/raw_1"), flightline(lines=33, seed=2))
     assert zarr.open_group(path, mode="r").attrs["name"] == "parking-lot"
@@ -363,10 +366,14 @@ def test_memory_url() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert_same(xr.open_zarr(url, group=GROUP), flightline())
-    with pytest.raises(StoreError, match="overwrite"):
-        to_store(flightline(seed=1), url, GROUP)
-    with pytest.raises(StoreError, match="source-overwritten"):
-        to_store(open_store(url, GROUP), url, GROUP, overwrite=True)
+    expect_errors(
+        (StoreError, "overwrite", lambda: to_store(flightline(seed=1), url, GROUP)),
+        (
+            StoreError,
+            "source-overwritten",
+            lambda: to_store(open_store(url, GROUP), url, GROUP, overwrite=True),
+        ),
+    )
     to_store(flightline(lines=33, seed=1), url, GROUP, overwrite=True)
     assert_same(open_store(url, GROUP), flightline(lines=33, seed=1))
     assert verify(url).ok
@@ -377,14 +384,15 @@ def test_memory_url_of_a_failed_writer_is_incomplete() -> None:
     url = f"memory://{os.urandom(4).hex()}.zarr"
     to_store(flightline(), url, GROUP)
 
-    def fail(block: np.ndarray) -> np.ndarray:
-        raise RuntimeError("broken")
-
+    fail = mock.Mock(side_effect=RuntimeError("broken"))
     counts = da.map_blocks(
         fail, da.zeros((96, 2, 2), chunks=(32, 2, 2)), dtype="float64", meta=np.empty((0, 0, 0))
     )
-    with pytest.raises(RuntimeError, match="broken"):
-        to_store(xr.Dataset({"counts": (CUBE, counts)}), url, GROUP, overwrite=True)
+    expect_error(
+        RuntimeError,
+        "broken",
+        lambda: to_store(xr.Dataset({"counts": (CUBE, counts)}), url, GROUP, overwrite=True),
+    )
     assert not is_complete(url, GROUP)
     assert not verify(url).ok
 
@@ -404,19 +412,14 @@ def test_schedulers_write_the_same_bytes(
 
 
 def test_each_source_block_is_computed_once(tmp_path: Path) -> None:
-    calls: list[int] = []
-
-    def count(block: np.ndarray) -> np.ndarray:
-        calls.append(1)
-        return block
-
+    count = mock.Mock(side_effect=np.copy)
     cube = da.map_blocks(
         count, da.zeros((96, 2, 2), chunks=(32, 2, 2)), dtype="float64", meta=np.empty((0, 0, 0))
     )
     shared = xr.Dataset({"radiance": (CUBE, cube), "reflectance": (CUBE, cube * 2)})
     with dask.config.set(scheduler="synchronous"):
         to_store(shared, tmp_path / "a.zarr")
-    assert len(calls) == 3
+    assert count.call_count == 3
 
 
 def test_the_fast_codec_holds_the_same_values_and_any_reader_reads_it(tmp_path: Path) -> None:
