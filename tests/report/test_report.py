@@ -119,7 +119,8 @@ def paints(line: xr.Dataset) -> xr.Dataset:
     name = "<b onload=alert(1)>$x"
     regions = (
         hp.Region(
-            "red hood", [(0, 0), (2, 0), (2, 9), (0, 9)], flightline="raw_0", properties={"make": "Ours & Co"}
+            "red hood", [(0, 0), (2, 0), (2, 9), (0, 9)], flightline="raw_0",
+            properties={"make": "Ours & Co", "colour": "red", "age": "9"},
         ),
         hp.Region(name, [(3, 0), (5, 0), (5, 9), (3, 9)], flightline="raw_0"),
     )
@@ -162,6 +163,7 @@ def test_a_page_of_everything(whole: Path) -> None:
     expect_words(
         shown, "4.167 %", "95.83 % of 240 pixels have no flag.", "red hood", "Ours & Co", "Paint by paint"
     )
+    assert "flags of the pixels used age colour make" in " ".join(shown.split())  # not as the folder is listed
     assert "Refused regions raw_0, line 7, column 3 it is a window: <b>" in re.sub(r"\s+", " ", shown)
     # true colour, flags, irradiance, reflectance and its steps of two lines; the layer and two cards of one;
     # the paints and their uncertainty
