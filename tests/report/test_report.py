@@ -226,8 +226,7 @@ def test_what_is_missing_is_left_out(tmp_path: Path) -> None:
     line = flight(lines=16).line
     radiance = line.paint.radiance().compute()[["radiance", "quality"]].assign_attrs(line.attrs)
     hp.to_store(radiance, tmp_path / "a.zarr", "flightlines/raw_0")
-    done = hp.report.write_report(tmp_path / "a.zarr", tmp_path / "a.html")
-    assert done.problems == ()
+    assert hp.report.write_report(tmp_path / "a.zarr", tmp_path / "a.html").problems == ()
     assert "There is no picture" not in words(tmp_path / "a.html")  # that of radiance is shown
     empty = tmp_path / "c.zarr"
     hp.to_store(xr.Dataset({"a": ("x", np.arange(3.0))}), empty, "other")

@@ -122,8 +122,7 @@ def test_json_is_not_written(home: Path, name: str) -> None:
 
 
 def test_no_module_hands_references_to_fsspec() -> None:
-    folder = Path(hp.__file__).parent
-    sources = {path: path.read_text(encoding="utf-8") for path in folder.rglob("*.py")}
+    sources = {path: path.read_text(encoding="utf-8") for path in Path(hp.__file__).parent.rglob("*.py")}
     for word in ("ReferenceFileSystem", "reference://", 'engine="kerchunk"', "import kerchunk"):
         assert [path.name for path, text in sources.items() if word in text] == []
 
@@ -286,9 +285,8 @@ def test_forged_repositories_are_refused(
     expect_error(StoreError, words, lambda: hp.io.open_virtual(repository.path))
     assert not asked
     assert set(opened) <= {f"file://{repository.raw}"}
-    run = hyperpaint("info", repository.path)
     expect_words(
-        run.output,
+        hyperpaint("info", repository.path).output,
         without=("PRIVATE", "counts:"),
     )
     assert not asked
