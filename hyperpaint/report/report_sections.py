@@ -206,11 +206,12 @@ def _table_of_paints(library: xr.Dataset) -> Markup:
     first_paints = library.isel({SIGNATURE: slice(0, MAX_ROWS)})
     columns = [name for name in ("n", "n_eff", "n_excluded") if name in first_paints.variables]
     standard = {"time", "region", *schema.LIBRARY_VARIABLES}
-    extra = [
+    # sorted, because the coordinates of a store come in the order of its folder's listing
+    extra = sorted(
         str(name)
         for name in first_paints.coords
         if first_paints[name].dims == (SIGNATURE,) and name not in standard
-    ][:12]
+    )[:12]
     values = {name: first_paints[name].values for name in (SIGNATURE, *columns, *extra)}
     quality = (
         first_paints["quality"].values

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_errors, refusal
+from support.refusals import expect_error, expect_errors, expect_words, refusal
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -163,8 +163,7 @@ def test_a_file_that_was_changed_elsewhere_is_left_as_it_is(tmp_path: Path) -> N
     state.save_again(path)
     assert state.is_saved
     # one that appears meanwhile is not ours either
-    with pytest.raises(StoreError, match=r"not read.*file-changed"):
-        state.save_again(tmp_path / "theirs.geojson")
+    expect_error(StoreError, r"not read.*file-changed", lambda: state.save_again(tmp_path / "theirs.geojson"))
 
 
 def test_a_page_loaded_anew_says_what_is_not_saved(tmp_path: Path) -> None:
@@ -244,12 +243,10 @@ def test_the_uncertainty_is_that_of_the_mean() -> None:
     sure = state.uncertainty_of((7, 3))
     assert not isinstance(sure, str), sure
     u, text = sure
-    assert "of a pixel" in text
-    assert "systematic" in text
+    expect_words(text, "of a pixel", "systematic")
     part = line.isel(along_track=slice(7, 8), cross_track=slice(3, 4)).paint.reflectance(uncertainty=True)
     mean = hp.radiometry.mean_uncertainty(part)
-    expected = np.hypot(mean.u_random.values, np.nan_to_num(mean.u_systematic.values))
-    np.testing.assert_array_equal(u, expected)
+    np.testing.assert_array_equal(u, np.hypot(mean.u_random.values, np.nan_to_num(mean.u_systematic.values)))
     state.add([2, 2, 9, 9], [1, 4, 4, 1])
     whole = state.uncertainty_of(state.drawn[0])
     assert not isinstance(whole, str)
@@ -323,10 +320,9 @@ def test_without_the_extra(package: str, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "panel", ModuleType("panel"))
     monkeypatch.setitem(sys.modules, "bokeh", ModuleType("bokeh"))
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtraError, match="extra-missing") as caught:
-        flight().line.paint.explore()
-    assert f"needs {package}" in caught.value.problem.found
-    assert "hyperpaint[interactive]" in caught.value.problem.mend
+    caught = expect_error(MissingExtraError, "extra-missing", lambda: flight().line.paint.explore())
+    assert f"needs {package}" in caught.problem.found
+    assert "hyperpaint[interactive]" in caught.problem.mend
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ import numpy as np
 import psutil
 import pytest
 from click.testing import CliRunner
+from support.refusals import expect_error
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -119,8 +120,7 @@ def test_a_line_is_explored_in_a_browser(browser: Any, served: Served) -> None:
     page.get_by_text("line 7, column 3").wait_for()
     ((name, values),) = page.evaluate(CURVES)
     assert name == "clicked"
-    expected = line.paint.pixels(7, 3).reflectance.values
-    np.testing.assert_array_equal(np.array(values, np.float32), expected)
+    np.testing.assert_array_equal(np.array(values, np.float32), line.paint.pixels(7, 3).reflectance.values)
     click(page, 11, 1)
     page.get_by_text("line 11, column 1: shadow").wait_for()
     # a box becomes a region, with a name
@@ -280,8 +280,7 @@ def test_every_store_and_line_has_a_file_of_its_own(tmp_path: Path, monkeypatch:
         "Explorer",
         lambda *given, **named: explorers.append(made(*given, **named)) or explorers[-1],
     )
-    with pytest.raises(KeyboardInterrupt):
-        exploring.serve_explorer("lot.zarr", announce=print)
+    expect_error(KeyboardInterrupt, None, lambda: exploring.serve_explorer("lot.zarr", announce=print))
     shown[0]()
     assert explorers[0].regions.names == ()
     explorers[0]._state.add([0, 9, 9], [0, 0, 3])

@@ -94,8 +94,7 @@ def test_fits_of_exact_lines_leave_nothing(shape: str, light: str) -> None:
         steps=13, bands=272, columns=3, srf_shape=shape, monochromator_shape=light,
         monochromator_fwhm_nm=4.0, **exact,
     )  # fmt: skip
-    made = calibrate(sweep)
-    for line in fitted_lines(made, sweep, [3, 6, 9], 1):
+    for line in fitted_lines(calibrate(sweep), sweep, [3, 6, 9], 1):
         assert line.counts.size > 5
         assert np.abs(line.residual).max() < 0.01
         assert line.curve.max() == pytest.approx(line.counts.max(), rel=0.1)

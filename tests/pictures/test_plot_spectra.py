@@ -217,8 +217,7 @@ def test_a_triptych_counts_pixels_that_have_a_value(line: xr.Dataset) -> None:
 
 
 def test_the_overview_draws_every_paint_in_its_colour(paints: xr.Dataset) -> None:
-    figure = library_overview(paints, columns=3)
-    shown = [made for made in figure.axes if made.axison]
+    shown = [made for made in library_overview(paints, columns=3).axes if made.axison]
     assert [made.get_title(loc="left") for made in shown] == ["left  n = 60", r" _right \$x  n = 60"]
     for number, made in enumerate(shown):
         np.testing.assert_array_equal(made.lines[0].get_ydata(), paints.reflectance.values[number])

@@ -65,8 +65,7 @@ def test_nothing_is_computed(no_compute: Any) -> None:
 def test_the_stored_picture_is_shown(tmp_path: Path) -> None:
     hp.to_store(with_overview(flight().line), tmp_path / "lot.zarr", "flightlines/raw_0")
     line = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
-    shown = line.paint.reflectance().paint._repr_html_()
-    found = re.search(r'src="data:image/png;base64,([^"]+)"', shown)
+    found = re.search(r'src="data:image/png;base64,([^"]+)"', line.paint.reflectance().paint._repr_html_())
     assert found
     # along_track to the right
     assert struct.unpack(">II", base64.b64decode(found[1])[16:24]) == (24, 6)
@@ -100,9 +99,8 @@ def test_any_dataset_has_a_summary(odd: xr.Dataset) -> None:
 
 def test_names_and_attributes_stay_texts() -> None:
     line = flight().line.assign_attrs(name="<script>\x1b[31m", dark_source="<img src=x>")
-    shown = summary_html(line)
     expect_words(
-        shown,
+        summary_html(line),
         "&lt;script&gt;",
         without=("<script", "<img"),
     )

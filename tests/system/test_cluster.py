@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import errno
+import functools
 import importlib
 import logging
 import os
@@ -125,9 +126,9 @@ def test_error_of_the_system_names_the_block(scheduler: str, error: Exception, t
 def test_error_of_the_data_keeps_its_class_and_gets_a_note(tmp_path: Path) -> None:
     for error in (FormatError("raw_0: cut short"), ZeroDivisionError("no gain")):
         line = line_with(raising, error=error, at=SLABS - 1)
-        with pytest.raises(type(error), match=str(error)) as caught:
-            hp.to_store(line, tmp_path / "lot.zarr", GROUP)
-        assert caught.value.__notes__ == [f"while storing /{GROUP}, lines 160 to 191 of counts"]
+        call = functools.partial(hp.to_store, line, tmp_path / "lot.zarr", GROUP)
+        caught = expect_error(type(error), str(error), call)
+        assert caught.__notes__ == [f"while storing /{GROUP}, lines 160 to 191 of counts"]
     assert os.listdir(tmp_path) == []
 
 

@@ -108,8 +108,7 @@ def test_nothing_is_read_while_building(tmp_path: Any, hard_line: xr.Dataset, no
         made = reflectance(
             line, panel=Panel(slice(0, 4), slice(0, 3), 0.4, uncertainty=0.1), tilt=(3.0, 90.0)
         )
-        calibrated = line.paint.radiance()
-        for name, array in (("reflectance", made), ("radiance", calibrated)):
+        for name, array in (("reflectance", made), ("radiance", line.paint.radiance())):
             assert array[name].dtype == np.float32
             assert array[name].chunks is not None
             assert (array.quality.dtype, array[name].dims, array.quality.dims) == (
@@ -208,5 +207,4 @@ def test_a_long_record_does_not_weigh_on_the_tasks() -> None:
     ).assign(irradiance_fwhm=line.irradiance_fwhm)
     made = reflectance(line, record).reflectance.data
     (key,) = (key for key in made.dask if str(key).startswith("make_plan"))
-    plan = dask.get(dict(made.dask), key)
-    assert len(plan.series) < 100
+    assert len(dask.get(dict(made.dask), key).series) < 100

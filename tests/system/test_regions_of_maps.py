@@ -101,10 +101,8 @@ def test_the_same_pixels_in_python_before_and_after_a_map_is_stored(folder: Path
     fine = located.paint.orthorectify(0.004, grid="north")
     hp.to_store(fine, folder / "fine.zarr")
     for source in (fine, hp.open_store(folder / "fine.zarr"), xr.open_zarr(folder / "fine.zarr")):
-        of_map = pixels_of(source.paint.signatures(ground, members=10_000))
-        assert agreement(drawn, of_map) >= 0.97
-        of_sensor = pixels_of(source.paint.signatures(sensor, members=10_000))
-        assert agreement(drawn, of_sensor) >= 0.99
+        assert agreement(drawn, pixels_of(source.paint.signatures(ground, members=10_000))) >= 0.97
+        assert agreement(drawn, pixels_of(source.paint.signatures(sensor, members=10_000))) >= 0.99
 
 
 def test_a_stored_map_from_the_command_line(folder: Path) -> None:
@@ -114,8 +112,7 @@ def test_a_stored_map_from_the_command_line(folder: Path) -> None:
         signatures(folder, "lot.zarr", "map.geojson", *where), signatures(folder, "map.zarr", "map.geojson")
     )  # fmt: skip
     for name, pixels in pixels_of(of_map).items():
-        drawn = pixels_of(line)[name]
-        assert len(pixels & drawn) >= 0.98 * len(pixels)
+        assert len(pixels & pixels_of(line)[name]) >= 0.98 * len(pixels)
     np.testing.assert_allclose(of_map["reflectance"], line["reflectance"], atol=0.02)
     assert (of_map["view_zenith"].values, of_map["sun_zenith"].values) == (
         pytest.approx(line["view_zenith"].values, abs=0.3),

@@ -138,8 +138,7 @@ def test_a_wrong_chain_would_be_seen(roofs: list[Roof]) -> None:
     # Expected: one per cent of gain is outside of it, and every other paint far outside
     bright = max(roofs, key=lambda roof: roof.own.mean())
     assert rms(1.01 * bright.recovered / bright.rendered) > 0.005
-    others = [roof for roof in roofs if roof.paint != bright.paint]
-    assert all(rms(roof.recovered / bright.own) > 0.05 for roof in others)
+    assert all(rms(roof.recovered / bright.own) > 0.05 for roof in roofs if roof.paint != bright.paint)
 
 
 # --- The paper's last step: signatures of a flight are rendered, and measured again they are the same ---

@@ -3,6 +3,7 @@
 Each is put where users put stores: the JSON in the current folder, the repository beside the raw cubes.
 """
 
+import contextlib
 import http.server
 import json
 import posixpath
@@ -21,7 +22,7 @@ from support.commands import hyperpaint
 from support.refusals import expect_error, expect_words
 
 import hyperpaint as hp
-from hyperpaint.base.errors import StoreError
+from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.io.store.raw_references import RawFile
 from hyperpaint.workflows.virtual_store import virtualise
 
@@ -31,16 +32,24 @@ SECRET = b"PRIVATE " * 40_000
 
 @pytest.fixture(scope="module")
 def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("master")
-    hp.simulate_collect(folder / "day", scene="plan", lines=160, bands=6, columns=10)
-    return folder
+    # Return a folder with a copy of all that `home` holds at first
+    master = tmp_path_factory.mktemp("master")
+    home = master / "place" / "home"
+    hp.simulate_collect(home / "day", scene="plan", lines=160, bands=6, columns=10)
+    with contextlib.suppress(MissingExtraError):
+        virtualise(home / "day" / "collect.toml", home / "lot.icechunk")
+    (home.parent / "secret").write_bytes(SECRET)
+    shutil.move(home.parent, master / "copy")
+    return master
 
 
 @pytest.fixture
-def home(master: Path, tmp_path: Path) -> Path:
-    # Return a folder with a collect, beside a file that is nobody's business
-    (tmp_path / "secret").write_bytes(SECRET)
-    return Path(shutil.copytree(master, tmp_path / "home"))
+def home(master: Path) -> Iterator[Path]:
+    # Yield a folder with a collect and its virtual store, beside a file that is nobody's business; always at
+    # the same place, to which the store refers
+    place = shutil.copytree(master / "copy", master / "place")
+    yield place / "home"
+    shutil.rmtree(place)
 
 
 @pytest.fixture
@@ -122,8 +131,7 @@ def test_json_is_not_written(home: Path, name: str) -> None:
 
 
 def test_no_module_hands_references_to_fsspec() -> None:
-    folder = Path(hp.__file__).parent
-    sources = {path: path.read_text(encoding="utf-8") for path in folder.rglob("*.py")}
+    sources = {path: path.read_text(encoding="utf-8") for path in Path(hp.__file__).parent.rglob("*.py")}
     for word in ("ReferenceFileSystem", "reference://", 'engine="kerchunk"', "import kerchunk"):
         assert [path.name for path, text in sources.items() if word in text] == []
 
@@ -132,12 +140,11 @@ def test_no_module_hands_references_to_fsspec() -> None:
 
 
 class Repository:
-    # A virtual store beside its raw cubes, which is forged by a test
+    # The virtual store of a home, which is forged by a test
     def __init__(self, home: Path) -> None:
         self.icechunk = pytest.importorskip("icechunk", reason="icechunk is not installed (extra `virtual`)")
         self.home, self.path = home, home / "lot.icechunk"
         self.raw = home / "day" / "flight" / "raw_0"
-        virtualise(home / "day" / "collect.toml", self.path)
         self.slab = 2 * 6 * 10 * 32  # of 32 lines
 
     def refer(
@@ -191,18 +198,11 @@ def another_file_beside(repository: Repository, server: str) -> None:
     repository.refer(f"file://{repository.raw.parent}/letter")
 
 
-def s3_container(repository: Repository, server: str) -> None:
+def s3_container(repository: Repository, server: str, *, record: bool = True) -> None:
     place = repository.icechunk.s3_store(
         region="us-east-1", endpoint_url=server, allow_http=True, force_path_style=True, s3_compatible=True
     )
-    repository.refer("s3://bucket/cube", place=place, record=True)
-
-
-def s3_container_of_no_record(repository: Repository, server: str) -> None:
-    place = repository.icechunk.s3_store(
-        region="us-east-1", endpoint_url=server, allow_http=True, force_path_style=True, s3_compatible=True
-    )
-    repository.refer("s3://bucket/cube", place=place)
+    repository.refer("s3://bucket/cube", place=place, record=record)
 
 
 def http_container(repository: Repository, server: str) -> None:
@@ -254,7 +254,7 @@ FORGED: dict[str, tuple[Forge, str]] = {
         "reference-wrong",
     ),
     "s3_container": (s3_container, "raw files in other folders"),
-    "s3_container_of_no_record": (s3_container_of_no_record, "reference-wrong"),
+    "s3_container_of_no_record": (partial(s3_container, record=False), "reference-wrong"),
     "http_container": (http_container, "raw files in other folders"),
     "record_of_a_file_outside": (
         lambda repository, _: repository.refer(f"file://{repository.home.parent}/secret", record=True),
@@ -286,9 +286,8 @@ def test_forged_repositories_are_refused(
     expect_error(StoreError, words, lambda: hp.io.open_virtual(repository.path))
     assert not asked
     assert set(opened) <= {f"file://{repository.raw}"}
-    run = hyperpaint("info", repository.path)
     expect_words(
-        run.output,
+        hyperpaint("info", repository.path).output,
         without=("PRIVATE", "counts:"),
     )
     assert not asked
@@ -337,7 +336,7 @@ def test_records_that_are_none(home: Path) -> None:
 )
 def test_what_is_allowed_is_a_place_not_the_record(home: Path, tmp_path: Path, allow: str) -> None:
     # A prefix is a whole name of a folder, links resolved; URLs allow no files
-    Repository(home)
+    pytest.importorskip("icechunk")
     (tmp_path / "stores").mkdir()
     store = Path(shutil.move(home / "lot.icechunk", tmp_path / "stores" / "lot.icechunk"))
     given = allow if "://" in allow else str(home) if allow == "home" else str(home / allow)

@@ -67,8 +67,7 @@ def assert_same(line: xr.Dataset, expected: xr.Dataset, *names: str) -> None:
 def round_bits(values: np.ndarray[Any, Any], bits: int) -> np.ndarray[Any, Any]:
     # Round float32 to ``bits`` mantissa bits, to nearest-even, by integer arithmetic of its own
     raw, drop = values.view(np.uint32).astype(np.uint64), np.uint64(23 - bits)
-    half = np.uint64((1 << (22 - bits)) - 1)
-    rounded = ((raw + half + ((raw >> drop) & np.uint64(1))) >> drop) << drop
+    rounded = ((raw + np.uint64((1 << (22 - bits)) - 1) + ((raw >> drop) & np.uint64(1))) >> drop) << drop
     return np.where(np.isnan(values), values, rounded.astype(np.uint32).view(np.float32))
 
 
@@ -171,8 +170,7 @@ def test_values_that_cannot_be_are_found_before_writing(
     collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_args: Any, **_kwargs: Any) -> None:
-        msg = "the gain cannot be"
-        raise hp.SchemaError(msg)
+        raise hp.SchemaError("the gain cannot be")
 
     monkeypatch.setattr("hyperpaint.radiometry.counts_to_reflectance.make_plan", refuse)
     error = expect_error(
@@ -233,8 +231,7 @@ def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Pat
 
 
 def test_vendor_radiance_becomes_reflectance(collect: Path, store: Path, tmp_path: Path) -> None:
-    line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
-    radiance = line.paint.radiance()["radiance"].values
+    radiance = hp.open_collect(collect)["flightlines/raw_0"].to_dataset().paint.radiance()["radiance"].values
     header = collect.parent / "flight" / "raw_0.hdr"
     assert "data type = 12" in header.read_text()
     header.write_text(header.read_text().replace("data type = 12", "data type = 4"))
@@ -498,8 +495,7 @@ def test_a_wrong_width_is_corrected_by_default(wide: Path, tmp_path: Path) -> No
     np.testing.assert_array_equal(again.reflectance, line.reflectance)
     assert hp.open_store(store, "irradiance").irradiance_fwhm.values == pytest.approx(3.0)
     # without the option it is corrected as well
-    default = hp.open_store(hp.process(wide, tmp_path / "default.zarr"), LINES[0])
-    assert_same(default, line, "reflectance")
+    assert_same(hp.open_store(hp.process(wide, tmp_path / "default.zarr"), LINES[0]), line, "reflectance")
 
 
 def test_never_is_a_warning_and_the_collect_may_say_so(wide: Path, tmp_path: Path) -> None:

@@ -66,8 +66,7 @@ def write(tmp_path: Path) -> Write:
 
 
 def refused(path: Path) -> str:
-    caught = expect_error(FormatError, None, lambda: build_parts(read_scene_file(path)))
-    return str(caught)
+    return str(expect_error(FormatError, None, lambda: build_parts(read_scene_file(path))))
 
 
 def test_the_example_says_what_it_says(write: Write) -> None:
@@ -710,8 +709,7 @@ def test_a_file_and_a_call_have_the_same_ranges(
     folder: Path, table: str, line: str, call: Callable[[], Any], expected: str, code: str
 ) -> None:
     (in_file,) = refusal(folder, "scene", EMPTY_SCENE.replace(f"{table}\n", f"{table}\n{line}\n")).problems
-    caught = expect_error(SchemaError, None, lambda: call())
-    (in_call,) = caught.problems
+    (in_call,) = expect_error(SchemaError, None, lambda: call()).problems
     assert in_file.found == f"{table}{' 1' * table.startswith('[[')} {line}"
     assert (in_file.expected, in_file.code) == (in_call.expected, in_call.code) == (expected, code)
 
@@ -783,8 +781,7 @@ def test_without_a_library_the_built_in_spectra_are_written(tmp_path: Path) -> N
 
 
 def test_a_file_of_two_columns_repaints(tmp_path: Path) -> None:
-    rows = "".join(f"{nm:.1f},0.3\n" for nm in NM)
-    (tmp_path / "mine.csv").write_text("wavelength,reflectance\n" + rows)
+    (tmp_path / "mine.csv").write_text("wavelength,reflectance\n" + "".join(f"{nm:.1f},0.3\n" for nm in NM))
     faces = exported(tmp_path, SCENE_DIRSIG + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')
     assert faces["mine"] > 0
     assert "asphalt" not in faces

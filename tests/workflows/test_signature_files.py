@@ -82,8 +82,7 @@ def test_command_again(store: Path, drawn: Path, tmp_path: Path) -> None:
 
 
 def test_regions_without_a_flight_line(store: Path, tmp_path: Path) -> None:
-    nameless = hp.Regions((hp.Region("hood", HOOD.polygon),))
-    path = hp.write_regions(nameless, tmp_path / "r.geojson")
+    path = hp.write_regions(hp.Regions((hp.Region("hood", HOOD.polygon),)), tmp_path / "r.geojson")
     done = signatures(store, "--regions", path, "--out", tmp_path / "l.zarr", status=2)
     assert "'hood' names no flight line, expected 'raw_0' or 'raw_16'" in done.stderr
 
