@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import dask
 import pytest
+
+from hyperpaint.simulation import rendered_flight
 
 
 @pytest.fixture(scope="session")
@@ -27,3 +30,11 @@ def scheduler_of_lines() -> Iterator[Callable[[int], Any]]:
             return dask.config.set(scheduler="threads" if chunk_lines == 1 else "synchronous")
 
         yield chosen
+
+
+@pytest.fixture(scope="session", autouse=True)
+def equal_flights_share_a_car_park() -> Iterator[None]:
+    # Make the scene of flights with equal settings once; scenes are not changed by a flight
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rendered_flight, "car_park", functools.lru_cache(8)(rendered_flight.car_park))
+        yield

@@ -84,10 +84,9 @@ def test_the_two_parts_are_the_cie_overcast_sky() -> None:
 
 
 def test_a_path_adds_in_proportion_where_the_haze_is_not_known() -> None:
-    given_curves = Atmosphere(
+    overcast = Atmosphere(
         GRID, CLEAR.sun, CLEAR.sky, CLEAR.extinction, CLEAR.path_radiance, 40.0, 180.0, name="table"
-    )
-    overcast = given_curves.clouded(8)
+    ).clouded(8)
     light = overcast.sky * 2.0 / (CLEAR.sun + 2.0 * CLEAR.sky)
     assert_allclose(overcast.path_radiance, CLEAR.path_radiance * light, rtol=1e-12)
     dark = Atmosphere(GRID, 0 * GRID, 0 * GRID, 0 * GRID, 0 * GRID, 40.0, 180.0).clouded(8)

@@ -97,14 +97,14 @@ def test_the_mean_of_a_population_is_its_spectrum(name: str) -> None:
 
 
 def test_a_real_car_park_has_a_fleet_on_worn_ground() -> None:
-    park = car_park(length=30.0, fleet="real", neighbours=(), seed=4)
+    park = car_park(length=20.0, fleet="real", neighbours=(), seed=4)
     paints = [one.paint for one in park.instances if one.kind == "car"]
     assert len(set(paints)) == len(paints)
     assert all(paint.startswith("fleet-") for paint in paints)
     spectra = {material.spectrum for material in park.materials}
     assert {"worn_asphalt", "worn_line", "weathered_concrete", "mixed_grass"} <= spectra
     assert "asphalt" not in spectra
-    solid = car_park(length=30.0, neighbours=(), seed=4)
+    solid = car_park(length=20.0, neighbours=(), seed=4)
     np.testing.assert_array_equal(park.vertices, solid.vertices)
     assert {material.spectrum for material in solid.materials} & {"asphalt", "painted_line"}
 

@@ -91,5 +91,4 @@ def test_a_plate_that_takes_nothing_over_white_ground_gives_all_back() -> None:
 def test_leaves_of_a_real_car_park_shine_through() -> None:
     leaf = {one.name: one for one in car_park(length=15.0, fleet="real", leaves=20).materials}["leaf"]
     assert leaf.transmittance == "leaf_through"
-    plain = {one.name: one for one in car_park(length=15.0, leaves=20).materials}["leaf"]
-    assert plain.transmittance == ""
+    assert {one.name: one for one in car_park(length=15.0, leaves=20).materials}["leaf"].transmittance == ""

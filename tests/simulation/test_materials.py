@@ -270,7 +270,7 @@ def test_the_index_is_almans_formula_of_three_lightnesses() -> None:
 def test_generated_paints_flop_as_paints_do(family: str) -> None:
     grid = np.linspace(380.0, 780.0, 41)
     flops = []
-    for number in range(60):
+    for number in range(40):
         paint = generate_paint(family, number)
         assert paint.flakes is not None
         flakes = spectrum_of(paint.flakes.spectrum)(grid)

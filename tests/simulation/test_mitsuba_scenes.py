@@ -62,8 +62,7 @@ def test_light_that_is_not_there_is_left_out(tmp_path: Path) -> None:
 
 
 def test_responses_have_the_area_one_and_the_width_asked_for(tmp_path: Path) -> None:
-    described = to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[450.0, 650.0], fwhm=8.0)
-    film = described["sensor"]["film"]
+    film = to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[450.0, 650.0], fwhm=8.0)["sensor"]["film"]
     bands = [film[name] for name in sorted(film) if name.startswith("band_")]
     assert len(bands) == 2
     for centre, band in zip((450.0, 650.0), bands, strict=True):

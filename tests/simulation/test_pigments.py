@@ -67,12 +67,11 @@ def test_a_paint_is_the_same_in_another_process() -> None:
 
 def test_names_mean_the_same_next_year() -> None:
     # stored scenes name these; a change of the generator would repaint them
-    known = {
+    for name, expected in {
         "pigment:solid:17": [0.2132, 0.0338, 0.0223, 0.5099],
         "pigment:pearl:17": [0.0219, 0.0248, 0.4804, 0.4805],
         "pigment:metallic:17:flakes": [0.8971, 0.6944, 0.5554, 0.8695],
-    }
-    for name, expected in known.items():
+    }.items():
         assert_allclose(spectrum_of(name)(np.array([450.0, 550.0, 650.0, 850.0])), expected, atol=5e-5)
 
 

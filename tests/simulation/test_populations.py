@@ -136,8 +136,7 @@ def test_things_and_seeds_have_fields_of_their_own() -> None:
 
 def test_what_is_smaller_than_a_pixel_averages_out() -> None:
     assert field(0.4, grain(0.1, is_averaged=True)).std() < 0.35 * field(0.4, grain(0.1)).std()
-    fine = field(0.01, grain(0.1, is_averaged=True)).std() / field(0.01, grain(0.1)).std()
-    assert fine > 0.95
+    assert (field(0.01, grain(0.1, is_averaged=True)).std() / field(0.01, grain(0.1)).std()) > 0.95
 
 
 def test_the_sky_and_plain_surfaces_have_no_member() -> None:

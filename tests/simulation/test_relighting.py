@@ -126,8 +126,7 @@ def test_air_takes_and_adds(traced: xr.Dataset) -> None:
         for name in ("reflectance", *SHARES):
             np.testing.assert_array_equal(made[name], surface[name])
     made = traced.paint.relight(FEW_BANDS, atmosphere=hazy).radiance.values[0, 1, 0]
-    left = surface.radiance.values[0, 1, 0] * np.exp(-2e-3 * distance[0, 0, 0])
-    assert made - left == pytest.approx(
+    assert made - (surface.radiance.values[0, 1, 0] * np.exp(-2e-3 * distance[0, 0, 0])) == pytest.approx(
         1e-5 * np.interp(550.0, clear.wavelength, clear.sun) * distance[0, 0, 0], rel=0.02
     )
 
@@ -240,8 +239,7 @@ def test_columns_with_a_smile_see_what_shifted_bands_see(traced: xr.Dataset) -> 
 
 def test_light_that_varies(traced: xr.Dataset) -> None:
     # Direct and diffuse light go their own ways; reflectance only follows where both do the same
-    rng = np.random.default_rng(2)
-    variation = rng.uniform(0.2, 1.2, (2, 24))
+    variation = np.random.default_rng(2).uniform(0.2, 1.2, (2, 24))
     light = line_light()
     sun, sky = (dataclasses.replace(light, **{name: 0 * light.sun}) for name in ("sky", "sun"))
     parts = [traced.paint.relight(FEW_BANDS, atmosphere=each).radiance.values for each in (sun, sky)]
@@ -334,37 +332,27 @@ def test_chunks_that_split_lines_are_put_together(traced: xr.Dataset) -> None:
 
 
 def test_a_stored_scene_is_relit_without_tracing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_compute: Any
+    tmp_path: Path, traced: xr.Dataset, monkeypatch: pytest.MonkeyPatch, no_compute: Any
 ) -> None:
     path = tmp_path / "traced.zarr"
-    hp.to_store(tracing(), path)
-    expected = {
-        name: tracing()
-        .paint.relight(FEW_BANDS, atmosphere=light, paints=paints, variation=np.ones((2, 24)))
-        .compute()
-        for name, light, paints in (
-            ("line", line_light(), {}),
-            ("low", line_light(LOW_SUN), {"car_1": "yellow"}),
-            ("cloudy", line_light().clouded(8), {}),
-        )
-    }
+    hp.to_store(traced, path)
+    lights = [
+        {"atmosphere": line_light()},
+        {"atmosphere": line_light(LOW_SUN), "paints": {"car_1": "yellow"}},
+        {"atmosphere": line_light().clouded(8)},
+    ]
+    even = np.ones((2, 24))
+    expected = [traced.paint.relight(FEW_BANDS, **light, variation=even).compute() for light in lights]
 
     def refuse(*_: Any) -> None:
-        msg = "the scene was traced again"
-        raise AssertionError(msg)
+        raise AssertionError("the scene was traced again")
 
     monkeypatch.setattr(tracing_module, "trace_lines", refuse)
     for opened in (xr.open_zarr(path), hp.open_store(path)):
-        for name, light, paints in (
-            ("line", line_light(), {}),
-            ("low", line_light(LOW_SUN), {"car_1": "yellow"}),
-            ("cloudy", line_light().clouded(8), {}),
-        ):
+        for light, relit in zip(lights, expected, strict=True):
             with no_compute():
-                made = opened.paint.relight(
-                    FEW_BANDS, atmosphere=light, paints=paints, variation=np.ones((2, 24))
-                )
-            xr.testing.assert_equal(made.compute(), expected[name])
+                made = opened.paint.relight(FEW_BANDS, **light, variation=even)
+            xr.testing.assert_equal(made.compute(), relit)
     with pytest.raises(AssertionError, match="traced again"):
         tracing().compute()
     relit = tmp_path / "relit.zarr"
@@ -377,8 +365,7 @@ def test_radiance_alone_costs_no_truth(traced: xr.Dataset, monkeypatch: pytest.M
     from hyperpaint.simulation.rendering.relighting import Lighting
 
     def refuse(*_: Any) -> None:
-        msg = "truth was computed"
-        raise AssertionError(msg)
+        raise AssertionError("truth was computed")
 
     monkeypatch.setattr(Lighting, "shares", refuse)
     monkeypatch.setattr(Lighting, "reflectance", refuse)
@@ -394,10 +381,9 @@ def test_a_relit_scene_is_a_flight_line(varies: bool) -> None:
     lines = 24
     seconds = np.arange(lines) / lines
     variation = np.stack([1.0 - 0.3 * seconds, 1.0 + 0.2 * seconds]) if varies else None
-    trace = hp.simulation.trace(
+    made = hp.simulation.trace(
         two_cars(), pushbroom(lines, 6, altitude=12.0, frame_period=0.5), [SUN], samples=4
-    )
-    made = trace.paint.relight(atmosphere=line_light(), variation=variation)
+    ).paint.relight(atmosphere=line_light(), variation=variation)
     found = made.drop_vars("reflectance").paint.reflectance().compute()
     np.testing.assert_allclose(found.reflectance, made.reflectance, rtol=1e-3)
     assert not found.quality.values.any()

@@ -28,7 +28,7 @@ TRIANGLE = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
 
 def whole(**changes: object) -> dict[str, object]:
-    given = {
+    return {
         "name": "lot",
         "vertices": np.array(TRIANGLE),
         "faces": np.array([[0, 1, 2]]),
@@ -37,8 +37,7 @@ def whole(**changes: object) -> dict[str, object]:
         "face_instance": np.array([0]),
         "materials": (GREY,),
         "instances": (Instance("thing"),),
-    }
-    return given | changes
+    } | changes
 
 
 def test_arrays_have_the_dtypes_of_the_contract() -> None:
