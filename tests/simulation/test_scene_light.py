@@ -13,6 +13,7 @@ from dask.base import tokenize
 from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
+from support.refusals import expect_words
 from support.traced_scenes import (
     FEW_BANDS,
     SERIES_NM,
@@ -91,8 +92,7 @@ class TestAtmosphere:
             Atmosphere([2, 1], [np.nan, 1], [-1, 1], [1, 1, 1], [1, 1], 90.0, np.inf, 2.0, "bad")
         for part in ("'bad'", "wavelength-unordered", "sun has 1", "sky falls to -1", "extinction has shape"):
             assert part in str(caught.value)
-        for part in ("sun_zenith=90.0", "sun_azimuth=inf", "overcast_share=2.0"):
-            assert part in str(caught.value)
+        expect_words(str(caught.value), "sun_zenith=90.0", "sun_azimuth=inf", "overcast_share=2.0")
 
     def test_it_travels(self) -> None:
         noon = preset_atmosphere("noon")
@@ -310,8 +310,7 @@ class TestHaze:
     def test_all_problems_at_once(self) -> None:
         with pytest.raises(SchemaError) as caught:
             Haze(1e9, 9.0, 1.0, 2.0, -1.0)
-        for name in ("visibility", "angstrom", "asymmetry", "scattering_albedo", "ground"):
-            assert name in str(caught.value)
+        expect_words(str(caught.value), "visibility", "angstrom", "asymmetry", "scattering_albedo", "ground")
 
 
 def test_the_default_grid_covers_the_cameras() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.refusals import refusal
+from support.refusals import expect_words, refusal
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.rendering.car_parks import (
@@ -230,7 +230,8 @@ def test_problems_of_a_park_are_listed() -> None:
             length=0.0, occupancy=1.5, types=["tank"], neighbours=["sea"], seed=-1, line_width=0.0, leaves=-1,
             margin=np.nan, paints=[],
         )  # fmt: skip
-    for words in (
+    expect_words(
+        str(caught.value),
         "length=0.0",
         "occupancy",
         "'tank'",
@@ -240,8 +241,7 @@ def test_problems_of_a_park_are_listed() -> None:
         "leaves",
         "margin",
         "empty-input",
-    ):
-        assert words in str(caught.value)
+    )
     with refusal(SchemaError, "car-park-too-narrow", "69.0 m "):
         car_park(rows=9)
     with pytest.raises(SchemaError, match=r"11.*car-park-too-narrow"):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
@@ -468,10 +469,10 @@ def test_all_problems_are_listed_at_once() -> None:
 
 
 def test_files_hold_whole_counts_only(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="option-conflict"):
-        simulate_collect(tmp_path / "new", quantise=False)
-    with pytest.raises(SchemaError, match="block_lines"):
-        simulate_collect(tmp_path / "new", block_lines=0)
+    expect_errors(
+        (SchemaError, "option-conflict", lambda: simulate_collect(tmp_path / "new", quantise=False)),
+        (SchemaError, "block_lines", lambda: simulate_collect(tmp_path / "new", block_lines=0)),
+    )
     assert not (tmp_path / "new").exists()
 
 
