@@ -183,8 +183,7 @@ def _fine_structure() -> _FineStructure:
             middle = np.where(high < 1e8, 0.5 * (low + high), np.maximum(4.0 * low, 1e-3))
             left = np.exp(-TABLE_AIR_MASS * middle[:, None] * shape).mean(axis=1)
             low, high = np.where(left > target, middle, low), np.where(left > target, high, middle)
-        inside = np.where(depth[:, None] > 0.0, low[:, None] * shape, 0.0).ravel()
-        return np.append(inside, depths[beyond])
+        return np.append(np.where(depth[:, None] > 0.0, low[:, None] * shape, 0.0).ravel(), depths[beyond])
 
     rng = np.random.default_rng([_NATURE, 1])
     water = np.zeros_like(nm)
@@ -620,8 +619,7 @@ class BrokenClouds:
         for (kx, ky), start in zip(waves, phase, strict=True):
             field += np.cos(kx * x + ky * y + start)
         field *= np.sqrt(2.0 / _WAVES)
-        shadow = np.clip(0.5 + (field - ndtri(1.0 - self.cover)) / self.edge, 0.0, 1.0)
-        direct = 1.0 - self.opacity * shadow
+        direct = 1.0 - self.opacity * np.clip(0.5 + (field - ndtri(1.0 - self.cover)) / self.edge, 0.0, 1.0)
         diffuse = np.full(x.shape, 1.0 + _SCATTERED_SHARE * self.opacity * self.cover)
         is_finite = np.isfinite(x + y)
         return np.stack([np.where(is_finite, direct, 1.0), np.where(is_finite, diffuse, 1.0)])

@@ -156,7 +156,7 @@ class BandSet:
         has_axis = wavelength.ndim == 1 and wavelength.size > 0
         has_widths = fwhm.shape in ((), (1,), wavelength.shape)
         one_of(self.shape, SHAPES, "shape", problems=problems)
-        rows = (
+        for is_fault, found, expected, mend, code in (
             (not has_axis, f"wavelength has shape {wavelength.shape}", "(band,)", "", "dims-wrong"),
             (
                 has_axis and not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0),
@@ -186,8 +186,7 @@ class BandSet:
                 "",
                 "dims-wrong",
             ),
-        )
-        for is_fault, found, expected, mend, code in rows:
+        ):
             if is_fault:
                 problems.add(found, expected=expected, mend=mend, code=code)
         problems.raise_if_any()
@@ -829,8 +828,7 @@ class Camera:
         shape = settings.bands, settings.columns
 
         def normal(stream: int, shape: tuple[int, ...] = shape) -> Floats:
-            values = np.random.default_rng([settings.seed, stream]).standard_normal(shape)
-            return np.clip(values, -3.0, 3.0)
+            return np.clip(np.random.default_rng([settings.seed, stream]).standard_normal(shape), -3.0, 3.0)
 
         band_place = np.linspace(-1.0, 1.0, settings.bands)
         wavelength = np.linspace(settings.first_wavelength, settings.last_wavelength, settings.bands)

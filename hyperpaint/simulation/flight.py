@@ -166,8 +166,7 @@ class Flight(abc.ABC):
         # index in ``paints`` of every surface; -1 for surfaces that are not paint
         numbers = {name: number for number, name in enumerate(self.paints)}
         paint = np.array([numbers.get(name, -1) for name in self.surfaces], np.int32)
-        is_hidden = lines.glint | self.camera.bad.all(axis=0)
-        return np.where(is_hidden, -1, paint[lines.surface]).astype(np.int32)
+        return np.where(lines.glint | self.camera.bad.all(axis=0), -1, paint[lines.surface]).astype(np.int32)
 
     def _rng(self, stream: int, *key: int) -> np.random.Generator:
         return np.random.default_rng([self.settings.seed, stream, *key])
@@ -356,8 +355,7 @@ def surface_classes(start: int, stop: int, columns: int, seed: int = 0) -> NDArr
     classes[x < _KERB_END] = _CLASS["concrete"]
     classes[x < _GRASS_END] = _CLASS["grass"]
     # painted lines, at least a pixel wide, so that coarse pictures have them
-    beside = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2)
-    is_along = beside <= max(_LINE_HALF_WIDTH, sample / 2)
+    is_along = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= max(_LINE_HALF_WIDTH, sample / 2)
     for edge in _ROWS:
         classes[is_along & (x >= edge) & (x <= edge + _BAY_LENGTH)] = _CLASS["painted_line"]
     # panels in the aisle
@@ -560,9 +558,8 @@ class CheckerboardFlight(Flight):
     def corners(self) -> dict[str, Floats]:
         # east and north of the corners in the imaged area and a margin around it [m]
         origin, rotation = self._cameras
-        sides = self._tangents[[0, -1]]
         imaged = np.stack(
-            self._map_coordinates(self._places(origin[:, 1], rotation[:, 1], sides))[:2]
+            self._map_coordinates(self._places(origin[:, 1], rotation[:, 1], self._tangents[[0, -1]]))[:2]
         ).reshape(2, -1)
         minimum, maximum = imaged.min(axis=1) - _MARGIN_M, imaged.max(axis=1) + _MARGIN_M
         box = np.stack([limits.ravel() for limits in np.meshgrid(*np.stack([minimum, maximum], axis=1))])
@@ -608,9 +605,8 @@ class CheckerboardFlight(Flight):
     @cached_property
     def _cameras(self) -> tuple[Floats, Floats]:
         # position and rotation of the camera at start, middle and end of every exposure
-        half_exposure = self.settings.exposure_time / 2
         return self.trajectory.camera(
-            self.line_times[:, None] / 1e9 + half_exposure * np.array([-1.0, 0.0, 1.0])
+            self.line_times[:, None] / 1e9 + (self.settings.exposure_time / 2) * np.array([-1.0, 0.0, 1.0])
         )
 
     @cached_property

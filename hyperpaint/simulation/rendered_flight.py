@@ -105,7 +105,6 @@ class RenderedFlight(Flight):
         bands = BandSet.of(self.imager)
         # light without path radiance and with unit transmittance
         direct, diffuse = self.sky
-        shares = clear_spread(self.grid, direct, settings.sun[0])
         atmosphere = Atmosphere(
             self.grid,
             direct / self._cosine,
@@ -114,7 +113,7 @@ class RenderedFlight(Flight):
             0.0 * self.grid,
             *settings.sun,
             overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
-            **shares,
+            **clear_spread(self.grid, direct, settings.sun[0]),
         )
         factors = factor_spectra(record, bands)
         self._populations = populations_of(record, factors, bands)
@@ -222,8 +221,7 @@ class RenderedFlight(Flight):
         texture = None
         if self._populations is not None:
             members, (x, y, z) = self._populations, np.moveaxis(block.position, 1, 0)
-            seed = self.settings.seed
-            rows = member_rows(block.material, block.instance, x, y, z, members.grain, seed)
+            rows = member_rows(block.material, block.instance, x, y, z, members.grain, self.settings.seed)
             texture = members.of_rows(rows)
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor

@@ -188,13 +188,12 @@ class TruthStore:
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
         rows = slice(start, start + len(recorded))
-        layers = {
+        for name, values in {
             **{name: getattr(lines, name) for name in ("reflectance", "radiance", "surface", "glint")},
             "saturated": _saturated(lines, self._saturation_count),
             "no_data": ~recorded,
             **lines.layers,
-        }
-        for name, values in layers.items():
+        }.items():
             self._arrays[name][rows] = values
 
 
@@ -299,15 +298,14 @@ def _sweep_dataset(sweep: Sweep) -> xr.Dataset:
         "etendue": camera.etendue,
         "saturation_count": camera.detector(0.0).saturation_count,
     }
-    attrs = {
-        "name": SWEEP_NAME,
-        "monochromator_shape": settings.monochromator_shape,
-        "history": f"simulated by hyperpaint, seed {settings.camera.seed}",
-    }
     return xr.Dataset(
         {name: labelled(SWEEP_VARIABLES[name], value) for name, value in values.items()},
         {"step_wavelength": labelled(SWEEP_VARIABLES["step_wavelength"], settings.dial)},
-        attrs,
+        {
+            "name": SWEEP_NAME,
+            "monochromator_shape": settings.monochromator_shape,
+            "history": f"simulated by hyperpaint, seed {settings.camera.seed}",
+        },
     )
 
 

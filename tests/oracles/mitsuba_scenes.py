@@ -173,8 +173,7 @@ def _spectral_mitsuba() -> Any:
     try:
         import mitsuba
     except ImportError as error:
-        needed = MissingExtraError.of("mitsuba", "oracles", "describing a scene to Mitsuba")
-        raise needed from error
+        raise MissingExtraError.of("mitsuba", "oracles", "describing a scene to Mitsuba") from error
     variant = mitsuba.variant()
     if variant is None or "spectral" not in variant:
         raise SchemaError(

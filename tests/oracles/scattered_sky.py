@@ -149,8 +149,7 @@ def sky_radiance(
     nodes, weights = np.polynomial.legendre.leggauss(zeniths)
     cosine, weight = 0.5 * (nodes + 1.0), 0.5 * weights
     azimuth = (np.arange(azimuths) + 0.5) / azimuths * np.pi
-    sun = math.radians(sun_zenith)
-    fixed = (depths, share, air.asymmetry, air.albedo, air.ground, sun)
+    fixed = (depths, share, air.asymmetry, air.albedo, air.ground, math.radians(sun_zenith))
     radiance = np.empty((zeniths, azimuths))
     for i, mu in enumerate(cosine):
         sine = math.sqrt(1.0 - mu * mu)

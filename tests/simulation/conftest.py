@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import dask
 import pytest
+
+from hyperpaint.simulation import rendered_flight
 
 
 @pytest.fixture(scope="session")
@@ -18,3 +21,11 @@ def scheduler_of_lines(two_workers: Any) -> Callable[[int], Any]:
         return dask.config.set(scheduler="threads" if chunk_lines == 1 else "synchronous")
 
     return chosen
+
+
+@pytest.fixture(scope="session", autouse=True)
+def equal_flights_share_a_car_park() -> Iterator[None]:
+    # Make the scene of flights with equal settings once; scenes are not changed by a flight
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rendered_flight, "car_park", functools.lru_cache(8)(rendered_flight.car_park))
+        yield

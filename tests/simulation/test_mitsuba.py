@@ -110,8 +110,8 @@ SCENES: dict[str, tuple[Callable[[], tuple[Scene, Atmosphere]], FrameCamera, int
         4,
     ),
     "adjacency": (lambda: (ADJACENCY, light()), BESIDE, 256, 1024, 4),
-    "lambert park": (lambda: (car_park_with(None), light()), ABOVE, 1024, 4096, 4),
-    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 1024, 2048, 4),
+    "lambert park": (lambda: (car_park_with(None), light()), ABOVE, 512, 2048, 4),
+    "coated park": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 512, 1024, 4),
     "one bounce": (lambda: (car_park_with(Coat(1.5, 0.0)), light(sun=0.0)), ABOVE, 1024, 2048, 1),
 }
 

@@ -189,8 +189,7 @@ def test_asd_headers_say_what_those_of_reflectance_do(collect: Path, shared_data
 
 
 def test_collect_toml_names_the_references(collect: Path) -> None:
-    document = tomllib.loads((collect / "collect.toml").read_text())
-    assert document["references"] == [
+    assert tomllib.loads((collect / "collect.toml").read_text())["references"] == [
         {"instrument": "svc", "files": "svc/*.sig"},
         {"instrument": "asd", "files": "asd_reflectance/*.asd"},
     ]

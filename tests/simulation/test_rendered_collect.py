@@ -111,10 +111,10 @@ def test_pixels_lie_where_the_navigation_file_says(collect: Path, truth: xr.Data
     # mean over pixels within a tenth of one, and each to what the mean of four samples spreads
     rows = [line.split("\t") for line in (collect / "flight" / "imu_gps.txt").read_text().splitlines()[1:]]
     log = np.array([row[:7] for row in rows], dtype=np.float64)
-    frames = [
-        line.split("\t") for line in (collect / "flight" / "frameIndex_0.txt").read_text().splitlines()[1:]
-    ]
-    frame, stamp = np.array(frames, dtype=np.int64).T
+    frame, stamp = np.array(
+        [line.split("\t") for line in (collect / "flight" / "frameIndex_0.txt").read_text().splitlines()[1:]],
+        dtype=np.int64,
+    ).T
     roll, pitch, yaw, lat, lon, alt = (np.interp(stamp - 2500, log[:, 6], log[:, k]) for k in range(6))
     local = "+proj=aeqd +lat_0=43.0845 +lon_0=-77.6749 +ellps=WGS84"
     from_map = pyproj.Transformer.from_crs(truth.attrs["crs"], local, always_xy=True)
@@ -145,10 +145,9 @@ def test_pixels_lie_where_the_navigation_file_says(collect: Path, truth: xr.Data
 
 def test_counts_are_what_radiance_gain_and_noise_make(collect: Path, truth: xr.Dataset) -> None:
     calibration = xr.open_zarr(collect / "calibration.zarr").load()
-    cubes = [
-        np.fromfile(collect / "flight" / name, "<u2").reshape(-1, 10, 40) for name in ("raw_0", "raw_25")
-    ]
-    counts = np.concatenate(cubes).astype(float)
+    counts = np.concatenate(
+        [np.fromfile(collect / "flight" / name, "<u2").reshape(-1, 10, 40) for name in ("raw_0", "raw_25")]
+    ).astype(float)
     dark = np.fromfile(collect / "dark" / "raw_0", "<u2").reshape(-1, 10, 40).mean(axis=0)
     recorded = ~truth["no_data"].values
     wanted = truth["radiance"].values[recorded] * 5e-3 / calibration["radiance_gain"].values

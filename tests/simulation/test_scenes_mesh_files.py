@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Material
@@ -291,10 +292,10 @@ def test_parsers_are_total(parse: Any, data: bytes) -> None:
 
 
 def test_unknown_and_missing_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match=r"\.stl.*format-unknown"):
-        read_mesh(tmp_path / "x.stl")
-    with pytest.raises(FormatError, match=r"x\.obj"):
-        read_mesh(tmp_path / "x.obj")
+    expect_errors(
+        (FormatError, r"\.stl.*format-unknown", lambda: read_mesh(tmp_path / "x.stl")),
+        (FormatError, r"x\.obj", lambda: read_mesh(tmp_path / "x.obj")),
+    )
 
 
 def test_a_file_too_large_is_not_read(tmp_path: Path) -> None:

@@ -1,13 +1,34 @@
-"""Scenes: what is checked when one is made, joining, moving, and the order of factors."""
+"""Scenes: their checks, shapes and refusals, and renders of them against closed forms."""
 
 import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_words, refusal
+from support.traced_scenes import irradiance_series
 
-from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
+import hyperpaint as hp
+from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, UnitsError
+from hyperpaint.simulation.camera import BandSet
+from hyperpaint.simulation.rendering.car_parks import car_park
+from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
+from hyperpaint.simulation.rendering.materials import (
+    KINDS,
+    Coat,
+    Flakes,
+    Material,
+    base_albedo,
+    coat_of_gloss,
+    flakes_of_flop,
+    fresnel_reflectance,
+    measured_factor,
+)
+from hyperpaint.simulation.rendering.platforms import Platform, matrices, platform_from_poses
 from hyperpaint.simulation.rendering.scene import (
     PARTS,
     Factor,
@@ -21,6 +42,9 @@ from hyperpaint.simulation.rendering.scene import (
     smoothed,
     tube,
 )
+from hyperpaint.simulation.rendering.scene_spectra import generate_paint, paint_spec, spectrum_of
+
+# --- scenes scene ---
 
 GREY = Material("grey", "panel_20", "panel")
 RED = Material("red", "red", "paint", Coat(), Flakes(0.3))
@@ -28,7 +52,7 @@ TRIANGLE = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
 
 def whole(**changes: object) -> dict[str, object]:
-    given = {
+    return {
         "name": "lot",
         "vertices": np.array(TRIANGLE),
         "faces": np.array([[0, 1, 2]]),
@@ -37,8 +61,7 @@ def whole(**changes: object) -> dict[str, object]:
         "face_instance": np.array([0]),
         "materials": (GREY,),
         "instances": (Instance("thing"),),
-    }
-    return given | changes
+    } | changes
 
 
 def test_arrays_have_the_dtypes_of_the_contract() -> None:
@@ -66,7 +89,8 @@ def test_all_problems_are_listed_at_once() -> None:
     with pytest.raises(SchemaError) as caught:
         Scene(**broken)
     message = str(caught.value)
-    for words in (
+    expect_words(
+        message,
         "vertices 0 (1 of 3)",
         "faces has numbers from 0 to 3",
         "face_material has numbers from 2 to 2",
@@ -75,8 +99,7 @@ def test_all_problems_are_listed_at_once() -> None:
         "name-duplicate",
         "='spaceship'",
         "name-empty",
-    ):
-        assert words in message
+    )
 
 
 @pytest.mark.parametrize(
@@ -193,3 +216,351 @@ def test_smoothing_keeps_triangles_where_they_are() -> None:
     np.testing.assert_array_equal(made.vertices[made.faces], mesh.vertices[mesh.faces])
     np.testing.assert_array_equal(made.part, mesh.part)
     np.testing.assert_array_equal(made.surface, mesh.surface)
+
+
+# --- scene refusals ---
+
+OTHER = Material("grey", "panel_50", "panel")
+PAINT = Material("m", "m", "paint", Coat(), Flakes(0.15))
+BARE = Material("m", "m", "paint", Coat())
+VISIBLE = np.array([380.0, 780.0])
+GRID = np.arange(400.0, 1001.0, 5.0)
+SERIES = irradiance_series(1)
+NO_SERIES = SERIES.drop_vars("irradiance")
+
+
+def stored(**changes: Any) -> Atmosphere:
+    """Read an atmosphere from a dataset without, or with other, variables and attributes."""
+    dataset = Atmosphere.clear(50.0, wavelength=GRID).to_dataset()
+    dataset = dataset.drop_vars(changes.pop("drop", []))
+    dataset["sky"].attrs.update(changes.pop("sky_attrs", {}))
+    return Atmosphere.from_dataset(dataset.assign_attrs(changes))
+
+
+def measured(*given: Any, **options: Any) -> Atmosphere:
+    return Atmosphere.from_irradiance(irradiance_series(*given), sun_zenith=60.0, **options)
+
+
+def of_columns(columns: Any) -> Atmosphere:
+    return Atmosphere.from_table(columns, sun_zenith=30.0)
+
+
+def of_grid(grid: Any) -> Atmosphere:
+    same = np.zeros_like(np.asarray(grid, dtype=float))
+    return Atmosphere(grid, same, same, same, same, 30.0, 0.0)
+
+
+NO_SPECTRA = ("", "rad", "pigment:solid", "pigment:solid:-1", "pigment:solid:1e3", "pigment:gold:1",
+              "pigment:solid:1:", "pigment:solid:\u0663")  # fmt: skip
+NO_GRIDS = (
+    [],
+    [500.0],
+    [[1.0, 2.0]],
+    [500.0, 500.0],
+    [500.0, 400.0],
+    [-1.0, 5.0],
+    [1.0, np.inf],
+    [4.0, np.nan],
+)
+
+REFUSED: list[tuple[type[PaintError], str, Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = [
+    # materials
+    (SchemaError, "option-conflict", base_albedo, (0.3,), {"geometry": "0/45", "specular_included": True}),
+    (SchemaError, "value-out-of-range", base_albedo, ([5.0, 30.0],), {}),
+    (SchemaError, "1 of 2.*not-finite", base_albedo, ([np.nan, 30.0],), {}),
+    (SchemaError, "choice-unknown", base_albedo, (0.5,), {"geometry": "8/d"}),
+    *((SchemaError, "index", Coat, (index,), {}) for index in (1.0, 0.5, 4.0, np.nan)),
+    *((SchemaError, "share", Flakes, (share,), {}) for share in (-0.1, np.nan)),
+    (SchemaError, "roughness", Flakes, (0.5, 0.0), {}),
+    (SchemaError, "option-conflict", Material, ("leaf", "leaf", "leaf", Coat(), None, "leaf_through"), {}),
+    # paints
+    *((SchemaError, "spectrum-unknown", spectrum_of, (name,), {}) for name in NO_SPECTRA),
+    *((SchemaError, "paint-unknown", paint_spec, (name,), {}) for name in (*NO_SPECTRA, "fleet-x")),
+    (SchemaError, "'asphalt'.*spectrum-unknown", spectrum_of, ("asfalt",), {}),
+    (SchemaError, "paint-unknown", paint_spec, ("pigment:pearl:3:flakes",), {}),
+    (SchemaError, "family.*choice-unknown", generate_paint, ("gold", 1), {}),
+    *((SchemaError, "value-out-of-range", generate_paint, ("solid", n), {}) for n in (-1, 10**9)),
+    (SchemaError, "value-out-of-range", coat_of_gloss, (95.0,), {}),
+    (SchemaError, "value-out-of-range", flakes_of_flop, (16.0, PAINT, VISIBLE, 0.6, 0.85), {}),
+    (SchemaError, "flakes-missing", flakes_of_flop, (9.0, BARE, VISIBLE, 0.6, 0.85), {}),
+    # scenes
+    (SchemaError, "argument-missing", Scene.from_arrays, (TRIANGLE, [[0, 1, 2]], [GREY, PAINT]), {}),
+    (SchemaError, "name-duplicate", Scene.join, ([plane(1.0, GREY), plane(1.0, OTHER, instance="b")],), {}),
+    (SchemaError, "box.*name-duplicate", Scene.join, ([box((1, 1, 1), GREY)] * 2,), {}),
+    (SchemaError, "fleet='rusty'", car_park, (), {"fleet": "rusty"}),
+    (SchemaError, "time is not an array", platform_from_poses, (["a", "b"], *[[0] * 2] * 6), {"columns": 2}),
+    # light
+    *((SchemaError, "wavelength", of_grid, (grid,), {}) for grid in NO_GRIDS),
+    *((SchemaError, "wavelength", Atmosphere.clear, (30.0,), {"wavelength": grid}) for grid in NO_GRIDS),
+    *(
+        (SchemaError, "sun_zenith", Atmosphere.clear, (zenith,), {"wavelength": GRID})
+        for zenith in (-1.0, 89.5, 95.0, np.nan)
+    ),
+    (SchemaError, "choice-unknown", preset_atmosphere, ("midnight",), {}),
+    (UnitsError, "'sky'", stored, (), {"sky_attrs": {"units": "W m-2 sr-1 nm-1"}}),
+    (SchemaError, "'sun'.*\n.*'sun_zenith'", stored, (), {"drop": ["sun", "sun_zenith"]}),
+    *(
+        (SchemaError, "metadata-damaged", stored, (), {"haze": text})
+        for text in ("{", "[1]", '{"fog": 1}', '{"visibility": "far"}')
+    ),
+    # light of a spectrometer
+    *(
+        (SchemaError, "direct_fraction", measured, (1,), {"direct_fraction": fraction})
+        for fraction in (-0.1, 1.1, np.nan, [0.5, 0.5])
+    ),
+    (SchemaError, "irradiance", measured, (1, "W m-2 sr-1 nm-1"), {}),
+    (SchemaError, "missing", Atmosphere.from_irradiance, (NO_SERIES,), {"sun_zenith": 1.0}),
+    (SchemaError, "argument-missing", measured, (3,), {}),
+    *(
+        (SchemaError, "irradiance-coverage", measured, (count,), {"time": f"2020-06-21T{time}"})
+        for count, time in ((3, "16:59:59"), (3, "17:00:21"), (0, "17:00:00"))
+    ),
+    *((SchemaError, "time-unreadable", measured, (3,), {"time": time}) for time in ("noon", "NaT", object())),
+    (
+        SchemaError, "wavelength-unordered", Atmosphere.from_irradiance,
+        (SERIES.isel(irradiance_wavelength=slice(None, None, -1)),), {"sun_zenith": 1.0},
+    ),
+    # tables
+    (FormatError, "length-mismatch", of_columns, ({},), {}),
+    (FormatError, "number-unreadable", of_columns, ({"wavelength [nm]": "abc"},), {}),
+    (FormatError, "length-mismatch", of_columns, ({"wavelength [nm]": [1, 2], "sun [W m-2 nm-1]": [1]},), {}),
+    (FormatError, "length-mismatch", of_columns, ({"wavelength [nm]": 1.0},), {}),
+    (FormatError, "heading-unreadable", of_columns, ({3: [1, 2]},), {}),
+    (FormatError, r"none\.csv", of_columns, (Path("folder/none.csv"),), {}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "words", "call", "arguments", "options"), REFUSED)
+def test_refused(
+    kind: type[PaintError],
+    words: str,
+    call: Callable[..., Any],
+    arguments: tuple[Any, ...],
+    options: dict[str, Any],
+) -> None:
+    with pytest.raises(kind, match=words):
+        call(*arguments, **options)
+
+
+def test_grids_beyond_spectrl2_are_refused() -> None:
+    pytest.importorskip("pvlib")
+    with pytest.raises(SchemaError, match=r"SPECTRL2.*value-out-of-range"):
+        Atmosphere.spectrl2(30.0, wavelength=[200.0, 500.0])
+
+
+def test_all_problems_of_a_material_at_once() -> None:
+    with pytest.raises(SchemaError) as caught:
+        Material("", "", "cheese", flakes=Flakes(0.5))
+    expect_words(str(caught.value), "name is empty", "spectrum is empty", "'cheese'", "coat-missing")
+    # labels count on the order of kinds
+    assert KINDS[:3] == ("asphalt", "paint", "glass")
+    assert len(set(KINDS)) == len(KINDS) == 13
+
+
+# --- scene physics ---
+
+BANDS = BandSet(np.array([450.0, 550.0, 650.0, 850.0]), np.array(6.0))
+
+
+def light(sun: float, sky: float, zenith: float, azimuth: float) -> Atmosphere:
+    # Return light of the same irradiance at all wavelengths, without air
+    none = np.zeros(2)
+    return Atmosphere(np.array([300.0, 1100.0]), none + sun, none + sky, none, none, zenith, azimuth)
+
+
+def looking(
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    zenith: float = 0.0,
+    *,
+    lines: int = 1,
+    columns: int = 1,
+    ifov: float = 1e-4,
+    distance: float = 10.0,
+) -> Platform:
+    # Return a camera that stands still north of a point, and sees it from a zenith angle [degree]
+    angle = np.radians(zenith)
+    place = np.array(at) + distance * np.array([0.0, np.sin(angle), np.cos(angle)])
+    turned = matrices(0.0, -zenith, 0.0)  # nose down: the view goes back to the south
+    edges = ifov * (np.arange(columns + 1) - 0.5 * columns)
+    return Platform(
+        np.broadcast_to(place, (lines, 2, 3)),
+        np.broadcast_to(turned, (lines, 2, 3, 3)),
+        edges,
+        np.array([-0.5, 0.5]) * ifov,
+        np.arange(lines),
+    )
+
+
+def seen(
+    scene: Scene, platform: Platform, sky: Atmosphere, spectra: Any = None, **options: Any
+) -> xr.Dataset:
+    # Return what four bands see of a scene
+    traced = hp.simulation.trace(scene, platform, [sky], **{"sun_radius": 0.0, **options})
+    return hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=spectra).compute()
+
+
+def view_factor(distance: float, height: float, half_width: float) -> float:
+    # Return the part of the diffuse light of a level spot that goes to a wall, edge to edge with its foot
+    # J. R. Howell, A catalog of radiation heat transfer configuration factors, B-4, for both halves.
+    slant = np.hypot(distance, height)
+    return float(
+        (np.arctan(half_width / distance) - (distance / slant * np.arctan(half_width / slant))) / np.pi
+    )
+
+
+def test_a_grey_panel_beside_a_red_wall_is_reddened_as_the_view_factor_says() -> None:
+    # the panel is so small that the wall does not see it
+    wall = box((0.1, 4.0, 1.0), Material("wall", "brick", "wall"), centre=(0.35, 0.0, 0.0), instance="wall")
+    scene = Scene.join([plane(0.03, GREY, instance="panel"), wall], "adjacency")
+    line = seen(scene, looking(lines=5, columns=4), light(1.0, 0.25, 50.0, 270.0), samples=16_000, depth=3)
+    share = view_factor(0.30, 1.0, 2.0)
+    assert share == pytest.approx(0.3529, abs=1e-4)
+    level, upright = np.cos(np.radians(50.0)), np.sin(np.radians(50.0))
+    red = spectrum_of("brick")(BANDS.wavelength)
+    # the wall sees the sky above the horizon, and dark ground below it
+    known = 0.2 * (level + 0.25 * (1.0 - share) + share * red * (upright + 0.125)) / (level + 0.25)
+    found = line.reflectance.mean(["along_track", "cross_track"]).values
+    np.testing.assert_allclose(found, known, rtol=0.005)
+    # the excess over a panel without a wall is itself within 0.5 % of the light that the wall loses and gives
+    alone = 0.2 * (level + 0.25 * (1.0 - share)) / (level + 0.25)
+    np.testing.assert_allclose(found - alone, known - alone, rtol=0.005)
+    assert found[2] / found[0] > 1.05
+
+
+def test_the_glint_of_a_flat_coat_is_that_of_its_formula() -> None:
+    zenith, alpha = 40.0, 0.1
+    line = seen(
+        plane(50.0, Material("paint", "none", "paint", Coat(1.5, alpha, 0.0))),
+        looking(zenith=zenith),
+        light(1.3, 0.0, zenith, 180.0),
+        {"none": ([300.0, 1100.0], [0.0, 0.0])},
+        samples=64,
+    )
+    cosine = np.cos(np.radians(zenith))
+    facets = 1.0 / (np.pi * alpha**2)  # all that face the half vector, which is the normal
+    shadowing = 1.0 / np.sqrt(1.0 + alpha**2 * np.tan(np.radians(zenith)) ** 2)
+    glint = 1.3 * float(fresnel_reflectance(cosine)) * facets * shadowing / (4.0 * cosine)
+    np.testing.assert_allclose(line.radiance, glint, rtol=1e-3)
+    np.testing.assert_allclose(line.glint_share, 1.0)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.05, 0.1])
+@pytest.mark.parametrize("zenith", [0.0, 60.0])
+def test_a_furnace_takes_no_more_than_the_paint(roughness: float, zenith: float) -> None:
+    # nearly white: a base that reflects everything reads 1.015 near normal, more than a spectrum may have
+    line = seen(
+        plane(500.0, Material("paint", "bright", "paint", Coat(1.5, roughness))),
+        looking(zenith=zenith, lines=4, columns=4),
+        light(0.0, 1.0, 30.0, 180.0),
+        {"bright": ([300.0, 1100.0], [1.0, 1.0])},
+        samples=8192,
+    )
+    absorbed = (1.0 - float(fresnel_reflectance(np.cos(np.radians(zenith))))) * (
+        1.0 - float(measured_factor(1.0))
+    )
+    np.testing.assert_allclose(line.reflectance.mean(), 1.0 - absorbed, atol=0.005)
+
+
+def two_boxes() -> Scene:
+    red = box((1.0, 2.0, 1.2), Material("red", "red", "paint", Coat()), centre=(-0.9, 0.0, 0.0), instance="a")
+    blue = box((1.0, 2.0, 1.2), Material("blue", "blue", "paint"), centre=(0.9, 0.3, 0.0), instance="b")
+    return Scene.join([plane(60.0), red, blue], "boxes")
+
+
+def test_noise_falls_faster_than_the_root_of_the_samples() -> None:
+    sky = light(1.0, 0.3, 40.0, 200.0)
+    above = looking(lines=8, columns=24, ifov=0.02)
+
+    def noise(samples: int) -> float:
+        one, other = (seen(two_boxes(), above, sky, samples=samples, seed=seed).radiance for seed in (1, 2))
+        return float(np.sqrt(((one - other) ** 2).mean()))
+
+    assert noise(16) / noise(1024) > 8.0
+
+
+def triangles(vertices: Any, faces: Any, material: Material = GREY) -> Scene:
+    return Scene.from_arrays(vertices, faces, material)
+
+
+def test_an_open_mesh_is_seen_from_both_sides() -> None:
+    corners = [[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [0.0, 9.0, 0.0]]
+    sky = light(1.0, 0.3, 40.0, 200.0)
+    for face in ([0, 1, 2], [0, 2, 1]):
+        np.testing.assert_allclose(
+            seen(triangles(corners, [face]), looking(), sky, samples=8).reflectance, 0.2, rtol=1e-5
+        )
+
+
+def test_triangles_without_area_are_dropped_and_change_nothing() -> None:
+    whole = two_boxes()
+    spoilt_faces = np.concatenate([[[0, 0, 1]], whole.faces, [[2, 1, 2]]])
+    with pytest.warns(PaintWarning, match="triangle-without-area"):
+        spoilt = Scene(
+            whole.name,
+            whole.vertices,
+            spoilt_faces,
+            whole.normals,
+            np.pad(whole.face_material, 1),
+            np.pad(whole.face_instance, 1),
+            whole.materials,
+            whole.instances,
+        )
+    sky, above = light(1.0, 0.3, 40.0, 200.0), looking(lines=2, columns=16, ifov=0.02)
+    one, other = (seen(scene, above, sky, samples=4) for scene in (whole, spoilt))
+    xr.testing.assert_identical(one.radiance, other.radiance)
+
+
+def test_vertices_that_are_nowhere_are_refused_by_number() -> None:
+    corners = np.zeros((40, 3))
+    corners[7, 0], corners[31, 2] = np.nan, np.inf
+    with refusal(SchemaError, "not-finite", "vertices 7, 31"):
+        triangles(corners, [[0, 1, 2]])
+
+
+def test_in_a_scene_of_nothing_there_is_no_radiance() -> None:
+    line = seen(
+        triangles(np.zeros((0, 3)), np.zeros((0, 3), int)), looking(), light(1.0, 0.3, 40.0, 200.0), samples=4
+    )
+    assert line.material.values.tolist() == [[-1]]
+    assert np.isnan(line.radiance).all()
+    assert np.isnan(line.reflectance).all()
+
+
+@pytest.mark.slow
+def test_a_quarter_of_a_million_triangles_look_like_two() -> None:
+    side = np.linspace(-20.0, 20.0, 354)
+    east, north = np.meshgrid(side, side, indexing="ij")
+    corners = np.array([[0, 354, 355], [0, 355, 1]])
+    faces = ((np.arange(353)[:, None] * 354 + np.arange(353)).reshape(-1, 1)[:, None] + corners).reshape(
+        -1, 3
+    )
+    sky, above = light(1.0, 0.3, 40.0, 200.0), looking(lines=4, columns=64, ifov=0.02)
+    scene = triangles(np.stack([east, north, np.zeros_like(east)], axis=-1).reshape(-1, 3), faces)
+    assert len(scene.faces) > 249_000
+    line = seen(scene, above, sky, samples=16)
+    np.testing.assert_allclose(
+        line.radiance, seen(plane(40.0, GREY), above, sky, samples=16).radiance, rtol=1e-6
+    )
+
+
+def test_reflectance_above_one_is_refused_or_clamped() -> None:
+    sky = light(1.0, 0.3, 40.0, 200.0)
+    traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4, sun_radius=0.0)
+    bright = {"panel_20": ([300.0, 1100.0], [1.3, 1.3])}
+    with refusal(SchemaError, "value-out-of-range", "'panel_20'"):
+        hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright)
+    clamped = hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright, clip=True)
+    np.testing.assert_allclose(clamped.reflectance, 1.0, rtol=1e-5)
+
+
+def test_what_does_not_cover_the_bands_is_named() -> None:
+    sky = light(1.0, 0.3, 40.0, 200.0)
+    traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4)
+    with refusal(SchemaError, "spectrum-coverage", "'panel_20'"):
+        hp.simulation.relight(
+            traced, BANDS, atmosphere=sky, spectra={"panel_20": ([500.0, 700.0], [0.2, 0.2])}
+        )
+    wavelength, none = np.array([500.0, 1100.0]), np.zeros(2)
+    narrow = Atmosphere(wavelength, none + 1.0, none, none, none, 40.0, 200.0, name="narrow")
+    with refusal(SchemaError, "atmosphere-coverage", "'narrow'"):
+        hp.simulation.relight(traced, BANDS, atmosphere=narrow)

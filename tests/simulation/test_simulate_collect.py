@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import expect_errors
 
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
@@ -62,14 +63,13 @@ def table(path: Path) -> list[dict[str, str]]:
 
 def test_headers_say_what_headwall_says(collect: Path) -> None:
     keys, comments = header(collect / "flight" / "raw_0.hdr")
-    expected = {
+    assert {
         "data type": "12",
         "interleave": "bil",
         "byte order": "0",
         "header offset": "0",
         "bands": "12",
-    }
-    assert expected.items() <= keys.items()
+    }.items() <= keys.items()
     assert keys["wavelength units"] == "nm"
     np.testing.assert_allclose(
         np.array(keys["wavelength"].split(","), dtype=float), np.linspace(399.356, 1001.42, 12), atol=5e-4
@@ -370,10 +370,9 @@ def test_each_effect_moves_what_it_should_and_nothing_else(
 ) -> None:
     assert difference(still, **change) == 0.0
     if moved == "matched_time":
-        fraction = (
+        assert set(
             simulate_line(**{**PLAIN, **OFF, **change})["irradiance_time"].values.astype(np.int64) % 10**9
-        )
-        assert set(fraction) == {500_000_000 - 340_000_000}
+        ) == {500_000_000 - 340_000_000}
     else:
         assert difference(moved, **change) > 1e-4
 
@@ -470,10 +469,10 @@ def test_all_problems_are_listed_at_once() -> None:
 
 
 def test_files_hold_whole_counts_only(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="option-conflict"):
-        simulate_collect(tmp_path / "new", quantise=False)
-    with pytest.raises(SchemaError, match="block_lines"):
-        simulate_collect(tmp_path / "new", block_lines=0)
+    expect_errors(
+        (SchemaError, "option-conflict", lambda: simulate_collect(tmp_path / "new", quantise=False)),
+        (SchemaError, "block_lines", lambda: simulate_collect(tmp_path / "new", block_lines=0)),
+    )
     assert not (tmp_path / "new").exists()
 
 

@@ -539,8 +539,7 @@ class Thing(NamedTuple):
 def _panels(layout: Layout) -> Iterator[Thing]:
     begin, end = layout.aisles[0]
     pitch = (end - begin) / len(PANELS)
-    lines = np.arange(_PANEL_START + _PANEL_SIZE / 2, layout.length, _PANEL_PERIOD)
-    for line, north in enumerate(lines):
+    for line, north in enumerate(np.arange(_PANEL_START + _PANEL_SIZE / 2, layout.length, _PANEL_PERIOD)):
         for place, level in enumerate(PANELS):
             panel = f"panel_{round(100 * level):02d}"
             plate = Part(cuboid, ((_PANEL_SIZE, _PANEL_SIZE, 0.03), panel), (0.0, 0.0, -0.01))

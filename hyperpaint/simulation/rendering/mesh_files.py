@@ -115,9 +115,8 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             name = line.strip()[len(keyword) :].strip()
             material, object_name = (name, object_name) if keyword == "usemtl" else (material, name)
             group = -1
-    vertices = np.asarray(coordinates, np.float64).reshape(-1, 3)
     return RawTriangles(
-        vertices,
+        np.asarray(coordinates, np.float64).reshape(-1, 3),
         np.asarray(corners, np.int64).reshape(-1, 3),
         np.asarray(face_group, np.int64),
         tuple(groups),
@@ -297,8 +296,7 @@ def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[st
         for part in (materials, meshes)
     )
     triangles = sum(triangle_counts[node["mesh"]] for node in nodes if "mesh" in node)
-    glb = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-    return glb, material_names, mesh_names, triangles
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks, material_names, mesh_names, triangles
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:

@@ -562,8 +562,7 @@ def polygon(corners: ArrayLike, surface: str, part: str = "") -> Mesh:
     [[0, 1, 2], [0, 2, 3]]
     """
     points = np.asarray(corners, np.float64)
-    fan = [[0, corner, corner + 1] for corner in range(1, len(points) - 1)]
-    return uniform(points, fan, surface, part)
+    return uniform(points, [[0, corner, corner + 1] for corner in range(1, len(points) - 1)], surface, part)
 
 
 def cuboid(size: Sequence[float], surface: str, part: str = "") -> Mesh:

@@ -64,8 +64,7 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
     radius = np.full(len(settings.suns), np.radians(settings.sun_radius))
     sources = Sources(sun_vectors(settings.suns), radius, settings.overcast)
     if settings.clear:
-        shapes = np.stack([function_shapes(zenith) for zenith, _ in settings.suns])
-        sources = sources._replace(shapes=shapes)
+        sources = sources._replace(shapes=np.stack([function_shapes(zenith) for zenith, _ in settings.suns]))
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     # numbers of the factors of every material: base, flakes, transmittance, turned flakes
@@ -277,11 +276,10 @@ def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
 
 def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array]) -> dict[str, Array]:
     block = _trace_rays(prepared, poses["origin"], poses["rotation"], edges, int(poses["line"][0]))
-    place = {
+    return {
         name: np.ascontiguousarray(block.position[:, axis])
         for axis, name in enumerate(("east", "north", "up"))
-    }
-    return place | {
+    } | {
         "transport_weight": block.weight,
         "transport_path": block.code,
         "material": block.material,

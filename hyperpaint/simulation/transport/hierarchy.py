@@ -265,7 +265,7 @@ def build_geometry(
     instance = np.asarray(face_instance, np.int32)
     count, known = len(corners), len(points)
     lowest, highest = (int(corners.min()), int(corners.max())) if count else (0, -1)
-    checks = (
+    for is_fault, fault in (
         (
             material.shape != (count,) or instance.shape != (count,),
             f"{count} faces, materials {material.shape} and instances {instance.shape}",
@@ -279,8 +279,7 @@ def build_geometry(
             not (np.abs(points) <= _MAX_COORDINATE_M).all(),
             f"vertices must be finite and within {_MAX_COORDINATE_M:g} m",
         ),
-    )
-    for is_fault, fault in checks:
+    ):
         if is_fault:
             raise ValueError(fault)
     triangles = points[corners]

@@ -284,7 +284,7 @@ def mix_shifted(
         texture = Texture(row, empty, np.zeros((0, bands), np.float32), empty[:, None])
     last_node = int(first_node.max(initial=-1)) + (share.shape[1] if share.ndim == 2 else 0)
     # refuse shapes with which the loops would exceed their arrays
-    checks = (
+    for is_fault, fault in (
         (
             index.shape != weight.shape or out.shape != (lines, shape[1], columns),
             f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit",
@@ -309,8 +309,7 @@ def mix_shifted(
             texture.row.shape != (len(out), columns) or texture.ratio.shape[1] != bands,
             f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}",
         ),
-    )
-    for is_fault, fault in checks:
+    ):
         if is_fault:
             raise ValueError(fault)
     sums = np.empty((2, _TILE, out.shape[1]), np.float32)

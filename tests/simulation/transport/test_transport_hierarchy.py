@@ -51,12 +51,11 @@ def soups() -> dict[str, np.ndarray]:
     aligned[:, :, 2] = np.round(aligned[:, :1, 2])  # level, in few planes
     needles = triangles.copy()
     needles[:, 2] = needles[:, 1] + 1e-5 * (needles[:, 2] - needles[:, 0])
-    scales = triangles * 2.0 ** -rng.integers(0, 40, COUNT)[:, None, None]
-    copies = np.repeat(triangles[:3], COUNT // 3, axis=0)
-    line = triangles[:1] + np.arange(COUNT)[:, None, None] * [0, 0.5, 0]
     return {
-        "soup": triangles, "grid": grid, "aligned": aligned, "needles": needles, "scales": scales,
-        "copies": copies, "line": line, "one": triangles[:1],
+        "soup": triangles, "grid": grid, "aligned": aligned, "needles": needles, "one": triangles[:1],
+        "scales": triangles * 2.0 ** -rng.integers(0, 40, COUNT)[:, None, None],
+        "copies": np.repeat(triangles[:3], COUNT // 3, axis=0),
+        "line": triangles[:1] + np.arange(COUNT)[:, None, None] * [0, 0.5, 0],
     }  # fmt: skip
 
 

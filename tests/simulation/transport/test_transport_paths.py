@@ -97,10 +97,10 @@ def test_the_same_bits_in_any_blocks(cuts: tuple[int, ...]) -> None:
     whole = traced(geometry, surfaces, light, rays, samples=SAMPLES, seed=9, first_line=100, slots=6)
     for start, stop in itertools.pairwise(cuts):
         part = Rays(rays.origin[start:stop], rays.rotation[start:stop], *rays[2:])
-        found = traced(
-            geometry, surfaces, light, part, samples=SAMPLES, seed=9, first_line=100 + start, slots=6
+        same(
+            traced(geometry, surfaces, light, part, samples=SAMPLES, seed=9, first_line=100 + start, slots=6),
+            Block(*(piece[start:stop] for piece in whole)),
         )
-        same(found, Block(*(piece[start:stop] for piece in whole)))
 
 
 def test_the_same_bits_on_threads() -> None:
@@ -414,8 +414,7 @@ def test_paths_without_weight_leave_no_code() -> None:
 
 
 def test_few_slots_keep_the_heaviest_and_the_total() -> None:
-    rng = np.random.default_rng(1)
-    true = np.concatenate([[5.0, 3.0, 2.0], rng.uniform(0.01, 0.1, 60)])
+    true = np.concatenate([[5.0, 3.0, 2.0], np.random.default_rng(1).uniform(0.01, 0.1, 60)])
     paths = [(100 + i, float(weight)) for i, weight in enumerate(true)]
     draws = (np.arange(400 if COMPILED else 40) + 0.5) / (400 if COMPILED else 40)
     mean = np.zeros(len(true))

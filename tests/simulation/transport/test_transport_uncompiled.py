@@ -15,9 +15,8 @@ HERE = Path(__file__).resolve().parent
 def test_transport_runs_without_compilation() -> None:
     subjects = ("hierarchy", "surfaces", "paths", "mixing")
     names = [HERE / f"test_transport_{subject}.py" for subject in subjects]
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, names)]
     found = subprocess.run(
-        command,
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, names)],
         cwd=ROOT,
         env={**os.environ, "NUMBA_DISABLE_JIT": "1", "HYPERPAINT_REQUIRE_REAL_DATA": ""},
         capture_output=True,
