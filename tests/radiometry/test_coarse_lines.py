@@ -100,8 +100,7 @@ def test_what_is_stored_serves(tmp_path: Path, no_compute: Any) -> None:
     two = [550.0, 560.0]
     xr.testing.assert_identical(opened.paint.at(two).paint.coarse().compute(), small.paint.at(two).compute())
     # not what was asked for in other blocks; alone it is all there is
-    assert level_of(opened, side=8) == "computed"
-    assert level_of(opened.drop_vars("reflectance")) == "stored"
+    assert (level_of(opened, side=8), level_of(opened.drop_vars("reflectance"))) == ("computed", "stored")
     for side in (0, 33):
         with pytest.raises(SchemaError, match=rf"side={side}.*value-out-of-range"):
             coarse(line, side=side)

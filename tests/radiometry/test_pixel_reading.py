@@ -146,8 +146,7 @@ def test_of_a_store_only_the_chunks_are_read_that_are_needed(
     monkeypatch.setattr(LocalStore, "get", get)
     with dask.config.set(scheduler=lambda *_args, **_options: pytest.fail("dask computes")):
         region = pixels(line, 40, 7)
-    assert keys == ["counts/c/1/0/0"]
-    assert region.reflectance.values.tobytes() == expected.tobytes()
+    assert (keys, region.reflectance.values.tobytes()) == (["counts/c/1/0/0"], expected.tobytes())
 
 
 def test_stored_reflectance_is_read_where_there_is_nothing_else() -> None:
@@ -223,8 +222,7 @@ def test_what_is_assigned_in_place_counts(tmp_path: Path) -> None:
         before = pixels(line, 5, 5).reflectance.values
         line["exposure_time"][...] = line.exposure_time.values * 2
         line["radiance_gain"][...] = line.radiance_gain.values * 3
-        after = pixels(line, 5, 5).reflectance.values
-        np.testing.assert_allclose(after, before * 1.5, rtol=1e-6)
+        np.testing.assert_allclose(pixels(line, 5, 5).reflectance.values, before * 1.5, rtol=1e-6)
         line["radiance_gain"][...] = line.radiance_gain.values / 3
         np.testing.assert_allclose(pixels(line, 5, 5).reflectance.values, before / 2, rtol=1e-6)
 
@@ -258,8 +256,7 @@ def test_a_store_that_is_written_anew_counts(tmp_path: Path) -> None:
     group = "flightlines/a"
     store = hp.to_store(smiling(), tmp_path / "lot.zarr", group)
     before = pixels(xr.open_zarr(store, group=group), 5, 5).reflectance.values
-    brighter = replaced(smiling(), "radiance_gain")
-    hp.to_store(brighter, store, group, overwrite=True)
+    hp.to_store(replaced(smiling(), "radiance_gain"), store, group, overwrite=True)
     for line in (xr.open_zarr(store, group=group), hp.open_store(store, group)):
         after = pixels(line, 5, 5).reflectance.values
         np.testing.assert_allclose(after, before * 1.01, rtol=1e-5)

@@ -29,8 +29,7 @@ def _line(share: float) -> xr.Dataset:
 
 def _onto(line: xr.Dataset, tilt: Any) -> np.ndarray[Any, Any]:
     # Return level over tilted reflectance: the light on the surface over that on level ground
-    ratio = values(line) / values(line, tilt=tilt)
-    return np.asarray(np.nanmean(ratio, axis=(0, 2)))
+    return np.asarray(np.nanmean(values(line) / values(line, tilt=tilt), axis=(0, 2)))
 
 
 def test_under_an_overcast_record_no_side_is_brighter() -> None:
