@@ -30,8 +30,7 @@ def test_products_are_sums_over_the_grid(compiled: bool) -> None:
 @pytest.mark.parametrize("depth", [0.0, 1e-4, 0.1, 0.149, 0.151, 3.0])
 @pytest.mark.parametrize("in_place", [False, True])
 def test_air_is_an_exponential(depth: float, in_place: bool) -> None:
-    rng = np.random.default_rng(1)
-    surface = rng.random((5, 4, 6)).astype(np.float32)
+    surface = np.random.default_rng(1).random((5, 4, 6)).astype(np.float32)
     given = surface.copy()
     extinction = np.linspace(0.0, 1e-3, 4)[:, None].astype(np.float32)
     path_radiance = np.full((4, 1), 2e-5, np.float32)

@@ -16,8 +16,7 @@ def pixels(count: int, lines: int, columns: int, seed: int = 0):
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_nearest_is_indexing(dtype) -> None:
-    rng = np.random.default_rng(1)
-    slab = (1000 * rng.random((5, 7, 40))).astype(dtype)
+    slab = (1000 * np.random.default_rng(1).random((5, 7, 40))).astype(dtype)
     line, column, cell = pixels(60, 5, 40)
     out = np.zeros((60, 7), dtype)
     gather_nearest(slab, line, column, cell, np.empty((40, 7), dtype), out)

@@ -29,21 +29,18 @@ def convolved(x: np.ndarray, width: float, source: float, shape: int, triangular
     # Return the profile by sums on a fine grid: an oracle that shares no formula with the kernel
     step = 0.002
     grid = np.arange(-20, 20 + step / 2, step)
-    if shape == GAUSSIAN:
-        own = np.exp(-4 * np.log(2) * (grid / width) ** 2)
-    else:
-        box = lambda w: np.clip((w / 2 - np.abs(grid)) / step + 0.5, 0, 1)  # noqa: E731
-        own = np.convolve(box(width), box(1.0), mode="same")
+
+    def box(w: float) -> np.ndarray:
+        return np.clip((w / 2 - np.abs(grid)) / step + 0.5, 0, 1)
+
+    def bell(w: float) -> np.ndarray:
+        return np.exp(-4 * np.log(2) * (grid / w) ** 2)
+
+    parts = [bell(width)] if shape == GAUSSIAN else [box(width), box(1.0)]
     if source > 0:
-        if triangular:
-            light = np.clip(1 - np.abs(grid) / source, 0, None)
-        else:
-            light = np.exp(-4 * np.log(2) * (grid / source) ** 2)
-        own = np.fft.fftshift(
-            np.fft.ifft(np.fft.fft(np.fft.ifftshift(own)) * np.fft.fft(np.fft.ifftshift(light))).real
-        )
-    own /= own.sum() * step
-    return np.interp(x, grid, own)
+        parts.append(np.clip(1 - np.abs(grid) / source, 0, None) if triangular else bell(source))
+    own = np.fft.ifft(np.prod([np.fft.fft(np.fft.ifftshift(part)) for part in parts], axis=0)).real
+    return np.interp(x, grid, np.fft.fftshift(own) / (own.sum() * step))
 
 
 @pytest.mark.parametrize(("shape", "triangular", "source"), CASES)
@@ -58,55 +55,55 @@ def test_profiles_are_convolutions(shape: int, triangular: bool, source: float) 
     assert (out >= 0).all()
 
 
+def fitted(samples: LineSamples, start: np.ndarray, shape: int, triangular: bool) -> LineFits:
+    # Return fits from start values; what is not written stays 0, and lines are not converged
+    lines = len(start)
+    fits = LineFits(start.copy(), np.zeros((lines, 4, 4)), np.zeros(lines), np.zeros(lines, bool))
+    fit_lines(samples, shape, triangular, fits)
+    return fits
+
+
+def lamp_lines(truth: np.ndarray, light: np.ndarray, shape: int, triangular: bool) -> np.ndarray:
+    values = np.empty((len(truth), 41))
+    places = np.arange(41.0) - truth[:, CENTRE, None]
+    profiles(places, truth[:, WIDTH].copy(), light, shape, triangular, values)
+    return truth[:, AREA, None] * values + truth[:, OFFSET, None]
+
+
 @pytest.mark.parametrize(("shape", "triangular", "source"), CASES)
 def test_fits_find_what_was_put_in(shape: int, triangular: bool, source: float) -> None:
-    truth = np.array([[20.3, 2.7, 5000.0, 3.0], [19.8, 3.1, 800.0, -1.0]])
-    places = np.arange(41.0)
-    values = np.empty((2, 41))
-    light = np.full(2, source)
-    profiles(places - truth[:, CENTRE, None], truth[:, WIDTH].copy(), light, shape, triangular, values)
-    values = truth[:, AREA, None] * values + truth[:, OFFSET, None]
-    found = truth * [1.0, 1.3, 0.8, 0.0] + [0.7, 0, 0, 0]
-    covariance, chi2, converged = np.empty((2, 4, 4)), np.empty(2), np.zeros(2, bool)
+    truth, light = np.array([[20.3, 2.7, 5000.0, 3.0], [19.8, 3.1, 800.0, -1.0]]), np.full(2, source)
+    values = lamp_lines(truth, light, shape, triangular)
     samples = LineSamples(values, np.ones((2, 41)), np.zeros(2, np.int64), light)
-    fit_lines(samples, shape, triangular, LineFits(found, covariance, chi2, converged))
-    assert converged.all()
-    np.testing.assert_allclose(found, truth, rtol=2e-5, atol=2e-3)
+    fits = fitted(samples, truth * [1.0, 1.3, 0.8, 0.0] + [0.7, 0, 0, 0], shape, triangular)
+    assert fits.converged.all()
+    np.testing.assert_allclose(fits.parameters, truth, rtol=2e-5, atol=2e-3)
 
 
 def test_covariance_is_that_of_repeated_fits() -> None:
-    rng = np.random.default_rng(5)
-    lines, sigma = 800, 20.0
+    lines, sigma, none = 800, 20.0, np.zeros(800)
     truth = np.tile([20.3, 2.7, 5000.0, 3.0], (lines, 1))
-    values = np.empty((lines, 41))
-    none = np.zeros(lines)
-    profiles(np.arange(41.0) - truth[:, CENTRE, None], truth[:, WIDTH].copy(), none, GAUSSIAN, False, values)
-    values = (
-        truth[:, AREA, None] * values + truth[:, OFFSET, None] + sigma * rng.standard_normal(values.shape)
-    )
-    found = truth.copy()
-    covariance, chi2, converged = np.empty((lines, 4, 4)), np.empty(lines), np.zeros(lines, bool)
-    weights = np.full(values.shape, sigma**-2)
-    samples = LineSamples(values, weights, np.zeros(lines, np.int64), none)
-    fit_lines(samples, GAUSSIAN, False, LineFits(found, covariance, chi2, converged))
-    assert converged.all()
-    told = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).mean(axis=0)
-    np.testing.assert_allclose(found.std(axis=0), told, rtol=0.1)
-    assert chi2.mean() == pytest.approx(37, rel=0.03)
+    noise = sigma * np.random.default_rng(5).standard_normal((lines, 41))
+    values = lamp_lines(truth, none, GAUSSIAN, False) + noise
+    samples = LineSamples(values, np.full(values.shape, sigma**-2), np.zeros(lines, np.int64), none)
+    fits = fitted(samples, truth, GAUSSIAN, False)
+    assert fits.converged.all()
+    told = np.sqrt(np.diagonal(fits.covariance, axis1=1, axis2=2)).mean(axis=0)
+    np.testing.assert_allclose(fits.parameters.std(axis=0), told, rtol=0.1)
+    assert fits.chi2.mean() == pytest.approx(37, rel=0.03)
 
 
 def test_widths_are_where_the_profile_is_half() -> None:
     out = np.empty(1)
-    full_widths(np.array([2.7]), np.array([1.0]), GAUSSIAN, False, out)
-    assert out[0] == pytest.approx(np.hypot(2.7, 1.0), rel=1e-9)
-    full_widths(np.array([2.7]), np.array([0.0]), SLIT, False, out)
-    assert out[0] == pytest.approx(2.7, rel=1e-9)
+    for source, shape, width in ((1.0, GAUSSIAN, np.hypot(2.7, 1.0)), (0.0, SLIT, 2.7)):
+        full_widths(np.array([2.7]), np.array([source]), shape, False, out)
+        assert out[0] == pytest.approx(width, rel=1e-9)
 
 
 def test_what_cannot_be_fitted_is_said() -> None:
-    found = np.array([[np.nan, 1, 1, 0], [2.0, 1.0, 1.0, 0.0]])
-    covariance, chi2, converged = np.empty((2, 4, 4)), np.empty(2), np.ones(2, bool)
     samples = LineSamples(np.zeros((2, 5)), np.zeros((2, 5)), np.zeros(2, np.int64), np.zeros(2))
-    fit_lines(samples, GAUSSIAN, False, LineFits(found, covariance, chi2, converged))
-    assert not converged.any()
-    assert np.isnan(covariance).all()
+    start = np.array([[np.nan, 1, 1, 0], [2.0, 1.0, 1.0, 0.0]])
+    fits = LineFits(start, np.empty((2, 4, 4)), np.empty(2), np.ones(2, bool))
+    fit_lines(samples, GAUSSIAN, False, fits)
+    assert not fits.converged.any()
+    assert np.isnan(fits.covariance).all()

@@ -67,8 +67,10 @@ def test_the_curved_earth() -> None:
     level_places(LineRays(np.zeros((1, 3)), DOWN, look), frames, 0.0, out)
     # the horizon of 1000 m is 1.013 degrees below the horizontal
     assert np.isnan(out[:, 0, 1]).all()
-    assert out[0, 0, 0] - 1000.0 == pytest.approx(1000.0**2 / (2 * radius), rel=1e-2)
-    assert out[3, 0, 0] - 45.0 == pytest.approx(np.degrees(1000.0 / radius), rel=1e-2)
+    assert (out[0, 0, 0] - 1000.0, out[3, 0, 0] - 45.0) == (
+        pytest.approx(1000.0**2 / (2 * radius), rel=1e-2),
+        pytest.approx(np.degrees(1000.0 / radius), rel=1e-2),
+    )
 
 
 def test_north_turns_with_the_way_east() -> None:
@@ -79,10 +81,11 @@ def test_north_turns_with_the_way_east() -> None:
     assert out[4, 0, 0] == pytest.approx(270.0 + np.degrees(1e-4), abs=1e-9)
 
 
-def bilinear(heights: np.ndarray, x: float, y: float) -> float:
-    j, i = min(int(x), heights.shape[1] - 2), min(int(y), heights.shape[0] - 2)
+def bilinear(heights: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    j = np.minimum(x.astype(int), heights.shape[1] - 2)
+    i = np.minimum(y.astype(int), heights.shape[0] - 2)
     v, w = y - i, x - j
-    return float(
+    return np.asarray(
         (1 - v) * ((1 - w) * heights[i, j] + w * heights[i, j + 1])
         + v * ((1 - w) * heights[i + 1, j] + w * heights[i + 1, j + 1])
     )
@@ -91,14 +94,12 @@ def bilinear(heights: np.ndarray, x: float, y: float) -> float:
 def march(look: np.ndarray, origin: np.ndarray, heights: np.ndarray, step: float = 2e-3) -> float:
     # Return the height of the first hit, in steps so small that none is missed by more than they are
     direction = look * [1, 1, -1] / np.linalg.norm(look)
-    place = origin.copy()
-    while place[2] > -1.0:
-        place = place + step * direction
-        if not (0 <= place[0] <= heights.shape[1] - 1 and 0 <= place[1] <= heights.shape[0] - 1):
-            return np.nan
-        if place[2] <= bilinear(heights, place[0], place[1]):
-            return float(place[2])
-    return np.nan
+    way = origin + np.arange(step, (origin[2] + 1.0) / -direction[2] + step, step)[:, None] * direction
+    x, y, _ = way.T
+    outside = (x < 0) | (x > heights.shape[1] - 1) | (y < 0) | (y > heights.shape[0] - 1)
+    inside = way[: int(np.argmax(outside)) if outside.any() else len(way)].T
+    hits = np.flatnonzero(inside[2] <= bilinear(heights, inside[0], inside[1]))
+    return float(inside[2, hits[0]]) if hits.size else np.nan
 
 
 def test_rasters_against_a_march() -> None:
@@ -108,13 +109,11 @@ def test_rasters_against_a_march() -> None:
     origin = np.array([26.0, 20.0, 6.0])
     found = placed(look, (26.0, 20.0, 6.0), heights)
     wanted = np.array([march(one, origin, heights) for one in look])
-    np.testing.assert_array_equal(np.isnan(found[2]), np.isnan(wanted))
     # a ray that only just misses a crest in one and meets it in the other is not to be expected of 60
     np.testing.assert_allclose(found[2], wanted, atol=4e-3)
     inside = np.isfinite(wanted)
     assert inside.sum() > 40
-    at = [bilinear(heights, x, y) for x, y in found[:2, inside].T]
-    np.testing.assert_allclose(found[2, inside], at, atol=1e-8)
+    np.testing.assert_allclose(found[2, inside], bilinear(heights, *found[:2, inside]), atol=1e-8)
 
 
 def test_rays_along_the_lines_of_the_raster() -> None:
@@ -125,9 +124,11 @@ def test_rays_along_the_lines_of_the_raster() -> None:
     # up the ramp of the wall from 39 to 40, to the crest of row 20, straight down on a corner, along a row
     assert height[0] == pytest.approx(4 - 0.1 * (x[0] - 16.0))
     assert 39 < x[0] < 40
-    assert (x[1], y[1]) == pytest.approx((16.0, 19.5))
-    assert (x[2], y[2], height[2]) == pytest.approx((16, 16, 0))
-    assert (x[3], y[3], height[3]) == pytest.approx((12, 16, 0))
+    assert ((x[1], y[1]), (x[2], y[2], height[2]), (x[3], y[3], height[3])) == (
+        pytest.approx((16.0, 19.5)),
+        pytest.approx((16, 16, 0)),
+        pytest.approx((12, 16, 0)),
+    )
 
 
 def test_holes() -> None:
@@ -137,8 +138,7 @@ def test_holes() -> None:
     look = np.column_stack([np.linspace(0.05, 2.95, 30), np.zeros(30), np.ones(30)])
     x, _, height, *_ = placed(look, (16.0, 16.0, 8.0), heights)
     end = 16.0 + 8.0 * look[:, 0]
-    lost = (end > 19.0) & (end < 24.0)
-    np.testing.assert_array_equal(np.isnan(x), lost)
+    np.testing.assert_array_equal(np.isnan(x), (end > 19.0) & (end < 24.0))
     assert np.nanmax(height) == pytest.approx(2.0)
     # entering from outside below the surface says nothing of what is seen
     assert np.isnan(placed([(1, 0, 0.1)], (-5.0, 16.0, 1.0), np.full((33, 49), 1.0))).all()

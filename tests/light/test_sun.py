@@ -53,8 +53,7 @@ def test_diffuse_fraction_of_the_notes(zenith: float, expected: list[float]) -> 
 @pytest.mark.parametrize("zenith", [10.0, 40.0, 65.0])
 @pytest.mark.parametrize("depth", [0.05, 0.3])
 def test_diffuse_fraction_is_that_of_spectrl2(zenith: float, depth: float) -> None:
-    pvlib = pytest.importorskip("pvlib")
-    full = pvlib.spectrum.spectrl2(
+    full = pytest.importorskip("pvlib").spectrum.spectrl2(
         apparent_zenith=zenith,
         aoi=zenith,
         surface_tilt=0,

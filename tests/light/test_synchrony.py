@@ -19,6 +19,16 @@ def ns(seconds: object) -> np.ndarray:
     return START + np.round(np.asarray(seconds, float) * 1e9).astype("timedelta64[ns]")
 
 
+def test_few_samples_and_gaps() -> None:
+    light = line_light(ns([0.0, 1.0]), ns([0.0]), np.ones(1))
+    np.testing.assert_array_equal(light.weight, [0.0, np.nan])
+    # the largest gap is two and a half intervals
+    light = line_light(ns([5.0, 8.0, 12.0, 10.0]), ns([0.0, 2, 4, 6, 10, 16, 18]), np.ones(7))
+    assert np.isnan(light.weight).tolist() == [False, False, True, False]
+    # far from 1970 no bit is lost
+    assert line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0).weight[0] == 1 / 3
+
+
 # --- neighbours --------------------------------------------------------------------------------------------
 
 
@@ -47,30 +57,12 @@ def test_neighbours_and_weights(steps: list[int], lines: list[int]) -> None:
         assert light.flags[k] == 0
 
 
-def test_one_sample_lights_its_own_instant() -> None:
-    light = line_light(ns([0.0, 1.0]), ns([0.0]), np.ones(1))
-    assert light.weight[0] == 0
-    assert np.isnan(light.weight[1])
-
-
-def test_default_gap_is_two_and_a_half_intervals() -> None:
-    samples = np.array([0.0, 2, 4, 6, 10, 16, 18])
-    light = line_light(ns([5.0, 8.0, 12.0, 10.0]), ns(samples), np.ones(7))
-    assert np.isnan(light.weight).tolist() == [False, False, True, False]
-
-
 def test_spectra_without_a_value_are_passed_over() -> None:
-    power = np.array([1.0, np.nan, 1.0])
-    light = line_light(ns([1.0, 2.0]), ns([0.0, 1.0, 4.0]), power, 5.0)
-    assert light.before.tolist() == [0, 0]
-    assert light.after.tolist() == [2, 2]
+    light = line_light(ns([1.0, 2.0]), ns([0.0, 1.0, 4.0]), np.array([1.0, np.nan, 1.0]), 5.0)
+    assert (light.before.tolist(), light.after.tolist()) == ([0, 0], [2, 2])
     np.testing.assert_array_equal(light.weight, [0.25, 0.5])
     with pytest.raises(TimeError, match="irradiance-empty"):
         line_light(ns([1.0]), ns([0.0, 2.0]), np.full(2, np.nan))
-
-
-def test_far_from_1970_no_bit_is_lost() -> None:
-    assert line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0).weight[0] == 1 / 3
 
 
 # --- clocks ------------------------------------------------------------------------------------------------
@@ -102,28 +94,19 @@ def test_sensitivity_is_the_worst_of_all_offsets(seed: int, samples: int, within
 
 def test_a_known_clock_lifts_the_flag() -> None:
     # Light that falls by 10 % in 20 s: at 0.5 %/s a clock known to 2 s makes 1 %
-    samples = np.arange(0.0, 101.0, 2.0)
+    samples, times = np.arange(0.0, 101.0, 2.0), ns([10.0, 50.0, 95.0])
     levels = 1.0 - 0.1 * np.clip((samples - 40) / 20, 0, 1)
-    times = ns([10.0, 50.0, 95.0])
-    unknown = line_light(times, ns(samples), levels, 5.0)
-    assert (unknown.flags & Quality.TIMING_SENSITIVE > 0).tolist() == [True, True, True]
-    close = line_light(times, ns(samples), levels, 5.0, clock_uncertainty=5.0)
-    assert (close.flags & Quality.TIMING_SENSITIVE > 0).tolist() == [False, True, False]
-    exact = line_light(times, ns(samples), levels, 5.0, clock_uncertainty=1.0)
-    assert not (exact.flags & Quality.TIMING_SENSITIVE).any()
-    assert exact.sensitivity.dtype == np.float32
-    assert exact.sensitivity[1] == pytest.approx(0.005 / (0.95 - 0.005), rel=1e-4)
-
-
-def test_a_clear_sky_needs_no_clock() -> None:
-    # 0.1 %/min, as near noon, is 0.07 % in 40 s
+    for clock, flagged in ((None, [True] * 3), (5.0, [False, True, False]), (1.0, [False] * 3)):
+        light = line_light(times, ns(samples), levels, 5.0, clock_uncertainty=clock)
+        assert (light.flags & Quality.TIMING_SENSITIVE > 0).tolist() == flagged
+    assert light.sensitivity.dtype == np.float32
+    assert light.sensitivity[1] == pytest.approx(0.005 / (0.95 - 0.005), rel=1e-4)
+    # of a clear sky, 0.1 %/min, as near noon, is 0.07 % in 40 s
     samples = np.arange(0.0, 601.0, 2.0)
     light = line_light(ns([100.0, 300.0]), ns(samples), 1.0 - 0.001 * samples / 60, 5.0)
     assert not light.flags.any()
     assert light.sensitivity.max() < 0.001
-
-
-def test_one_sample_tells_nothing_of_timing() -> None:
+    # one sample tells nothing of timing
     assert timing_sensitivity(np.array([5]), np.array([5]), np.ones((1, 2)), 40.0).tolist() == [0.0]
 
 

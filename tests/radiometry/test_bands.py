@@ -17,8 +17,7 @@ SHIFT = np.array([-1.3, 0.0, 0.4, 2.2])
 
 def smiling(lines: int = 6) -> tuple[xr.Dataset, np.ndarray]:
     wavelength = np.linspace(500.0, 560.0, 13)
-    own = wavelength[:, None] + SHIFT
-    values = 0.4 + 0.3 * np.sin(own / 15)
+    values = 0.4 + 0.3 * np.sin((wavelength[:, None] + SHIFT) / 15)
     dataset = xr.Dataset(
         {
             "reflectance": (
@@ -37,21 +36,45 @@ def smiling(lines: int = 6) -> tuple[xr.Dataset, np.ndarray]:
     return dataset, 0.4 + 0.3 * np.sin(wavelength / 15)
 
 
+def test_a_missing_band_touches_its_neighbours_only_and_descending_bands_are_the_same() -> None:
+    dataset, _ = smiling(1)
+    turned = to_nominal(dataset.isel(band=slice(None, None, -1))).reflectance.isel(band=slice(None, None, -1))
+    np.testing.assert_allclose(turned, to_nominal(dataset).reflectance, rtol=1e-5)
+    dataset.reflectance.values[0, 6, :] = np.nan
+    missing = np.isnan(to_nominal(dataset).reflectance.values[0])
+    assert np.flatnonzero(missing[:, 1]).tolist() == [6]
+    assert set(np.flatnonzero(missing[1:12, 0]) + 1) <= {4, 5, 6, 7, 8}
+
+
+def test_no_smile_is_no_work_and_what_cannot_be_is_refused() -> None:
+    dataset, _ = smiling()
+    plain = dataset.drop_vars("wavelength_shift")
+    made = to_nominal(plain)
+    xr.testing.assert_identical(made.reflectance, plain.reflectance)
+    assert "counts" not in made
+    joined = dataset.isel(band=[0, 1, 2, 6, 5, 7, 8])
+    expect_refusals(
+        (SchemaError, "variable-missing", lambda: to_nominal(dataset.drop_vars("reflectance"))),
+        (SchemaError, "bands-too-few", lambda: to_nominal(dataset.isel(band=slice(0, 3)))),
+        (SchemaError, "wavelength-unordered", lambda: to_nominal(joined)),
+    )
+
+
 def test_at_takes_the_nearest_bands_of_any_axis() -> None:
     nm = np.array([400.0, 700.0, 690.0, 1000.0, 550.0])
     dataset = xr.Dataset(
         {"reflectance": ("band", np.arange(5.0))}, {"wavelength": ("band", nm, {"units": "nm"})}
     )
-    assert float(at(dataset, 560.0).reflectance) == 4
-    assert at(dataset, 560.0).reflectance.dims == ()
+    assert (float(at(dataset, 560.0).reflectance), at(dataset, 560.0).reflectance.dims) == (4, ())
     np.testing.assert_array_equal(at(dataset, [690.4, 695.1, 400.0]).reflectance, [2, 1, 0])
     um = dataset.assign_coords(wavelength=("band", nm / 1000, {"units": "um"}))
     assert float(um.paint.at(560.0).reflectance) == 4
-    for nowhere in (5000.0, np.nan, [550.0, -9.0]):
-        with pytest.raises(SchemaError, match="band-missing"):
-            at(dataset, nowhere)
-    with pytest.raises(SchemaError, match="wavelength"):
-        at(xr.Dataset(), 550.0)
+    for source, nowhere, match in (
+        *((dataset, nm, "band-missing") for nm in (5000.0, np.nan, [550.0, -9.0])),
+        (xr.Dataset(), 550.0, "wavelength"),
+    ):
+        with pytest.raises(SchemaError, match=match):
+            at(source, nowhere)
 
 
 @pytest.mark.parametrize(
@@ -62,54 +85,16 @@ def test_smile_is_taken_out(chunks: Any, no_compute: Any) -> None:
     source = dataset if chunks is None else dataset.chunk(chunks).assign_coords(dataset.coords)
     with no_compute():
         made = to_nominal(source)
-    found = made.reflectance
-    assert found.dtype == found.compute().dtype == np.float32
-    assert found.dims == ("along_track", "band", "cross_track")
-    values = found.values
-    there = ~np.isnan(values)
-    np.testing.assert_allclose(
-        values[there], np.broadcast_to(expected[:, None], values.shape)[there], atol=2e-4
-    )
-    # the outermost bands of columns that do not reach them, and nothing else
-    assert np.argwhere(~there[0]).tolist() == [[0, 2], [0, 3], [12, 0]]
-    assert "wavelength_shift" not in made.variables
-    assert "counts" not in made.variables
+    found, values = made.reflectance, made.reflectance.values
+    assert found.dtype == values.dtype == np.float32
+    assert (found.dims, found.attrs["units"]) == (("along_track", "band", "cross_track"), "1")
+    # missing are the outermost bands of columns that do not reach them, and nothing else
+    assert np.argwhere(np.isnan(values[0])).tolist() == [[0, 2], [0, 3], [12, 0]]
+    expected = np.where(np.isnan(values), np.nan, expected[:, None])
+    np.testing.assert_allclose(values, expected, atol=2e-4)
+    assert not {"wavelength_shift", "counts"} & set(made.variables)
     np.testing.assert_array_equal(made.quality, dataset.quality)
-    assert found.attrs["units"] == "1"
     np.testing.assert_array_equal(values[:, :, 1], dataset.reflectance.values[:, :, 1])
-
-
-def test_a_missing_band_touches_its_neighbours_only() -> None:
-    dataset, _ = smiling(1)
-    dataset.reflectance.values[0, 6, :] = np.nan
-    missing = np.isnan(to_nominal(dataset).reflectance.values[0])
-    assert np.flatnonzero(missing[:, 1]).tolist() == [6]
-    assert set(np.flatnonzero(missing[1:12, 0]) + 1) <= {4, 5, 6, 7, 8}
-
-
-def test_descending_bands() -> None:
-    dataset, _ = smiling()
-    turned = to_nominal(dataset.isel(band=slice(None, None, -1))).reflectance.isel(band=slice(None, None, -1))
-    np.testing.assert_allclose(turned, to_nominal(dataset).reflectance, rtol=1e-5)
-
-
-def test_no_smile_is_no_work() -> None:
-    dataset, _ = smiling()
-    plain = dataset.drop_vars("wavelength_shift")
-    made = to_nominal(plain)
-    xr.testing.assert_identical(made.reflectance, plain.reflectance)
-    assert "counts" not in made
-
-
-def test_refusals() -> None:
-    dataset, _ = smiling()
-    expect_refusals(
-        (SchemaError, "variable-missing", lambda: to_nominal(dataset.drop_vars("reflectance"))),
-        (SchemaError, "bands-too-few", lambda: to_nominal(dataset.isel(band=slice(0, 3)))),
-    )
-    joined = dataset.isel(band=[0, 1, 2, 6, 5, 7, 8])
-    with pytest.raises(SchemaError, match="wavelength-unordered"):
-        to_nominal(joined)
 
 
 def test_after_reflectance_of_a_whole_line() -> None:

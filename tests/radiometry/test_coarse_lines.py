@@ -33,12 +33,21 @@ def plain_means(cube: np.ndarray, side: int) -> np.ndarray:
 def speckled(lines: int = 70, columns: int = 11) -> xr.Dataset:
     line = flight(lines=lines, columns=columns).line.paint.reflectance().compute()
     cube = line.reflectance.values.copy()
-    rng = np.random.default_rng(5)
-    cube[rng.random(cube.shape) < 0.2] = np.nan
+    cube[np.random.default_rng(5).random(cube.shape) < 0.2] = np.nan
     cube[8:16, 1, :8] = np.nan
     cube[0, 0, 0] = 1e30  # more than half precision holds
     line = line.assign_coords(along_track=np.arange(lines))
     return line.assign(reflectance=line.reflectance.copy(data=cube)).drop_vars("counts")
+
+
+@pytest.fixture(scope="module")
+def raw_collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("coarse") / "raw"
+    return hp.simulate_collect(folder, lines=40, bands=12, columns=9, seed=3, truth=False)
+
+
+def level_of(line: xr.Dataset, **options: Any) -> str:
+    return str(coarse(line, **options).reflectance.attrs["level"])
 
 
 @pytest.mark.parametrize("side", [1, 3, 8, 32])
@@ -46,8 +55,7 @@ def test_means_are_those_of_plain_loops(side: int) -> None:
     line = speckled()
     means = coarse_reflectance(line, side)
     assert means.dtype == np.float32
-    expected = plain_means(line.reflectance.values, side)
-    np.testing.assert_allclose(means.values, expected, rtol=2**-11)
+    np.testing.assert_allclose(means.values, plain_means(line.reflectance.values, side), rtol=2**-11)
     assert not (means.values.view("u4") & 0x1FFF).any()  # ten bits of the mantissa are kept
     assert side > 8 or np.isnan(means.values[-(-8 // side), 1, 0])
 
@@ -67,44 +75,32 @@ def test_a_long_line_has_wider_blocks(lines: int, side: int) -> None:
     )
     line = xr.Dataset({"reflectance": cube.chunk({"along_track": 4096}).assign_attrs(units="1")})
     means = coarse_reflectance(line)
-    assert means.attrs["block_side"] == side
-    assert means.shape == (-(-lines // side), 2, 1)
+    assert (means.attrs["block_side"], means.shape) == (side, (-(-lines // side), 2, 1))
 
 
 def test_what_is_stored_serves(tmp_path: Path, no_compute: Any) -> None:
     line = speckled().drop_vars("quality").chunk({"along_track": 32})
-    path = tmp_path / "lot.zarr"
-    hp.to_store(line.assign(coarse_reflectance=coarse_reflectance(line)), path)
-    assert hp.verify(path).ok
-    opened = hp.open_store(path)
+    hp.to_store(line.assign(coarse_reflectance=coarse_reflectance(line)), tmp_path / "lot.zarr")
+    assert hp.verify(tmp_path / "lot.zarr").ok
+    opened = hp.open_store(tmp_path / "lot.zarr")
     # a task reads its group of bands, of other cubes all bands
-    assert len(opened.coarse_reflectance.chunks[1]) == line.sizes["band"] // 2
-    assert len(opened.reflectance.chunks[1]) == 1
+    groups = [len(opened[name].chunks[1]) for name in ("coarse_reflectance", "reflectance")]
+    assert groups == [line.sizes["band"] // 2, 1]
     with no_compute():
         small = coarse(opened)
-    assert small.reflectance.attrs["level"] == "stored"
     computed = coarse(line)
-    assert computed.reflectance.attrs["level"] == "computed"
+    levels = small.reflectance.attrs["level"], computed.reflectance.attrs["level"]
+    assert levels == ("stored", "computed")
     np.testing.assert_array_equal(small.reflectance.values, computed.reflectance.values)
-    # a line as any other
-    assert small.along_track.values[:3].tolist() == [2, 6, 10]
-    assert small.along_track.values[-1] == 69  # the last block is cut
-    band = small.paint.at(550.0)
+    # a line as any other; the last block is cut
+    assert small.along_track.values[[0, 1, 2, -1]].tolist() == [2, 6, 10, 69]
     place = int(np.abs(line.wavelength.values - 550.0).argmin())
-    np.testing.assert_array_equal(band.reflectance.values, small.reflectance.values[:, place])
+    band = small.paint.at(550.0).reflectance.values
+    np.testing.assert_array_equal(band, small.reflectance.values[:, place])
     two = [550.0, 560.0]
     xr.testing.assert_identical(opened.paint.at(two).paint.coarse().compute(), small.paint.at(two).compute())
-    # not what was cut, changed, or asked for in other blocks
-    for other in (
-        opened.isel(along_track=slice(0, 40)),
-        opened.assign(reflectance=opened.reflectance * np.float32(2.0)).assign(
-            reflectance=lambda ds: ds.reflectance.assign_attrs(units="1")
-        ),
-    ):
-        assert coarse(other).reflectance.attrs["level"] == "computed"
-    assert coarse(opened, side=8).reflectance.attrs["level"] == "computed"
-    # alone it is all there is
-    assert coarse(opened.drop_vars("reflectance")).reflectance.attrs["level"] == "stored"
+    # not what was asked for in other blocks; alone it is all there is
+    assert (level_of(opened, side=8), level_of(opened.drop_vars("reflectance"))) == ("computed", "stored")
     for side in (0, 33):
         with pytest.raises(SchemaError, match=rf"side={side}.*value-out-of-range"):
             coarse(line, side=side)
@@ -117,6 +113,7 @@ def edits(opened: xr.Dataset) -> dict[str, xr.Dataset]:
         "scaled": opened.assign(reflectance=(opened.reflectance * np.float32(0.5)).assign_attrs(units="1")),
         "smooth": opened.paint.smooth(window=3, order=1),
         "backwards": opened.isel(along_track=slice(None, None, -1)),
+        "earlier": opened.isel(along_track=slice(0, 40)),
         "later": opened.isel(along_track=slice(2, None)),
         "data": opened.assign(reflectance=opened.reflectance.copy(data=opened.reflectance.data * 2)),
         "in place": loaded,
@@ -125,57 +122,46 @@ def edits(opened: xr.Dataset) -> dict[str, xr.Dataset]:
 
 def test_means_of_what_was_edited_do_not_serve(tmp_path: Path) -> None:
     line = speckled(71).drop_vars("quality").chunk({"along_track": 32})
-    path = tmp_path / "lot.zarr"
-    hp.to_store(line.assign(coarse_reflectance=coarse_reflectance(line)), path)
-    opened = hp.open_store(path)
+    hp.to_store(line.assign(coarse_reflectance=coarse_reflectance(line)), tmp_path / "lot.zarr")
+    opened = hp.open_store(tmp_path / "lot.zarr")
     for name, other in edits(opened).items():
-        small = coarse(other).reflectance
-        assert small.attrs["level"] == "computed", name
         hp.to_store(other, tmp_path / f"{name}.zarr")
-        again = coarse(hp.open_store(tmp_path / f"{name}.zarr")).reflectance
-        assert again.attrs["level"] == "computed", name
+        small, again = (
+            coarse(each).reflectance for each in (other, hp.open_store(tmp_path / f"{name}.zarr"))
+        )
+        assert small.attrs["level"] == again.attrs["level"] == "computed", name
         np.testing.assert_array_equal(again.values, small.values)
     hp.to_store(opened, tmp_path / "same.zarr")
-    assert coarse(hp.open_store(tmp_path / "same.zarr")).reflectance.attrs["level"] == "stored"
+    assert level_of(hp.open_store(tmp_path / "same.zarr")) == "stored"
 
 
 def test_means_of_counts_follow_what_calibrates_them(tmp_path: Path) -> None:
     line = flight(lines=40, columns=9).line.paint.reflectance().chunk({"along_track": 32})
     line = line.assign(coarse_reflectance=coarse_reflectance(line)).drop_vars("reflectance")
-    hp.to_store(line, tmp_path / "lot.zarr")
-    opened = hp.open_store(tmp_path / "lot.zarr")
-    assert coarse(opened).reflectance.attrs["level"] == "stored"
+    opened = hp.open_store(hp.to_store(line, tmp_path / "lot.zarr"))
+    assert level_of(opened) == "stored"
     for name in ("irradiance", "radiance_gain", "exposure_time"):
-        other = opened.assign({name: opened[name].copy(data=opened[name].data * 2)})
-        assert coarse(other).reflectance.attrs["level"] == "computed", name
+        assert level_of(opened.assign({name: opened[name].copy(data=opened[name].data * 2)})) == "computed"
 
 
-def test_the_explorer_takes_means_of_counts(tmp_path: Path) -> None:
-    collect = hp.simulate_collect(tmp_path / "raw", lines=40, bands=12, columns=9, seed=3, truth=False)
-    store = hp.process(collect, tmp_path / "lot.zarr", reflectance="none")
+def test_the_explorer_takes_means_of_counts(raw_collect: Path, tmp_path: Path) -> None:
+    store = hp.process(raw_collect, tmp_path / "lot.zarr", reflectance="none")
     line = hp.open_store(store, "flightlines/raw_0")
-    assert line.paint.coarse().reflectance.attrs["level"] == "stored"
     assert Explored(line)._means is not None
+    assert level_of(line) == "stored"
     line.paint.pixels(3, 4)  # reads scalars
-    assert line.paint.coarse().reflectance.attrs["level"] == "stored"
-    assert (
-        xr.open_zarr(store, group="flightlines/raw_0").paint.coarse().reflectance.attrs["level"] == "computed"
-    )
+    plain = xr.open_zarr(store, group="flightlines/raw_0")
+    assert (level_of(line), level_of(plain)) == ("stored", "computed")
 
 
-def test_chunks_are_groups_of_bands() -> None:
-    dims = ("coarse_y", "band", "coarse_x")
-    assert storage_chunks(dims, (1000, 272, 160), 2) == (128, 34, 160)
-
-
-def test_process_stores_it(tmp_path: Path) -> None:
-    collect = hp.simulate_collect(tmp_path / "raw", lines=40, bands=12, columns=9, seed=3, truth=False)
-    line = hp.open_store(hp.process(collect, tmp_path / "lot.zarr"), "flightlines/raw_0")
+def test_process_stores_it(raw_collect: Path, tmp_path: Path) -> None:
+    line = hp.open_store(hp.process(raw_collect, tmp_path / "lot.zarr"), "flightlines/raw_0")
     small = line.paint.coarse()
     assert small.reflectance.attrs["level"] == "stored"
     expected = plain_means(line.reflectance.values, 4)
     np.testing.assert_allclose(small.reflectance.values, expected, rtol=2**-11)
     assert small.paint.rgb(stretch=(0.0, 100.0)).shape == (10, 3, 3)
+    assert storage_chunks(("coarse_y", "band", "coarse_x"), (1000, 272, 160), 2) == (128, 34, 160)
 
 
 def test_colours_are_those_of_a_plain_sum() -> None:
@@ -199,6 +185,6 @@ def test_means_of_an_older_store_serve() -> None:
     means = coarse_reflectance(line)
     old = means.astype(np.float16)  # until 0.2
     schema.stamp_means(old, line)
-    small = coarse(line.assign(coarse_reflectance=old))
-    assert small.reflectance.attrs["level"] == "stored"
-    np.testing.assert_array_equal(small.reflectance, means.values)
+    small = coarse(line.assign(coarse_reflectance=old)).reflectance
+    assert small.attrs["level"] == "stored"
+    np.testing.assert_array_equal(small, means.values)

@@ -77,12 +77,11 @@ def line(shared_data: Path) -> xr.Dataset:
     light = np.array([frame.irradiance for frame in frames], np.float32)
     grid = np.arange(400.0, 951.0)
     # as wide as the camera's bands, each of the sensor's channels is the light of its whole band
-    steps = light[np.abs(grid[:, None] - nm).argmin(axis=1)]
     variables = {
         "radiance": (schema.CUBE, cube),
         "irradiance": (
             ("irradiance_time", "irradiance_wavelength"),
-            np.tile(steps, (2, 1)),
+            np.tile(light[np.abs(grid[:, None] - nm).argmin(axis=1)], (2, 1)),
         ),
         "irradiance_fwhm": ((), 3.0),
         "irradiance_max_gap": ((), 5.0),

@@ -13,7 +13,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_errors
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -45,12 +45,10 @@ def cache(monkeypatch: pytest.MonkeyPatch) -> planning.PlanCache:
 @pytest.fixture
 def plans(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     # Return the plans that are made from now on
-    from hyperpaint.radiometry.planning import make_plan
-
     made: list[Any] = []
 
     def watched(*arguments: Any, **options: Any) -> Any:
-        made.append(make_plan(*arguments, **options))
+        made.append(planning.make_plan(*arguments, **options))
         return made[-1]
 
     monkeypatch.setattr("hyperpaint.radiometry.pixel_reading.make_plan", watched)
@@ -110,19 +108,17 @@ LINES: dict[str, Callable[[], xr.Dataset]] = {
 @pytest.mark.parametrize("name", LINES)
 def test_the_bits_are_those_of_the_lazy_cube(name: str) -> None:
     line = LINES[name]()
-    whole = line.paint.reflectance()
-    nm = line.wavelength.values
+    whole, nm = line.paint.reflectance(), line.wavelength.values
     for places in SELECTIONS:
         for wavelength in (None, float(nm[4]), [float(nm[7]), float(nm[2])]):
-            expected = whole if wavelength is None else whole.paint.at(wavelength)
-            expected = expected.isel(places)
+            expected = (whole if wavelength is None else whole.paint.at(wavelength)).isel(places)
             region = line.paint.pixels(**places, wavelength=wavelength)
             names = ["reflectance", *(["quality"] if wavelength is None else [])]
-            for each in names:
-                assert region[each].dims == expected[each].dims
-                assert region[each].attrs.keys() == expected[each].attrs.keys()
-                assert region[each].values.tobytes() == expected[each].values.tobytes(), (each, places)
             assert set(region.data_vars) == set(names)
+            for each in names:
+                made, right = region[each], expected[each]
+                assert (made.dims, made.attrs.keys()) == (right.dims, right.attrs.keys())
+                assert made.values.tobytes() == right.values.tobytes(), (each, places)
             np.testing.assert_array_equal(region.wavelength.values, expected.wavelength.values)
 
 
@@ -146,23 +142,18 @@ def test_of_a_store_only_the_chunks_are_read_that_are_needed(
     monkeypatch.setattr(LocalStore, "get", get)
     with dask.config.set(scheduler=lambda *_args, **_options: pytest.fail("dask computes")):
         region = pixels(line, 40, 7)
-    assert keys == ["counts/c/1/0/0"]
-    assert region.reflectance.values.tobytes() == expected.tobytes()
+    assert (keys, region.reflectance.values.tobytes()) == (["counts/c/1/0/0"], expected.tobytes())
 
 
 def test_stored_reflectance_is_read_where_there_is_nothing_else() -> None:
     stored = smiling().paint.reflectance()[["reflectance"]]
     region = pixels(stored, slice(3, 5), 2)
     np.testing.assert_array_equal(region.reflectance, stored.reflectance[3:5, :, 2])
-    with refusal(SchemaError, "variable-missing", "'reflectance'"):
-        pixels(stored.drop_vars("reflectance"), 0, 0)
-
-
-def test_places_outside_are_refused() -> None:
-    with refusal(SchemaError, "pixel-outside-line", "along_track 70 "):
-        pixels(smiling(), 70, 0)
-    with pytest.raises(SchemaError, match=r"3000 nm.*band-missing"):
-        pixels(smiling(), 0, 0, wavelength=3000.0)
+    expect_errors(
+        (SchemaError, r"'reflectance'.*variable-missing", lambda: pixels(stored.drop_vars("reflectance"))),
+        (SchemaError, r"along_track 70 .*pixel-outside-line", lambda: pixels(smiling(), 70, 0)),
+        (SchemaError, r"3000 nm.*band-missing", lambda: pixels(smiling(), 0, 0, wavelength=3000.0)),
+    )
 
 
 # --- the plan
@@ -172,11 +163,14 @@ def lazily(line: xr.Dataset) -> xr.Dataset:
     return line.chunk({"along_track": 32})
 
 
+def pixel(line: xr.Dataset) -> np.ndarray:
+    return pixels(line, 5, 5).reflectance.values
+
+
 def test_a_second_look_makes_no_second_plan(plans: list[Any]) -> None:
     line = lazily(smiling())
     for along in range(3):
         pixels(line, along, 0)
-    assert len(plans) == 1
     first = line.paint.reflectance()
     np.testing.assert_array_equal(first.reflectance[5].values, pixels(line, 5).reflectance.values)
     assert len(plans) == 1
@@ -188,14 +182,12 @@ def test_a_second_look_makes_no_second_plan(plans: list[Any]) -> None:
 
 
 def test_a_plan_at_hand_changes_no_name(cache: planning.PlanCache) -> None:
-    line = lazily(smiling())
-    cubes = []
+    line, cubes = lazily(smiling()), []
     for number in range(3):
         assert bool(cache._entries) == (number > 0)
         cubes.append(line.paint.reflectance().reflectance)
         cubes[-1][:1].compute()
-    assert len({cube.data.name for cube in cubes}) == 1
-    assert len({cube[:40].values.tobytes() for cube in cubes}) == 1
+    assert len({(cube.data.name, cube[:40].values.tobytes()) for cube in cubes}) == 1
 
 
 def replaced(line: xr.Dataset, name: str) -> xr.Dataset:
@@ -206,88 +198,74 @@ def replaced(line: xr.Dataset, name: str) -> xr.Dataset:
 @pytest.mark.parametrize("is_lazy", [False, True])
 @pytest.mark.parametrize("name", ["dark_counts", "radiance_gain", "irradiance", "exposure_time"])
 def test_what_is_replaced_counts(name: str, is_lazy: bool, plans: list[Any]) -> None:
-    line = smiling()
-    line = lazily(line) if is_lazy else line
-    before = pixels(line, 5, 5).reflectance.values
-    changed = replaced(line, name)
-    after = pixels(changed, 5, 5).reflectance.values
+    line = lazily(smiling()) if is_lazy else smiling()
+    before, changed = pixel(line), replaced(line, name)
+    after = pixel(changed)
     assert len(plans) == 2
     assert not np.array_equal(before, after)
     np.testing.assert_array_equal(after, changed.paint.reflectance().reflectance[5, :, 5].values)
-    np.testing.assert_array_equal(before, pixels(line, 5, 5).reflectance.values)
+    np.testing.assert_array_equal(before, pixel(line))
     assert len(plans) == 2
 
 
 def test_what_is_assigned_in_place_counts(tmp_path: Path) -> None:
-    def doubled(line: xr.Dataset) -> None:
-        before = pixels(line, 5, 5).reflectance.values
+    hp.to_store(smiling(), tmp_path / "line.zarr")
+    stored = (xr.open_zarr(tmp_path / "line.zarr", **options) for options in ({}, {"chunks": None}))
+    for line in (smiling(), *stored):
+        before = pixel(line)
         line["exposure_time"][...] = line.exposure_time.values * 2
         line["radiance_gain"][...] = line.radiance_gain.values * 3
-        after = pixels(line, 5, 5).reflectance.values
-        np.testing.assert_allclose(after, before * 1.5, rtol=1e-6)
+        np.testing.assert_allclose(pixel(line), before * 1.5, rtol=1e-6)
         line["radiance_gain"][...] = line.radiance_gain.values / 3
-        np.testing.assert_allclose(pixels(line, 5, 5).reflectance.values, before / 2, rtol=1e-6)
-
-    doubled(smiling())
-    hp.to_store(smiling(), tmp_path / "line.zarr")
-    doubled(xr.open_zarr(tmp_path / "line.zarr"))
-    doubled(xr.open_zarr(tmp_path / "line.zarr", chunks=None))
+        np.testing.assert_allclose(pixel(line), before / 2, rtol=1e-6)
 
 
 def test_attributes_count(plans: list[Any]) -> None:
     line = smiling()
-    before = pixels(line, 5, 5).reflectance.values
+    before = pixel(line)
     longer = line.assign(exposure_time=line.exposure_time.copy())
     longer["exposure_time"].attrs["units"] = "minute"
-    np.testing.assert_allclose(pixels(longer, 5, 5).reflectance.values, before / 60, rtol=1e-5)
-    assert len(plans) == 2
-    box = line.assign_attrs(srf_shape="slit")
-    assert not np.array_equal(pixels(box, 5, 5).reflectance.values, before)
+    np.testing.assert_allclose(pixel(longer), before / 60, rtol=1e-5)
+    assert not np.array_equal(pixel(line.assign_attrs(srf_shape="slit")), before)
     assert len(plans) == 3
 
 
 def test_counts_and_radiance_have_plans_of_their_own() -> None:
     line = smiling().paint.radiance()
-    first = pixels(line, 5, 5).reflectance.values
-    second = pixels(line.drop_vars("counts"), 5, 5).reflectance.values
-    np.testing.assert_allclose(second, first, rtol=1e-5)
-    assert np.isfinite(second).any()
+    of_radiance = pixel(line.drop_vars("counts"))
+    np.testing.assert_allclose(of_radiance, pixel(line), rtol=1e-5)
+    assert np.isfinite(of_radiance).any()
 
 
 def test_a_store_that_is_written_anew_counts(tmp_path: Path) -> None:
     group = "flightlines/a"
     store = hp.to_store(smiling(), tmp_path / "lot.zarr", group)
-    before = pixels(xr.open_zarr(store, group=group), 5, 5).reflectance.values
-    brighter = replaced(smiling(), "radiance_gain")
-    hp.to_store(brighter, store, group, overwrite=True)
+    before = pixel(xr.open_zarr(store, group=group))
+    hp.to_store(replaced(smiling(), "radiance_gain"), store, group, overwrite=True)
     for line in (xr.open_zarr(store, group=group), hp.open_store(store, group)):
-        after = pixels(line, 5, 5).reflectance.values
-        np.testing.assert_allclose(after, before * 1.01, rtol=1e-5)
-        np.testing.assert_array_equal(after, line.paint.reflectance().reflectance[5, :, 5].values)
+        np.testing.assert_allclose(pixel(line), before * 1.01, rtol=1e-5)
+        np.testing.assert_array_equal(pixel(line), line.paint.reflectance().reflectance[5, :, 5].values)
 
 
-def test_few_plans_are_held_and_no_cube(cache: planning.PlanCache) -> None:
+def test_few_plans_are_held_and_no_cube(
+    cache: planning.PlanCache, monkeypatch: pytest.MonkeyPatch, plans: list[Any]
+) -> None:
     line = lazily(smiling())
-    cube = weakref.ref(line.counts.data)
+    cube, expected = weakref.ref(line.counts.data), line.paint.reflectance().reflectance[5, :, 5].values
     for number in range(planning.MAX_PLANS + 3):
         pixels(line.assign_attrs(title=str(number)), 0, 0)
     assert len(cache._entries) == planning.MAX_PLANS
     assert sum(entry.nbytes for entry in cache._entries) < planning.MAX_BYTES
+    # a plan that is too large is not held
+    monkeypatch.setattr(planning, "MAX_BYTES", 10_000)
+    made = len(plans)
+    for _ in range(2):
+        np.testing.assert_array_equal(pixel(line), expected)
+    assert len(plans) == made + 2
+    assert not cache._entries
     del line
     gc.collect()
     assert cube() is None
-
-
-def test_a_plan_that_is_too_large_is_not_held(
-    cache: planning.PlanCache, monkeypatch: pytest.MonkeyPatch, plans: list[Any]
-) -> None:
-    monkeypatch.setattr(planning, "MAX_BYTES", 10_000)
-    line = lazily(smiling())
-    expected = line.paint.reflectance().reflectance[5, :, 5].values
-    for _ in range(2):
-        np.testing.assert_array_equal(pixels(line, 5, 5).reflectance.values, expected)
-    assert len(plans) == 3
-    assert not cache._entries
 
 
 def test_many_threads_look_at_once() -> None:

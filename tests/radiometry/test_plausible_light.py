@@ -1,6 +1,7 @@
 """Irradiance that is no daylight, not that of its place and time, or lacks channels."""
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,41 +42,30 @@ def test_what_no_daylight_is_is_refused_with_the_unit(factor: float, unit: str) 
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(1e-2, "declared in uW cm-2 nm-1"), (1e-3, "declared in mW m-2 nm-1"), (2.2, "")]
-)
-def test_what_a_clear_sky_contradicts_is_warned_of(factor: float, unit: str) -> None:
-    lazily = reflectance(_line(factor))
-    with pytest.warns(PaintWarning, match=rf"{unit}.*irradiance-level"):
-        lazily.reflectance.compute()
-
-
-def test_without_a_place_only_what_is_no_day_is_warned_of() -> None:
-    with pytest.warns(PaintWarning, match=r"0\.02 .*irradiance-level"):
-        reflectance(_line(1e-2, position=False)).reflectance.compute()
-
-
-def test_light_of_noon_by_night_is_of_a_local_clock() -> None:
-    lazily = reflectance(_line(hours=12))
-    with pytest.warns(PaintWarning, match=r"local time.*irradiance-level"):
+    ("options", "words"),
+    [({"factor": 1e-2}, "declared in uW cm-2 nm-1"), ({"factor": 1e-3}, "declared in mW m-2 nm-1"),
+     ({"factor": 2.2}, ""), ({"factor": 1e-2, "position": False}, r"0\.02 "), ({"hours": 12}, "local time")],
+    ids=["uW", "mW", "too bright", "without a place", "noon by night"],
+)  # fmt: skip
+def test_what_a_clear_sky_contradicts_is_warned_of(options: dict[str, Any], words: str) -> None:
+    lazily = reflectance(_line(**options))
+    with pytest.warns(PaintWarning, match=rf"{words}.*irradiance-level"):
         lazily.reflectance.compute()
 
 
 def test_a_channel_that_is_undefined_is_said_with_the_bands_it_costs() -> None:
     # Rationale: two of twelve bands had no reflectance, no flag and no word
     line = _line()
-    record = line.irradiance.values.copy()
+    record = line.irradiance.copy(deep=True)
     record[:, 150] = np.nan
-    lazily = reflectance(line.assign(irradiance=line.irradiance.copy(data=record)))
+    lazily = reflectance(line.assign(irradiance=record))
     with pytest.warns(PaintWarning, match=r"1 channels.* 550 nm: 2 of 12.*irradiance-gaps"):
         lost = np.isnan(lazily.reflectance.values).all(axis=(0, 2))
     assert np.flatnonzero(lost).tolist() == [2, 3]
-
-
-def test_a_sample_without_any_channel_is_a_gap_and_no_lost_band() -> None:
-    line = _line()
-    record = line.irradiance.values.copy()
+    # a sample without any channel is a gap and no lost band
+    record = line.irradiance.copy(deep=True)
     record[0] = np.nan
-    reflectance(line.assign(irradiance=line.irradiance.copy(data=record))).reflectance.compute()
+    reflectance(line.assign(irradiance=record)).reflectance.compute()
 
 
 @pytest.mark.parametrize(

@@ -28,30 +28,24 @@ def test_a_plan_does_not_grow_with_the_cube() -> None:
     assert (large - small) / 1000 < 100  # bytes a line
 
 
+def test_chunks_are_whole_lines_and_small_values_stay_lazy(no_compute: Any) -> None:
+    cube = xr.DataArray(np.zeros((70, 4, 5), "u2"), dims=("along_track", "band", "cross_track"))
+    turned = cube.transpose("cross_track", "along_track", "band")
+    with no_compute():
+        for source, lines in (
+            (cube, (32, 32, 6)),
+            (turned.chunk(band=2, cross_track=3, along_track=10), (10,) * 7),
+            (cube.chunk(along_track=(1, 69)), (1, 69)),
+        ):
+            assert slabs.line_chunked(source).chunks == (lines, (4,), (5,))
+    assert isinstance(slabs.small(cube[0, 0]), np.ndarray)
+    assert not isinstance(slabs.small(cube[0, 0].chunk()), np.ndarray)
+
+
 def test_light_of_a_slab_is_that_of_its_lines() -> None:
     plan = plan_of(flight(lines=9).line)
     whole = plan.light(0, 9)
     assert whole.dtype == np.float32
     np.testing.assert_array_equal(plan.light(4, 7), whole[4:7])
-
-
-def test_a_count_at_the_limit_is_saturated() -> None:
+    # a count at the limit is saturated
     assert plan_of(flight(dtype=np.uint16).line).saturation_limit.tolist() == [[4079]]
-
-
-def test_chunks_are_whole_lines(no_compute: Any) -> None:
-    cube = xr.DataArray(np.zeros((70, 4, 5), "u2"), dims=("along_track", "band", "cross_track"))
-    with no_compute():
-        assert slabs.line_chunked(cube).chunks == ((32, 32, 6), (4,), (5,))
-        turned = cube.transpose("cross_track", "along_track", "band").chunk(
-            band=2, cross_track=3, along_track=10
-        )
-        assert slabs.line_chunked(turned).chunks == ((10,) * 7, (4,), (5,))
-        kept = cube.chunk(along_track=(1, 69))
-        assert slabs.line_chunked(kept).chunks == ((1, 69), (4,), (5,))
-
-
-def test_small_values_stay_lazy() -> None:
-    array = xr.DataArray(np.ones(3), dims="band")
-    assert isinstance(slabs.small(array), np.ndarray)
-    assert not isinstance(slabs.small(array.chunk()), np.ndarray)

@@ -24,8 +24,7 @@ SECONDS = {"units": "s"}
 
 def wings(bands: int, share: float = 0.03) -> np.ndarray:
     # Return light that strays to bands nearby and, evenly, to all; each source loses ``share``
-    apart = np.abs(np.subtract.outer(np.arange(bands), np.arange(bands)))
-    near = np.exp(-apart / 5.0)
+    near = np.exp(-np.abs(np.subtract.outer(np.arange(bands), np.arange(bands))) / 5.0)
     return share * (0.5 * near / near.sum(axis=0) + 0.5 / bands)
 
 
@@ -59,8 +58,7 @@ def test_what_strays_and_smears_is_undone(line: xr.Dataset) -> None:
     matrix, shift = wings(BANDS), 1e-5
     expected = line.paint.reflectance().reflectance.values
     seen = seen_by(line, matrix, shift)
-    wrong = seen.paint.reflectance().reflectance.values / expected - 1
-    assert np.nanmedian(wrong) > 0.05
+    assert np.nanmedian(seen.paint.reflectance().reflectance.values / expected - 1) > 0.05
     mended = with_knowledge(seen, matrix, shift).paint.reflectance().reflectance
     assert mended.dtype == np.float32
     assert "smear" in mended.stray_light_applied

@@ -60,8 +60,7 @@ def test_it_asks_no_scheduler_and_can_be_pickled() -> None:
 
 def test_lines_that_are_read_when_asked_for(tmp_path: Path) -> None:
     line = stored(_line(), tmp_path / "lot.zarr")
-    lazy = xr.open_zarr(tmp_path / "lot.zarr", chunks=None)
-    some = lazy.isel(along_track=slice(8, 16))
+    some = xr.open_zarr(tmp_path / "lot.zarr", chunks=None).isel(along_track=slice(8, 16))
     assert_same(hp.slab(some), reflectance(line).isel(along_track=slice(8, 16)))
     assert not some["counts"].variable._in_memory
 

@@ -8,7 +8,8 @@ import xarray as xr
 from support.noisy_collects import BANDS, WAVELENGTH, noisy_collect, true_reflectance
 
 from hyperpaint.radiometry import mean_uncertainty, reflectance
-from hyperpaint.radiometry.uncertainty.error_sources import rounding_variance
+from hyperpaint.radiometry.uncertainty.averages import RegionSums
+from hyperpaint.radiometry.uncertainty.error_sources import line_errors, rounding_variance
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning"
@@ -17,7 +18,11 @@ QUIET = {"gain_u": 0.0, "irradiance_u": 0.0}
 
 
 def computed(line: xr.Dataset) -> xr.Dataset:
-    return reflectance(line, uncertainty=True).compute(scheduler="synchronous")
+    made = reflectance(line, uncertainty=True)
+    names = ["reflectance", "reflectance_u_random", "reflectance_u_systematic"]
+    return made.assign(made[names].compute(scheduler="synchronous")).drop_vars(
+        ["quality", "irradiance_age", "timing_sensitivity", "irradiance_misfit"]
+    )
 
 
 def pulls(draws: int, seed: int, shape: tuple[int, int, int], **options: Any) -> np.ndarray:
@@ -25,8 +30,22 @@ def pulls(draws: int, seed: int, shape: tuple[int, int, int], **options: Any) ->
     errors, stated = [], []
     for number in range(draws):
         line = noisy_collect(np.random.default_rng([seed, number]), *shape, **options)
-        mean = mean_uncertainty(computed(line).isel(cross_track=slice(options.get("masked", 0), None)))
-        errors.append(mean["mean"].values - true_reflectance(WAVELENGTH))
+        region = computed(line.assign(counts=line.counts.chunk())).isel(
+            cross_track=slice(options.get("masked", 0), None)
+        )
+        # the sums that `mean_uncertainty` returns, without its number of independent pixels
+        of_line = line_errors(region)
+        assert of_line is not None
+        along, across = (axis.ravel() for axis in np.indices(region.reflectance.shape[::2]))
+        sums = RegionSums(of_line, along, across)
+        value, noise = (
+            region[name].transpose("band", ...).values.reshape(BANDS, -1).astype(np.float64)
+            for name in ("reflectance", "reflectance_u_random")
+        )
+        for band in range(BANDS):
+            sums.add(band, value[band], noise[band])
+        mean = sums.errors()
+        errors.append(value.mean(axis=1) - true_reflectance(WAVELENGTH))
         stated.append(np.hypot(mean.u_random, np.nan_to_num(mean.u_systematic)))
     return np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(stated), axis=0))
 

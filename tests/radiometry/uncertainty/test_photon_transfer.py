@@ -36,8 +36,7 @@ def test_a_flight_tells_its_camera(k: float, read_noise: float, texture: float) 
     # what a plain variance would have told
     signal = (line.counts - line.dark_counts).transpose(*line.counts.dims).values[:8, 30]
     if texture:
-        plain = np.median(signal.mean(axis=0) / signal.var(axis=0, ddof=1))
-        assert plain < 0.8 * k
+        assert np.median(signal.mean(axis=0) / signal.var(axis=0, ddof=1)) < 0.8 * k
 
 
 @pytest.mark.slow
@@ -122,13 +121,11 @@ def test_repeated_lines_of_one_scene() -> None:
         }
     )
     # levels from 300 to 900: enough for the slope
-    found = estimate_noise(line, repeated=True)
-    assert abs(z_of(found, "electrons_per_count", 20.0)) < 4
+    assert abs(z_of(estimate_noise(line, repeated=True), "electrons_per_count", 20.0)) < 4
 
 
 def test_signals_of_one_level_are_refused() -> None:
-    rng = np.random.default_rng(0)
-    cube = np.rint(100.0 + 300.0 + 4.0 * rng.normal(size=(32, 12, 20)))
+    cube = np.rint(100.0 + 300.0 + 4.0 * np.random.default_rng(0).normal(size=(32, 12, 20)))
     line = xr.Dataset(
         {
             "counts": (("along_track", "band", "cross_track"), cube.astype("u2"), {"units": "count"}),
@@ -163,8 +160,7 @@ def test_a_scene_that_is_never_homogeneous_is_no_scene_to_use() -> None:
 
 def test_dropped_and_saturated_lines_and_bad_elements_do_not_count() -> None:
     line = simulate_line(lines=64, bands=48, columns=80, dropped=6, glint=0.02, bad_elements=40)
-    found = estimate_noise(line)
-    assert abs(z_of(found, "electrons_per_count", 20.0)) < 4
+    assert abs(z_of(estimate_noise(line), "electrons_per_count", 20.0)) < 4
 
 
 def test_a_long_line_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,8 +173,7 @@ def test_a_long_line_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
         read.append(block_id)
         return block.counts.values
 
-    shape = (40_000, 48, 60)
-    chunks = ((32,) * (shape[0] // 32), (48,), (60,))
+    chunks = ((32,) * ((40_000, 48, 60)[0] // 32), (48,), (60,))
     cube = da.map_blocks(piece, chunks=chunks, dtype=np.uint16, meta=np.empty((0, 0, 0), np.uint16))
     line = block.drop_dims("along_track")
     line["counts"] = (("along_track", "band", "cross_track"), cube, {"units": "count"})

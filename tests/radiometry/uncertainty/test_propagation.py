@@ -6,14 +6,19 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import refusal
-from support.strategies import SHIFT, START, flight, stored, with_noise
+from support.strategies import SHIFT, START, flight, labelled, stored, with_noise
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.panels import Panel
 from hyperpaint.simulation import simulate_line
+
+
+@pytest.fixture
+def known_line() -> xr.Dataset:
+    return with_noise(flight(dtype=np.uint16).line, **SYSTEMATIC)
+
 
 U = ("reflectance_u_random", "reflectance_u_systematic")
 SYSTEMATIC = {
@@ -34,17 +39,15 @@ def test_random_part_covers_one_collect() -> None:
         lines=100, bands=40, columns=30, seed=5, first_wavelength=450.0, last_wavelength=900.0, glint=0.0
     )
     line["dark_counts_u_random"] = ((), np.sqrt((0.25 + 1 / 12) / 64), {"units": "count"})
-    made = reflectance(line, uncertainty=True).compute()
-    truth = line.true_reflectance.values
+    made, truth = reflectance(line, uncertainty=True).compute(), line.true_reflectance.values
     inside = np.isfinite(made.reflectance.values) & (truth >= 0.03) & (truth <= 0.9)
     z = ((made.reflectance.values - truth) / made.reflectance_u_random.values)[inside]
     assert z.size > 1e5
     assert abs(z.mean()) < 0.02
     assert abs(z.std() - 1.0) < 0.05
     assert abs((np.abs(z) < 1.0).mean() - 0.6827) < 0.01
-    level = truth[inside]
     for low, high in ((0.03, 0.06), (0.06, 0.12), (0.12, 0.3), (0.3, 0.9)):
-        some = z[(level >= low) & (level < high)]
+        some = z[(truth[inside] >= low) & (truth[inside] < high)]
         assert some.size > 2000
         assert abs(some.std() - 1.0) < 0.05, (low, high)
 
@@ -55,11 +58,11 @@ def many_draws(draws: int, *, seed: int = 0) -> tuple[xr.Dataset, np.ndarray]:
     # meets an irradiance sample of its own, and an instrument whose gain, dark and wavelengths are not as
     # calibrated
     rng = np.random.default_rng(seed)
-    u = {**SYSTEMATIC, "radiance_gain_u_random": 0.01}
-    bands, levels = 5, np.array([0.03, 0.2, 0.5, 0.9])
+    bands, levels, element = 5, np.array([0.03, 0.2, 0.5, 0.9]), ("band", "cross_track")
+    shape = bands, levels.size
     nm, channels = np.linspace(540.0, 560.0, bands), np.arange(450.0, 651.0)
-    error = {name: rng.normal(0.0, size, (draws, 1, 1)) for name, size in u.items()}
-    error["radiance_gain_u_random"] = rng.normal(0.0, 0.01, (draws, bands, levels.size))
+    error = {name: rng.normal(0.0, size, (draws, 1, 1)) for name, size in SYSTEMATIC.items()}
+    of_elements = rng.normal(0.0, 0.01, (draws, *shape))
 
     def light(at: Any) -> Any:
         return 1.2 * (1.0 - 0.006 * (at - 550.0))
@@ -68,72 +71,63 @@ def many_draws(draws: int, *, seed: int = 0) -> tuple[xr.Dataset, np.ndarray]:
         return levels * (1.0 + 0.01 * (at - 550.0))
 
     seen = nm[None, :, None] + error["wavelength_u"]
-    gain = 3e-7
-    factor = 1.0 + error["radiance_gain_u_systematic"] + error["radiance_gain_u_random"]
-    signal = surface(seen) * light(seen) / np.pi * 5e-3 / (gain * factor)
+    gain = 3e-7 * (1.0 + error["radiance_gain_u_systematic"] + of_elements)
+    signal = surface(seen) * light(seen) / np.pi * 5e-3 / gain
     counts = signal + 100.0 + error["dark_counts_u_systematic"]
     counts = np.rint(counts + rng.normal(size=counts.shape) * np.sqrt(signal / 20.0 + 4.0))
+    spectra = light(channels) * (1.0 + error["irradiance_u_systematic"][..., 0])
+    stamps = START + 2 * np.arange(draws).astype("timedelta64[s]")
     base = flight(lines=1, bands=bands, columns=levels.size).line.drop_dims(
         ["along_track", "band", "cross_track", "irradiance_time", "irradiance_wavelength"]
     )
-    stamps = START + 2 * np.arange(draws).astype("timedelta64[s]")
-    line = base.assign_coords(
-        time=("along_track", stamps),
-        irradiance_time=("irradiance_time", stamps),
-        wavelength=("band", nm, {"units": "nm"}),
-        fwhm=("band", np.full(bands, 6.0), {"units": "nm"}),
-        irradiance_wavelength=("irradiance_wavelength", channels, {"units": "nm"}),
-    )
-    element = ("band", "cross_track")
-    shape = (bands, levels.size)
-    line["counts"] = (("along_track", *element), counts.astype(np.uint16), {"units": "count"})
-    line["dark_counts"] = (element, np.full(shape, 100.0, np.float32), {"units": "count"})
-    line["radiance_gain"] = (
-        element,
-        np.full(shape, gain, np.float32),
-        {"units": "W m-2 sr-1 nm-1 s count-1"},
-    )
-    line["irradiance"] = (
-        ("irradiance_time", "irradiance_wavelength"),
-        (light(channels) * (1.0 + error["irradiance_u_systematic"][..., 0])).astype(np.float32),
-        {"units": "W m-2 nm-1"},
-    )
+    variables = {
+        "counts": (("along_track", *element), counts.astype(np.uint16)),
+        "dark_counts": (element, np.full(shape, 100.0, np.float32)),
+        "radiance_gain": (element, np.full(shape, 3e-7, np.float32)),
+        "irradiance": (("irradiance_time", "irradiance_wavelength"), spectra.astype(np.float32)),
+        "saturation_count": ((), np.float32(65000)),
+        "time": ("along_track", stamps),
+        "irradiance_time": ("irradiance_time", stamps),
+        "wavelength": ("band", nm),
+        "fwhm": ("band", np.full(bands, 6.0)),
+        "irradiance_wavelength": ("irradiance_wavelength", channels),
+    }
+    made = labelled(variables)
+    line = base.assign_coords(made.coords).assign(made.data_vars)
     known = {**SYSTEMATIC, "radiance_gain_u_random": np.full(shape, 0.01)}
-    line["saturation_count"] = ((), np.float32(65000), {"units": "count"})
     return with_noise(line, **known), np.broadcast_to(surface(nm[:, None]), counts.shape)
 
 
 def test_total_covers_many_calibrations_and_lights() -> None:
     line, truth = many_draws(1500)
     made = reflectance(line, uncertainty=True).compute()
-    random, systematic = (made[name].values.astype(float) for name in U)
-    z = (made.reflectance.values - truth) / np.hypot(random, systematic)
+
+    def pull(u: xr.Dataset) -> np.ndarray:
+        return (made.reflectance.values - truth) / np.hypot(*(u[name].values.astype(float) for name in U))
+
     # draws are independent, samples of one draw are not
+    z = pull(made)
     np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.1)
-    assert np.abs(z.mean(axis=0)).max() < 0.1
+    np.testing.assert_allclose(z.mean(axis=0), 0.0, atol=0.1)
     assert abs((np.abs(z) < 1.0).mean() - 0.6827) < 0.03
     # every component is needed: without one the total is underrated
     for name in ("radiance_gain_u_systematic", "irradiance_u_systematic"):
         less = reflectance(line.drop_vars(name), uncertainty=True).compute()
-        bare = (made.reflectance.values - truth) / np.hypot(*(less[n].values for n in U))
-        assert bare[:, :, 3].std() > 1.12, name
+        assert pull(less)[:, :, 3].std() > 1.12, name
 
 
 def test_wavelength_acts_on_the_slope_of_the_light() -> None:
     # At the oxygen band an error of the wavelength scale is an error of the light that is divided by
     line = simulate_line(lines=2, bands=272, columns=6, noise=False, quantise=False, smile_nm=0.0)
-    known = with_noise(line, wavelength_u=0.1)
-    made = reflectance(known, uncertainty=True).compute()
-    off = line.assign_coords(wavelength=line.wavelength + 0.1)
-    off["wavelength"].attrs = dict(line.wavelength.attrs)
+    made = reflectance(with_noise(line, wavelength_u=0.1), uncertainty=True).compute()
+    off = line.assign_coords(wavelength=(line.wavelength + 0.1).assign_attrs(line.wavelength.attrs))
     # the truth at the wavelengths that are said, from that at the wavelengths that are
-    nm = line.wavelength.values
-    truth = np.stack([np.interp(nm + 0.1, nm, s) for s in line.true_reflectance.values[0].T], axis=1)
+    nm, spectra = line.wavelength.values, line.true_reflectance.values[0]
+    truth = np.stack([np.interp(nm + 0.1, nm, s) for s in spectra.T], axis=1)
     error = np.abs(reflectance(off).reflectance.values[0] - truth)
-    claimed = made.reflectance_u_systematic.values[0]
-    window = (nm > 755) & (nm < 775)
+    claimed, window = made.reflectance_u_systematic.values[0], (nm > 755) & (nm < 775)
+    assert claimed[window].max() > 0.005 * spectra[window].mean()
     strong = window[:, None] & (claimed > 0.3 * claimed[window].max(axis=0))
-    assert claimed[window].max() > 0.005 * line.true_reflectance.values[0][window].mean()
     assert 0.8 < np.median(error[strong] / claimed[strong]) < 1.25
 
 
@@ -144,15 +138,12 @@ def test_at_and_below_zero_noise_stays_what_it_is() -> None:
     line = with_noise(flight(dtype=np.uint16).line)
     dark = np.rint(line.dark_counts.values)
     line["dark_counts"] = line.dark_counts.copy(data=dark)
-    line["counts"].values[0] = dark
-    line["counts"].values[1] = dark - 3
+    line["counts"].values[:2] = [dark, dark - 3]
     made = reflectance(line, uncertainty=True).compute()
     np.testing.assert_array_equal(made.reflectance.values[0], 0.0)
     assert (made.reflectance.values[1] < 0).all()
-    per_count = made.reflectance.values[2] / (line.counts.values[2] - dark)
-    floor = per_count * np.sqrt(4.0 + 1.0 / 12.0)
-    for row in (0, 1):
-        np.testing.assert_allclose(made.reflectance_u_random.values[row], floor, rtol=1e-4)
+    floor = made.reflectance.values[2] / (line.counts.values[2] - dark) * np.sqrt(4.0 + 1.0 / 12.0)
+    np.testing.assert_allclose(made.reflectance_u_random.values[:2], np.stack([floor, floor]), rtol=1e-4)
 
 
 def test_float_counts_are_not_rounded() -> None:
@@ -165,21 +156,19 @@ def test_float_counts_are_not_rounded() -> None:
     np.testing.assert_allclose((u[0] / u[1]) ** 2, 1.0 + (20.0 / 12.0) / signal, rtol=5e-3)
 
 
-def test_masks_survive() -> None:
-    line = with_noise(flight(dtype=np.uint16).line, **SYSTEMATIC)
+def test_masks_survive(known_line: xr.Dataset) -> None:
+    line = known_line
     line["counts"].values[3, 5, 2] = 4090
     line["radiance_gain"].values[7, 1] = np.nan
     line["time"].values[9] = np.datetime64("NaT", "ns")
     plain, made = reflectance(line).compute(), reflectance(line, uncertainty=True).compute()
-    missing = np.isnan(plain.reflectance.values)
-    assert missing[3, 5, 2]
-    assert missing[:, 7, 1].all()
-    assert missing[9].all()
-    assert missing.sum() == 1 + 24 + 12 * 6 - 1
+    missing = np.zeros(plain.reflectance.shape, bool)
+    missing[3, 5, 2] = missing[:, 7, 1] = missing[9] = True
+    for name in ("reflectance", *U):
+        np.testing.assert_array_equal(np.isnan(made[name].values), missing)
+    np.testing.assert_array_equal(np.isnan(plain.reflectance.values), missing)
     assert made.quality.values[3, 2] & hp.Quality.SATURATED
     np.testing.assert_array_equal(made.quality.values, plain.quality.values)
-    for name in U:
-        np.testing.assert_array_equal(np.isnan(made[name].values), missing)
 
 
 @pytest.mark.filterwarnings("ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning")  # flat
@@ -218,7 +207,7 @@ def test_a_panel_takes_the_place_of_what_all_elements_share() -> None:
         (reflectance(line, uncertainty=True), np.sqrt(0.05**2 + 0.04**2 + 0.003**2)),
         (reflectance(line, uncertainty=True, panel=panel), np.hypot(0.01, 0.003)),
     ):
-        u = made.reflectance_u_systematic.values / made.reflectance.values
+        u = made.reflectance_u_systematic / made.reflectance
         np.testing.assert_allclose(u, relative, rtol=1e-5)
     assert made.reflectance_u_systematic.attrs["components"] == "radiance_gain_u_random, panel"
     with pytest.raises(SchemaError, match="value-out-of-range"):
@@ -251,18 +240,15 @@ def test_detector_joins_have_no_slope() -> None:
 
 def test_nothing_is_read_while_building(tmp_path: Any, no_compute: Any) -> None:
     known = with_noise(flight(lines=40, smile=SHIFT).line, **SYSTEMATIC)
-    line = stored(known, tmp_path / "line.zarr")
+    line, expected = stored(known, tmp_path / "line.zarr"), reflectance(known, uncertainty=True).compute()
     with no_compute():
         made = line.paint.reflectance(uncertainty=True)
         for name in U:
-            assert made[name].dtype == np.float32
-            assert made[name].dims == ("along_track", "band", "cross_track")
+            assert (made[name].dtype, made[name].dims) == (np.float32, ("along_track", "band", "cross_track"))
             assert made[name].chunks is not None
-    expected = reflectance(known, uncertainty=True).compute()
     for name in U:
         array = made[name].compute()
-        assert array.dtype == np.float32
-        assert array.attrs["units"] == "1"
+        assert (array.dtype, array.attrs["units"]) == (np.float32, "1")
         assert array.values.tobytes() == expected[name].values.tobytes()
     (fused,) = dask.optimize(made[U[0]])
     assert len(fused.__dask_graph__()) <= 2 * len(made[U[0]].chunks[0]) + 30
@@ -277,21 +263,15 @@ def test_the_same_bits_whatever_the_chunks(chunks: dict[str, int]) -> None:
         assert whole[name].values.tobytes() == parts[name].values.tobytes()
 
 
-def test_uncertainties_of_an_earlier_reflectance_do_not_stay() -> None:
-    made = reflectance(with_noise(flight().line), uncertainty=True)
-    assert set(U) <= set(made.variables)
-    assert not set(U) & set(reflectance(made).variables)
-    kept = reflectance(made.drop_vars("counts"), uncertainty=True)
-    assert kept[U[0]].identical(made[U[0]])
-
-
 def test_what_changes_the_noise_leaves_its_uncertainty_out() -> None:
     made = reflectance(with_noise(flight(smile=SHIFT).line, **SYSTEMATIC), uncertainty=True)
+    assert set(U) <= set(made.variables)
+    for other in (reflectance(made), made.paint.to_nominal()):
+        assert not set(U) & set(other.variables)
+    assert reflectance(made.drop_vars("counts"), uncertainty=True)[U[0]].identical(made[U[0]])
     smoothed = made.paint.smooth("box", 3)
     assert U[0] not in smoothed.variables
-    assert smoothed.reflectance.attrs["unc_comps"] == [U[1]]
-    assert made.reflectance.attrs["unc_comps"] == list(U)
-    assert not set(U) & set(made.paint.to_nominal().variables)
+    assert (smoothed.reflectance.attrs["unc_comps"], made.reflectance.attrs["unc_comps"]) == ([U[1]], list(U))
 
 
 def test_attributes_are_those_of_obsarray(tmp_path: Any) -> None:
@@ -299,17 +279,16 @@ def test_attributes_are_those_of_obsarray(tmp_path: Any) -> None:
     made = reflectance(with_noise(flight().line, **known), uncertainty=True)
     assert made.reflectance.attrs["unc_comps"] == list(U)
     for name, form in zip(U, ("random", "systematic"), strict=True):
-        attrs = made[name].attrs
-        assert attrs["err_corr_1_form"] == form
-        assert attrs["err_corr_1_dim"] == ["along_track", "band", "cross_track"]
-        assert attrs["err_corr_1_params"] == attrs["err_corr_1_units"] == []
-        assert attrs["pdf_shape"] == "gaussian"
-    assert set(made[U[1]].attrs["components"].split(", ")) == set(known)
-    assert made[U[0]].attrs["components"] == "electrons_per_count, read_noise"
+        expected = {
+            "err_corr_1_form": form, "err_corr_1_dim": ["along_track", "band", "cross_track"],
+            "err_corr_1_params": [], "err_corr_1_units": [], "pdf_shape": "gaussian",
+        }  # fmt: skip
+        assert expected.items() <= made[name].attrs.items()
+    random, systematic = (made[name].attrs["components"].split(", ") for name in U)
+    assert (random, set(systematic)) == (["electrons_per_count", "read_noise"], set(known))
     hp.to_store(made[["reflectance", *U]], tmp_path / "made.zarr")
     again = xr.open_zarr(tmp_path / "made.zarr")
-    assert again.reflectance.attrs == made.reflectance.attrs
-    assert again[U[1]].attrs == made[U[1]].attrs
+    assert (again.reflectance.attrs, again[U[1]].attrs) == (made.reflectance.attrs, made[U[1]].attrs)
 
 
 @pytest.mark.filterwarnings("ignore")  # those of obsarray and its dependencies are not ours to mend
@@ -317,30 +296,29 @@ def test_obsarray_reads_them() -> None:
     pytest.importorskip("obsarray", reason="obsarray (GPL) is no dependency; install it to run this")
     line = with_noise(flight(lines=2, bands=3, columns=2).line, **SYSTEMATIC)
     made = reflectance(line, uncertainty=True)[["reflectance", *U]].compute()
-    assert set(made.unc["reflectance"].comps) == set(U)
-    random, systematic = (made.unc["reflectance"][name] for name in U)
-    assert random.is_random
-    assert systematic.is_systematic
-    assert random.pdf_shape == "gaussian"
-    covariance = made.unc["reflectance"].total_err_cov_matrix().values
+    read = made.unc["reflectance"]
+    assert set(read.comps) == set(U)
+    assert (read[U[0]].is_random, read[U[1]].is_systematic) == (True, True)
+    assert read[U[0]].pdf_shape == "gaussian"
     u = [made[name].values.ravel().astype(float) for name in U]
-    np.testing.assert_allclose(covariance, np.diag(u[0] ** 2) + np.outer(u[1], u[1]), rtol=1e-5, atol=1e-12)
+    expected = np.diag(u[0] ** 2) + np.outer(u[1], u[1])
+    np.testing.assert_allclose(read.total_err_cov_matrix().values, expected, rtol=1e-5, atol=1e-12)
 
 
 # ------------------------------------------------------------------------------------------ refusals
 
 
 def test_unknown_noise_is_refused_with_a_way_out() -> None:
-    line = flight().line.drop_vars("read_noise")
-    with pytest.raises(SchemaError, match=r"estimate_noise") as caught:
-        reflectance(line, uncertainty=True)
-    assert "electrons_per_count" in str(caught.value)
-    assert "read_noise" in str(caught.value)
-    bright = radiance(with_noise(flight().line)).drop_vars("counts")
-    with refusal(SchemaError, "variable-missing", "'counts'"):
-        reflectance(bright, uncertainty=True)
-    with pytest.raises(SchemaError, match="reflectance_u_random"):
-        reflectance(reflectance(flight().line)[["reflectance"]], uncertainty=True)
+    line = flight().line
+    bright = radiance(with_noise(line)).drop_vars("counts")
+    for match, source in (
+        ("electrons_per_count", line.drop_vars("read_noise")),
+        (r"read_noise.*estimate_noise", line.drop_vars("read_noise")),
+        (r"'counts'.*variable-missing", bright),
+        ("reflectance_u_random", reflectance(line)[["reflectance"]]),
+    ):
+        with pytest.raises(SchemaError, match=match):
+            reflectance(source, uncertainty=True)
 
 
 @pytest.mark.parametrize(
