@@ -91,8 +91,7 @@ def grey_line(irradiance: np.ndarray, shape: str, shift: np.ndarray | None) -> t
     if shift is not None:
         variables["wavelength_shift"] = (("cross_track",), shift)
     own = wavelength[:, None] + (np.zeros(columns) if shift is None else shift)
-    naive = np.pi * mean / np.interp(own, samples, record)
-    return labelled(variables, {"srf_shape": shape}), naive
+    return labelled(variables, {"srf_shape": shape}), (np.pi * mean / np.interp(own, samples, record))
 
 
 def in_window(line: xr.Dataset) -> np.ndarray:
@@ -139,5 +138,6 @@ def test_a_third_of_a_nanometre_and_the_slope_of_the_responsivity_matter(irradia
 
 def test_to_nominal_brings_smiling_columns_together(irradiance: np.ndarray) -> None:
     line, _ = grey_line(irradiance, "gaussian", np.array([0.0, 0.3, -0.4]))
-    made = reflectance(line).paint.to_nominal()["reflectance"].values[0, 3:-3]
-    np.testing.assert_allclose(made, RHO, rtol=0.003)
+    np.testing.assert_allclose(
+        reflectance(line).paint.to_nominal()["reflectance"].values[0, 3:-3], RHO, rtol=0.003
+    )

@@ -45,15 +45,22 @@ def true_points(
                 *flight.topocentric().transform(east, north, up, direction="INVERSE")
             )
             rows.append((name, line, sample, x, y, height))
-    names = ("flightline", "along_track_pixel", "cross_track_pixel", "east", "north", "height")
-    columns = zip(names, zip(*rows, strict=True), strict=True)
+    columns = zip(
+        ("flightline", "along_track_pixel", "cross_track_pixel", "east", "north", "height"),
+        zip(*rows, strict=True),
+        strict=True,
+    )
     return xr.Dataset({name: ("point", np.array(values)) for name, values in columns}, attrs={"crs": CRS})
 
 
 def picked(points: xr.Dataset, seed: int, sd: float = 0.3) -> xr.Dataset:
     rng = np.random.default_rng([seed, 1])
-    names = ("along_track_pixel", "cross_track_pixel")
-    return points.assign({n: points[n] + sd * rng.standard_normal(points.sizes["point"]) for n in names})
+    return points.assign(
+        {
+            n: points[n] + sd * rng.standard_normal(points.sizes["point"])
+            for n in ("along_track_pixel", "cross_track_pixel")
+        }
+    )
 
 
 def solved(flown: dict[str, Flight], points: xr.Dataset, **changes: Any) -> BoresightSolution:
@@ -61,13 +68,13 @@ def solved(flown: dict[str, Flight], points: xr.Dataset, **changes: Any) -> Bore
     camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
     told = {"convention": DECLARED, "camera": camera, "lever_arm": flight.lever_arm, **changes}
     lines = {name: one.line(image=False) for name, one in flown.items()}
-    records = {name: one.navigation() for name, one in flown.items()}
-    return solve_boresight(lines, points, navigation=records, **told)
+    return solve_boresight(
+        lines, points, navigation={name: one.navigation() for name, one in flown.items()}, **told
+    )
 
 
 def errors(found: BoresightSolution) -> np.ndarray:
-    truth = (*MOUNTED, 0.0, CLOCK)
-    return np.array([found.value(n) - t for n, t in zip(found.solved, truth, strict=True)])
+    return np.array([found.value(n) - t for n, t in zip(found.solved, (*MOUNTED, 0.0, CLOCK), strict=True)])
 
 
 def test_without_errors_it_is_exact() -> None:
@@ -151,8 +158,10 @@ def test_one_line_alone_and_what_was_flown_is_located() -> None:
         "cross_track": float(points.cross_track_pixel[0]),
     }
     here = located[["east", "north"]].assign_coords(along_track=np.arange(flight.lines)).compute().interp(at)
-    assert float(here.east) == pytest.approx(float(points.east[0]), abs=0.002)
-    assert float(here.north) == pytest.approx(float(points.north[0]), abs=0.002)
+    assert (float(here.east), float(here.north)) == (
+        pytest.approx(float(points.east[0]), abs=0.002),
+        pytest.approx(float(points.north[0]), abs=0.002),
+    )
 
 
 def test_what_cannot_be_is_refused() -> None:

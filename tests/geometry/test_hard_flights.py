@@ -33,8 +33,9 @@ def mapped(line: xr.Dataset, **options: Any) -> tuple[xr.Dataset, xr.Dataset]:
     if "dem" in given:
         del given["ground"]
     located = hp.geometry.locate(line, **given)
-    variables = ["number", "east", "north", "view_azimuth", "quality"]
-    made = hp.geometry.orthorectify(located, variables=variables, method="bilinear").compute()
+    made = hp.geometry.orthorectify(
+        located, variables=["number", "east", "north", "view_azimuth", "quality"], method="bilinear"
+    ).compute()
     located = located.compute()
     lost = np.isnan(located.east.values)
     for name in PLACES:
@@ -49,8 +50,10 @@ def mapped(line: xr.Dataset, **options: Any) -> tuple[xr.Dataset, xr.Dataset]:
     east, north = (made[f"{name}"].values[shown] for name in ("east", "north"))
     c, a, b, f, d, e = map(float, made.spatial_ref.attrs["GeoTransform"].split())
     row, col = (index[shown] + 0.5 for index in np.indices(shown.shape))
-    away = np.hypot(c + a * col + b * row - east, f + d * col + e * row - north)
-    assert away.max() <= 1e-3 * made.attrs["gsd"]
+    assert (
+        np.hypot(c + a * col + b * row - east, f + d * col + e * row - north).max()
+        <= 1e-3 * made.attrs["gsd"]
+    )
     low = [np.floor(made[name].values[shown]).astype(int) for name in ("glt_line", "glt_sample")]
     high = [np.ceil(made[name].values[shown]).astype(int) for name in ("glt_line", "glt_sample")]
     for i in (low[0], high[0]):
@@ -64,10 +67,10 @@ def test_a_gap_of_the_navigation() -> None:
     line = steady()
     record = recorded(line.compute())
     bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
-    cut = record.isel(navigation_time=np.r_[0:40, 80:LINES])
-    located, made = mapped(bare, navigation=cut, max_gap_s=0.1)
-    lost = np.isnan(located.east.values).all(axis=1)
-    np.testing.assert_array_equal(np.flatnonzero(lost), np.arange(40, 80))
+    located, made = mapped(bare, navigation=record.isel(navigation_time=np.r_[0:40, 80:LINES]), max_gap_s=0.1)
+    np.testing.assert_array_equal(
+        np.flatnonzero(np.isnan(located.east.values).all(axis=1)), np.arange(40, 80)
+    )
     inside = made.hits.values == 0
     assert made.gap.values[made.sizes["y"] // 2].sum() > COLUMNS / 2
     assert not ((made.number.values > 39.5) & (made.number.values < 79.5))[~inside].any()
@@ -83,12 +86,15 @@ def test_a_pose_that_is_half_known(name: str) -> None:
     line[name][30] = np.inf
     for chunked in (line, line.chunk(along_track=32)):
         located, made = mapped(chunked)
-        lost = np.isnan(located.east.values).all(axis=1)
-        np.testing.assert_array_equal(np.flatnonzero(lost), [0, 7, 30, 50, 51, LINES - 1])
+        np.testing.assert_array_equal(
+            np.flatnonzero(np.isnan(located.east.values).all(axis=1)), [0, 7, 30, 50, 51, LINES - 1]
+        )
         assert made.gap.values.any()
     # one missing row of a record is between two known ones
-    bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
-    located, _ = mapped(bare, navigation=recorded(line))
+    located, _ = mapped(
+        line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"]),
+        navigation=recorded(line),
+    )
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(located.east[:, 0])), [0, LINES - 1])
 
 
@@ -135,8 +141,10 @@ def test_headings_that_wrap(course: float) -> None:
     assert not made.gap.values.any()
     assert (same.hits.values > 0).sum() == pytest.approx((made.hits.values > 0).sum(), rel=1e-3)
     # no line between two is swept right round
-    steps = np.hypot(located.east.diff("along_track").values, located.north.diff("along_track").values)
-    assert steps.max() < 0.05
+    assert (
+        np.hypot(located.east.diff("along_track").values, located.north.diff("along_track").values).max()
+        < 0.05
+    )
 
 
 def test_rays_above_the_horizon() -> None:
@@ -178,8 +186,9 @@ def test_a_real_raster_with_holes() -> None:
     assert made.gap.values.any()
     np.testing.assert_allclose(np.where(lost, np.nan, flat.east), located.east, rtol=0, atol=1e-6)
     # with the holes as a number, and in a leading band, as files have them
-    marked = dem.fillna(-9999.0).expand_dims(band=[1]).assign_attrs(dem.attrs, _FillValue=-9999.0)
-    again, same = mapped(line, dem=marked)
+    again, same = mapped(
+        line, dem=dem.fillna(-9999.0).expand_dims(band=[1]).assign_attrs(dem.attrs, _FillValue=-9999.0)
+    )
     np.testing.assert_array_equal(again.east, located.east)
     np.testing.assert_array_equal(same.hits, made.hits)
     # a line that half leaves the raster
@@ -194,8 +203,7 @@ def test_no_hole_inside_the_hull_that_is_not_a_gap(wobble: float, grid: Any) -> 
     # The hull is drawn by shapely, of the lines' ends and all that lies between, and not by the kernel
     import shapely
 
-    heading = 31.0 + 7.0 * wobble * np.sin(np.arange(LINES) / 11.0)
-    line = steady(wobble=wobble, heading=heading, seed=3)
+    line = steady(wobble=wobble, heading=31.0 + 7.0 * wobble * np.sin(np.arange(LINES) / 11.0), seed=3)
     located = hp.geometry.locate(line, ground=0.0, camera=CAMERA, crs=UTM).compute()
     for lost in (range(0), range(50, 60)):
         placed = located.copy(deep=True)
@@ -217,5 +225,6 @@ def test_no_hole_inside_the_hull_that_is_not_a_gap(wobble: float, grid: Any) -> 
             assert not (inside & empty).any()
             assert hp.geometry.map_report(made)["gaps"] == 0
         else:
-            assert hp.geometry.map_report(made)["gaps"] > 60
-            assert (inside & empty).sum() > 60
+            np.testing.assert_array_less(
+                [60, 60], [hp.geometry.map_report(made)["gaps"], (inside & empty).sum()]
+            )

@@ -59,8 +59,9 @@ def test_what_is_hidden_is_a_gap(seen: Seen, chunk: int, turn: int) -> None:
 
 def test_without_heights_it_was_shown(seen: Seen) -> None:
     line = located(seen)
-    level = line.drop_vars(["ground_height", "view_zenith"])
-    made = hp.geometry.orthorectify(level, SPACING, variables=[], max_stretch=20.0).compute()
+    made = hp.geometry.orthorectify(
+        line.drop_vars(["ground_height", "view_zenith"]), SPACING, variables=[], max_stretch=20.0
+    ).compute()
     east, north = np.meshgrid(made["x"], made["y"])
     assert ((made["hits"].values > 0) & is_hidden(east, north)).sum() > 1500
     # of level ground no height is read
@@ -70,8 +71,9 @@ def test_without_heights_it_was_shown(seen: Seen) -> None:
 
 def test_a_line_that_is_located_on_a_model_of_the_surface(seen: Seen) -> None:
     back = pytest.importorskip("pyproj").Transformer.from_crs(MAP, "EPSG:4979", always_xy=True)
-    middle = np.full(LINES, EAST + COLUMNS * SPACING / 2)
-    longitude, latitude = back.transform(middle, NORTH + np.arange(LINES) * SPACING)
+    longitude, latitude = back.transform(
+        np.full(LINES, EAST + COLUMNS * SPACING / 2), NORTH + np.arange(LINES) * SPACING
+    )
     poses = {"latitude": latitude, "longitude": longitude, "altitude": np.full(LINES, HEIGHT)}
     poses |= dict.fromkeys(("roll", "pitch", "heading"), np.zeros(LINES))
     line = xr.Dataset(coords={
@@ -80,22 +82,23 @@ def test_a_line_that_is_located_on_a_model_of_the_surface(seen: Seen) -> None:
     })  # fmt: skip
     line = line.assign_coords(cross_track=np.arange(COLUMNS)).assign_attrs(Convention().to_attrs())
     x, y = EAST - 2.0 + np.arange(560) * 0.05, NORTH + 28.0 - np.arange(600) * 0.05
-    heights = surface(*np.meshgrid(x, y))
     dem = xr.DataArray(
-        heights, {"y": y, "x": x}, ("y", "x"), attrs={"crs": MAP, "height_reference": "ellipsoid"}
+        surface(*np.meshgrid(x, y)),
+        {"y": y, "x": x},
+        ("y", "x"),
+        attrs={"crs": MAP, "height_reference": "ellipsoid"},
     )
     camera = hp.geometry.PinholeCamera(COLUMNS, pixel_pitch=SPACING, focal_length=HEIGHT)
-    facing = Convention(column_order="left_to_right")
-    placed = line.paint.locate(dem=dem, camera=camera, convention=facing, crs=MAP)
-    away = np.hypot(placed["east"] - seen.east, placed["north"] - seen.north).values
-    assert np.median(away) < 0.02
+    placed = line.paint.locate(
+        dem=dem, camera=camera, convention=Convention(column_order="left_to_right"), crs=MAP
+    )
+    assert np.median(np.hypot(placed["east"] - seen.east, placed["north"] - seen.north).values) < 0.02
     made = hp.geometry.orthorectify(placed, SPACING, variables=["ground_height"]).compute()
     east, north = np.meshgrid(made["x"], made["y"])
     hidden, shown = is_hidden(east, north), made["hits"].values > 0
     # walls of a raster lean by a cell of it: the last cells of a shadow are then seen, as ground beside them
     assert (hidden & shown).sum() < 0.2 * (hidden & within(east, north)).sum()
-    car = shown & hidden & (surface(east, north) == 0.0) & (made["ground_height"].values > 0.75)
-    assert car.sum() == 0
+    assert (shown & hidden & (surface(east, north) == 0.0) & (made["ground_height"].values > 0.75)).sum() == 0
     there = ~hidden & within(east, north)
     assert (there & ~shown).sum() < 0.04 * there.sum()
 
@@ -108,8 +111,7 @@ def test_patches_one_by_one() -> None:
     for i in range(8):
         for j in range(6):
             four = height[i : i + 2, j : j + 2]
-            steepest = tangent[i : i + 2, j : j + 2].max()
-            assert hidden[i, j] == ((four.max() - four.min()) * steepest > 0.4)
+            assert hidden[i, j] == ((four.max() - four.min()) * tangent[i : i + 2, j : j + 2].max() > 0.4)
     # a wall that is seen: heights fall by the spacing over the tangent
     wall = np.broadcast_to(np.arange(7) * 0.1 / 0.36, (2, 7))
     at = np.full((2, 7), 0.36)

@@ -36,14 +36,17 @@ def test_regions_of_the_map_find_their_pixels() -> None:
     located = line_with_poses().paint.locate(ground=0.0, camera=CAMERA).paint.reflectance()
     east, north = located.east.values, located.north.values
     corner = (east[10, 2], north[10, 2])
-    box = [(corner[0] + a, corner[1] + b) for a, b in ((-1, -0.03), (1, -0.03), (1, 0.03), (-1, 0.03))]
-    region = hp.Region("panel", box)
+    region = hp.Region(
+        "panel", [(corner[0] + a, corner[1] + b) for a, b in ((-1, -0.03), (1, -0.03), (1, 0.03), (-1, 0.03))]
+    )
     along, across = pixels(region, located, coordinates="map", crs=UTM)
     inside = (np.abs(east - corner[0]) <= 1) & (np.abs(north - corner[1]) <= 0.03)
     assert inside[10, 2]
     np.testing.assert_array_equal(np.stack([along, across]), np.stack(np.nonzero(inside)))
     assert 3 not in along
     paints = hp.extract_signatures(located, hp.Regions((region,), "map", UTM))
-    assert int(paints.n[0]) == inside.sum()
-    assert paints.attrs["view_geometry"] == "view_zenith and view_azimuth of the pixels"
+    assert (int(paints.n[0]), paints.attrs["view_geometry"]) == (
+        inside.sum(),
+        "view_zenith and view_azimuth of the pixels",
+    )
     np.testing.assert_allclose(paints.view_zenith[0], located.view_zenith.values[inside].mean(), atol=0.2)

@@ -89,13 +89,13 @@ def test_tie_points_in_a_crop_are_positions_in_it() -> None:
     flown = fly(220, 160, "none")
     grey = gaussian_filter(np.random.default_rng(3).random((220, 160)), 2.0)[:, None].astype(np.float32)
     line = located(flown, reflectance=(("along_track", "band", "cross_track"), grey, {"units": "1"}))
-    heights = ("along_track", "cross_track"), np.zeros((220, 160)), {"units": "m"}
-    whole = line.assign_coords(ground_height=heights)
+    whole = line.assign_coords(
+        ground_height=(("along_track", "cross_track"), np.zeros((220, 160)), {"units": "m"})
+    )
     crop = whole.assign_coords(along_track=np.arange(220)).isel(along_track=slice(20, 220))
     numbered, plain = (
         hp.geometry.find_tie_points({"a": whole, "b": one}, GSD)
         for one in (crop, crop.drop_vars("along_track"))
     )
     xr.testing.assert_equal(numbered, plain)
-    apart = numbered.along_track_pixel.values @ [1.0, -1.0]
-    assert np.median(apart) == pytest.approx(20.0, abs=0.05)
+    assert np.median(numbered.along_track_pixel.values @ [1.0, -1.0]) == pytest.approx(20.0, abs=0.05)

@@ -35,8 +35,10 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[xr.Datas
             course=course, seed=seed,
         )  # fmt: skip
         process(collect, folder / f"{name}.zarr", reflectance="none")
-        line = xr.open_zarr(folder / f"{name}.zarr", group="flightlines/raw_0")
-        flown[name] = line, xr.open_zarr(folder / name / "truth.zarr")
+        flown[name] = (
+            xr.open_zarr(folder / f"{name}.zarr", group="flightlines/raw_0"),
+            xr.open_zarr(folder / name / "truth.zarr"),
+        )
     return flown
 
 
@@ -74,8 +76,7 @@ def test_ties_show_one_place_and_solve_the_mounting(flight: Any) -> None:
                 )
             ]  # fmt: skip
             places.append(values)
-    apart = np.hypot(*(np.array(places[:2]) - np.array(places[2:]))) / GSD
-    assert np.median(apart) < 0.5
+    assert np.median(np.hypot(*(np.array(places[:2]) - np.array(places[2:]))) / GSD) < 0.5
     fit = hp.geometry.solve_boresight(lines, ties, lever_arm=LEVER_ARM)
     assert fit.solved == ("roll", "pitch", "heading")
     # a false tie is left out on both sides
@@ -89,11 +90,15 @@ def test_ties_show_one_place_and_solve_the_mounting(flight: Any) -> None:
     picture = made["counts"].isel(band=1).values
     transform = tuple(map(float, made["spatial_ref"].attrs["GeoTransform"].split()))
     truth = flight["north"][1]
-    corners = truth["corner_east"].values, truth["corner_north"].values
-    miss = misplacement(picture.astype(float), transform, *corners, TURN, SQUARE)
+    miss = misplacement(
+        picture.astype(float),
+        transform,
+        *(truth["corner_east"].values, truth["corner_north"].values),
+        TURN,
+        SQUARE,
+    )
     assert len(miss) > 40
-    rms = np.sqrt((miss**2).sum(axis=1).mean())
-    assert rms <= 0.3
+    assert np.sqrt((miss**2).sum(axis=1).mean()) <= 0.3
     np.testing.assert_allclose(fit.boresight, MOUNTED, atol=0.02)
 
 
