@@ -177,9 +177,11 @@ def test_gain_and_bias_of_a_headwall_model(lab: Path) -> None:
     gain, bias = (np.load(lab / f"terraref_vnir_new_{name}_coeff.npy") for name in ("gain", "bias"))
     matched = np.load(lab / "terraref_vnir_new_best_matched_index.npy")
     assert gain.shape == bias.shape == (1, 939)
-    assert np.isfinite(gain).all()
-    assert np.isfinite(bias).all()
-    assert (np.diff(matched) >= 0).all()
+    assert (np.isfinite(gain).all(), np.isfinite(bias).all(), (np.diff(matched) >= 0).all()) == (
+        True,
+        True,
+        True,
+    )
     assert matched.min() >= 0
     assert matched.max() < 3648
 

@@ -60,13 +60,20 @@ def test_nothing_is_named_of_a_right_declaration() -> None:
 def test_signs_of_roll_and_pitch_and_a_platform_that_flies_nose_up() -> None:
     flight, line, nav = flight_of(3, 700)
     upside = check(flight, (line, nav.assign(roll=-nav["roll"]), DECLARED))
-    assert upside.suggested == DECLARED.replace(roll_positive="right_wing_up")
-    assert "right_wing_up" in upside.table()
-    assert upside["roll_positive"].verdict == "wrong"
-    assert set(check(flight, (line, nav.assign(roll=-nav["roll"], pitch=-nav["pitch"]), DECLARED)).wrong) == {
-        "roll_positive",
-        "pitch_positive",
-    }
+    assert (
+        upside.suggested,
+        "right_wing_up" in upside.table(),
+        upside["roll_positive"].verdict,
+        set(check(flight, (line, nav.assign(roll=-nav["roll"], pitch=-nav["pitch"]), DECLARED)).wrong),
+    ) == (
+        DECLARED.replace(roll_positive="right_wing_up"),
+        True,
+        "wrong",
+        {
+            "roll_positive",
+            "pitch_positive",
+        },
+    )
     # such a pitch in radians looks past the horizon: the last meanings tried are left out
     for mean_pitch in (1.5, 2.5):
         found = check(

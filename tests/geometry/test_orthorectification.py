@@ -148,9 +148,11 @@ def test_flags_are_joined_and_what_is_missing_does_not_leak() -> None:
     made = hp.geometry.orthorectify(line, method="bilinear").compute()
     bad = np.isnan(made.radiance.values[..., 1]) & (made.hits.values > 0)
     assert 2 <= bad.sum() <= 9
-    assert (made.quality.values[bad] == 1).all()
-    assert (made.radiance.values[bad, 0] == 1.0).all()
-    assert ((made.quality.values == OFF) == (made.hits.values == 0)).all()
+    assert (
+        (made.quality.values[bad] == 1).all(),
+        (made.radiance.values[bad, 0] == 1.0).all(),
+        ((made.quality.values == OFF) == (made.hits.values == 0)).all(),
+    ) == (True, True, True)
     one = hp.geometry.orthorectify(line).compute()
     assert (
         (one.quality.values == 1) == (np.isnan(one.radiance.values[..., 1]) & (one.hits.values > 0))
@@ -166,18 +168,27 @@ def test_a_gap_is_empty_flagged_and_counted() -> None:
     made = hp.geometry.orthorectify(line, GSD, variables=["red", "quality"]).compute()
     assert made.sizes["y"] == 200
     hole = made.hits.values == 0
-    assert hole[80:120].all()
-    assert hole.sum() == 40 * 40
-    assert (made.gap.values == hole).all()
-    assert (made.quality.values[hole] == OFF).all()
-    assert np.isnan(made.red.values[hole]).all()
-    assert hp.geometry.map_report(made) == {
-        "cells": 8000,
-        "covered": 6400,
-        "gaps": 1600,
-        "multiple": 0,
-        "most_hits": 1,
-    }
+    assert (
+        hole[80:120].all(),
+        hole.sum(),
+        (made.gap.values == hole).all(),
+        (made.quality.values[hole] == OFF).all(),
+        np.isnan(made.red.values[hole]).all(),
+        hp.geometry.map_report(made),
+    ) == (
+        True,
+        40 * 40,
+        True,
+        True,
+        True,
+        {
+            "cells": 8000,
+            "covered": 6400,
+            "gaps": 1600,
+            "multiple": 0,
+            "most_hits": 1,
+        },
+    )
     # the same frames never recorded: lines follow one another, far apart
     made = hp.geometry.orthorectify(
         line.isel(along_track=np.r_[0:80, 120:200]).chunk(along_track=32), GSD, variables=["red"]
