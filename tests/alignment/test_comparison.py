@@ -9,9 +9,9 @@ from hyperpaint.simulation import simulate_line
 
 @pytest.mark.slow
 def test_uncertainties_are_what_scatters() -> None:
-    # Eight scenes, noise and smile: nothing is wrong, and what is found lies within what is stated
+    # Five scenes, noise and smile: nothing is wrong, and what is found lies within what is stated
     away = []
-    for seed in range(420, 428):
+    for seed in range(420, 425):
         found = hp.alignment.compared(simulate_line(lines=16, columns=48, seed=seed, irradiance_noise=1e-3))
         assert found is not None
         assert not found.is_significant()
