@@ -188,8 +188,12 @@ def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, fl
 
 def without_products(dataset: xr.Dataset) -> xr.Dataset:
     """Return a line without products that depend on wavelengths: reflectance and panel results."""
-    uncertainties = ("reflectance_u_random", "reflectance_u_systematic")
-    names = ("reflectance", "coarse_reflectance", *uncertainties, "irradiance_misfit")
+    names = (
+        "reflectance",
+        "coarse_reflectance",
+        *(("reflectance_u_random", "reflectance_u_systematic")),
+        "irradiance_misfit",
+    )
     return dataset.drop_vars(
         [name for name in dataset.variables if name in names or str(name).startswith("panel_")]
     )

@@ -259,8 +259,7 @@ def channels_near(
     channels, width = light.wavelength, np.broadcast_to(light.fwhm, light.wavelength.shape)
     order = np.argsort(channels, kind="stable")
     reach = np.abs(limits).max() + 2.0 * bands.reach().max() + widths * width.max()
-    distance = np.abs(channels[order] - bands.wavelength.mean())
-    nearby = order[distance <= np.ptp(bands.wavelength) / 2 + reach]
+    nearby = order[np.abs(channels[order] - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach]
     return nearby, Responses(channels[nearby], width[nearby], light.srf_shape)
 
 
@@ -285,8 +284,11 @@ def responses_table(
     spectrometers = [replace(spectrometer, fwhm=spectrometer.fwhm * width) for width in widths]
     operators = [_operator(widened, imager, shifts) for widened in spectrometers]
     weights = operators[int(np.abs(widths - 1.0).argmin())].weights[len(shifts) // 2]
-    logs = np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1)
-    return np.array(shifts), logs, weights
+    return (
+        np.array(shifts),
+        np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1),
+        weights,
+    )
 
 
 def _shift_nodes(limits: tuple[float, float]) -> tuple[float, ...]:

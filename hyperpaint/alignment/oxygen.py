@@ -169,6 +169,7 @@ def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     in_shoulders, in_band = shoulders & is_finite, (weight > 0.0) & is_finite
     if in_shoulders.sum() < MIN_SHOULDER_BANDS or not in_band.any():
         return float("nan")
-    curve = np.polynomial.Polynomial.fit(wavelength[in_shoulders], spectrum[in_shoulders], 2)
-    ratio = spectrum[in_band] / curve(wavelength[in_band])
+    ratio = spectrum[in_band] / np.polynomial.Polynomial.fit(
+        wavelength[in_shoulders], spectrum[in_shoulders], 2
+    )(wavelength[in_band])
     return float(1.0 - np.average(ratio, weights=weight[in_band]))

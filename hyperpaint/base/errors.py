@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Self
+from typing import Any, Self
 
 __all__ = [
     "CollectError",
@@ -136,6 +136,21 @@ class PaintError(Exception):
     def codes(self) -> tuple[str, ...]:
         """Codes of all faults."""
         return self.problem.codes
+
+    @classmethod
+    def raise_if(
+        cls,
+        is_fault: Any,
+        found: str,
+        *,
+        expected: str = "",
+        mend: str = "",
+        option: str = "",
+        code: str = "",
+    ) -> None:
+        """Raise the error if the input has the fault; see `Problem`."""
+        if is_fault:
+            raise cls(found, expected=expected, mend=mend, option=option, code=code)
 
     def note(self, found: str, *, mend: str = "", option: str = "") -> None:
         """Add a remark; Python prints it below the message."""
@@ -360,6 +375,20 @@ class Problems:
     ) -> None:
         """Note one fault; see `Problem`."""
         self._problems.append(Problem(found, expected, mend, option, code))
+
+    def add_if(
+        self,
+        is_fault: Any,
+        found: str,
+        *,
+        expected: str = "",
+        mend: str = "",
+        option: str = "",
+        code: str = "",
+    ) -> None:
+        """Note one fault if the input has it."""
+        if is_fault:
+            self.add(found, expected=expected, mend=mend, option=option, code=code)
 
     def extend(self, problems: Iterable[Problem]) -> None:
         """Note the faults of another input."""

@@ -61,8 +61,12 @@ def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) 
     >>> f"{etendue_from_pupil(4.8e-3, 7.4e-6 / 12e-3, 20e-6 / 12e-3):.4e}"
     '1.8598e-11'
     """
-    lengths = {"pixel_pitch": (pixel_pitch, 1e-2), "slit_width": (slit_width, 1e-2)}
-    _check_lengths({**lengths, "f_number": (f_number, 1e3)})
+    _check_lengths(
+        {
+            "pixel_pitch": (pixel_pitch, 1e-2), "slit_width": (slit_width, 1e-2),
+            "f_number": (f_number, 1e3),
+        }
+    )
     return float(pixel_pitch * slit_width * np.pi / (4.0 * f_number**2))
 
 
@@ -136,8 +140,9 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     >>> panel_radiance(irradiance, 0.5).values.round(4)
     array([0.1592, 0.2069])
     """
-    radiance = convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi
-    return label(radiance, "radiance")
+    return label(
+        convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi, "radiance"
+    )
 
 
 @takes_quantities()
@@ -217,8 +222,13 @@ def anchor_to_radiance(
             mend="check wavelengths and dark",
             code="source-coverage",
         )
-    anchor = f"radiance of a known source, {scale} scale"
-    return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
+    return _with_gain(
+        calibration,
+        gain,
+        f"radiance of a known source, {scale} scale",
+        uncertainty,
+        same_shape=scale == "common",
+    )
 
 
 def _with_gain(
@@ -300,8 +310,10 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
         saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
         if saturated_elements.any():
-            text = f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames"
-            warn_user(text, "elements-saturated")
+            warn_user(
+                f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
+                "elements-saturated",
+            )
             signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
 

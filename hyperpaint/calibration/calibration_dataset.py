@@ -124,8 +124,7 @@ def measured_shape(
     )
     source = lamp_line * _TABLE_STEP
     # distance of the model from the curve
-    pitch_of_all = np.array([np.median(spacing)])
-    model = Responses(np.zeros(1), np.ones(1), shape, spacing=pitch_of_all).on(offset, 0)
+    model = Responses(np.zeros(1), np.ones(1), shape, spacing=np.array([np.median(spacing)])).on(offset, 0)
     model_curve, root_weight = source @ model, np.sqrt(weight)
     misfit = float(
         np.linalg.norm(root_weight * (observed - model_curve)) / np.linalg.norm(root_weight * model_curve)
@@ -142,11 +141,13 @@ def measured_shape(
     nm = np.arange(380.0, 1001.0)
     air_mass = float(1.0 / np.cos(np.radians(_SUN_ZENITH_DEG)))
     daylight = sum(ClearSky(_SUN_ZENITH_DEG, airmass=air_mass).irradiance(nm))
-    width_nm = float(np.median(camera_width))
-    daylight = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width_nm, nm, daylight)
+    daylight = np.interp(
+        np.arange(420.0, 950.0)[:, None] + offset * float(np.median(camera_width)), nm, daylight
+    )
     change = daylight @ response / (daylight @ model) * model.sum() / response.sum() - 1.0
-    effect = float(np.abs(change).max())
-    return MeasuredShape(offset, response, misfit, effect, is_resolved=width <= MAX_SLIT_SHARE)
+    return MeasuredShape(
+        offset, response, misfit, float(np.abs(change).max()), is_resolved=width <= MAX_SLIT_SHARE
+    )
 
 
 # -- Light outside the lamp lines: wings of scattered light over all bands, and the second order of the
@@ -457,8 +458,9 @@ class Result:
         order = np.argsort(self.centre_wavelength)
         spacing = np.interp(lab.wavelength, self.centre_wavelength[order], self.centre_spacing[order])
         source = shape_variance(lab.width, "triangle" if lab.triangular else "gaussian")
-        own = shape_variance(self.fwhm_at_steps, self.shape, spacing)
-        factor = second_order_factor(lab.wavelength, level, own, source)[:, None]
+        factor = second_order_factor(
+            lab.wavelength, level, shape_variance(self.fwhm_at_steps, self.shape, spacing), source
+        )[:, None]
         low, high = EDGE_TOLERANCE_NM
         tolerance = min(max(low, 3.0 * self.wavelength_map.residual), high)
         # without light that is scattered into the window of a lamp line
@@ -596,8 +598,9 @@ class Result:
         if self.is_shape_free and measured.is_resolved:
             # offsets (srf_offset,) [nm], and the response of every band there
             offset = measured.offset * float(self.fwhm.max())
-            widened = [np.interp(offset, measured.offset * w, measured.response, 0.0, 0.0) for w in self.fwhm]
-            return offset, np.stack(widened)
+            return offset, np.stack(
+                [np.interp(offset, measured.offset * w, measured.response, 0.0, 0.0) for w in self.fwhm]
+            )
         reason = "srf_shape= is given" if measured.is_resolved else "the monochromator's line is too wide"
         warn_user(
             f"the measured response is {measured.misfit:.1%} off the model {self.shape!r}, and is not "
@@ -682,8 +685,10 @@ class Result:
         shape_attrs: dict[str, Any] = {}
         if self.measured is not None:
             numbers = (float(f"{value:.3g}") for value in (self.measured.misfit, self.measured.effect))
-            names = ("srf_model_misfit", "srf_model_effect")
-            shape_attrs = {"srf_model": self.shape, **dict(zip(names, numbers, strict=True))}
+            shape_attrs = {
+                "srf_model": self.shape,
+                **dict(zip(("srf_model_misfit", "srf_model_effect"), numbers, strict=True)),
+            }
         return {
             "srf_shape": self.shape,
             "source": "monochromator sweep, line-area method",

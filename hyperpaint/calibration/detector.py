@@ -74,8 +74,13 @@ def fit_dark_model(dark: Floats, exposure: Floats) -> DarkModel:
             different.append(float(value))
     mean = dark.mean(axis=0)
     if len(different) == 1:
-        rms = float(np.sqrt(np.nanmean((dark - mean) ** 2)))
-        return DarkModel(mean, np.full_like(mean, np.nan), tuple(different), rms, exposure)
+        return DarkModel(
+            mean,
+            np.full_like(mean, np.nan),
+            tuple(different),
+            float(np.sqrt(np.nanmean((dark - mean) ** 2))),
+            exposure,
+        )
     offset = exposure - exposure.mean()
     rate = np.tensordot(offset, dark, axes=1) / (offset**2).sum()
     bias = mean - rate * exposure.mean()
@@ -170,8 +175,10 @@ def dark_at(model: xr.Dataset, exposure_time: float) -> xr.DataArray:
     >>> dark_at(model, 0.02).values
     array([[101.]], dtype=float32)
     """
-    dark = model["dark_bias"] + np.float32(exposure_time) * model["dark_rate"]
-    return label(dark.astype(np.float32), "dark_counts")
+    return label(
+        (model["dark_bias"] + np.float32(exposure_time) * model["dark_rate"]).astype(np.float32),
+        "dark_counts",
+    )
 
 
 @takes_quantities()

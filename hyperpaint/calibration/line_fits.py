@@ -412,8 +412,7 @@ def fit_wavelength_map(
     weight = np.ones_like(band)
     if uncertainty is not None:
         # the monochromator's dial limits the accuracy of bright lamp lines, so their weight is limited
-        min_uncertainty = max(float(np.median(uncertainty)), 1e-9)
-        weight = 1.0 / (uncertainty**2 + min_uncertainty**2)
+        weight = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
         weight /= weight.mean()
 
     bands, columns = sizes

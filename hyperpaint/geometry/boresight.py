@@ -413,8 +413,7 @@ class Sightings:
             poses = poses_at(self.times, self.poses, times, clock_offset_s=clock)
             body = matrices(quaternions(*poses[3:]))
             centre, axes = _geocentric(*poses[:3])
-            to_body = np.einsum("nji,njk->nik", body, axes)
-            self._cache[clock, lines] = (centre, axes, body, to_body, poses[2])
+            self._cache[clock, lines] = (centre, axes, body, np.einsum("nji,njk->nik", body, axes), poses[2])
         return self._cache[clock, lines]
 
 
@@ -573,8 +572,7 @@ class Misses:
 
     def slopes(self, free: Floats, used: Bools) -> Floats:
         """Return derivatives of the misses of points that are used (2 point, parameter)."""
-        steps = np.diag(_STEPS[self.free])
-        changes = [self.misses(free + step) - self.misses(free - step) for step in steps]
+        changes = [self.misses(free + step) - self.misses(free - step) for step in np.diag(_STEPS[self.free])]
         return np.stack([c[used].ravel() for c in changes], axis=1) / (2.0 * _STEPS[self.free])
 
     def lengths(self, free: Floats, used: Bools) -> Floats:
@@ -634,8 +632,9 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     lowest = [k for k, median in enumerate(medians) if median <= min(padded[k], padded[k + 2])]
     candidates = [k for k in lowest if medians[k] <= RULES.candidate_ratio * min(medians)]
     candidates = sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]
-    fits = [_robust_fit(points, starts[k], plausible) for k in candidates]
-    best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
+    best, *rest = sorted(
+        [_robust_fit(points, starts[k], plausible) for k in candidates], key=lambda fit: fit.median_miss
+    )
     for rival in rest:
         is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
         if is_distinct and not rival.median_miss > RULES.rival_ratio * best.median_miss:

@@ -297,8 +297,13 @@ def check_conventions(
     labelled, *other_units = {str(source[name].attrs.get("units")) for name in ANGLES}
     is_labelled = not other_units and labelled != "None"
     if is_labelled and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
-        evidence = f"the variables have units {labelled!r}"
-        unit = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
+        unit = Finding(
+            "angle_unit",
+            setting.declared.angle_unit,
+            "wrong",
+            labelled,
+            f"the variables have units {labelled!r}",
+        )
         findings = [unit if finding.field == "angle_unit" else finding for finding in findings]
     first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
     # a wrong field is replaced only where one alternative remains
@@ -345,8 +350,12 @@ def navigation_findings(lines: Mapping[str, xr.Dataset]) -> list[tuple[str, Find
     with contextlib.suppress(*impossible):
         offset = estimate_clock_offset(line, irradiance=line, lines=selected)
         if abs(offset.offset_s) > max(RULES.clock_sd * offset.uncertainty_s, RULES.max_light_lag_s):
-            likely = f"{offset.offset_s:+.2f} s"
-            findings.append((name, Finding("irradiance clock", "0 s", "wrong", likely, offset.evidence)))
+            findings.append(
+                (
+                    name,
+                    Finding("irradiance clock", "0 s", "wrong", f"{offset.offset_s:+.2f} s", offset.evidence),
+                )
+            )
     return findings
 
 
@@ -557,8 +566,7 @@ class Hypothesis(NamedTuple):
 
     def fields(self) -> dict[str, str]:
         """Return the tested fields by name."""
-        choices = {name: getattr(self.convention, name) for name in _CHOICES}
-        return {**choices, "positions": self.positions}
+        return {**{name: getattr(self.convention, name) for name in _CHOICES}, "positions": self.positions}
 
 
 @dataclass(frozen=True)
@@ -811,8 +819,10 @@ def _findings(setting: Setting) -> list[Finding]:
         )
         declarations = {**declared.fields(), "height_reference": convention.height_reference}
         declarations |= {"stamp_reference": str(convention.stamp_reference)}
-        undecided = [Finding(name, str(v), "undecided", "", evidence) for name, v in declarations.items()]
-        return [*undecided, of_north(declared)]
+        return [
+            *([Finding(name, str(v), "undecided", "", evidence) for name, v in declarations.items()]),
+            of_north(declared),
+        ]
     best = _nearest(scored, declared)
     height = _fit_height(setting, best, compared, median_altitude(best) - setting.view.ground)
     is_height_off = (
@@ -855,8 +865,12 @@ def _findings(setting: Setting) -> list[Finding]:
     is_offset = likely == stamp or distances.get(likely, 0.0) > max(3.0 * clock.sd, half_exposure / 2)
     evidence = f"clock {1e3 * clock.value:+.1f} +- {1e3 * clock.sd:.1f} ms"
     if stamp is not None and not is_on_time and is_offset:
-        offset = f"{clock.value:+.4f} s"
-        return [*findings, Finding("clock", "0 s", "wrong", offset, f"{evidence}; add it as clock_offset_s")]
+        return [
+            *findings,
+            Finding(
+                "clock", "0 s", "wrong", f"{clock.value:+.4f} s", f"{evidence}; add it as clock_offset_s"
+            ),
+        ]
     return [
         *findings,
         _finding(
@@ -1045,8 +1059,9 @@ def _fit_step(
     # smoothing: noise of attitude has opposite signs in neighbouring lines, motion has not
     smooth = np.stack([_running_mean(np.where(is_valid, part, 0.0)) for part in (*parts, values)], axis=-1)
     scale = _robust_scale(smooth[..., -1][is_valid])
-    count = max(values.shape[0] // RULES.block_lines, RULES.min_blocks)
-    blocks = np.array_split(np.arange(values.shape[0]), count)
+    blocks = np.array_split(
+        np.arange(values.shape[0]), max(values.shape[0] // RULES.block_lines, RULES.min_blocks)
+    )
     smooth_travel = _running_mean(np.where(is_valid, travel, 0.0))[..., None]
     for b in blocks:
         # zone by zone, without the part proportional to travel

@@ -92,8 +92,12 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     for coefficients, (first_centre, step) in ((col, grid.x), (row, grid.y)):
         coefficients[:, 0] -= first_centre
         coefficients /= step
-    raster = Raster(row, col, terrain.heights, terrain.block_max, terrain.lowest, terrain.highest)
-    raster_places(rays, frames, raster, out)
+    raster_places(
+        rays,
+        frames,
+        Raster(row, col, terrain.heights, terrain.block_max, terrain.lowest, terrain.highest),
+        out,
+    )
     return out
 
 
@@ -269,8 +273,7 @@ def locate(
     )
     # store the poses used; lazy ones in chunks of the cube
     if not isinstance(poses, np.ndarray):
-        shape = (len(POSE), line.sizes[ALONG_TRACK])
-        poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
+        poses = da.from_delayed(poses, (len(POSE), line.sizes[ALONG_TRACK]), np.float64).rechunk((1, chunks))
     columns_used = {
         name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
     }

@@ -59,8 +59,10 @@ class Strip:
 
     def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
         row, col = place[0] - self.corner[0], place[1] - self.corner[1]
-        arrays = [self.map[name].data for name in names]
-        keys = [(array.name, row, col, *(0,) * (array.ndim - 2)) for array in arrays]
+        keys = [
+            (array.name, row, col, *(0,) * (array.ndim - 2))
+            for array in [self.map[name].data for name in names]
+        ]
         return partial(dask.get, cull(self._graph, keys), keys)
 
     @cached_property
@@ -272,8 +274,11 @@ def _cut_map(
         array = line[variable].transpose("y", "x", ...)
         data = array.chunk(dict(zip(("y", "x"), map(max, sizes), strict=True))).data
         if any(map(any, pads)):
-            other_pads = [(0, 0)] * (data.ndim - 2)
-            data = da.pad(data, [*pads, *other_pads], constant_values=fill_of(str(variable), data.dtype))
+            data = da.pad(
+                data,
+                [*pads, *([(0, 0)] * (data.ndim - 2))],
+                constant_values=fill_of(str(variable), data.dtype),
+            )
         data = data.rechunk((*sizes, *(-1,) * (data.ndim - 2)))
         cut[variable] = xr.DataArray(data, dims=array.dims, attrs=array.attrs)
     band_coordinates = {key: line[key].variable for key in line.coords if line[key].dims == (BAND,)}

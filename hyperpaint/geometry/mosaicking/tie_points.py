@@ -174,8 +174,11 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     orthomap = orthorectify(
         flat, gsd, grid="north", variables=["picture", "ground_height"], method="bilinear"
     )[["picture", *_FIELDS]].compute()
-    fields = np.stack([orthomap[name].values for name in _FIELDS])
-    return _Picture(grid.first, orthomap["picture"].values.astype(np.float64), fields)
+    return _Picture(
+        grid.first,
+        orthomap["picture"].values.astype(np.float64),
+        np.stack([orthomap[name].values for name in _FIELDS]),
+    )
 
 
 def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rules: Rules) -> Floats:
