@@ -402,12 +402,12 @@ def fit_wavelength_map(
     n_wavelengths = len(np.unique(np.round(wavelength, 6)))
     n_columns = len(np.unique(column))
     degree = min(BAND_DEGREE, n_wavelengths - 2)
-    if degree < 1:
-        raise SchemaError(
-            f"lamp lines of {n_wavelengths} wavelengths",
-            expected="3 or more for a wavelength map",
-            code="lamp-lines-few",
-        )
+    SchemaError.raise_if(
+        degree < 1,
+        f"lamp lines of {n_wavelengths} wavelengths",
+        expected="3 or more for a wavelength map",
+        code="lamp-lines-few",
+    )
     degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < n_columns]
     weight = np.ones_like(band)
     if uncertainty is not None:

@@ -384,10 +384,12 @@ def _picture(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
             bands = bands[np.unique(np.round(positions).astype(np.int64))]
             image = image.isel({BAND: bands}).mean(BAND, dtype=np.float32)
     sizes = {dim: line.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.sizes}
-    if set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()):
-        raise SchemaError(
-            f"the image is {dict(image.sizes)}", expected=f"{sizes}, as the line", code="grid-mismatch"
-        )
+    SchemaError.raise_if(
+        set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()),
+        f"the image is {dict(image.sizes)}",
+        expected=f"{sizes}, as the line",
+        code="grid-mismatch",
+    )
     values: Any = image.transpose(ALONG_TRACK, CROSS_TRACK).values
     return np.asarray(values, np.float32)
 
@@ -641,10 +643,12 @@ def _setting(
         )
     selected = _middle_lines(line) if lines is None else lines
     part = line.isel({ALONG_TRACK: selected})
-    if part.sizes[ALONG_TRACK] < _MIN_LINES:
-        raise SchemaError(
-            f"{part.sizes[ALONG_TRACK]} lines", expected=f"at least {_MIN_LINES}", code="line-too-short"
-        )
+    SchemaError.raise_if(
+        part.sizes[ALONG_TRACK] < _MIN_LINES,
+        f"{part.sizes[ALONG_TRACK]} lines",
+        expected=f"at least {_MIN_LINES}",
+        code="line-too-short",
+    )
     observed = row_motion(_picture(part, None if image is None else image.isel({ALONG_TRACK: selected})))
     if observed is None:
         raise SchemaError(
@@ -712,13 +716,13 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
     plain_hypothesis = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
     is_seen = np.isfinite(observed.shift) & np.isfinite(observed.unlikeness) & setting.is_steady[:, None]
     compared: Bools = is_seen & np.isfinite(setting.view.motion(setting.poses(plain_hypothesis)).shift)
-    if compared.sum() < RULES.min_parts:
-        raise SchemaError(
-            f"{int(compared.sum())} parts of rows show a motion and have poses",
-            expected=f"{RULES.min_parts}",
-            mend="check the times of line and record, and the contrast of the line",
-            code="motion-not-seen",
-        )
+    SchemaError.raise_if(
+        compared.sum() < RULES.min_parts,
+        f"{int(compared.sum())} parts of rows show a motion and have poses",
+        expected=f"{RULES.min_parts}",
+        mend="check the times of line and record, and the contrast of the line",
+        code="motion-not-seen",
+    )
     # all possible conventions, the declared one first
     convention = declared.convention
     choices = _CHOICES if setting.columns_matter else {**_CHOICES, "column_order": (convention.column_order,)}
@@ -1249,16 +1253,18 @@ def estimate_clock_offset(
     >>> abs(offset.offset_s - 1.3) < 2 * offset.uncertainty_s
     True
     """
-    if (navigation is None) == (irradiance is None):
-        raise SchemaError(
-            "navigation= and irradiance= are both given or both missing",
-            mend="give one of them",
-            code="option-conflict",
-        )
-    if not 0.0 < max_offset_s < np.inf:
-        raise SchemaError(
-            f"max_offset_s {max_offset_s!r}", expected="a time above 0 [s]", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        (navigation is None) == (irradiance is None),
+        "navigation= and irradiance= are both given or both missing",
+        mend="give one of them",
+        code="option-conflict",
+    )
+    SchemaError.raise_if(
+        not 0.0 < max_offset_s < np.inf,
+        f"max_offset_s {max_offset_s!r}",
+        expected="a time above 0 [s]",
+        code="value-out-of-range",
+    )
     if irradiance is not None:
         return _light_offset(line, irradiance, image, lines, max_offset_s, max_uncertainty_s or 1.0)
     setting = _setting(
@@ -1333,8 +1339,7 @@ def estimate_clock_offset(
 def _refuse_first(*rows: tuple[Any, str, str]) -> None:
     # Raise a `TimeError` for the first row (condition, reason, code) whose condition holds.
     for is_refused, reason, code in rows:
-        if is_refused:
-            raise TimeError(f"the clocks cannot be compared: {reason}", code=code)
+        TimeError.raise_if(is_refused, f"the clocks cannot be compared: {reason}", code=code)
 
 
 def _curve(offsets: Floats, misfit: Floats) -> xr.DataArray:
