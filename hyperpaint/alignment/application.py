@@ -91,12 +91,8 @@ def apply_alignment(
     windows = _with_windows(alignment)
     is_reliable = windows["flag"].values == 0
     problems = Problems("the alignment cannot be applied", SchemaError)
-    problems.add_if(
-        windows.sizes[BAND] != dataset.sizes[BAND]
-        or not -0.5 < float(windows["column"].max()) <= columns - 1,
-        "it belongs to a line with other bands or columns",
-        code="grid-mismatch",
-    )
+    if windows.sizes[BAND] != dataset.sizes[BAND] or not -0.5 < float(windows["column"].max()) <= columns - 1:
+        problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
     problems.add_if(degree < 0, f"degree={degree}", expected="0 or more", code="value-out-of-range")
     for centre, number in zip(np.ravel(windows["window_centre"]), is_reliable.sum(axis=1), strict=True):
         problems.add_if(
@@ -152,9 +148,8 @@ def _with_windows(alignment: xr.Dataset) -> xr.Dataset:
     ):
         for name in (name for name in names if name not in present):
             problems.add(f"{kind}{name!r} is missing", code=code)
-    problems.add_if(
-        _WINDOW not in alignment.attrs, f"attribute {_WINDOW!r} is missing", code="attribute-missing"
-    )
+    if _WINDOW not in alignment.attrs:
+        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
     problems.raise_if_any()
     windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
     for name in _VARIABLES[:5]:
@@ -192,12 +187,8 @@ def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, fl
 
 def without_products(dataset: xr.Dataset) -> xr.Dataset:
     """Return a line without products that depend on wavelengths: reflectance and panel results."""
-    names = (
-        "reflectance",
-        "coarse_reflectance",
-        *(("reflectance_u_random", "reflectance_u_systematic")),
-        "irradiance_misfit",
-    )
+    uncertainties = ("reflectance_u_random", "reflectance_u_systematic")
+    names = ("reflectance", "coarse_reflectance", *uncertainties, "irradiance_misfit")
     return dataset.drop_vars(
         [name for name in dataset.variables if name in names or str(name).startswith("panel_")]
     )

@@ -428,16 +428,8 @@ def _linearised(
         light = fit.light_at(fit.shift + shift[:, None], width)
         path = (light - fit.basis @ (fit.basis.T @ light)) * (fit.wavelength[-1] > rules.airy)
         departures.append(fit.departure(shift, width) - parameters[3] * path)
-        slopes.append(
-            np.stack(
-                [
-                    by_shift,
-                    ((fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)[:, None] * by_shift,
-                    by_width,
-                    -path,
-                ]
-            )
-        )
+        lever = ((fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)[:, None]
+        slopes.append(np.stack([by_shift, lever * by_shift, by_width, -path]))
     return departures, slopes
 
 
@@ -675,14 +667,12 @@ def _corrected(line: xr.Dataset, comparison: Comparison, camera: float) -> xr.Da
     )
     if camera:
         # ``wavelength`` stays, the common axis of all lines; the shift of columns changes
-        declared = schema.require(
-            aligned, [name for name in ("wavelength_shift",) if name in aligned.variables], "the alignment"
-        )
+        names = [name for name in ("wavelength_shift",) if name in aligned.variables]
+        declared = schema.require(aligned, names, "the alignment")
         zero = xr.DataArray(np.zeros(aligned.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
         shift = declared.get("wavelength_shift", zero) + camera
-        aligned = aligned.assign_coords(
-            wavelength_shift=schema.label(xr.DataArray(shift.values, dims=shift.dims), "wavelength_shift")
-        )
+        new_shift = xr.DataArray(shift.values, dims=shift.dims)
+        aligned = aligned.assign_coords(wavelength_shift=schema.label(new_shift, "wavelength_shift"))
     return aligned.assign(irradiance_fwhm=schema.label(widths, "irradiance_fwhm"))
 
 

@@ -550,9 +550,6 @@ def _attrs_of(name: str) -> dict[str, Any]:
         return schema.VARIABLES[name].attrs
     units, meaning = _REPORTED[name]
     if name == "flag":
-        return {
-            "long_name": meaning,
-            "flag_masks": np.array(list(FLAGS.values()), np.uint8),
-            "flag_meanings": " ".join(FLAGS),
-        }
+        masks = np.array(list(FLAGS.values()), np.uint8)
+        return {"long_name": meaning, "flag_masks": masks, "flag_meanings": " ".join(FLAGS)}
     return {"long_name": meaning, "units": units}

@@ -284,11 +284,8 @@ def responses_table(
     spectrometers = [replace(spectrometer, fwhm=spectrometer.fwhm * width) for width in widths]
     operators = [_operator(widened, imager, shifts) for widened in spectrometers]
     weights = operators[int(np.abs(widths - 1.0).argmin())].weights[len(shifts) // 2]
-    return (
-        np.array(shifts),
-        np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1),
-        weights,
-    )
+    logs = np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1)
+    return np.array(shifts), logs, weights
 
 
 def _shift_nodes(limits: tuple[float, float]) -> tuple[float, ...]:

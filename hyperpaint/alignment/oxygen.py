@@ -169,7 +169,5 @@ def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     in_shoulders, in_band = shoulders & is_finite, (weight > 0.0) & is_finite
     if in_shoulders.sum() < MIN_SHOULDER_BANDS or not in_band.any():
         return float("nan")
-    ratio = spectrum[in_band] / np.polynomial.Polynomial.fit(
-        wavelength[in_shoulders], spectrum[in_shoulders], 2
-    )(wavelength[in_band])
-    return float(1.0 - np.average(ratio, weights=weight[in_band]))
+    curve = np.polynomial.Polynomial.fit(wavelength[in_shoulders], spectrum[in_shoulders], 2)
+    return float(1.0 - np.average(spectrum[in_band] / curve(wavelength[in_band]), weights=weight[in_band]))

@@ -61,13 +61,8 @@ def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) 
     >>> f"{etendue_from_pupil(4.8e-3, 7.4e-6 / 12e-3, 20e-6 / 12e-3):.4e}"
     '1.8598e-11'
     """
-    _check_lengths(
-        {
-            "pixel_pitch": (pixel_pitch, 1e-2),
-            "slit_width": (slit_width, 1e-2),
-            "f_number": (f_number, 1e3),
-        }
-    )
+    lengths = {"pixel_pitch": (pixel_pitch, 1e-2), "slit_width": (slit_width, 1e-2)}
+    _check_lengths({**lengths, "f_number": (f_number, 1e3)})
     return float(pixel_pitch * slit_width * np.pi / (4.0 * f_number**2))
 
 
@@ -141,9 +136,8 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     >>> panel_radiance(irradiance, 0.5).values.round(4)
     array([0.1592, 0.2069])
     """
-    return label(
-        convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi, "radiance"
-    )
+    radiance = convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi
+    return label(radiance, "radiance")
 
 
 @takes_quantities()
@@ -223,13 +217,8 @@ def anchor_to_radiance(
         mend="check wavelengths and dark",
         code="source-coverage",
     )
-    return _with_gain(
-        calibration,
-        gain,
-        f"radiance of a known source, {scale} scale",
-        uncertainty,
-        same_shape=scale == "common",
-    )
+    anchor = f"radiance of a known source, {scale} scale"
+    return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
 
 
 def _with_gain(
@@ -263,12 +252,10 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         )
     problems.raise_if_any()
     exposure = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
-    problems.add_if(
-        len(exposure) != 1 or not exposure[0] > 0,
-        f"'exposure_time' {exposure.tolist()}",
-        expected="one positive number",
-        code="exposure-invalid",
-    )
+    if len(exposure) != 1 or not exposure[0] > 0:
+        problems.add(
+            f"'exposure_time' {exposure.tolist()}", expected="one positive number", code="exposure-invalid"
+        )
     counts, dark = frames["counts"], frames["dark_counts"]
     for array in (counts, dark):
         problems.add_if(
@@ -279,11 +266,10 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         )
         expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
         sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
-        problems.add_if(
-            sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]},
-            f"{array.name!r} has sizes {sizes}, the calibration {expected}",
-            code="grid-mismatch",
-        )
+        if sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]}:
+            problems.add(
+                f"{array.name!r} has sizes {sizes}, the calibration {expected}", code="grid-mismatch"
+            )
     problems.raise_if_any()
     other_dims = [dim for dim in counts.dims if dim not in _ELEMENT]
     mean = counts.astype(np.float64).mean(other_dims) if other_dims else counts.astype(np.float64)
@@ -314,10 +300,8 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
         saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
         if saturated_elements.any():
-            warn_user(
-                f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
-                "elements-saturated",
-            )
+            text = f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames"
+            warn_user(text, "elements-saturated")
             signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
 

@@ -141,13 +141,11 @@ def measured_shape(
     nm = np.arange(380.0, 1001.0)
     air_mass = float(1.0 / np.cos(np.radians(_SUN_ZENITH_DEG)))
     daylight = sum(ClearSky(_SUN_ZENITH_DEG, airmass=air_mass).irradiance(nm))
-    daylight = np.interp(
-        np.arange(420.0, 950.0)[:, None] + offset * float(np.median(camera_width)), nm, daylight
-    )
+    width_nm = float(np.median(camera_width))
+    daylight = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width_nm, nm, daylight)
     change = daylight @ response / (daylight @ model) * model.sum() / response.sum() - 1.0
-    return MeasuredShape(
-        offset, response, misfit, float(np.abs(change).max()), is_resolved=width <= MAX_SLIT_SHARE
-    )
+    effect = float(np.abs(change).max())
+    return MeasuredShape(offset, response, misfit, effect, is_resolved=width <= MAX_SLIT_SHARE)
 
 
 # -- Light outside the lamp lines: wings of scattered light over all bands, and the second order of the
@@ -458,9 +456,8 @@ class Result:
         order = np.argsort(self.centre_wavelength)
         spacing = np.interp(lab.wavelength, self.centre_wavelength[order], self.centre_spacing[order])
         source = shape_variance(lab.width, "triangle" if lab.triangular else "gaussian")
-        factor = second_order_factor(
-            lab.wavelength, level, shape_variance(self.fwhm_at_steps, self.shape, spacing), source
-        )[:, None]
+        own = shape_variance(self.fwhm_at_steps, self.shape, spacing)
+        factor = second_order_factor(lab.wavelength, level, own, source)[:, None]
         low, high = EDGE_TOLERANCE_NM
         tolerance = min(max(low, 3.0 * self.wavelength_map.residual), high)
         # without light that is scattered into the window of a lamp line
@@ -598,9 +595,8 @@ class Result:
         if self.is_shape_free and measured.is_resolved:
             # offsets (srf_offset,) [nm], and the response of every band there
             offset = measured.offset * float(self.fwhm.max())
-            return offset, np.stack(
-                [np.interp(offset, measured.offset * w, measured.response, 0.0, 0.0) for w in self.fwhm]
-            )
+            widened = [np.interp(offset, measured.offset * w, measured.response, 0.0, 0.0) for w in self.fwhm]
+            return offset, np.stack(widened)
         reason = "srf_shape= is given" if measured.is_resolved else "the monochromator's line is too wide"
         warn_user(
             f"the measured response is {measured.misfit:.1%} off the model {self.shape!r}, and is not "
@@ -685,10 +681,8 @@ class Result:
         shape_attrs: dict[str, Any] = {}
         if self.measured is not None:
             numbers = (float(f"{value:.3g}") for value in (self.measured.misfit, self.measured.effect))
-            shape_attrs = {
-                "srf_model": self.shape,
-                **dict(zip(("srf_model_misfit", "srf_model_effect"), numbers, strict=True)),
-            }
+            names = ("srf_model_misfit", "srf_model_effect")
+            shape_attrs = {"srf_model": self.shape, **dict(zip(names, numbers, strict=True))}
         return {
             "srf_shape": self.shape,
             "source": "monochromator sweep, line-area method",

@@ -74,13 +74,8 @@ def fit_dark_model(dark: Floats, exposure: Floats) -> DarkModel:
             different.append(float(value))
     mean = dark.mean(axis=0)
     if len(different) == 1:
-        return DarkModel(
-            mean,
-            np.full_like(mean, np.nan),
-            tuple(different),
-            float(np.sqrt(np.nanmean((dark - mean) ** 2))),
-            exposure,
-        )
+        rms = float(np.sqrt(np.nanmean((dark - mean) ** 2)))
+        return DarkModel(mean, np.full_like(mean, np.nan), tuple(different), rms, exposure)
     offset = exposure - exposure.mean()
     rate = np.tensordot(offset, dark, axes=1) / (offset**2).sum()
     bias = mean - rate * exposure.mean()
@@ -136,11 +131,8 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
         exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
     problems.add_if(len(shapes) > 1, f"darks of shapes {shapes}", expected="one shape", code="grid-mismatch")
-    problems.add_if(
-        not all(0 < value < np.inf for value in exposures),
-        "'dark_exposure_time' is not finite and positive everywhere",
-        code="exposure-invalid",
-    )
+    if not all(0 < value < np.inf for value in exposures):
+        problems.add("'dark_exposure_time' is not finite and positive everywhere", code="exposure-invalid")
     problems.raise_if_any()
     model = fit_dark_model(np.stack(frames), np.array(exposures))
     SchemaError.raise_if(
@@ -177,10 +169,8 @@ def dark_at(model: xr.Dataset, exposure_time: float) -> xr.DataArray:
     >>> dark_at(model, 0.02).values
     array([[101.]], dtype=float32)
     """
-    return label(
-        (model["dark_bias"] + np.float32(exposure_time) * model["dark_rate"]).astype(np.float32),
-        "dark_counts",
-    )
+    dark = model["dark_bias"] + np.float32(exposure_time) * model["dark_rate"]
+    return label(dark.astype(np.float32), "dark_counts")
 
 
 @takes_quantities()

@@ -51,13 +51,8 @@ def _camera_widths(lab: LabSweep, lamp_lines: LampLines, wavelength_map: Wavelen
     fitted_steps = np.flatnonzero(
         count >= max(0.5 * count.max(), 1)
     )  # a few lamp lines at the edge may all be wrong
-    return np.asarray(
-        np.interp(
-            lab.wavelength,
-            lab.wavelength[fitted_steps],
-            row_medians(widths, lamp_lines.trusted)[fitted_steps],
-        )
-    )
+    step_medians = row_medians(widths, lamp_lines.trusted)[fitted_steps]
+    return np.asarray(np.interp(lab.wavelength, lab.wavelength[fitted_steps], step_medians))
 
 
 def _unit_lines(
@@ -285,14 +280,8 @@ def _complete_step(
 
     def profile(shift: float, width_factor: float) -> Floats:
         out = np.empty(window.values.shape)
-        profiles(
-            window.places - (centre + shift)[:, None],
-            width * width_factor,
-            source,
-            SHAPES[shape],
-            lab.triangular,
-            out,
-        )
+        distance = window.places - (centre + shift)[:, None]
+        profiles(distance, width * width_factor, source, SHAPES[shape], lab.triangular, out)
         return out
 
     is_finite = np.isfinite(window.values)

@@ -445,9 +445,8 @@ def _sightings(
 ) -> list[Sightings]:
     # Return the view of every line on its points.
     crs = points.attrs.get("crs") if crs is None else crs
-    SchemaError.raise_if(
-        crs is None, "the CRS of east and north is missing", mend="pass crs=", code="crs-missing"
-    )
+    if crs is None:
+        raise SchemaError("the CRS of east and north is missing", mend="pass crs=", code="crs-missing")
     parts: list[tuple[str, Any, Ints]] = [("", lines, np.arange(points.sizes["point"]))]
     if not isinstance(lines, xr.Dataset):
         SchemaError.raise_if(
@@ -632,9 +631,8 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     lowest = [k for k, median in enumerate(medians) if median <= min(padded[k], padded[k + 2])]
     candidates = [k for k in lowest if medians[k] <= RULES.candidate_ratio * min(medians)]
     candidates = sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]
-    best, *rest = sorted(
-        [_robust_fit(points, starts[k], plausible) for k in candidates], key=lambda fit: fit.median_miss
-    )
+    fits = [_robust_fit(points, starts[k], plausible) for k in candidates]
+    best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
     for rival in rest:
         is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
         SchemaError.raise_if(

@@ -297,13 +297,8 @@ def check_conventions(
     labelled, *other_units = {str(source[name].attrs.get("units")) for name in ANGLES}
     is_labelled = not other_units and labelled != "None"
     if is_labelled and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
-        unit = Finding(
-            "angle_unit",
-            setting.declared.angle_unit,
-            "wrong",
-            labelled,
-            f"the variables have units {labelled!r}",
-        )
+        evidence = f"the variables have units {labelled!r}"
+        unit = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
         findings = [unit if finding.field == "angle_unit" else finding for finding in findings]
     first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
     # a wrong field is replaced only where one alternative remains
@@ -350,12 +345,8 @@ def navigation_findings(lines: Mapping[str, xr.Dataset]) -> list[tuple[str, Find
     with contextlib.suppress(*impossible):
         offset = estimate_clock_offset(line, irradiance=line, lines=selected)
         if abs(offset.offset_s) > max(RULES.clock_sd * offset.uncertainty_s, RULES.max_light_lag_s):
-            findings.append(
-                (
-                    name,
-                    Finding("irradiance clock", "0 s", "wrong", f"{offset.offset_s:+.2f} s", offset.evidence),
-                )
-            )
+            likely = f"{offset.offset_s:+.2f} s"
+            findings.append((name, Finding("irradiance clock", "0 s", "wrong", likely, offset.evidence)))
     return findings
 
 
@@ -384,12 +375,10 @@ def _picture(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
             bands = bands[np.unique(np.round(positions).astype(np.int64))]
             image = image.isel({BAND: bands}).mean(BAND, dtype=np.float32)
     sizes = {dim: line.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.sizes}
-    SchemaError.raise_if(
-        set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()),
-        f"the image is {dict(image.sizes)}",
-        expected=f"{sizes}, as the line",
-        code="grid-mismatch",
-    )
+    if set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()):
+        raise SchemaError(
+            f"the image is {dict(image.sizes)}", expected=f"{sizes}, as the line", code="grid-mismatch"
+        )
     values: Any = image.transpose(ALONG_TRACK, CROSS_TRACK).values
     return np.asarray(values, np.float32)
 
@@ -643,12 +632,10 @@ def _setting(
         )
     selected = _middle_lines(line) if lines is None else lines
     part = line.isel({ALONG_TRACK: selected})
-    SchemaError.raise_if(
-        part.sizes[ALONG_TRACK] < _MIN_LINES,
-        f"{part.sizes[ALONG_TRACK]} lines",
-        expected=f"at least {_MIN_LINES}",
-        code="line-too-short",
-    )
+    if part.sizes[ALONG_TRACK] < _MIN_LINES:
+        raise SchemaError(
+            f"{part.sizes[ALONG_TRACK]} lines", expected=f"at least {_MIN_LINES}", code="line-too-short"
+        )
     observed = row_motion(_picture(part, None if image is None else image.isel({ALONG_TRACK: selected})))
     if observed is None:
         raise SchemaError(
@@ -823,10 +810,8 @@ def _findings(setting: Setting) -> list[Finding]:
         )
         declarations = {**declared.fields(), "height_reference": convention.height_reference}
         declarations |= {"stamp_reference": str(convention.stamp_reference)}
-        return [
-            *([Finding(name, str(v), "undecided", "", evidence) for name, v in declarations.items()]),
-            of_north(declared),
-        ]
+        undecided = [Finding(name, str(v), "undecided", "", evidence) for name, v in declarations.items()]
+        return [*undecided, of_north(declared)]
     best = _nearest(scored, declared)
     height = _fit_height(setting, best, compared, median_altitude(best) - setting.view.ground)
     is_height_off = (
@@ -869,12 +854,8 @@ def _findings(setting: Setting) -> list[Finding]:
     is_offset = likely == stamp or distances.get(likely, 0.0) > max(3.0 * clock.sd, half_exposure / 2)
     evidence = f"clock {1e3 * clock.value:+.1f} +- {1e3 * clock.sd:.1f} ms"
     if stamp is not None and not is_on_time and is_offset:
-        return [
-            *findings,
-            Finding(
-                "clock", "0 s", "wrong", f"{clock.value:+.4f} s", f"{evidence}; add it as clock_offset_s"
-            ),
-        ]
+        offset = f"{clock.value:+.4f} s"
+        return [*findings, Finding("clock", "0 s", "wrong", offset, f"{evidence}; add it as clock_offset_s")]
     return [
         *findings,
         _finding(
@@ -1063,9 +1044,8 @@ def _fit_step(
     # smoothing: noise of attitude has opposite signs in neighbouring lines, motion has not
     smooth = np.stack([_running_mean(np.where(is_valid, part, 0.0)) for part in (*parts, values)], axis=-1)
     scale = _robust_scale(smooth[..., -1][is_valid])
-    blocks = np.array_split(
-        np.arange(values.shape[0]), max(values.shape[0] // RULES.block_lines, RULES.min_blocks)
-    )
+    count = max(values.shape[0] // RULES.block_lines, RULES.min_blocks)
+    blocks = np.array_split(np.arange(values.shape[0]), count)
     smooth_travel = _running_mean(np.where(is_valid, travel, 0.0))[..., None]
     for b in blocks:
         # zone by zone, without the part proportional to travel
@@ -1259,12 +1239,10 @@ def estimate_clock_offset(
         mend="give one of them",
         code="option-conflict",
     )
-    SchemaError.raise_if(
-        not 0.0 < max_offset_s < np.inf,
-        f"max_offset_s {max_offset_s!r}",
-        expected="a time above 0 [s]",
-        code="value-out-of-range",
-    )
+    if not 0.0 < max_offset_s < np.inf:
+        raise SchemaError(
+            f"max_offset_s {max_offset_s!r}", expected="a time above 0 [s]", code="value-out-of-range"
+        )
     if irradiance is not None:
         return _light_offset(line, irradiance, image, lines, max_offset_s, max_uncertainty_s or 1.0)
     setting = _setting(

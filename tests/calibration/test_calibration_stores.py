@@ -65,9 +65,8 @@ def test_command_line_says_what_is_wrong(lab: Path, tmp_path: Path) -> None:
     )
     assert itself.exit_code == 2
     assert "is the sweep itself" in itself.output
-    xr.open_zarr(lab / "sweep.zarr", consolidated=False).drop_vars("flux").to_zarr(
-        tmp_path / "bad.zarr", zarr_format=3, consolidated=False
-    )
+    bad = xr.open_zarr(lab / "sweep.zarr", consolidated=False).drop_vars("flux")
+    bad.to_zarr(tmp_path / "bad.zarr", zarr_format=3, consolidated=False)
     done = CliRunner().invoke(
         main, ["calibrate", str(tmp_path / "bad.zarr"), "--out", str(tmp_path / "cal.zarr")]
     )
@@ -91,10 +90,8 @@ def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     same = {"bands": 136, "columns": 6, "nonuniformity": 0}
     path = simulate_collect(folder / "c", scene="plan", lines=40, **same)
     sweep = simulate_sweep(**same)
-    plain_zarr(
-        sweep.drop_vars([name for name in sweep.variables if str(name).startswith("true_")]),
-        folder / "c" / "lab.zarr",
-    )
+    truth = [name for name in sweep.variables if str(name).startswith("true_")]
+    plain_zarr(sweep.drop_vars(truth), folder / "c" / "lab.zarr")
     text = path.read_text()
     assert 'path = "calibration.zarr"' in text
     path.write_text(text.replace('path = "calibration.zarr"', 'sweep = "lab.zarr"'))
@@ -105,17 +102,8 @@ def test_a_collect_is_calibrated_on_the_way(collect: Path) -> None:
     tree = hp.open_collect(collect)
     made = tree["calibration"].to_dataset()
     assert made.sweep == "lab.zarr"
-    assert (
-        np.nanmax(
-            np.abs(
-                (
-                    made.radiance_gain / open_calibration(collect.parent / "calibration.zarr").radiance_gain
-                    - 1
-                ).values[10:-10]
-            )
-        )
-        < 1e-2
-    )
+    truth = open_calibration(collect.parent / "calibration.zarr")
+    assert np.nanmax(np.abs((made.radiance_gain / truth.radiance_gain - 1).values[10:-10])) < 1e-2
     line = tree["flightlines/raw_0"].to_dataset()
     assert not [name for name in line.variables if str(name).startswith(("line_", "beam_", "stray"))]
     assert line.radiance_gain_u_systematic.dims == ("band",)

@@ -47,9 +47,8 @@ def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them() -> None:
 
     def seen(stray: dict[str, float]) -> list[np.ndarray]:
         # with the gain alone, and with the wings
-        parts = calibration_parts(
-            check_calibration(hp.calibrate(simulate_sweep(**camera, **stray))), is_counts=True
-        )
+        calibration = hp.calibrate(simulate_sweep(**camera, **stray))
+        parts = calibration_parts(check_calibration(calibration), is_counts=True)
         line = simulate_line(**flight, **stray)
         lines = [
             line.assign({name: parts[name] for name in names if name in parts})
@@ -76,14 +75,8 @@ def test_a_pedestal_is_the_dark_that_is_off(pedestal: float) -> None:
 
 
 def test_smile_is_found_behind_any_optics() -> None:
-    sweep = simulate_sweep(
-        bands=136,
-        columns=40,
-        smile_nm=0.8,
-        psf_across_columns=2.0,
-        keystone_columns=0.6,
-        stray_light=0.01,
-    )
+    optics = {"psf_across_columns": 2.0, "keystone_columns": 0.6, "stray_light": 0.01}
+    sweep = simulate_sweep(bands=136, columns=40, smile_nm=0.8, **optics)
     error = hp.calibrate(sweep).wavelength_shift - sweep.true_wavelength_shift
     assert float(np.abs(error).max()) < 0.02
 
@@ -91,9 +84,8 @@ def test_smile_is_found_behind_any_optics() -> None:
 def test_masked_columns_have_no_gain() -> None:
     with pytest.warns(PaintWarning, match=r"4 of 12 .*columns-unlit"):
         calibration = hp.calibrate(simulate_sweep(**CAMERA, masked_columns=2))
-    np.testing.assert_array_equal(
-        np.isnan(calibration.radiance_gain.values).all(axis=0), np.isin(np.arange(12), [0, 1, 10, 11])
-    )
+    is_blind = np.isnan(calibration.radiance_gain.values).all(axis=0)
+    np.testing.assert_array_equal(is_blind, np.isin(np.arange(12), [0, 1, 10, 11]))
 
 
 @pytest.mark.parametrize(("nonuniformity", "tolerance"), [(0.0, 0.01), (0.02, 0.06)])
@@ -105,12 +97,8 @@ def test_a_narrow_beam_shows_the_keystone(nonuniformity: float, tolerance: float
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "22 of 41 columns are not lit", PaintWarning)
         calibration = hp.calibrate(sweep)
-    error = (
-        calibration.beam_centre.values
-        - 20.0
-        - np.interp(sweep.step_wavelength, sweep.true_wavelength, sweep.true_keystone)
-    )
-    assert np.nanmax(np.abs(error)) < tolerance
+    keystone = np.interp(sweep.step_wavelength, sweep.true_wavelength, sweep.true_keystone)
+    assert np.nanmax(np.abs(calibration.beam_centre.values - 20.0 - keystone)) < tolerance
 
 
 def test_an_even_beam_shows_no_keystone() -> None:

@@ -79,9 +79,8 @@ def test_a_dark_rate_is_not_carried_far(exposures: tuple[float, float]) -> None:
 
 
 def test_a_dark_model_reaches_as_far_as_it_is_known() -> None:
-    model = fit_dark_model(
-        100.0 + 2.0 * np.random.default_rng(0).standard_normal((8, 40, 50)), np.repeat([0.0499, 0.0501], 4)
-    )
+    rng = np.random.default_rng(0)
+    model = fit_dark_model(100.0 + 2.0 * rng.standard_normal((8, 40, 50)), np.repeat([0.0499, 0.0501], 4))
     assert (model.spread, model.leverage(0.05)) == (pytest.approx(2.0, rel=0.05), pytest.approx(1 / 8))
     assert model.is_valid_at(0.05)
     assert not model.is_valid_at(0.055)  # to 70 counts
@@ -95,9 +94,8 @@ def test_dead_elements_at_the_edge_spoil_no_neighbour(seed: int) -> None:
     sweep = sweep_of(columns=20, bad_elements=200, seed=seed)
     made = hp.calibrate(sweep)
     assert np.nanmax(np.abs(error_of(made, sweep))) < 0.02
-    assert not np.isfinite(
-        made.radiance_gain.values[sweep.true_bad.transpose("band", "cross_track").values]
-    ).any()
+    dead = sweep.true_bad.transpose("band", "cross_track").values
+    assert not np.isfinite(made.radiance_gain.values[dead]).any()
 
 
 @pytest.mark.parametrize("band", [0, 1, 2, 269, 270, 271])
@@ -122,12 +120,9 @@ def test_noise_that_nobody_tells_is_found(nonuniformity: float) -> None:
     sweep = sweep_of(columns=20, nonuniformity=nonuniformity)
     with pytest.warns(PaintWarning, match="noise-missing") as caught:
         made = hp.calibrate(sweep.drop_vars("counts_variance"))
-    assert (caught[0].filename, "electrons_per_count" in made, made.electrons_per_count_source) == (
-        __file__,
-        False,
-        "none",
-    )
+    assert (caught[0].filename, "electrons_per_count" in made) == (__file__, False)
     assert 0.75 < spread_of_z(made, sweep) < 1.25
+    assert made.electrons_per_count_source == "none"
 
 
 # --- beam
@@ -168,10 +163,8 @@ def test_columns_without_light() -> None:
         levelled = hp.calibrate(sweep, flat_field=flat)
     assert np.isnan(levelled.radiance_gain.values[:, last + 1 :]).all()
     anchored = anchor_to_radiance(made, frames_of(sweep), even_radiance())
-    assert (
-        np.isnan(anchored.radiance_gain.values[:, :first]).all(),
-        np.isfinite(anchored.radiance_gain.values[100, first : last + 1]).all(),
-    ) == (True, True)
+    assert np.isnan(anchored.radiance_gain.values[:, :first]).all()
+    assert np.isfinite(anchored.radiance_gain.values[100, first : last + 1]).all()
     flux[3, 12] = 0.0
     expect_refusals(
         (
@@ -232,35 +225,25 @@ def test_bands_too_far_apart_are_named_as_such(shape: str) -> None:
 
 def test_second_order_without_stray_light() -> None:
     made = hp.calibrate(sweep_of(second_order=0.05, **CLEAN))
-    assert (float(np.nanmedian(made.second_order)), made.stray_light.dtype) == (
-        pytest.approx(0.05, rel=0.1),
-        np.float64,
-    )
+    assert float(np.nanmedian(made.second_order)) == pytest.approx(0.05, rel=0.1)
+    assert made.stray_light.dtype == np.float64
 
 
 def test_stray_light_within_the_lines_is_taken_out_and_what_is_left_is_uncertainty() -> None:
     sweep = sweep_of(stray_light=0.05, **CLEAN)
     made = hp.calibrate(sweep, flux_uncertainty=0.0)
     bias = abs(np.nanmedian(error_of(made, sweep)[20:-20]))
-    np.testing.assert_array_less(
-        [5e-3, bias, bias, hp.calibrate(sweep_of(**CLEAN)).stray_light_in_lines],
-        [
-            made.stray_light_in_lines,
-            0.3 * made.stray_light_in_lines,
-            2 * float(made.radiance_gain_u_systematic.median()),
-            1e-4,
-        ],
-    )
+    np.testing.assert_array_less([5e-3, bias], [made.stray_light_in_lines, 0.3 * made.stray_light_in_lines])
+    assert bias < 2 * float(made.radiance_gain_u_systematic.median())
+    assert hp.calibrate(sweep_of(**CLEAN)).stray_light_in_lines < 1e-4
 
 
 def test_the_dial_is_in_the_uncertainty_of_wavelengths() -> None:
     sweep = sweep_of(bands=136)
     assert float(hp.calibrate(sweep).wavelength_u) == pytest.approx(0.1, rel=0.01)
     made = hp.calibrate(sweep, wavelength_uncertainty=0.3)
-    assert (float(made.wavelength_u), made.wavelength_uncertainty_nm) == (
-        pytest.approx(np.hypot(0.3, made.wavelength_residual_nm)),
-        0.3,
-    )
+    assert float(made.wavelength_u) == pytest.approx(np.hypot(0.3, made.wavelength_residual_nm))
+    assert made.wavelength_uncertainty_nm == 0.3
 
 
 def test_nothing_far_beyond_the_last_step() -> None:
@@ -339,9 +322,8 @@ def test_no_scale_no_quantum_efficiency_and_no_radiance(relative: tuple[xr.Datas
     )
     panel = hp.Panel(slice(0, 4), slice(0, 3), 0.4)
     scaled = line.paint.reflectance(panel=panel).reflectance.values
-    np.testing.assert_array_equal(
-        scaled, line.assign_attrs(absolute_scale="known").paint.reflectance(panel=panel).reflectance.values
-    )
+    usual = line.assign_attrs(absolute_scale="known").paint.reflectance(panel=panel).reflectance.values
+    np.testing.assert_array_equal(scaled, usual)
 
 
 def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:

@@ -30,9 +30,8 @@ def flight_of(seed: int, lines: int = 400) -> tuple[Flight, xr.Dataset, xr.Datas
 def check(flight: Flight, made: Made, **options: Any) -> ConventionCheck:
     line, nav, declared = made
     camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
-    return check_conventions(
-        line, nav, convention=declared, camera=camera, **{"ground": flight.ground} | options
-    )
+    given = {"convention": declared, "camera": camera, "ground": flight.ground} | options
+    return check_conventions(line, nav, **given)
 
 
 @pytest.mark.slow
@@ -51,36 +50,22 @@ def test_twelve_wrong_declarations() -> None:
 @pytest.mark.slow
 def test_nothing_is_named_of_a_right_declaration() -> None:
     flights = {seed: flight_of(seed) for seed in (201, 202, 203, 204)}
-    assert {
-        seed: check(flight, (*made, DECLARED)).wrong for seed, (flight, *made) in flights.items()
-    } == dict.fromkeys(flights, ())
+    named = {seed: check(flight, (*made, DECLARED)).wrong for seed, (flight, *made) in flights.items()}
+    assert named == dict.fromkeys(flights, ())
 
 
 @pytest.mark.slow
 def test_signs_of_roll_and_pitch_and_a_platform_that_flies_nose_up() -> None:
     flight, line, nav = flight_of(3, 700)
     upside = check(flight, (line, nav.assign(roll=-nav["roll"]), DECLARED))
-    assert (
-        upside.suggested,
-        "right_wing_up" in upside.table(),
-        upside["roll_positive"].verdict,
-        set(check(flight, (line, nav.assign(roll=-nav["roll"], pitch=-nav["pitch"]), DECLARED)).wrong),
-    ) == (
-        DECLARED.replace(roll_positive="right_wing_up"),
-        True,
-        "wrong",
-        {
-            "roll_positive",
-            "pitch_positive",
-        },
-    )
+    assert upside.suggested == DECLARED.replace(roll_positive="right_wing_up")
+    assert ("right_wing_up" in upside.table(), upside["roll_positive"].verdict) == (True, "wrong")
+    both = check(flight, (line, nav.assign(roll=-nav["roll"], pitch=-nav["pitch"]), DECLARED))
+    assert set(both.wrong) == {"roll_positive", "pitch_positive"}
     # such a pitch in radians looks past the horizon: the last meanings tried are left out
     for mean_pitch in (1.5, 2.5):
-        found = check(
-            flight,
-            (line, nav.assign(pitch=nav["pitch"] + mean_pitch), DECLARED),
-            boresight=(0.0, -mean_pitch, 0.0),
-        )
+        nose_up = nav.assign(pitch=nav["pitch"] + mean_pitch)
+        found = check(flight, (line, nose_up, DECLARED), boresight=(0.0, -mean_pitch, 0.0))
         assert (found.wrong, found["roll_positive"].verdict) == ((), "right")
 
 

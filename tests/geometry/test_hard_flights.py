@@ -33,9 +33,8 @@ def mapped(line: xr.Dataset, **options: Any) -> tuple[xr.Dataset, xr.Dataset]:
     if "dem" in given:
         del given["ground"]
     located = hp.geometry.locate(line, **given)
-    made = hp.geometry.orthorectify(
-        located, variables=["number", "east", "north", "view_azimuth", "quality"], method="bilinear"
-    ).compute()
+    variables = ["number", "east", "north", "view_azimuth", "quality"]
+    made = hp.geometry.orthorectify(located, variables=variables, method="bilinear").compute()
     located = located.compute()
     lost = np.isnan(located.east.values)
     for name in PLACES:
@@ -50,10 +49,8 @@ def mapped(line: xr.Dataset, **options: Any) -> tuple[xr.Dataset, xr.Dataset]:
     east, north = (made[f"{name}"].values[shown] for name in ("east", "north"))
     c, a, b, f, d, e = map(float, made.spatial_ref.attrs["GeoTransform"].split())
     row, col = (index[shown] + 0.5 for index in np.indices(shown.shape))
-    assert (
-        np.hypot(c + a * col + b * row - east, f + d * col + e * row - north).max()
-        <= 1e-3 * made.attrs["gsd"]
-    )
+    away = np.hypot(c + a * col + b * row - east, f + d * col + e * row - north)
+    assert away.max() <= 1e-3 * made.attrs["gsd"]
     low = [np.floor(made[name].values[shown]).astype(int) for name in ("glt_line", "glt_sample")]
     high = [np.ceil(made[name].values[shown]).astype(int) for name in ("glt_line", "glt_sample")]
     for i in (low[0], high[0]):
@@ -68,9 +65,8 @@ def test_a_gap_of_the_navigation() -> None:
     record = recorded(line.compute())
     bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
     located, made = mapped(bare, navigation=record.isel(navigation_time=np.r_[0:40, 80:LINES]), max_gap_s=0.1)
-    np.testing.assert_array_equal(
-        np.flatnonzero(np.isnan(located.east.values).all(axis=1)), np.arange(40, 80)
-    )
+    lost = np.isnan(located.east.values).all(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(lost), np.arange(40, 80))
     inside = made.hits.values == 0
     assert made.gap.values[made.sizes["y"] // 2].sum() > COLUMNS / 2
     assert not ((made.number.values > 39.5) & (made.number.values < 79.5))[~inside].any()
@@ -86,15 +82,12 @@ def test_a_pose_that_is_half_known(name: str) -> None:
     line[name][30] = np.inf
     for chunked in (line, line.chunk(along_track=32)):
         located, made = mapped(chunked)
-        np.testing.assert_array_equal(
-            np.flatnonzero(np.isnan(located.east.values).all(axis=1)), [0, 7, 30, 50, 51, LINES - 1]
-        )
+        lost = np.isnan(located.east.values).all(axis=1)
+        np.testing.assert_array_equal(np.flatnonzero(lost), [0, 7, 30, 50, 51, LINES - 1])
         assert made.gap.values.any()
     # one missing row of a record is between two known ones
-    located, _ = mapped(
-        line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"]),
-        navigation=recorded(line),
-    )
+    bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
+    located, _ = mapped(bare, navigation=recorded(line))
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(located.east[:, 0])), [0, LINES - 1])
 
 
@@ -138,15 +131,11 @@ def test_headings_that_wrap(course: float) -> None:
     located, made = mapped(between, navigation=recorded(line))
     other, same = mapped(between, navigation=recorded(signed))
     np.testing.assert_allclose(located.east, other.east, rtol=0, atol=1e-7)
-    assert (made.gap.values.any(), (same.hits.values > 0).sum()) == (
-        False,
-        pytest.approx((made.hits.values > 0).sum(), rel=1e-3),
-    )
+    assert not made.gap.values.any()
+    assert (same.hits.values > 0).sum() == pytest.approx((made.hits.values > 0).sum(), rel=1e-3)
     # no line between two is swept right round
-    assert (
-        np.hypot(located.east.diff("along_track").values, located.north.diff("along_track").values).max()
-        < 0.05
-    )
+    steps = np.hypot(located.east.diff("along_track").values, located.north.diff("along_track").values)
+    assert steps.max() < 0.05
 
 
 def test_rays_above_the_horizon() -> None:
@@ -184,9 +173,8 @@ def test_a_real_raster_with_holes() -> None:
     assert (np.isfinite(near).all(), np.isfinite(corner).all(), made.gap.values.any()) == (True, True, True)
     np.testing.assert_allclose(np.where(lost, np.nan, flat.east), located.east, rtol=0, atol=1e-6)
     # with the holes as a number, and in a leading band, as files have them
-    again, same = mapped(
-        line, dem=dem.fillna(-9999.0).expand_dims(band=[1]).assign_attrs(dem.attrs, _FillValue=-9999.0)
-    )
+    marked = dem.fillna(-9999.0).expand_dims(band=[1]).assign_attrs(dem.attrs, _FillValue=-9999.0)
+    again, same = mapped(line, dem=marked)
     np.testing.assert_array_equal(again.east, located.east)
     np.testing.assert_array_equal(same.hits, made.hits)
     # a line that half leaves the raster
@@ -219,12 +207,8 @@ def test_no_hole_inside_the_hull_that_is_not_a_gap(wobble: float, grid: Any) -> 
         assert inside.sum() > 1000
         assert not (inside & empty & ~made.gap.values).any()
         if not lost:
-            assert (made.gap.values.any(), (inside & empty).any(), hp.geometry.map_report(made)["gaps"]) == (
-                False,
-                False,
-                0,
-            )
+            assert (made.gap.values.any(), (inside & empty).any()) == (False, False)
+            assert hp.geometry.map_report(made)["gaps"] == 0
         else:
-            np.testing.assert_array_less(
-                [60, 60], [hp.geometry.map_report(made)["gaps"], (inside & empty).sum()]
-            )
+            assert hp.geometry.map_report(made)["gaps"] > 60
+            assert (inside & empty).sum() > 60

@@ -25,10 +25,8 @@ def test_reflectance_and_place_in_either_order() -> None:
     before = line.paint.locate(ground=0.0, camera=CAMERA).paint.reflectance()
     after = line.paint.reflectance().paint.locate(ground=0.0, camera=CAMERA)
     for made in (before, after):
-        assert (
-            (made.quality.values[3] & hp.Quality.OFF_SWATH == hp.Quality.OFF_SWATH).all(),
-            (np.delete(made.quality.values, 3, axis=0) & hp.Quality.OFF_SWATH).any(),
-        ) == (True, False)
+        assert (made.quality.values[3] & hp.Quality.OFF_SWATH == hp.Quality.OFF_SWATH).all()
+        assert not (np.delete(made.quality.values, 3, axis=0) & hp.Quality.OFF_SWATH).any()
     for name in ("reflectance", "quality", "east", "view_zenith"):
         np.testing.assert_array_equal(before[name], after[name])
     np.testing.assert_array_equal(before.reflectance, line.paint.reflectance().reflectance)
@@ -38,17 +36,14 @@ def test_regions_of_the_map_find_their_pixels() -> None:
     located = line_with_poses().paint.locate(ground=0.0, camera=CAMERA).paint.reflectance()
     east, north = located.east.values, located.north.values
     corner = (east[10, 2], north[10, 2])
-    region = hp.Region(
-        "panel", [(corner[0] + a, corner[1] + b) for a, b in ((-1, -0.03), (1, -0.03), (1, 0.03), (-1, 0.03))]
-    )
+    box = [(corner[0] + a, corner[1] + b) for a, b in ((-1, -0.03), (1, -0.03), (1, 0.03), (-1, 0.03))]
+    region = hp.Region("panel", box)
     along, across = pixels(region, located, coordinates="map", crs=UTM)
     inside = (np.abs(east - corner[0]) <= 1) & (np.abs(north - corner[1]) <= 0.03)
     assert inside[10, 2]
     np.testing.assert_array_equal(np.stack([along, across]), np.stack(np.nonzero(inside)))
     assert 3 not in along
     paints = hp.extract_signatures(located, hp.Regions((region,), "map", UTM))
-    assert (int(paints.n[0]), paints.attrs["view_geometry"]) == (
-        inside.sum(),
-        "view_zenith and view_azimuth of the pixels",
-    )
+    assert int(paints.n[0]) == inside.sum()
+    assert paints.attrs["view_geometry"] == "view_zenith and view_azimuth of the pixels"
     np.testing.assert_allclose(paints.view_zenith[0], located.view_zenith.values[inside].mean(), atol=0.2)

@@ -86,10 +86,8 @@ def test_signs_by_hand() -> None:
 def test_boresight_and_lever_arm_by_hand() -> None:
     east, north = offsets(still(heading=90.0), lever_arm=(3.0, 2.0, 10.0))
     # forward is east, right is south, and 10 m lower the swath is narrower
-    assert ((east[2], north[2]), north[0] + 2.0) == (
-        pytest.approx((3.0, -2.0), abs=1e-3),
-        pytest.approx(90 * np.tan(np.radians(20.0)), abs=1e-3),
-    )
+    assert (east[2], north[2]) == pytest.approx((3.0, -2.0), abs=1e-3)
+    assert north[0] + 2.0 == pytest.approx(90 * np.tan(np.radians(20.0)), abs=1e-3)
     # a rotation, not a sum of angles: flying tilted by 30 degrees the two differ
     turned = Rotation.from_euler("ZYX", [20, 10, 30], degrees=True) * Rotation.from_euler(
         "ZYX", [3, 2, 1], degrees=True
@@ -111,21 +109,16 @@ def test_map_north_and_scale() -> None:
         gamma, np.degrees(np.arctan(np.tan(np.radians(lon + 81)) * np.sin(np.radians(lat)))), atol=1e-3
     )
     # pixels of a line that flies to true north lie, on the map, across its grid heading
-    made = hp.geometry.locate(
-        flown(50, 5, roll=0, pitch=0, heading=heading, latitude=lat, longitude=lon),
-        ground=0.0,
-        crs=UTM,
-        camera=CAMERA,
-    )
+    line = flown(50, 5, roll=0, pitch=0, heading=heading, latitude=lat, longitude=lon)
+    made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
     across = np.degrees(np.arctan2(made.east[:, 4] - made.east[:, 0], made.north[:, 4] - made.north[:, 0]))
     assert np.abs((across.values - found - 90 + 180) % 360 - 180).max() < 1e-4
     # and 1 km on the ground is 1 km less the map's scale; back to degrees within 1 mm
     geod = pyproj.Geod(ellps="WGS84")
     far_lon, far_lat, _ = geod.fwd([-80.2], [34.0], [37.0], [1000.0])
     ends = flown(2, 1, roll=0, pitch=0, heading=0, latitude=[34.0, far_lat[0]], longitude=[-80.2, far_lon[0]])
-    made = hp.geometry.locate(
-        ends, ground=0.0, crs=UTM, camera=hp.geometry.PinholeCamera(1, field_of_view=1.0, edges="outer")
-    )
+    camera = hp.geometry.PinholeCamera(1, field_of_view=1.0, edges="outer")
+    made = hp.geometry.locate(ends, ground=0.0, crs=UTM, camera=camera)
     back = pyproj.Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(made.east, made.north)
     _, _, distance = geod.inv(back[0][0], back[1][0], back[0][1], back[1][1])
     assert distance[0] == pytest.approx(1000.0, abs=1e-3)
@@ -136,19 +129,12 @@ def test_map_north_and_scale() -> None:
 
 
 def test_the_antimeridian_and_southern_zones() -> None:
-    made = hp.geometry.locate(
-        flown(4, 5, longitude=[179.9999, 179.99999, -179.99999, -179.9999], latitude=-17.0),
-        ground=0.0,
-        camera=CAMERA,
-    )
-    assert (
-        made.east.attrs["crs"] in ("EPSG:32760", "EPSG:32701"),
-        np.isfinite(made.east).all(),
-        utm_zone(-17.0, 180.0),
-        utm_zone(78.0, 20.0),
-        utm_zone(60.0, 3.5),
-    ) == (True, True, "EPSG:32701", "EPSG:32633", "EPSG:32632")
+    line = flown(4, 5, longitude=[179.9999, 179.99999, -179.99999, -179.9999], latitude=-17.0)
+    made = hp.geometry.locate(line, ground=0.0, camera=CAMERA)
+    assert made.east.attrs["crs"] in ("EPSG:32760", "EPSG:32701")
+    assert (np.isfinite(made.east).all(), utm_zone(-17.0, 180.0)) == (True, "EPSG:32701")
     assert np.abs(made.north - made.north[0, 2]).max() < 100
+    assert (utm_zone(78.0, 20.0), utm_zone(60.0, 3.5)) == ("EPSG:32633", "EPSG:32632")
     expect_refusals((SchemaError, "crs-missing", lambda: utm_zone(85.0, 0.0)))
 
 
@@ -187,9 +173,8 @@ def test_tables_of_look_angles() -> None:
         np.testing.assert_allclose(made.north, wanted["north"], rtol=0, atol=1e-8)
     # the angles that come with a calibration, in radians, need no order of columns
     line.attrs = Convention().to_attrs()
-    made = hp.geometry.locate(
-        line.assign(look_angle=("cross_track", np.radians(across), {"units": "radian"})), ground=1.0, crs=UTM
-    )
+    lab = line.assign(look_angle=("cross_track", np.radians(across), {"units": "radian"}))
+    made = hp.geometry.locate(lab, ground=1.0, crs=UTM)
     tangents[:, 0] = 0.0
     np.testing.assert_allclose(made.east, exact_places(line, tangents, level(1.0))["east"], rtol=0, atol=1e-8)
 
@@ -197,14 +182,11 @@ def test_tables_of_look_angles() -> None:
 def test_pinholes_by_hand() -> None:
     outer = hp.geometry.PinholeCamera(640, field_of_view=40.0, edges="outer")
     centres = hp.geometry.PinholeCamera(640, field_of_view=40.0, edges="centres")
-    assert (centres.spacing / outer.spacing, centres.look_across("left_to_right")[[0, -1]]) == (
-        pytest.approx(640 / 639),
-        pytest.approx([-20, 20]),
-    )
+    assert centres.spacing / outer.spacing == pytest.approx(640 / 639)
+    assert centres.look_across("left_to_right")[[0, -1]] == pytest.approx([-20, 20])
     lens = hp.geometry.PinholeCamera(4, pixel_pitch=7.4e-6, focal_length=12e-3)
-    assert np.tan(np.radians(lens.look_across("right_to_left"))) == pytest.approx(
-        np.array([1.5, 0.5, -0.5, -1.5]) * 7.4e-6 / 12e-3
-    )
+    tangent = np.tan(np.radians(lens.look_across("right_to_left")))
+    assert tangent == pytest.approx(np.array([1.5, 0.5, -0.5, -1.5]) * 7.4e-6 / 12e-3)
     expect_refusals((SchemaError, "choice-unknown", lambda: hp.geometry.PinholeCamera(4, field_of_view=40.0)))
     with pytest.raises(SchemaError) as refused:
         hp.geometry.PinholeCamera(0, pixel_pitch=7.4e-6)
@@ -218,10 +200,8 @@ def test_rays_to_the_horizon_and_above() -> None:
     line = flown(5, 5, roll=[0.0, 69.5, 70.5, 110.0, 180.0], pitch=0, heading=0)
     made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA).compute()
     # column 0 looks 20 degrees to the left, roll turns it further
-    assert (np.isfinite(made.east[:, 0]).values.tolist(), np.isfinite(made.east[:, 4]).values.tolist()) == (
-        [True, True, False, False, False],
-        [True, True, True, False, False],
-    )
+    assert np.isfinite(made.east[:, 0]).values.tolist() == [True, True, False, False, False]
+    assert np.isfinite(made.east[:, 4]).values.tolist() == [True, True, True, False, False]
     for name in PLACES:
         np.testing.assert_array_equal(np.isnan(made[name]), np.isnan(made.east))
     np.testing.assert_array_equal((made.quality & Quality.OFF_SWATH) > 0, np.isnan(made.east))
@@ -252,21 +232,14 @@ def test_names_units_and_dtypes() -> None:
     made = hp.geometry.locate(line, ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1), clock_offset_s=0.0)
     for state in (made, made.compute()):
         for name in PLACES:
-            assert (
-                state[name].dtype,
-                state[name].dims,
-                state[name].attrs["units"],
-                state[name].attrs["grid_mapping"],
-                name in state.coords,
-            ) == (np.float64, ("along_track", "cross_track"), VARIABLES[name].units, "spatial_ref", True)
-        assert (
-            state.quality.dtype,
-            state.spatial_ref.attrs["grid_mapping_name"],
-            state.east.attrs["crs"],
-            state.attrs["ground"],
-            state.attrs["lever_arm"],
-            Convention.from_attrs(state.attrs),
-        ) == (np.uint16, "transverse_mercator", UTM, 0.0, [0.0, 0.0, 1.0], LEFT_TO_RIGHT)
+            assert (state[name].dtype, state[name].dims) == (np.float64, ("along_track", "cross_track"))
+            assert state[name].attrs["units"] == VARIABLES[name].units
+            assert (state[name].attrs["grid_mapping"], name in state.coords) == ("spatial_ref", True)
+        assert state.quality.dtype == np.uint16
+        assert state.spatial_ref.attrs["grid_mapping_name"] == "transverse_mercator"
+        assert (state.east.attrs["crs"], state.attrs["ground"]) == (UTM, 0.0)
+        assert state.attrs["lever_arm"] == [0.0, 0.0, 1.0]
+        assert Convention.from_attrs(state.attrs) == LEFT_TO_RIGHT
     assert set(line.coords) <= set(made.coords)
     xr.testing.assert_identical(made.counts.drop_vars(made.coords), line.counts.drop_vars(line.coords))
     xr.testing.assert_identical(line.paint.locate(ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1)), made)
@@ -306,19 +279,16 @@ def test_no_bit_depends_on_chunks(dem: bool) -> None:
         parts = hp.geometry.locate(line.chunk(along_track=chunks), crs=UTM, camera=CAMERA, **ground).compute()
         for name in (*PLACES, "quality", "roll"):
             np.testing.assert_array_equal(whole[name], parts[name])
-    np.testing.assert_array_equal(
-        whole.east[17:18],
-        hp.geometry.locate(line.isel(along_track=slice(17, 18)), crs=UTM, camera=CAMERA, **ground).east,
-    )
+    single = hp.geometry.locate(line.isel(along_track=slice(17, 18)), crs=UTM, camera=CAMERA, **ground)
+    np.testing.assert_array_equal(whole.east[17:18], single.east)
 
 
 def test_it_may_be_located_again() -> None:
     line = flown(20, 5)
     line["roll"] = -line["roll"]
     line["roll"].attrs["units"] = "degree"
-    once = hp.geometry.locate(
-        line, ground=0.0, camera=CAMERA, convention=LEFT_TO_RIGHT.replace(roll_positive="right_wing_up")
-    )
+    mirrored = LEFT_TO_RIGHT.replace(roll_positive="right_wing_up")
+    once = hp.geometry.locate(line, ground=0.0, camera=CAMERA, convention=mirrored)
     np.testing.assert_array_equal(once.east, hp.geometry.locate(flown(20, 5), ground=0.0, camera=CAMERA).east)
     again = hp.geometry.locate(once, ground=0.0, camera=CAMERA)
     np.testing.assert_allclose(again.east, once.east, rtol=0, atol=1e-9)
@@ -400,11 +370,8 @@ def test_spacing_by_hand() -> None:
     line = flown(11, 5, roll=0, pitch=0, heading=0, altitude=10.0)
     made = hp.geometry.spacing(hp.geometry.locate(line, ground=0.0, camera=CAMERA))
     scale = pyproj.Proj(UTM).get_factors(-80.2, 34.0).meridional_scale
-    assert (made["across"], made["along"], made["gsd"]) == (
-        pytest.approx(scale * 5 * np.tan(np.radians(20.0)), rel=1e-4),
-        pytest.approx(1.14 * 0.007, rel=2e-3),
-        made["across"],
-    )
+    assert made["across"] == pytest.approx(scale * 5 * np.tan(np.radians(20.0)), rel=1e-4)
+    assert (made["along"], made["gsd"]) == (pytest.approx(1.14 * 0.007, rel=2e-3), made["across"])
     assert made["reversed"] == made["off_swath"] == 0.0
     nodding = line.assign(pitch=("along_track", [0, 3] * 5 + [0], {"units": "degree"}))
     assert hp.geometry.spacing(hp.geometry.locate(nodding, ground=0.0, camera=CAMERA))[

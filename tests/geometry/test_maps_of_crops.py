@@ -89,9 +89,8 @@ def test_tie_points_in_a_crop_are_positions_in_it() -> None:
     flown = fly(220, 160, "none")
     grey = gaussian_filter(np.random.default_rng(3).random((220, 160)), 2.0)[:, None].astype(np.float32)
     line = located(flown, reflectance=(("along_track", "band", "cross_track"), grey, {"units": "1"}))
-    whole = line.assign_coords(
-        ground_height=(("along_track", "cross_track"), np.zeros((220, 160)), {"units": "m"})
-    )
+    heights = ("along_track", "cross_track"), np.zeros((220, 160)), {"units": "m"}
+    whole = line.assign_coords(ground_height=heights)
     crop = whole.assign_coords(along_track=np.arange(220)).isel(along_track=slice(20, 220))
     numbered, plain = (
         hp.geometry.find_tie_points({"a": whole, "b": one}, GSD)

@@ -92,12 +92,8 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     for coefficients, (first_centre, step) in ((col, grid.x), (row, grid.y)):
         coefficients[:, 0] -= first_centre
         coefficients /= step
-    raster_places(
-        rays,
-        frames,
-        Raster(row, col, terrain.heights, terrain.block_max, terrain.lowest, terrain.highest),
-        out,
-    )
+    raster = Raster(row, col, terrain.heights, terrain.block_max, terrain.lowest, terrain.highest)
+    raster_places(rays, frames, raster, out)
     return out
 
 
@@ -325,9 +321,8 @@ def _check(
             is_valid = np.shape(vector) == (3,) and bool(np.isfinite(np.asarray(vector, np.float64)).all())
         except (TypeError, ValueError):
             is_valid = False
-        problems.add_if(
-            not is_valid, f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong"
-        )
+        if not is_valid:
+            problems.add(f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong")
     problems.add_if(
         (ground is None) == (dem is None),
         "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
@@ -336,12 +331,8 @@ def _check(
     )
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
         is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
-        problems.add_if(
-            number is not None and not is_number,
-            f"{name} {number!r:.80}",
-            expected="a finite number",
-            code="not-finite",
-        )
+        if number is not None and not is_number:
+            problems.add(f"{name} {number!r:.80}", expected="a finite number", code="not-finite")
     problems.raise_if_any()
 
 
@@ -557,9 +548,8 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
 
 def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
     # Return the first coordinate and the step.
-    SchemaError.raise_if(
-        name not in dem.coords, f"no coordinate {name!r} of cell centres", code="variable-missing"
-    )
+    if name not in dem.coords:
+        raise SchemaError(f"no coordinate {name!r} of cell centres", code="variable-missing")
     values = dem[name].values.astype(np.float64)
     SchemaError.raise_if(
         values.size < 2, f"{values.size} cells along {name!r}", expected="two or more", code="length-mismatch"

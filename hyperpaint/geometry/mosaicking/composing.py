@@ -125,12 +125,8 @@ def mosaic(
     lines_by_name = named_lines(lines)
     problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
     one_of(rule, RULES, "rule", problems=problems)
-    problems.add_if(
-        levelling not in (None, "overlap"),
-        f"levelling {levelling!r:.60}",
-        expected="'overlap' or None",
-        code="choice-unknown",
-    )
+    if levelling not in (None, "overlap"):
+        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
     check_cells(problems, gsd, tile)
     problems.raise_if_any()
     lines_by_name = located_lines(
@@ -237,10 +233,9 @@ class _Tiles:
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
         tile_index = self.first[0] + place[0], self.first[1] + place[1]
+        strips = enumerate(self.strips)
         return {
-            number: strip.recipe(names, tile_index)
-            for number, strip in enumerate(self.strips)
-            if strip.reaches(tile_index)
+            number: strip.recipe(names, tile_index) for number, strip in strips if strip.reaches(tile_index)
         }
 
     def planes(self, rule: str, names: list[str]) -> da.Array:
@@ -251,15 +246,11 @@ class _Tiles:
         for place in np.ndindex(self.count):
             tile_index = self.first[0] + place[0], self.first[1] + place[1]
             gaps = [strip.recipe(["gap"], tile_index) for strip in self.strips if strip.covers(tile_index)]
-            tasks[place] = (
-                partial(
-                    _planes_of_tile, *((rule, names, fills, self.size, self._recipes(names, place), gaps))
-                ),
-            )
+            arguments = (rule, names, fills, self.size, self._recipes(names, place), gaps)
+            tasks[place] = (partial(_planes_of_tile, *arguments),)
         sources = [[strip.map[name].data.name for name in names] for strip in self.strips]
-        return self._array(
-            "mosaic-planes", tasks, object, [], (sources, rule, self.first, self.count, self.size)
-        )
+        options = (sources, rule, self.first, self.count, self.size)
+        return self._array("mosaic-planes", tasks, object, [], options)
 
     def plane(self, planes: da.Array, name: str, dtype: Any) -> da.Array:
         tasks = {place: (getitem, (planes.name, *place), name) for place in np.ndindex(self.count)}
@@ -271,10 +262,8 @@ class _Tiles:
         tasks = {}
         for place in np.ndindex(self.count):
             options = {"fill": fill, "bands": bands, "factors": factors}
-            tasks[place] = (
-                partial(_spectra_of_tile, recipes=self._recipes([variable], place), **options),
-                (lines.name, *place),
-            )
+            recipes = self._recipes([variable], place)
+            tasks[place] = (partial(_spectra_of_tile, recipes=recipes, **options), (lines.name, *place))
         sources = [strip.map[variable].data.name for strip in self.strips]
         return self._array(f"mosaic-{variable}", tasks, first.dtype, [lines], (sources, factors), (bands,))
 

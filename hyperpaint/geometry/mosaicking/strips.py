@@ -59,10 +59,8 @@ class Strip:
 
     def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
         row, col = place[0] - self.corner[0], place[1] - self.corner[1]
-        keys = [
-            (array.name, row, col, *(0,) * (array.ndim - 2))
-            for array in [self.map[name].data for name in names]
-        ]
+        arrays = [self.map[name].data for name in names]
+        keys = [(array.name, row, col, *(0,) * (array.ndim - 2)) for array in arrays]
         return partial(dask.get, cull(self._graph, keys), keys)
 
     @cached_property
@@ -274,11 +272,8 @@ def _cut_map(
         array = line[variable].transpose("y", "x", ...)
         data = array.chunk(dict(zip(("y", "x"), map(max, sizes), strict=True))).data
         if any(map(any, pads)):
-            data = da.pad(
-                data,
-                [*pads, *([(0, 0)] * (data.ndim - 2))],
-                constant_values=fill_of(str(variable), data.dtype),
-            )
+            other_pads = [(0, 0)] * (data.ndim - 2)
+            data = da.pad(data, [*pads, *other_pads], constant_values=fill_of(str(variable), data.dtype))
         data = data.rechunk((*sizes, *(-1,) * (data.ndim - 2)))
         cut[variable] = xr.DataArray(data, dims=array.dims, attrs=array.attrs)
     band_coordinates = {key: line[key].variable for key in line.coords if line[key].dims == (BAND,)}

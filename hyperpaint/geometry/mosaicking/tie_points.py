@@ -113,11 +113,10 @@ def find_tie_points(
     (True, True)
     """
     lines_by_name = named_lines(lines)
-    SchemaError.raise_if(
-        len(lines_by_name) < 2 or any(map(is_map, lines_by_name.values())),
-        "tie points need two flight lines or more, in the geometry of the camera",
-        code="line-number",
-    )
+    if len(lines_by_name) < 2 or any(map(is_map, lines_by_name.values())):
+        raise SchemaError(
+            "tie points need two flight lines or more, in the geometry of the camera", code="line-number"
+        )
     lines_by_name = located_lines(lines_by_name, location)
     gsd = 2.0 * shared_grid(lines_by_name, None, None).grid.gsd if gsd is None else gsd
     shared = shared_grid(lines_by_name, gsd, None)
@@ -175,11 +174,8 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     orthomap = orthorectify(
         flat, gsd, grid="north", variables=["picture", "ground_height"], method="bilinear"
     )[["picture", *_FIELDS]].compute()
-    return _Picture(
-        grid.first,
-        orthomap["picture"].values.astype(np.float64),
-        np.stack([orthomap[name].values for name in _FIELDS]),
-    )
+    fields = np.stack([orthomap[name].values for name in _FIELDS])
+    return _Picture(grid.first, orthomap["picture"].values.astype(np.float64), fields)
 
 
 def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rules: Rules) -> Floats:

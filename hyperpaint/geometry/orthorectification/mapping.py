@@ -242,13 +242,8 @@ def orthorectify(
         _MAX_PARALLAX_PX * survey.across,
         between,
     )
-    tiles = Tiles.of(
-        plan,
-        windows,
-        needed_slabs(survey, cells, lines, windows),
-        (east, north, *relief),
-        bilinear=method == "bilinear",
-    )
+    slabs = needed_slabs(survey, cells, lines, windows)
+    tiles = Tiles.of(plan, windows, slabs, (east, north, *relief), bilinear=method == "bilinear")
     rectified = _dataset(line, names, tiles, lines, crs)
     settings = {
         "gsd": cells.gsd,
@@ -321,9 +316,8 @@ def _dataset(
             if is_number and not np.array_equal(numbers, np.arange(numbers.size)):
                 cells = cells.map_blocks(_numbers_at, numbers, dtype=cells.dtype)
         attrs_of_index = {"empty_value": -1} if name.startswith("nearest") else {}
-        variables[name] = label(
-            xr.DataArray(cells, dims=("y", "x")), name, grid_mapping="spatial_ref", **attrs_of_index
-        )
+        cell_array = xr.DataArray(cells, dims=("y", "x"))
+        variables[name] = label(cell_array, name, grid_mapping="spatial_ref", **attrs_of_index)
     band_coordinates = {
         name: line[name].variable
         for name in line.coords
@@ -352,11 +346,8 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
         _, north = grid.centres(slice(0, rows), slice(0, 1))
         for name, values, direction in (("x", east[0], "east"), ("y", north[:, 0], "north")):
             axis = {"standard_name": f"projection_{name}_coordinate", "axis": name.upper()}
-            coordinates[name] = (
-                name,
-                values,
-                {"units": "m", **axis, "long_name": f"Map coordinate to the {direction}", **crs_attrs},
-            )
+            meaning = f"Map coordinate to the {direction}"
+            coordinates[name] = (name, values, {"units": "m", **axis, "long_name": meaning, **crs_attrs})
         return coordinates
     # x and y would be distances from a corner, which other programs would read as map coordinates near 0, 0
     for name, lazy in zip(("east", "north"), tiles.centres(), strict=True):

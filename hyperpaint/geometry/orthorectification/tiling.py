@@ -209,14 +209,8 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
             continue
         fractions = reading.along[is_slab].astype(dtype), reading.across[is_slab].astype(dtype)
         next_line = _line_after(starts, slabs, slab)
-        gather_bilinear(
-            block,
-            next_line,
-            Places(*pixel, *fractions, reading.cells[is_slab]),
-            buffer,
-            np.empty_like(buffer),
-            out,
-        )
+        positions = Places(*pixel, *fractions, reading.cells[is_slab])
+        gather_bilinear(block, next_line, positions, buffer, np.empty_like(buffer), out)
     return out.reshape(*reading.shape, bands)
 
 
@@ -236,10 +230,8 @@ def plane_values(
         along, across = reading.along[is_slab], reading.across[is_slab]
         lines = np.concatenate([slabs[slab], _line_after(starts, slabs, slab)[None]])
         # a pixel at distance 0 needs no neighbour
-        corner_values = [
-            lines[line + i * (along > 0), column + j * (across > 0)]
-            for i, j in ((0, 0), (0, 1), (1, 0), (1, 1))
-        ]
+        corners = ((0, 0), (0, 1), (1, 0), (1, 1))
+        corner_values = [lines[line + i * (along > 0), column + j * (across > 0)] for i, j in corners]
         if flags:
             out[cells] = corner_values[0] | corner_values[1] | corner_values[2] | corner_values[3]
         else:
@@ -310,14 +302,8 @@ class Tiles:
         tasks: dict[Place, Any] = {}
         for place, (rows, cols) in _tiles_of(windows):
             first = [starts[slab] for slab in slabs[place]]
-            tasks[place] = (
-                index_tile,
-                key,
-                rows,
-                cols,
-                first,
-                *([[(of.name, slab, 0) for slab in slabs[place]] for of in places]),
-            )
+            read = [[(of.name, slab, 0) for slab in slabs[place]] for of in places]
+            tasks[place] = (index_tile, key, rows, cols, first, *read)
         single = ((1,) * len(windows), (1,) * len(windows[0]))
         index = tile_array("map-index", tasks, single, object, places, plan, shared)
         gaps = {p: (gaps_of, key, *window, (index.name, *p)) for p, window in _tiles_of(windows)}
@@ -373,12 +359,8 @@ class Tiles:
             needed = self.slabs[place]
             key = (*place, *(0 for _ in bands))
             if not needed:
-                tasks[key] = (
-                    np.full,
-                    [rows.stop - rows.start, cols.stop - cols.start, *bands],
-                    options[-1],
-                    dtype,
-                )
+                shape = [rows.stop - rows.start, cols.stop - cols.start, *bands]
+                tasks[key] = (np.full, shape, options[-1], dtype)
                 continue
             inputs: list[Any] = [(source.name, 0)]
             if source.ndim > 1:
@@ -548,6 +530,5 @@ def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
 
 def in_memory(values: Array, name: str, chunks: tuple[Any, ...]) -> da.Array:
     """Return an array in memory as a dask array, whose chunks are views of it."""
-    return da.from_array(
-        _InMemory(values), chunks, name, asarray=False, meta=np.empty((0,) * values.ndim, values.dtype)
-    )
+    meta = np.empty((0,) * values.ndim, values.dtype)
+    return da.from_array(_InMemory(values), chunks, name, asarray=False, meta=meta)
