@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
@@ -125,8 +125,7 @@ def test_a_panel_is_a_sphere_with_pi() -> None:
     lit = xr.DataArray([1.3], dims="irradiance_wavelength", attrs={"units": "W m-2 nm-1"})
     made = panel_radiance(lit, 0.40)
     assert (float(made[0]), made.units) == (pytest.approx(0.165521, rel=1e-5), "W m-2 sr-1 nm-1")
-    with pytest.raises(UnitsError):
-        panel_radiance(lit.assign_attrs(units="W m-2 sr-1 nm-1"), 0.4)
+    expect_error(UnitsError, None, lambda: panel_radiance(lit.assign_attrs(units="W m-2 sr-1 nm-1"), 0.4))
 
 
 def test_coefficients_of_a_vendor() -> None:

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from support.codecs import plain_zarr
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError
@@ -77,8 +77,7 @@ def test_command_line_says_what_is_wrong(lab: Path, tmp_path: Path) -> None:
 
 
 def test_other_stores_are_no_sweeps(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="no such sweep"):
-        open_sweep(tmp_path / "nothing.zarr")
+    expect_error(FormatError, "no such sweep", lambda: open_sweep(tmp_path / "nothing.zarr"))
     plain_zarr(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "a.zarr")
     expect_refusals((FormatError, "counts-missing", lambda: open_sweep(tmp_path / "a.zarr")))
 
