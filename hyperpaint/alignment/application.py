@@ -81,28 +81,27 @@ def apply_alignment(
         ["wavelength", "fwhm", *(n for n in ("wavelength_shift",) if n in dataset.variables)],
         "the alignment",
     )
-    if CROSS_TRACK not in dataset.dims:
-        raise SchemaError(
-            f"the line has dims {', '.join(map(str, dataset.dims))}",
-            expected=f"a dim {CROSS_TRACK!r}",
-            code="dim-missing",
-        )
+    SchemaError.raise_if(
+        CROSS_TRACK not in dataset.dims,
+        f"the line has dims {', '.join(map(str, dataset.dims))}",
+        expected=f"a dim {CROSS_TRACK!r}",
+        code="dim-missing",
+    )
     columns = dataset.sizes[CROSS_TRACK]
     windows = _with_windows(alignment)
     is_reliable = windows["flag"].values == 0
     problems = Problems("the alignment cannot be applied", SchemaError)
     if windows.sizes[BAND] != dataset.sizes[BAND] or not -0.5 < float(windows["column"].max()) <= columns - 1:
         problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
-    if degree < 0:
-        problems.add(f"degree={degree}", expected="0 or more", code="value-out-of-range")
+    problems.add_if(degree < 0, f"degree={degree}", expected="0 or more", code="value-out-of-range")
     for centre, number in zip(np.ravel(windows["window_centre"]), is_reliable.sum(axis=1), strict=True):
-        if number < degree + 1:
-            problems.add(
-                f"{number} of {is_reliable.shape[1]} columns are reliable at {centre:.0f} nm",
-                expected=f"at least {degree + 1} for a polynomial of degree {degree}",
-                mend="see 'flag', or average groups of columns",
-                code="columns-too-few",
-            )
+        problems.add_if(
+            number < degree + 1,
+            f"{number} of {is_reliable.shape[1]} columns are reliable at {centre:.0f} nm",
+            expected=f"at least {degree + 1} for a polynomial of degree {degree}",
+            mend="see 'flag', or average groups of columns",
+            code="columns-too-few",
+        )
     problems.raise_if_any()
     # correction of the shift (window, column) [nm], and mean width factor (window,)
     smoothed = [

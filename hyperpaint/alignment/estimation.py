@@ -248,15 +248,14 @@ def checked_windows(window: Any) -> list[Window]:
         problems.raise_if_any()
     pairs = [(float(low), float(high)) for low, high in np.atleast_2d(limits)]
     for low, high in pairs:
-        if not (np.isfinite([low, high]).all() and low < high):
-            problems.add(
-                f"({low:g}, {high:g})",
-                expected="a lowest wavelength below the highest",
-                code="window-reversed",
-            )
+        problems.add_if(
+            not (np.isfinite([low, high]).all() and low < high),
+            f"({low:g}, {high:g})",
+            expected="a lowest wavelength below the highest",
+            code="window-reversed",
+        )
     for (_, high), (low, _) in itertools.pairwise(sorted(pairs)):
-        if low < high:
-            problems.add(f"windows overlap from {low:g} to {high:g} nm", code="windows-overlap")
+        problems.add_if(low < high, f"windows overlap from {low:g} to {high:g} nm", code="windows-overlap")
     problems.raise_if_any()
     return pairs
 
@@ -267,13 +266,13 @@ def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Arr
     fewest = fewest_bands(degree)
     problems = Problems("the line cannot be aligned", SchemaError)
     for (low, high), is_inside in zip(windows, inside_windows, strict=True):
-        if is_inside.sum() < fewest:
-            problems.add(
-                f"{low:g} to {high:g} nm holds {is_inside.sum()} good bands",
-                expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
-                mend="widen the window or lower degree=",
-                code="bands-too-few",
-            )
+        problems.add_if(
+            is_inside.sum() < fewest,
+            f"{low:g} to {high:g} nm holds {is_inside.sum()} good bands",
+            expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
+            mend="widen the window or lower degree=",
+            code="bands-too-few",
+        )
     problems.raise_if_any()
     return inside_windows
 
@@ -454,8 +453,7 @@ def align_to_irradiance(
         (0.0 < max_shift <= 10.0, f"max_shift={max_shift:g}", "above 0, at most 10 nm"),
         (max_uncertainty > 0.0, f"max_uncertainty={max_uncertainty:g}", "above 0 nm"),
     ):
-        if not is_valid:
-            problems.add(found, expected=expected, code="value-out-of-range")
+        problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
     declared = Declared.by(dataset)
     windows = default_windows(declared, degree) if window is None else checked_windows(window)

@@ -110,13 +110,13 @@ class Declared:
     def shift(self, columns: int) -> Floats:
         """Return the declared shift of every element (band, column) [nm]."""
         shift = self.wavelength_shift
-        if not (np.isfinite(shift).all() and np.abs(shift).max() <= MAX_SHIFT_NM):
-            raise SchemaError(
-                "'wavelength_shift' is not finite or too large",
-                expected=f"at most {MAX_SHIFT_NM:g} nm",
-                mend="check its units",
-                code="wavelength-shift-range",
-            )
+        SchemaError.raise_if(
+            not (np.isfinite(shift).all() and np.abs(shift).max() <= MAX_SHIFT_NM),
+            "'wavelength_shift' is not finite or too large",
+            expected=f"at most {MAX_SHIFT_NM:g} nm",
+            mend="check its units",
+            code="wavelength-shift-range",
+        )
         return np.broadcast_to(shift, (self.wavelength.size, columns))
 
     def bands(self, inside: Array) -> Responses:
@@ -192,13 +192,13 @@ def shares_of_samples(
     # channels
     has_values = np.isfinite(light.spectra).any(axis=1)
     is_inside &= np.isnan(light.spectra[has_values]).mean(axis=0) <= 0.1 if has_values.any() else False
-    if not is_inside.any():
-        raise SchemaError(
-            f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) has no "
-            "channel in the window",
-            mend="choose a window that the record covers",
-            code="irradiance-coverage",
-        )
+    SchemaError.raise_if(
+        not is_inside.any(),
+        f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) has no "
+        "channel in the window",
+        mend="choose a window that the record covers",
+        code="irradiance-coverage",
+    )
     level = light.spectra[:, is_inside].mean(axis=1)
     level = np.where(level > 0.0, level, np.nan)  # mean irradiance of every sample
     times = declared.time if lines is None else declared.time[lines]
@@ -206,12 +206,12 @@ def shares_of_samples(
     before, after, weight = neighbours.before, neighbours.after, neighbours.weight
     level_of_line = level[before] + weight * (level[after] - level[before])
     lines_with_light = np.flatnonzero(np.isfinite(level_of_line))
-    if lines_with_light.size == 0:
-        raise SchemaError(
-            "no line of the flight has irradiance at its time",
-            mend="check the clocks",
-            code="irradiance-time-gap",
-        )
+    SchemaError.raise_if(
+        lines_with_light.size == 0,
+        "no line of the flight has irradiance at its time",
+        mend="check the clocks",
+        code="irradiance-time-gap",
+    )
     share = np.zeros(len(light.spectra))
     np.add.at(
         share, before[lines_with_light], (1.0 - weight[lines_with_light]) / level_of_line[lines_with_light]
@@ -259,8 +259,7 @@ def channels_near(
     channels, width = light.wavelength, np.broadcast_to(light.fwhm, light.wavelength.shape)
     order = np.argsort(channels, kind="stable")
     reach = np.abs(limits).max() + 2.0 * bands.reach().max() + widths * width.max()
-    distance = np.abs(channels[order] - bands.wavelength.mean())
-    nearby = order[distance <= np.ptp(bands.wavelength) / 2 + reach]
+    nearby = order[np.abs(channels[order] - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach]
     return nearby, Responses(channels[nearby], width[nearby], light.srf_shape)
 
 

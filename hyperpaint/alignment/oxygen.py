@@ -122,13 +122,13 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
         shift, (cube.sizes[BAND], cube.sizes[CROSS_TRACK])
     )
     shoulders, weight = _parts(wavelengths)
-    if not (weight.any(axis=0) & (shoulders.sum(axis=0) >= MIN_SHOULDER_BANDS)).all():
-        raise SchemaError(
-            "too few bands for the oxygen residual",
-            expected=f"one in 755-765 nm and {MIN_SHOULDER_BANDS} in its shoulders, 740-753 and 775-788 nm, "
-            "in every column",
-            code="bands-too-few",
-        )
+    SchemaError.raise_if(
+        not (weight.any(axis=0) & (shoulders.sum(axis=0) >= MIN_SHOULDER_BANDS)).all(),
+        "too few bands for the oxygen residual",
+        expected=f"one in 755-765 nm and {MIN_SHOULDER_BANDS} in its shoulders, 740-753 and 775-788 nm, "
+        "in every column",
+        code="bands-too-few",
+    )
     used_bands = np.flatnonzero((shoulders | (weight > 0)).any(axis=1))
     mean, _ = mean_over_lines(cube[:, used_bands], np.ones(cube.sizes[ALONG_TRACK]), progress)
     depth = np.array([oxygen_depth(wavelengths[used_bands, x], mean[:, x]) for x in range(mean.shape[1])])
@@ -170,5 +170,4 @@ def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     if in_shoulders.sum() < MIN_SHOULDER_BANDS or not in_band.any():
         return float("nan")
     curve = np.polynomial.Polynomial.fit(wavelength[in_shoulders], spectrum[in_shoulders], 2)
-    ratio = spectrum[in_band] / curve(wavelength[in_band])
-    return float(1.0 - np.average(ratio, weights=weight[in_band]))
+    return float(1.0 - np.average(spectrum[in_band] / curve(wavelength[in_band]), weights=weight[in_band]))

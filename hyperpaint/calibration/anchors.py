@@ -101,12 +101,12 @@ def _check_lengths(values: dict[str, tuple[float, float]]) -> None:
     # Refuse values that are not positive, or above their limit.
     problems = Problems("the etendue cannot be computed", SchemaError)
     for name, (value, high) in values.items():
-        if not 0 < value < high:
-            problems.add(
-                f"{name}={value!r}",
-                expected=f"above 0 and below {high:g}, in metres and radians",
-                code="value-out-of-range",
-            )
+        problems.add_if(
+            not 0 < value < high,
+            f"{name}={value!r}",
+            expected=f"above 0 and below {high:g}, in metres and radians",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
 
 
@@ -211,12 +211,12 @@ def anchor_to_radiance(
     if scale == "common":
         relative_gain = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
         gain = relative_gain * float(np.nanmedian(gain / relative_gain))
-    if not np.isfinite(gain).any():
-        raise SchemaError(
-            "no element has a signal and a response inside the source's spectrum",
-            mend="check wavelengths and dark",
-            code="source-coverage",
-        )
+    SchemaError.raise_if(
+        not np.isfinite(gain).any(),
+        "no element has a signal and a response inside the source's spectrum",
+        mend="check wavelengths and dark",
+        code="source-coverage",
+    )
     anchor = f"radiance of a known source, {scale} scale"
     return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
 
@@ -245,11 +245,11 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
     # [s].
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
     for name in ("counts", "dark_counts", "exposure_time"):
-        if name not in frames.variables:
-            problems.add(
-                f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]",
-                code="variable-missing",
-            )
+        problems.add_if(
+            name not in frames.variables,
+            f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]",
+            code="variable-missing",
+        )
     problems.raise_if_any()
     exposure = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
     if len(exposure) != 1 or not exposure[0] > 0:
@@ -258,12 +258,12 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         )
     counts, dark = frames["counts"], frames["dark_counts"]
     for array in (counts, dark):
-        if not set(_ELEMENT) <= set(array.dims) <= {*_ELEMENT, ALONG_TRACK}:
-            problems.add(
-                f"{array.name!r} has dims {tuple(map(str, array.dims))}",
-                expected="([along_track,] band, cross_track)",
-                code="dims-wrong",
-            )
+        problems.add_if(
+            not set(_ELEMENT) <= set(array.dims) <= {*_ELEMENT, ALONG_TRACK},
+            f"{array.name!r} has dims {tuple(map(str, array.dims))}",
+            expected="([along_track,] band, cross_track)",
+            code="dims-wrong",
+        )
         expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
         sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
         if sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]}:
@@ -308,12 +308,12 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
 
 def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectrum: xr.DataArray) -> Floats:
     # Return the mean of a spectrum over the response of every element (band, cross_track).
-    if spectrum.ndim != 1:
-        raise SchemaError(
-            f"the source's radiance has dims {tuple(map(str, spectrum.dims))}",
-            expected="one, of wavelengths",
-            code="dims-wrong",
-        )
+    SchemaError.raise_if(
+        spectrum.ndim != 1,
+        f"the source's radiance has dims {tuple(map(str, spectrum.dims))}",
+        expected="one, of wavelengths",
+        code="dims-wrong",
+    )
     dim = spectrum.dims[0]
     axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[dim]
     if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
@@ -326,12 +326,12 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         (convert(axis, "nm", "wavelength") if "units" in axis.attrs else axis).to_numpy().astype(np.float64)
     )
     values = spectrum.to_numpy().astype(np.float64)
-    if grid.size < 2 or not (np.diff(grid) > 0).all():
-        raise SchemaError(
-            "wavelengths of the source's radiance do not increase",
-            mend="sort them",
-            code="wavelength-unordered",
-        )
+    SchemaError.raise_if(
+        grid.size < 2 or not (np.diff(grid) > 0).all(),
+        "wavelengths of the source's radiance do not increase",
+        mend="sort them",
+        code="wavelength-unordered",
+    )
     optional = {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}
     tables = {
         option: calibration[name].to_numpy()
@@ -417,12 +417,12 @@ def calibration_from_coefficients(
     (0.0001, 'W m-2 sr-1 nm-1 s count-1')
     """
     units_of_gain = VARIABLES["radiance_gain"].units
-    if coefficients.ndim != 2 or set(coefficients.dims) != set(_ELEMENT):
-        raise SchemaError(
-            f"coefficients have dims {tuple(map(str, coefficients.dims))}",
-            expected=f"{_ELEMENT}",
-            code="dims-wrong",
-        )
+    SchemaError.raise_if(
+        coefficients.ndim != 2 or set(coefficients.dims) != set(_ELEMENT),
+        f"coefficients have dims {tuple(map(str, coefficients.dims))}",
+        expected=f"{_ELEMENT}",
+        code="dims-wrong",
+    )
     gain = coefficients.astype(np.float64).transpose(*_ELEMENT)
     units = str(coefficients.attrs.get("units", ""))
     if same_dimension(units, "W m-2 sr-1 nm-1 count-1"):

@@ -145,13 +145,13 @@ def calibrate(
     >>> bool(abs(error.isel(band=slice(20, 116))).max() < 2e-3), made.srf_shape
     (True, 'gaussian')
     """
-    if not isinstance(sweep, xr.Dataset):
-        raise SchemaError(
-            f"sweep is {type(sweep).__name__}",
-            expected="a Dataset",
-            mend="open its store with xarray.open_zarr",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not isinstance(sweep, xr.Dataset),
+        f"sweep is {type(sweep).__name__}",
+        expected="a Dataset",
+        mend="open its store with xarray.open_zarr",
+        code="type-wrong",
+    )
     if srf_shape is not None:
         one_of(srf_shape, SHAPES, "srf_shape")
     lab = check_sweep(sweep, absolute=absolute)
@@ -275,12 +275,12 @@ def _linearity_curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: La
     # Return the linearity curve of the arguments; SchemaError for an invalid one.
     problems = Problems("linearity= cannot be applied", SchemaError)
     if isinstance(linearity, xr.DataArray):
-        if linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords:
-            raise SchemaError(
-                f"the table linearity= has dims {tuple(map(str, linearity.dims))}",
-                expected="one, linearity_counts, with a coordinate of measured counts",
-                code="dims-wrong",
-            )
+        SchemaError.raise_if(
+            linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords,
+            f"the table linearity= has dims {tuple(map(str, linearity.dims))}",
+            expected="one, linearity_counts, with a coordinate of measured counts",
+            code="dims-wrong",
+        )
         table = xr.Dataset({"linear_counts": label(linearity, "linear_counts")})
         table["linearity_counts"] = label(table["linearity_counts"].astype(np.float64), "linearity_counts")
         curve = linearity_of(table.assign_attrs(linearity_on=on))

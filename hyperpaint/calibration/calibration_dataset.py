@@ -124,8 +124,7 @@ def measured_shape(
     )
     source = lamp_line * _TABLE_STEP
     # distance of the model from the curve
-    pitch_of_all = np.array([np.median(spacing)])
-    model = Responses(np.zeros(1), np.ones(1), shape, spacing=pitch_of_all).on(offset, 0)
+    model = Responses(np.zeros(1), np.ones(1), shape, spacing=np.array([np.median(spacing)])).on(offset, 0)
     model_curve, root_weight = source @ model, np.sqrt(weight)
     misfit = float(
         np.linalg.norm(root_weight * (observed - model_curve)) / np.linalg.norm(root_weight * model_curve)
@@ -796,19 +795,19 @@ def quantum_efficiency(
     0.3612
     """
     names = ["responsivity", "wavelength"]
-    if calibration.attrs.get("absolute_scale") == "unknown":
-        raise SchemaError(
-            "this calibration has no absolute scale for a quantum efficiency (absolute_scale = 'unknown')",
-            mend="add one with hyperpaint.calibration.anchor_to_radiance",
-            code="scale-unknown",
-        )
+    SchemaError.raise_if(
+        calibration.attrs.get("absolute_scale") == "unknown",
+        "this calibration has no absolute scale for a quantum efficiency (absolute_scale = 'unknown')",
+        mend="add one with hyperpaint.calibration.anchor_to_radiance",
+        code="scale-unknown",
+    )
     if electrons_per_count is None:
-        if "electrons_per_count" not in calibration.variables:
-            raise SchemaError(
-                "'electrons_per_count' is missing for a quantum efficiency",
-                mend="pass electrons_per_count=, or hyperpaint.radiometry.estimate_noise",
-                code="variable-missing",
-            )
+        SchemaError.raise_if(
+            "electrons_per_count" not in calibration.variables,
+            "'electrons_per_count' is missing for a quantum efficiency",
+            mend="pass electrons_per_count=, or hyperpaint.radiometry.estimate_noise",
+            code="variable-missing",
+        )
         names.append("electrons_per_count")
     inputs = require(calibration, names, "a quantum efficiency")
     electrons: Any = inputs.get("electrons_per_count", electrons_per_count)

@@ -130,18 +130,17 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
         frames.extend(counts)
         exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
-    if len(shapes) > 1:
-        problems.add(f"darks of shapes {shapes}", expected="one shape", code="grid-mismatch")
+    problems.add_if(len(shapes) > 1, f"darks of shapes {shapes}", expected="one shape", code="grid-mismatch")
     if not all(0 < value < np.inf for value in exposures):
         problems.add("'dark_exposure_time' is not finite and positive everywhere", code="exposure-invalid")
     problems.raise_if_any()
     model = fit_dark_model(np.stack(frames), np.array(exposures))
-    if not model.has_rate:
-        raise SchemaError(
-            f"all darks have an exposure of {exposures[0] * 1e3:g} ms",
-            expected="darks at two exposures, for a rate",
-            code="dark-exposures-few",
-        )
+    SchemaError.raise_if(
+        not model.has_rate,
+        f"all darks have an exposure of {exposures[0] * 1e3:g} ms",
+        expected="darks at two exposures, for a rate",
+        code="dark-exposures-few",
+    )
     drift = np.nanmean(frames[-1] - model.at(exposures[-1])) - np.nanmean(frames[0] - model.at(exposures[0]))
     return xr.Dataset(
         {
@@ -204,12 +203,12 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     >>> flat_field(frames).round(4).values
     array([[1.1111, 0.9091]], dtype=float32)
     """
-    if not set(_ELEMENT) <= set(frames.dims):
-        raise SchemaError(
-            f"flat-field frames have dims {tuple(map(str, frames.dims))}",
-            expected=f"{BAND} and {CROSS_TRACK}",
-            code="dims-wrong",
-        )
+    SchemaError.raise_if(
+        not set(_ELEMENT) <= set(frames.dims),
+        f"flat-field frames have dims {tuple(map(str, frames.dims))}",
+        expected=f"{BAND} and {CROSS_TRACK}",
+        code="dims-wrong",
+    )
     other_dims = [dim for dim in frames.dims if dim not in _ELEMENT]
     level = frames.astype(np.float64)
     if other_dims:
@@ -224,12 +223,12 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
 
 def element_values(array: xr.DataArray, shape: tuple[int, ...], name: str) -> Array:
     """Return the values of an argument; SchemaError unless its ``shape`` (band, cross_track) fits."""
-    if set(array.dims) != set(_ELEMENT) or array.transpose(*_ELEMENT).shape != shape:
-        raise SchemaError(
-            f"{name} has sizes {dict(array.sizes)}",
-            expected=f"{BAND} and {CROSS_TRACK} of {shape}",
-            code="grid-mismatch",
-        )
+    SchemaError.raise_if(
+        set(array.dims) != set(_ELEMENT) or array.transpose(*_ELEMENT).shape != shape,
+        f"{name} has sizes {dict(array.sizes)}",
+        expected=f"{BAND} and {CROSS_TRACK} of {shape}",
+        code="grid-mismatch",
+    )
     return array.transpose(*_ELEMENT).to_numpy()
 
 
@@ -266,12 +265,12 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
     True
     """
     light, counts = np.asarray(signal, np.float64).ravel(), np.asarray(measured, np.float64).ravel()
-    if light.size != counts.size or light.size < degree or not (light > 0).all() or not (counts > 0).all():
-        raise SchemaError(
-            f"linearity of degree {degree} from {light.size} signals and {counts.size} counts",
-            expected=f"{degree} or more, positive, in pairs",
-            code="signals-too-few",
-        )
+    SchemaError.raise_if(
+        light.size != counts.size or light.size < degree or not (light > 0).all() or not (counts > 0).all(),
+        f"linearity of degree {degree} from {light.size} signals and {counts.size} counts",
+        expected=f"{degree} or more, positive, in pairs",
+        code="signals-too-few",
+    )
     # s light = c + a2 c^2 + ...: linear in s and the a; divided by c, all measurements have equal weight
     scale = counts.max()
     columns = [light / counts, *(-((counts / scale) ** (power - 1)) for power in range(2, degree + 1))]

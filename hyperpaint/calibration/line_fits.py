@@ -402,18 +402,17 @@ def fit_wavelength_map(
     n_wavelengths = len(np.unique(np.round(wavelength, 6)))
     n_columns = len(np.unique(column))
     degree = min(BAND_DEGREE, n_wavelengths - 2)
-    if degree < 1:
-        raise SchemaError(
-            f"lamp lines of {n_wavelengths} wavelengths",
-            expected="3 or more for a wavelength map",
-            code="lamp-lines-few",
-        )
+    SchemaError.raise_if(
+        degree < 1,
+        f"lamp lines of {n_wavelengths} wavelengths",
+        expected="3 or more for a wavelength map",
+        code="lamp-lines-few",
+    )
     degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < n_columns]
     weight = np.ones_like(band)
     if uncertainty is not None:
         # the monochromator's dial limits the accuracy of bright lamp lines, so their weight is limited
-        min_uncertainty = max(float(np.median(uncertainty)), 1e-9)
-        weight = 1.0 / (uncertainty**2 + min_uncertainty**2)
+        weight = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
         weight /= weight.mean()
 
     bands, columns = sizes

@@ -258,13 +258,13 @@ def solve_boresight(
     # half of the measurements of a tie point determine its ground position
     freedom = (1 if pairs else 2) * int(fit.used.sum()) - len(free)
     variance = float((misses[fit.used] ** 2).sum()) / freedom
-    if variance > largest_picking_sd**2:
-        raise SchemaError(
-            f"control points do not fit: residual {np.sqrt(variance):.1f} px",
-            expected=f"at most {largest_picking_sd:g} px (largest_picking_sd=)",
-            mend="check clock_offset_s= (within 1 s), convention=, camera=, crs= and the points' lines",
-            code="control-points-misfit",
-        )
+    SchemaError.raise_if(
+        variance > largest_picking_sd**2,
+        f"control points do not fit: residual {np.sqrt(variance):.1f} px",
+        expected=f"at most {largest_picking_sd:g} px (largest_picking_sd=)",
+        mend="check clock_offset_s= (within 1 s), convention=, camera=, crs= and the points' lines",
+        code="control-points-misfit",
+    )
     roll, pitch, heading, height, clock = fit.points.parameters(fit.free).tolist()
     covariance = xr.DataArray(
         np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64),
@@ -324,8 +324,7 @@ def _checked_names(solve: Sequence[str], points: xr.Dataset) -> list[str]:
     problems = Problems("a boresight cannot be solved for", SchemaError)
     for table in tables:
         for is_wrong, found, expected, mend, code in table:
-            if is_wrong:
-                problems.add(found, expected=expected, mend=mend, code=code)
+            problems.add_if(is_wrong, found, expected=expected, mend=mend, code=code)
         problems.raise_if_any()
     return names
 
@@ -413,8 +412,7 @@ class Sightings:
             poses = poses_at(self.times, self.poses, times, clock_offset_s=clock)
             body = matrices(quaternions(*poses[3:]))
             centre, axes = _geocentric(*poses[:3])
-            to_body = np.einsum("nji,njk->nik", body, axes)
-            self._cache[clock, lines] = (centre, axes, body, to_body, poses[2])
+            self._cache[clock, lines] = (centre, axes, body, np.einsum("nji,njk->nik", body, axes), poses[2])
         return self._cache[clock, lines]
 
 
@@ -451,19 +449,19 @@ def _sightings(
         raise SchemaError("the CRS of east and north is missing", mend="pass crs=", code="crs-missing")
     parts: list[tuple[str, Any, Ints]] = [("", lines, np.arange(points.sizes["point"]))]
     if not isinstance(lines, xr.Dataset):
-        if "flightline" not in points.variables:
-            raise SchemaError(
-                "control points do not name their line: flightline (point) is missing",
-                code="variable-missing",
-            )
+        SchemaError.raise_if(
+            "flightline" not in points.variables,
+            "control points do not name their line: flightline (point) is missing",
+            code="variable-missing",
+        )
         line_names = points["flightline"].values.astype(str)
         unknown = sorted(set(line_names) - set(lines))
-        if unknown:
-            raise SchemaError(
-                f"control points are of {', '.join(unknown)}",
-                expected=f"points of {', '.join(map(str, lines))}",
-                code="flightline-unknown",
-            )
+        SchemaError.raise_if(
+            unknown,
+            f"control points are of {', '.join(unknown)}",
+            expected=f"points of {', '.join(map(str, lines))}",
+            code="flightline-unknown",
+        )
         parts = [(name, line, np.flatnonzero(line_names == name)) for name, line in lines.items()]
     sights = []
     for name, line, index in parts:
@@ -482,11 +480,11 @@ def _sightings(
         across, along = (np.tan(np.radians(np.asarray(a))) for a in look_angles(line, camera, declared))
         is_inside = (position >= -0.5) & (position <= time.size - 0.5)
         is_inside &= (column >= -0.5) & (column <= across.size - 0.5)
-        if not is_inside.all() or time.size < 2:
-            raise SchemaError(
-                f"points {index[~is_inside].tolist()} are outside {time.size} lines of {across.size} columns",
-                code="pixel-outside",
-            )
+        SchemaError.raise_if(
+            not is_inside.all() or time.size < 2,
+            f"points {index[~is_inside].tolist()} are outside {time.size} lines of {across.size} columns",
+            code="pixel-outside",
+        )
         line_before = np.clip(np.floor(position).astype(np.int64), 0, time.size - 2)
         steps = (time[line_before + 1] - time[line_before]).astype(np.int64)
         since = np.round((position - line_before) * steps).astype("timedelta64[ns]")
@@ -514,12 +512,12 @@ def _sightings(
         is_missing: Bools = np.ones(index.size, bool)
         if is_near.any():
             is_missing[:] = ~np.isfinite(sight.misses(np.array([0.0, 0.0, 0.0, 0.0, start[4]]))).all(axis=1)
-        if is_missing.any():
-            raise SchemaError(
-                f"points {index[is_missing].tolist()} are on lines without time or pose",
-                mend="check the record for gaps",
-                code="pose-missing",
-            )
+        SchemaError.raise_if(
+            is_missing.any(),
+            f"points {index[is_missing].tolist()} are on lines without time or pose",
+            mend="check the record for gaps",
+            code="pose-missing",
+        )
         sights.append(sight)
     return sights
 
@@ -573,8 +571,7 @@ class Misses:
 
     def slopes(self, free: Floats, used: Bools) -> Floats:
         """Return derivatives of the misses of points that are used (2 point, parameter)."""
-        steps = np.diag(_STEPS[self.free])
-        changes = [self.misses(free + step) - self.misses(free - step) for step in steps]
+        changes = [self.misses(free + step) - self.misses(free - step) for step in np.diag(_STEPS[self.free])]
         return np.stack([c[used].ravel() for c in changes], axis=1) / (2.0 * _STEPS[self.free])
 
     def lengths(self, free: Floats, used: Bools) -> Floats:
@@ -638,13 +635,13 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
     for rival in rest:
         is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
-        if is_distinct and not rival.median_miss > RULES.rival_ratio * best.median_miss:
-            raise SchemaError(
-                f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points equally: "
-                f"residuals {best.median_miss:.2f} and {rival.median_miss:.2f} px",
-                mend="add points, or leave 'clock' out of solve=",
-                code="clock-ambiguous",
-            )
+        SchemaError.raise_if(
+            is_distinct and not rival.median_miss > RULES.rival_ratio * best.median_miss,
+            f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points equally: "
+            f"residuals {best.median_miss:.2f} and {rival.median_miss:.2f} px",
+            mend="add points, or leave 'clock' out of solve=",
+            code="clock-ambiguous",
+        )
     return best._replace(points=points.whitened(best.free))
 
 
@@ -684,12 +681,12 @@ def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used:
     problems = Problems(f"{int(used.sum())} points do not determine all of {', '.join(names)}", SchemaError)
     for name, size in zip(names, lengths_fixed, strict=True):
         unit, _, max_sd = _PARAMETERS[name]
-        if not size * max_sd > 1.0:
-            problems.add(
-                f"{name}: {max_sd:g} {unit} would move points by less than a pixel",
-                mend="leave it out of solve=, or add points across the swath",
-                code="parameter-insensitive",
-            )
+        problems.add_if(
+            not size * max_sd > 1.0,
+            f"{name}: {max_sd:g} {unit} would move points by less than a pixel",
+            mend="leave it out of solve=, or add points across the swath",
+            code="parameter-insensitive",
+        )
     problems.raise_if_any()
     _, singular, directions = np.linalg.svd(slopes / length, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf

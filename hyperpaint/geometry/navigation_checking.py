@@ -557,8 +557,7 @@ class Hypothesis(NamedTuple):
 
     def fields(self) -> dict[str, str]:
         """Return the tested fields by name."""
-        choices = {name: getattr(self.convention, name) for name in _CHOICES}
-        return {**choices, "positions": self.positions}
+        return {**{name: getattr(self.convention, name) for name in _CHOICES}, "positions": self.positions}
 
 
 @dataclass(frozen=True)
@@ -704,13 +703,13 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
     plain_hypothesis = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
     is_seen = np.isfinite(observed.shift) & np.isfinite(observed.unlikeness) & setting.is_steady[:, None]
     compared: Bools = is_seen & np.isfinite(setting.view.motion(setting.poses(plain_hypothesis)).shift)
-    if compared.sum() < RULES.min_parts:
-        raise SchemaError(
-            f"{int(compared.sum())} parts of rows show a motion and have poses",
-            expected=f"{RULES.min_parts}",
-            mend="check the times of line and record, and the contrast of the line",
-            code="motion-not-seen",
-        )
+    SchemaError.raise_if(
+        compared.sum() < RULES.min_parts,
+        f"{int(compared.sum())} parts of rows show a motion and have poses",
+        expected=f"{RULES.min_parts}",
+        mend="check the times of line and record, and the contrast of the line",
+        code="motion-not-seen",
+    )
     # all possible conventions, the declared one first
     convention = declared.convention
     choices = _CHOICES if setting.columns_matter else {**_CHOICES, "column_order": (convention.column_order,)}
@@ -1234,12 +1233,12 @@ def estimate_clock_offset(
     >>> abs(offset.offset_s - 1.3) < 2 * offset.uncertainty_s
     True
     """
-    if (navigation is None) == (irradiance is None):
-        raise SchemaError(
-            "navigation= and irradiance= are both given or both missing",
-            mend="give one of them",
-            code="option-conflict",
-        )
+    SchemaError.raise_if(
+        (navigation is None) == (irradiance is None),
+        "navigation= and irradiance= are both given or both missing",
+        mend="give one of them",
+        code="option-conflict",
+    )
     if not 0.0 < max_offset_s < np.inf:
         raise SchemaError(
             f"max_offset_s {max_offset_s!r}", expected="a time above 0 [s]", code="value-out-of-range"
@@ -1318,8 +1317,7 @@ def estimate_clock_offset(
 def _refuse_first(*rows: tuple[Any, str, str]) -> None:
     # Raise a `TimeError` for the first row (condition, reason, code) whose condition holds.
     for is_refused, reason, code in rows:
-        if is_refused:
-            raise TimeError(f"the clocks cannot be compared: {reason}", code=code)
+        TimeError.raise_if(is_refused, f"the clocks cannot be compared: {reason}", code=code)
 
 
 def _curve(offsets: Floats, misfit: Floats) -> xr.DataArray:

@@ -91,8 +91,7 @@ def grey_line(irradiance: np.ndarray, shape: str, shift: np.ndarray | None) -> t
     if shift is not None:
         variables["wavelength_shift"] = (("cross_track",), shift)
     own = wavelength[:, None] + (np.zeros(columns) if shift is None else shift)
-    naive = np.pi * mean / np.interp(own, samples, record)
-    return labelled(variables, {"srf_shape": shape}), naive
+    return labelled(variables, {"srf_shape": shape}), (np.pi * mean / np.interp(own, samples, record))
 
 
 def in_window(line: xr.Dataset) -> np.ndarray:

@@ -102,8 +102,7 @@ def test_a_lost_step_is_left_out(sweep: xr.Dataset) -> None:
 
 def test_a_wide_gap_between_steps_is_not_bridged(sweep: xr.Dataset) -> None:
     made = hp.calibrate(sweep.isel(step=[*range(10), *range(16, 31)]))
-    inside = (made.wavelength > 585) & (made.wavelength < 715)
-    assert not made.good.values[inside.values].any()
+    assert not made.good.values[((made.wavelength > 585) & (made.wavelength < 715)).values].any()
     assert made.good.values[(made.wavelength < 575).values][3:].all()
 
 
@@ -120,8 +119,7 @@ def test_elements_that_are_not_finite_are_bad(sweep: xr.Dataset) -> None:
     made = hp.calibrate(changed(sweep, counts=counts), bad_elements=xr.zeros_like(sweep.true_bad))
     others = np.ones(made.radiance_gain.shape, bool)
     others[60, 2] = False
-    error = np.where(others, made.radiance_gain / sweep.true_radiance_gain - 1, 0)[10:-10]
-    assert np.abs(error).max() < 0.02
+    assert np.abs(np.where(others, made.radiance_gain / sweep.true_radiance_gain - 1, 0)[10:-10]).max() < 0.02
     expect_refusals(
         (
             SchemaError,
@@ -150,5 +148,4 @@ def test_bands_that_touch_or_wide_lines__are_calibrated(settings: dict[str, floa
     # monochromator's line, as wide as the refusal asks for, reaches from one to the next
     sweep = simulate_sweep(bands=40, columns=6, nonuniformity=0, **{"fwhm_nm": 6.0, "steps": 31, **settings})
     error = hp.calibrate(sweep).radiance_gain / sweep.true_radiance_gain - 1
-    assert float(abs(error).median()) < 0.01
-    assert float(abs(error).max()) < 0.03
+    np.testing.assert_array_less([float(abs(error).median()), float(abs(error).max())], [0.01, 0.03])

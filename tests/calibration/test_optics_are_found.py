@@ -64,9 +64,7 @@ def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them() -> None:
             np.nanmedian(np.abs(found / expected - 1.0)[:, 4:-4], axis=(0, 2))
             for found in seen({"stray_light": share})
         )
-        assert unaware.max() > share
-        assert mended.max() < 3e-3
-        assert np.median(mended) < 1e-3
+        np.testing.assert_array_less([share, mended.max(), np.median(mended)], [unaware.max(), 3e-3, 1e-3])
 
 
 @pytest.mark.parametrize("pedestal", [-3.0, 2.0, 5.0])
@@ -100,8 +98,7 @@ def test_a_narrow_beam_shows_the_keystone(nonuniformity: float, tolerance: float
         warnings.filterwarnings("ignore", "22 of 41 columns are not lit", PaintWarning)
         calibration = hp.calibrate(sweep)
     keystone = np.interp(sweep.step_wavelength, sweep.true_wavelength, sweep.true_keystone)
-    error = calibration.beam_centre.values - 20.0 - keystone
-    assert np.nanmax(np.abs(error)) < tolerance
+    assert np.nanmax(np.abs(calibration.beam_centre.values - 20.0 - keystone)) < tolerance
 
 
 def test_an_even_beam_shows_no_keystone() -> None:

@@ -132,11 +132,9 @@ def test_the_antimeridian_and_southern_zones() -> None:
     line = flown(4, 5, longitude=[179.9999, 179.99999, -179.99999, -179.9999], latitude=-17.0)
     made = hp.geometry.locate(line, ground=0.0, camera=CAMERA)
     assert made.east.attrs["crs"] in ("EPSG:32760", "EPSG:32701")
-    assert np.isfinite(made.east).all()
+    assert (np.isfinite(made.east).all(), utm_zone(-17.0, 180.0)) == (True, "EPSG:32701")
     assert np.abs(made.north - made.north[0, 2]).max() < 100
-    assert utm_zone(-17.0, 180.0) == "EPSG:32701"
-    assert utm_zone(78.0, 20.0) == "EPSG:32633"
-    assert utm_zone(60.0, 3.5) == "EPSG:32632"
+    assert (utm_zone(78.0, 20.0), utm_zone(60.0, 3.5)) == ("EPSG:32633", "EPSG:32632")
     expect_refusals((SchemaError, "crs-missing", lambda: utm_zone(85.0, 0.0)))
 
 
@@ -234,15 +232,12 @@ def test_names_units_and_dtypes() -> None:
     made = hp.geometry.locate(line, ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1), clock_offset_s=0.0)
     for state in (made, made.compute()):
         for name in PLACES:
-            assert state[name].dtype == np.float64
-            assert state[name].dims == ("along_track", "cross_track")
+            assert (state[name].dtype, state[name].dims) == (np.float64, ("along_track", "cross_track"))
             assert state[name].attrs["units"] == VARIABLES[name].units
-            assert state[name].attrs["grid_mapping"] == "spatial_ref"
-            assert name in state.coords
+            assert (state[name].attrs["grid_mapping"], name in state.coords) == ("spatial_ref", True)
         assert state.quality.dtype == np.uint16
         assert state.spatial_ref.attrs["grid_mapping_name"] == "transverse_mercator"
-        assert state.east.attrs["crs"] == UTM
-        assert state.attrs["ground"] == 0.0
+        assert (state.east.attrs["crs"], state.attrs["ground"]) == (UTM, 0.0)
         assert state.attrs["lever_arm"] == [0.0, 0.0, 1.0]
         assert Convention.from_attrs(state.attrs) == LEFT_TO_RIGHT
     assert set(line.coords) <= set(made.coords)
@@ -305,8 +300,7 @@ def test_it_survives_a_store(tmp_path: Path) -> None:
     hp.to_store(made, tmp_path / "lot.zarr", "flightlines/raw_0")
     opened = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
     np.testing.assert_array_equal(opened.east, made.east)
-    assert Convention.from_attrs(opened.attrs) == LEFT_TO_RIGHT
-    assert opened.east.attrs["crs"] == UTM
+    assert (Convention.from_attrs(opened.attrs), opened.east.attrs["crs"]) == (LEFT_TO_RIGHT, UTM)
 
 
 def test_other_navigation_than_the_line_knows() -> None:
@@ -377,8 +371,7 @@ def test_spacing_by_hand() -> None:
     made = hp.geometry.spacing(hp.geometry.locate(line, ground=0.0, camera=CAMERA))
     scale = pyproj.Proj(UTM).get_factors(-80.2, 34.0).meridional_scale
     assert made["across"] == pytest.approx(scale * 5 * np.tan(np.radians(20.0)), rel=1e-4)
-    assert made["along"] == pytest.approx(1.14 * 0.007, rel=2e-3)
-    assert made["gsd"] == made["across"]
+    assert (made["along"], made["gsd"]) == (pytest.approx(1.14 * 0.007, rel=2e-3), made["across"])
     assert made["reversed"] == made["off_swath"] == 0.0
     nodding = line.assign(pitch=("along_track", [0, 3] * 5 + [0], {"units": "degree"}))
     assert hp.geometry.spacing(hp.geometry.locate(nodding, ground=0.0, camera=CAMERA))[
@@ -407,8 +400,7 @@ def test_footprints() -> None:
     assert (lon, lat) == pytest.approx((-80.2, 34.0), abs=1e-4)
     line["roll"][90:110] = np.nan
     parted = hp.geometry.footprint(hp.geometry.locate(line, ground=0.0, camera=CAMERA))
-    assert parted["geometry"]["type"] == "MultiPolygon"
-    assert parted["properties"]["lines"] == 180
+    assert (parted["geometry"]["type"], parted["properties"]["lines"]) == ("MultiPolygon", 180)
     expect_refusals(
         (SchemaError, "ground-not-seen", lambda: hp.geometry.footprint(located.isel(along_track=[0])))
     )

@@ -97,5 +97,4 @@ def test_tie_points_in_a_crop_are_positions_in_it() -> None:
         for one in (crop, crop.drop_vars("along_track"))
     )
     xr.testing.assert_equal(numbered, plain)
-    apart = numbered.along_track_pixel.values @ [1.0, -1.0]
-    assert np.median(apart) == pytest.approx(20.0, abs=0.05)
+    assert np.median(numbered.along_track_pixel.values @ [1.0, -1.0]) == pytest.approx(20.0, abs=0.05)

@@ -164,11 +164,8 @@ def test_a_gap_is_empty_flagged_and_counted() -> None:
     made = hp.geometry.orthorectify(line, GSD, variables=["red", "quality"]).compute()
     assert made.sizes["y"] == 200
     hole = made.hits.values == 0
-    assert hole[80:120].all()
-    assert hole.sum() == 40 * 40
-    assert (made.gap.values == hole).all()
-    assert (made.quality.values[hole] == OFF).all()
-    assert np.isnan(made.red.values[hole]).all()
+    assert (hole[80:120].all(), hole.sum(), (made.gap.values == hole).all()) == (True, 40 * 40, True)
+    assert ((made.quality.values[hole] == OFF).all(), np.isnan(made.red.values[hole]).all()) == (True, True)
     assert hp.geometry.map_report(made) == {
         "cells": 8000,
         "covered": 6400,
@@ -232,8 +229,7 @@ def test_bounds_make_one_grid_for_several_lines() -> None:
 @pytest.mark.parametrize("order", ["sensor", "map"])
 def test_regions_of_the_map_are_pixels_of_the_line(order: str) -> None:
     flown = fly(60, 40, "calm", heading=70.0)
-    rng = np.random.default_rng(3)
-    values = rng.random((60, 6, 40)).astype(np.float32)
+    values = np.random.default_rng(3).random((60, 6, 40)).astype(np.float32)
     line = located(flown, reflectance=(CUBE, values, {"units": "1"}))
     line = line.assign_coords(wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}))
     low, high, left, right = 20, 33, 11, 25

@@ -63,14 +63,13 @@ class PinholeCamera:
                 f"columns {self.columns!r:.60}", expected="a whole number above 0", code="value-out-of-range"
             )
         lengths = (self.pixel_pitch, self.focal_length)
-        if (self.field_of_view is None) == (None in lengths) or (
-            self.field_of_view is not None and lengths != (None, None)
-        ):
-            problems.add(
-                "pixel_pitch, focal_length and field_of_view do not describe one camera",
-                expected="either the two lengths, or field_of_view with edges",
-                code="option-conflict",
-            )
+        problems.add_if(
+            (self.field_of_view is None) == (None in lengths)
+            or (self.field_of_view is not None and lengths != (None, None)),
+            "pixel_pitch, focal_length and field_of_view do not describe one camera",
+            expected="either the two lengths, or field_of_view with edges",
+            code="option-conflict",
+        )
         for name, limit, expected in (
             ("pixel_pitch", np.inf, "a length above 0 [m]"),
             ("focal_length", np.inf, "a length above 0 [m]"),
@@ -79,15 +78,15 @@ class PinholeCamera:
             value = getattr(self, name)
             if value is not None and not 0.0 < value < limit:
                 problems.add(f"{name} {value!r:.60}", expected=expected, code="value-out-of-range")
-        if (
+        problems.add_if(
             self.field_of_view is not None
             and one_of(self.edges, ("centres", "outer"), "edges", problems=problems)
             and self.edges == "centres"
-            and self.columns == 1
-        ):
-            problems.add(
-                "one column has no angle between centres", mend="give edges='outer'", code="option-conflict"
-            )
+            and self.columns == 1,
+            "one column has no angle between centres",
+            mend="give edges='outer'",
+            code="option-conflict",
+        )
         problems.raise_if_any()
 
     @property
@@ -156,12 +155,12 @@ def look_angles(
         )
     problems = Problems("the directions of the columns cannot be used", SchemaError)
     for name, angles in (("look_across", across), ("look_along", along)):
-        if angles.shape != (line.sizes[CROSS_TRACK],):
-            problems.add(
-                f"{name} has shape {angles.shape}",
-                expected=f"{line.sizes[CROSS_TRACK]} columns, as the line",
-                code="length-mismatch",
-            )
+        problems.add_if(
+            angles.shape != (line.sizes[CROSS_TRACK],),
+            f"{name} has shape {angles.shape}",
+            expected=f"{line.sizes[CROSS_TRACK]} columns, as the line",
+            code="length-mismatch",
+        )
     problems.raise_if_any()
     return across, along
 
@@ -174,11 +173,11 @@ def directions(across: Floats, along: Floats) -> Floats:
     SchemaError
         Angles that are not finite, or point to the horizon or above it.
     """
-    if not (np.abs(across) < _MAX_LOOK_ANGLE_DEG).all() or not (np.abs(along) < _MAX_LOOK_ANGLE_DEG).all():
-        raise SchemaError(
-            "some columns look to the horizon or above it, or have no angle",
-            expected=f"angles below {_MAX_LOOK_ANGLE_DEG:g} degrees",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        not (np.abs(across) < _MAX_LOOK_ANGLE_DEG).all() or not (np.abs(along) < _MAX_LOOK_ANGLE_DEG).all(),
+        "some columns look to the horizon or above it, or have no angle",
+        expected=f"angles below {_MAX_LOOK_ANGLE_DEG:g} degrees",
+        code="value-out-of-range",
+    )
     vectors = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -76,12 +76,12 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     )
     is_placed = np.all(np.isfinite(ends), axis=(1, 2))
     pairs = np.flatnonzero(is_placed[1:] & is_placed[:-1])
-    if not pairs.size:
-        raise SchemaError(
-            "no two neighbouring lines have ground positions",
-            mend="look at poses and at the quality's off_swath",
-            code="ground-not-seen",
-        )
+    SchemaError.raise_if(
+        not pairs.size,
+        "no two neighbouring lines have ground positions",
+        mend="look at poses and at the quality's off_swath",
+        code="ground-not-seen",
+    )
     corners = np.concatenate([ends[pairs], ends[pairs + 1]], axis=1)
     quads = shapely.convex_hull(shapely.multipoints(corners))
     bend = 0.5 * float(np.nanmedian(np.concatenate([steps.ravel() for steps in _steps(east, north)])))
@@ -141,12 +141,12 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
             distances[f"{name}_p{percent:02.0f}"] = (
                 float(np.percentile(finite, percent)) if finite.size else np.nan
             )
-    if np.isnan([distances["across"], distances["along"]]).all():
-        raise SchemaError(
-            "no two neighbouring pixels have ground positions",
-            mend="look at poses and at the quality's off_swath",
-            code="ground-not-seen",
-        )
+    SchemaError.raise_if(
+        np.isnan([distances["across"], distances["along"]]).all(),
+        "no two neighbouring pixels have ground positions",
+        mend="look at poses and at the quality's off_swath",
+        code="ground-not-seen",
+    )
     distances["gsd"] = float(np.nanmax([distances["across"], distances["along"]]))
     # steps from line to line at the middle column, against the mean direction of flight
     middle_column = east.shape[1] // 2
@@ -159,13 +159,13 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
 
 def _positions(located: xr.Dataset) -> tuple[Floats, Floats, str]:
     coordinates = require(located, ["east", "north"], "the outline of a line")
-    crs = coordinates["east"].attrs.get("crs")
-    if not isinstance(crs, str):
-        raise SchemaError(
-            "'east' does not declare its map",
-            mend="locate the line with hyperpaint.geometry.locate",
-            code="crs-missing",
-        )
+    crs: Any = coordinates["east"].attrs.get("crs")
+    SchemaError.raise_if(
+        not isinstance(crs, str),
+        "'east' does not declare its map",
+        mend="locate the line with hyperpaint.geometry.locate",
+        code="crs-missing",
+    )
     east, north = dask.compute(coordinates["east"].data, coordinates["north"].data)
     return np.asarray(east), np.asarray(north), crs
 

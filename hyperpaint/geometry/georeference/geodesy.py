@@ -59,12 +59,12 @@ def crs_of(crs: Any) -> str:
         raise SchemaError(
             f"crs {crs!r:.80} is unknown to PROJ", expected="such as 'EPSG:32617'", code="crs-unknown"
         ) from error
-    if not (system.is_projected or system.is_geographic):
-        raise SchemaError(
-            f"crs {crs!r:.80} is neither projected nor geographic",
-            expected="such as 'EPSG:32617'",
-            code="crs-unusable",
-        )
+    SchemaError.raise_if(
+        not (system.is_projected or system.is_geographic),
+        f"crs {crs!r:.80} is neither projected nor geographic",
+        expected="such as 'EPSG:32617'",
+        code="crs-unusable",
+    )
     code = system.to_authority(min_confidence=100)
     return ":".join(code) if code and pyproj.CRS(":".join(code)) == system else system.to_wkt()
 
@@ -96,12 +96,12 @@ def utm_zone(latitude: float, longitude: float) -> str:
     >>> utm_zone(60.4, 5.3)
     'EPSG:32632'
     """
-    if not (-80.0 <= latitude <= 84.0 and np.isfinite(longitude)):
-        raise SchemaError(
-            f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}",
-            mend="pass crs=",
-            code="crs-missing",
-        )
+    SchemaError.raise_if(
+        not (-80.0 <= latitude <= 84.0 and np.isfinite(longitude)),
+        f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}",
+        mend="pass crs=",
+        code="crs-missing",
+    )
     longitude = (longitude + 180.0) % 360.0 - 180.0
     zone = int((longitude + 180.0) // 6.0) + 1
     if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:

@@ -225,11 +225,11 @@ def locate(
     if navigation is not None or clock_offset_s != 0.0:
         columns["recorded"] = columns["wanted"] = require(line, ["time"], "poses")["time"].data
     if navigation is not None:
-        if NAVIGATION_TIME not in navigation.variables:
-            raise SchemaError(
-                f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]",
-                code="variable-missing",
-            )
+        SchemaError.raise_if(
+            NAVIGATION_TIME not in navigation.variables,
+            f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]",
+            code="variable-missing",
+        )
         columns["recorded"] = navigation[NAVIGATION_TIME].data
     grid = None if dem is None else grid_of(dem)
     if crs is None and _is_lazy(*columns.values()):
@@ -269,8 +269,7 @@ def locate(
     )
     # store the poses used; lazy ones in chunks of the cube
     if not isinstance(poses, np.ndarray):
-        shape = (len(POSE), line.sizes[ALONG_TRACK])
-        poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
+        poses = da.from_delayed(poses, (len(POSE), line.sizes[ALONG_TRACK]), np.float64).rechunk((1, chunks))
     columns_used = {
         name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
     }
@@ -311,12 +310,12 @@ def _check(
 ) -> None:
     problems = Problems("this line cannot be located", SchemaError)
     for dim in (ALONG_TRACK, CROSS_TRACK):
-        if dim not in line.dims:
-            problems.add(
-                f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
-                mend=f"isel({dim}=[5]) keeps it, dims= names it",
-                code="dim-missing",
-            )
+        problems.add_if(
+            dim not in line.dims,
+            f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}",
+            mend=f"isel({dim}=[5]) keeps it, dims= names it",
+            code="dim-missing",
+        )
     for name, vector in (("boresight", boresight), ("lever_arm", lever_arm)):
         try:
             is_valid = np.shape(vector) == (3,) and bool(np.isfinite(np.asarray(vector, np.float64)).all())
@@ -324,12 +323,12 @@ def _check(
             is_valid = False
         if not is_valid:
             problems.add(f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong")
-    if (ground is None) == (dem is None):
-        problems.add(
-            "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
-            mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
-            code="argument-missing" if dem is None else "option-conflict",
-        )
+    problems.add_if(
+        (ground is None) == (dem is None),
+        "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
+        mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
+        code="argument-missing" if dem is None else "option-conflict",
+    )
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
         is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
         if number is not None and not is_number:
@@ -341,21 +340,21 @@ def _map_of(poses: Any, crs: Any) -> str:
     # default: the UTM zone of the middle line among the lines with a pose
     if crs is None:
         lines_with_pose = np.flatnonzero(np.isfinite(poses[0]))
-        if not lines_with_pose.size:
-            raise SchemaError(
-                "no line has a pose, so the UTM zone is unknown",
-                mend="check the navigation and its times, or give crs=",
-                code="pose-missing",
-            )
+        SchemaError.raise_if(
+            not lines_with_pose.size,
+            "no line has a pose, so the UTM zone is unknown",
+            mend="check the navigation and its times, or give crs=",
+            code="pose-missing",
+        )
         latitude, longitude = poses[:2, lines_with_pose[lines_with_pose.size // 2]]
         crs = utm_zone(float(latitude), float(longitude))
     code = crs_of(crs)
-    if not is_in_metres(code):
-        raise SchemaError(
-            f"crs {crs!r:.80} is not a map in metres to the east and north",
-            mend="give a projected one, such as 'EPSG:32617'",
-            code="crs-unusable",
-        )
+    SchemaError.raise_if(
+        not is_in_metres(code),
+        f"crs {crs!r:.80} is not a map in metres to the east and north",
+        mend="give a projected one, such as 'EPSG:32617'",
+        code="crs-unusable",
+    )
     return code
 
 
@@ -481,13 +480,13 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     # the origin of a GeoTransform may be stale in a cropped raster, so only directions are used; on the grid
     # of a flight to the south, x increases to the west
     steps = numbers(str(mapping_attrs.get("GeoTransform", "")).split()) or []
-    if len(steps) == 6 and (steps[2] or steps[4] or steps[1] < 0.0 < axes.get("x", (0.0, 0.0))[1]):
-        problems.add(
-            "the GeoTransform of spatial_ref rotates the raster, so x and y are not map coordinates",
-            mend="resample it to a grid with north up, by rioxarray's reproject or "
-            "hyperpaint.geometry.orthorectify",
-            code="grid-turned",
-        )
+    problems.add_if(
+        len(steps) == 6 and (steps[2] or steps[4] or steps[1] < 0.0 < axes.get("x", (0.0, 0.0))[1]),
+        "the GeoTransform of spatial_ref rotates the raster, so x and y are not map coordinates",
+        mend="resample it to a grid with north up, by rioxarray's reproject or "
+        "hyperpaint.geometry.orthorectify",
+        code="grid-turned",
+    )
     # declared by rioxarray's coordinate, or by an attribute of the raster
     crs_texts = [
         str(attrs[name])
@@ -495,12 +494,12 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         for name in ("crs", "crs_wkt", "spatial_ref")
         if attrs.get(name)
     ]
-    if not crs_texts:
-        problems.add(
-            "no crs",
-            mend="open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')",
-            code="crs-missing",
-        )
+    problems.add_if(
+        not crs_texts,
+        "no crs",
+        mend="open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')",
+        code="crs-missing",
+    )
     declared = {
         name: dem.attrs[name] for name in ("height_reference", "geoid_undulation") if name in dem.attrs
     }
@@ -537,8 +536,7 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
     for value in grid.missing:
         elevation[np.asarray(heights) == value] = np.nan
     elevation[~np.isfinite(elevation)] = np.nan
-    if np.isnan(elevation).all():
-        raise SchemaError("this DEM contains only holes", code="dem-empty")
+    SchemaError.raise_if(np.isnan(elevation).all(), "this DEM contains only holes", code="dem-empty")
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
     # highest point of every block of cells; neighbouring blocks share a border
     filled = np.where(np.isnan(elevation), -np.inf, elevation)
@@ -553,16 +551,15 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
     if name not in dem.coords:
         raise SchemaError(f"no coordinate {name!r} of cell centres", code="variable-missing")
     values = dem[name].values.astype(np.float64)
-    if values.size < 2:
-        raise SchemaError(
-            f"{values.size} cells along {name!r}", expected="two or more", code="length-mismatch"
-        )
+    SchemaError.raise_if(
+        values.size < 2, f"{values.size} cells along {name!r}", expected="two or more", code="length-mismatch"
+    )
     step = (values[-1] - values[0]) / (values.size - 1)
     deviation = np.abs(values - (values[0] + step * np.arange(values.size)))
-    if not (np.isfinite(step) and step != 0.0 and deviation.max() <= _MAX_UNEVENNESS_CELLS * abs(step)):
-        raise SchemaError(
-            f"coordinate {name!r} is not evenly spaced",
-            mend="bring the DEM to a regular grid",
-            code="grid-uneven",
-        )
+    SchemaError.raise_if(
+        not (np.isfinite(step) and step != 0.0 and deviation.max() <= _MAX_UNEVENNESS_CELLS * abs(step)),
+        f"coordinate {name!r} is not evenly spaced",
+        mend="bring the DEM to a regular grid",
+        code="grid-uneven",
+    )
     return float(values[0]), float(step)

@@ -136,13 +136,13 @@ def mosaic(
     strips = strips_of(lines_by_name, shared, variables, tile, **options)
     rank_variables = _RANKED_BY[rule]
     names_lacking = [s.name for s in strips if not set(rank_variables) <= set(s.map.variables)]
-    if names_lacking:
-        raise SchemaError(
-            f"rule {rule!r} chooses by {' and '.join(rank_variables)}, which {', '.join(names_lacking)} lack",
-            mend="locate the lines, add it to variables=, or choose another rule",
-            option="choose another --rule",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        names_lacking,
+        f"rule {rule!r} chooses by {' and '.join(rank_variables)}, which {', '.join(names_lacking)} lack",
+        mend="locate the lines, add it to variables=, or choose another rule",
+        option="choose another --rule",
+        code="variable-missing",
+    )
     return _composed_map(strips, shared.grid, rule, tile, levelling)
 
 
@@ -303,14 +303,13 @@ def _composed_map(
     if levelling is not None:
         cubes = [name for name in names_of_all if name not in flat and first[name].ndim == 3]
         missing = [name for name in LEVELLED_BY if name not in first.variables]
-        if len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing:
-            raise SchemaError(
-                f"levelling, with {', '.join(cubes) or 'no cube'} and without "
-                f"{', '.join(missing) or 'nothing'}",
-                expected="one cube of floats, such as reflectance, with quality",
-                mend="give variables=",
-                code="variable-missing",
-            )
+        SchemaError.raise_if(
+            len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing,
+            f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
+            expected="one cube of floats, such as reflectance, with quality",
+            mend="give variables=",
+            code="variable-missing",
+        )
         factors, interpolated = tiles.levelling(cubes[0])
         attributes = {
             "units": "1",
@@ -401,12 +400,12 @@ def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
     """
     attrs = mosaic["flightline"].attrs if "flightline" in mosaic.variables else {}
     transform = mosaic["spatial_ref"].attrs.get("GeoTransform") if "spatial_ref" in mosaic.variables else None
-    if "flag_meanings" not in attrs or transform is None:
-        raise SchemaError(
-            "not a mosaic: flightline with flag_meanings, or spatial_ref with GeoTransform, is missing",
-            mend="compose one with hyperpaint.geometry.mosaic",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        "flag_meanings" not in attrs or transform is None,
+        "not a mosaic: flightline with flag_meanings, or spatial_ref with GeoTransform, is missing",
+        mend="compose one with hyperpaint.geometry.mosaic",
+        code="variable-missing",
+    )
     with needs_extra("rasterio", "geo", "outlining the lines of a mosaic"):
         from rasterio import Affine
         from rasterio.features import shapes
@@ -472,12 +471,12 @@ def overlap_factors(
         dask.delayed(partial(_ratios, tile), pure=False, traverse=False)() for tile in tiles if len(tile) > 1
     ]
     ratios = [ratio for tile in dask.compute(*tasks) for ratio in tile]
-    if not ratios:
-        raise SchemaError(
-            "lines cannot be levelled: no two lines overlap in unflagged cells",
-            mend="leave out levelling=",
-            code="overlap-missing",
-        )
+    SchemaError.raise_if(
+        not ratios,
+        "lines cannot be levelled: no two lines overlap in unflagged cells",
+        mend="leave out levelling=",
+        code="overlap-missing",
+    )
     incidence = np.zeros((len(ratios), lines))
     for row, (first, second, _, _) in enumerate(ratios):
         incidence[row, first], incidence[row, second] = -1.0, 1.0

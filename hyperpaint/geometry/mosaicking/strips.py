@@ -74,12 +74,12 @@ def named_lines(lines: Any) -> dict[str, xr.Dataset]:
     """Return lines by name, sorted; lines of a sequence are numbered."""
     if isinstance(lines, xr.DataTree):
         lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
-    if not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines:
-        raise SchemaError(
-            f"{type(lines).__name__} is no collection of flight lines",
-            mend="give a dict of datasets by their names",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines,
+        f"{type(lines).__name__} is no collection of flight lines",
+        mend="give a dict of datasets by their names",
+        code="type-wrong",
+    )
     if isinstance(lines, Mapping):
         return {str(name): lines[name] for name in sorted(lines, key=str)}
     digits = len(str(len(lines) - 1))
@@ -147,13 +147,13 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     for name, transform in transforms.items():
         col, row = (transform[0] - axes.anchor[0]) / size, -(transform[3] - axes.anchor[1]) / size
         max_offset = max(abs(col - round(col)), abs(row - round(row)), abs(transform[1] / size - 1.0) * 1e4)
-        if max_offset > _MAX_GRID_OFFSET_CELLS:
-            problems.add(
-                f"{name} has cells of {transform[1]:.9g} m from ({transform[0]:.9g}, {transform[3]:.9g})",
-                expected=f"cells of {size:.9g} m on the grid of the other lines",
-                mend="orthorectify all lines with one gsd and grid='north', or give the lines",
-                code="grid-mismatch",
-            )
+        problems.add_if(
+            max_offset > _MAX_GRID_OFFSET_CELLS,
+            f"{name} has cells of {transform[1]:.9g} m from ({transform[0]:.9g}, {transform[3]:.9g})",
+            expected=f"cells of {size:.9g} m on the grid of the other lines",
+            mend="orthorectify all lines with one gsd and grid='north', or give the lines",
+            code="grid-mismatch",
+        )
         shape = lines[name].sizes["y"], lines[name].sizes["x"]
         grids[name] = MapGrid(axes, size, (round(row), round(col)), shape)
     problems.raise_if_any()
@@ -228,21 +228,21 @@ def strips_of(
                 ("size", array.shape[2:], first_array.shape[2:]),
                 ("units", array.attrs.get("units"), first_array.attrs.get("units")),
             ):
-                if found != expected:
-                    problems.add(
-                        f"{property_name} of {variable} of {other.name} {found}",
-                        expected=f"{expected} of {first.name}",
-                        code="variable-mismatch",
-                    )
+                problems.add_if(
+                    found != expected,
+                    f"{property_name} of {variable} of {other.name} {found}",
+                    expected=f"{expected} of {first.name}",
+                    code="variable-mismatch",
+                )
         first_wavelength, wavelength = (
             np.asarray(s.map.coords.get("wavelength", ())) for s in (first, other)
         )
-        if first_wavelength.shape != wavelength.shape or not np.allclose(
-            first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM
-        ):
-            problems.add(
-                f"wavelengths of {other.name} differ from those of {first.name}", code="wavelength-mismatch"
-            )
+        problems.add_if(
+            first_wavelength.shape != wavelength.shape
+            or not np.allclose(first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM),
+            f"wavelengths of {other.name} differ from those of {first.name}",
+            code="wavelength-mismatch",
+        )
     problems.raise_if_any()
     return strips
 
@@ -256,12 +256,12 @@ def _cut_map(
 ) -> Strip:
     # Cut a map into the tiles of the mosaic, padded to complete tiles.
     missing = [needed for needed in _MAP_VARIABLES if needed not in line.variables]
-    if missing:
-        raise SchemaError(
-            f"the map {name} lacks {', '.join(missing)}",
-            mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        missing,
+        f"the map {name} lacks {', '.join(missing)}",
+        mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
+        code="variable-missing",
+    )
     corner, *edges = tiles
     spans = zip(map_grid.first, map_grid.shape, edges, strict=True)
     pads = [(start - edge[0], edge[-1] - (start + count)) for start, count, edge in spans]
@@ -312,11 +312,11 @@ def _crs(line: xr.Dataset) -> Any:
 def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, ...]:
     text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
     numbers = () if text is None else tuple(float(number) for number in str(text).split())
-    if not (len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0):
-        problems.add(
-            f"the map {name} has the GeoTransform {text}",
-            expected="square cells with north up",
-            mend="orthorectify with grid='north'",
-            code="grid-turned",
-        )
+    problems.add_if(
+        not (len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0),
+        f"the map {name} has the GeoTransform {text}",
+        expected="square cells with north up",
+        mend="orthorectify with grid='north'",
+        code="grid-turned",
+    )
     return numbers

@@ -131,13 +131,13 @@ def find_tie_points(
         if progress is not None:
             progress(count, len(pairs))
     table = np.concatenate(rows)
-    if not len(table):
-        raise SchemaError(
-            f"no tie points between {', '.join(lines_by_name)}",
-            expected=f"lines that overlap by more than {2 * rules.half_patch * gsd:.3g} m",
-            mend="give a larger search_m=, another band= or gsd=",
-            code="tie-points-missing",
-        )
+    SchemaError.raise_if(
+        not len(table),
+        f"no tie points between {', '.join(lines_by_name)}",
+        expected=f"lines that overlap by more than {2 * rules.half_patch * gsd:.3g} m",
+        mend="give a larger search_m=, another band= or gsd=",
+        code="tie-points-missing",
+    )
     east, north = shared.grid.axes.anchor
     row, col, shift_down, shift_right, quality, height = table[:, :6].T
     pixels = table[:, 6:].reshape(-1, 2, 2)
@@ -159,12 +159,12 @@ def find_tie_points(
 
 def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Picture:
     cubes = [name for name in _CUBE_NAMES if name in line.variables and set(line[name].dims) == set(CUBE)]
-    if not cubes or "ground_height" not in line.variables:
-        raise SchemaError(
-            "a line has no counts, radiance or reflectance, or no ground_height",
-            mend="locate lines with hyperpaint.geometry.locate before",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        not cubes or "ground_height" not in line.variables,
+        "a line has no counts, radiance or reflectance, or no ground_height",
+        mend="locate lines with hyperpaint.geometry.locate before",
+        code="variable-missing",
+    )
     number = line.sizes[BAND] // 2 if band is None else band
     image = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
     names = {name for name in line.data_vars if BAND in line[name].dims}

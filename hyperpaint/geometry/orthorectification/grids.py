@@ -114,8 +114,7 @@ def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
     else:
         first = math.ceil(upper - 0.5 - _ROUNDING_CELLS), math.ceil(left - 0.5 - _ROUNDING_CELLS)
         last = math.floor(lower + 0.5 + _ROUNDING_CELLS), math.floor(right + 0.5 + _ROUNDING_CELLS)
-    shape = max(last[0] - first[0], 1), max(last[1] - first[1], 1)
-    return MapGrid(axes, gsd, first, shape)
+    return MapGrid(axes, gsd, first, (max(last[0] - first[0], 1), max(last[1] - first[1], 1)))
 
 
 def check_cells(problems: Problems, gsd: Any, tile: Any) -> None:

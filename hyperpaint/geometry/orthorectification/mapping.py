@@ -173,20 +173,20 @@ def orthorectify(
     one_of(method, _METHODS, "method", problems=problems)
     one_of(multi_hit, RULES, "multi_hit", problems=problems)
     check_cells(problems, gsd, tile)
-    if not 1.0 <= max_stretch < np.inf:
-        problems.add(
-            f"max_stretch {max_stretch!r:.60}",
-            expected="a number of cells from 1 on",
-            code="value-out-of-range",
-        )
+    problems.add_if(
+        not 1.0 <= max_stretch < np.inf,
+        f"max_stretch {max_stretch!r:.60}",
+        expected="a number of cells from 1 on",
+        code="value-out-of-range",
+    )
     if bounds is not None:
         edges = np.asarray(bounds, np.float64)
-        if not (edges.shape == (4,) and np.isfinite(edges).all() and (edges[:2] < edges[2:]).all()):
-            problems.add(
-                f"bounds {bounds!r:.80}",
-                expected="west, south, east, north [m], in this order",
-                code="bounds-invalid",
-            )
+        problems.add_if(
+            not (edges.shape == (4,) and np.isfinite(edges).all() and (edges[:2] < edges[2:]).all()),
+            f"bounds {bounds!r:.80}",
+            expected="west, south, east, north [m], in this order",
+            code="bounds-invalid",
+        )
     problems.raise_if_any()
     if is_located(line) and location:
         options = ", ".join(f"{name}=" for name in location)
@@ -201,12 +201,12 @@ def orthorectify(
     axes = direction_of_flight(east, north) if grid == "flight" else NORTH
     survey = survey_lines(east, north, axes, progress)
     size = survey.gsd if gsd is None else float(gsd)
-    if not size > 0.0:
-        raise SchemaError(
-            "the pixels have the same position, so the cell size is undefined",
-            mend="give gsd= [m]",
-            code="gsd-missing",
-        )
+    SchemaError.raise_if(
+        not size > 0.0,
+        "the pixels have the same position, so the cell size is undefined",
+        mend="give gsd= [m]",
+        code="gsd-missing",
+    )
     if grid == "flight":
         # the centre of the first cell lies in the corner of the covered area
         left, _, upper, _ = survey.box
@@ -223,13 +223,13 @@ def orthorectify(
     cells = covering(axes, size, box, whole=bounds is not None)
     rows, cols = cells.shape
     count = -(-rows // tile) * -(-cols // tile)
-    if count > _MAX_TILES:
-        raise SchemaError(
-            f"a map of {rows} x {cols} cells of {cells.gsd:g} m is {count} tiles of {tile} x {tile}",
-            expected=f"at most {_MAX_TILES}",
-            mend="give a larger gsd, bounds, or a larger tile",
-            code="map-too-large",
-        )
+    SchemaError.raise_if(
+        count > _MAX_TILES,
+        f"a map of {rows} x {cols} cells of {cells.gsd:g} m is {count} tiles of {tile} x {tile}",
+        expected=f"at most {_MAX_TILES}",
+        mend="give a larger gsd, bounds, or a larger tile",
+        code="map-too-large",
+    )
     windows = tile_windows(cells.shape, tile)
     # the areas between the ends of consecutive located lines (pair, 4, 2)
     ends = survey.ends[np.isfinite(survey.ends).all(axis=(1, 2))]
@@ -383,12 +383,12 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     {'cells': 4, 'covered': 2, 'gaps': 1, 'multiple': 1, 'most_hits': 2}
     """
     missing = [name for name in ("hits", "gap") if name not in made.variables]
-    if missing:
-        raise SchemaError(
-            f"not a map: {' and '.join(map(repr, missing))} missing",
-            mend="orthorectify a flight line first",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        missing,
+        f"not a map: {' and '.join(map(repr, missing))} missing",
+        mend="orthorectify a flight line first",
+        code="variable-missing",
+    )
     hits, gap = made["hits"], made["gap"]
     lazy = ((hits > 0).sum(), gap.sum(), (hits > 1).sum(), hits.max())
     covered, gaps, multiple, max_hits = dask.compute(*(part.data for part in lazy))
