@@ -17,8 +17,8 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore:the irradiance fits no sky:hyperpaint.base.errors.PaintWarning"
 )
 #: Places of pairs of bands, near and far; a band is in one pair only, so that the pairs err independently.
-PAIRS = np.array([(20, 3), (11, 10), (22, 13), (23, 0), (21, 1), (19, 2), (18, 17), (16, 4), (15, 14), (12, 5),
-                  (9, 6), (8, 7)])  # fmt: skip
+PAIRS = np.array([(20, 3), (11, 10), (22, 13), (23, 0), (21, 1), (19, 2),
+                  (18, 17), (16, 4), (15, 14), (12, 5), (9, 6), (8, 7)])  # fmt: skip
 
 
 def signature(line: xr.Dataset, **options: Any) -> xr.Dataset:

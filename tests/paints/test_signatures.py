@@ -156,9 +156,8 @@ def test_the_same_bits_on_a_cluster_of_two_processes() -> None:
     line = raw().chunk({"along_track": 8})
     nm = wavelengths()
     panel = as_line(bonnet(nm, smooth_edge(nm, 600.0, 0.04, 0.6))[0], nm, snr=100.0)
-    expected, flags = (
-        extract_signatures(line, RAW), surroundings.flag(panel, sun_zenith=30.0).compute(scheduler="synchronous")
-    )  # fmt: skip
+    expected = extract_signatures(line, RAW)
+    flags = surroundings.flag(panel, sun_zenith=30.0).compute(scheduler="synchronous")
     told: list[tuple[int, int]] = []
     local = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
