@@ -6,13 +6,15 @@ from typing import Any
 import dask.array as da
 import numpy as np
 import pytest
+from support.analytic_scenes import as_line, bonnet, smooth_edge, wavelengths
 from support.painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits, made, raw
 
-from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
+from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures, surroundings
 from hyperpaint.base.schema import CUBE
 from hyperpaint.paints.signatures import extraction, pixel_statistics
 from hyperpaint.paints.signatures.pixel_statistics import chosen_members, geometric_median, summarise
 from hyperpaint.regions import pixels
+from hyperpaint.surroundings.flags import LAYERS
 
 # --- against plain numpy -----------------------------------------------------------------------------------
 
@@ -151,14 +153,20 @@ def test_the_same_bits_from_counts(chunks: Any) -> None:
 @pytest.mark.slow
 def test_the_same_bits_on_a_cluster_of_two_processes(two_workers: Any) -> None:
     line = raw().chunk({"along_track": 8})
+    nm = wavelengths()
+    panel = as_line(bonnet(nm, smooth_edge(nm, 600.0, 0.04, 0.6))[0], nm, snr=100.0)
     expected = extract_signatures(line, RAW)
+    flags = surroundings.flag(panel, sun_zenith=30.0).compute(scheduler="synchronous")
     told: list[tuple[int, int]] = []
     with two_workers.as_current():
         found = extract_signatures(line, RAW)
         watched = extract_signatures(line, RAW, progress=lambda *each: told.append(each))
+        other_flags = surroundings.flag(panel.chunk(along_track=64), sun_zenith=30.0).compute()
     assert_same_bits(found, expected)
     assert_same_bits(watched, expected)
     assert told[-1][0] == told[-1][1]
+    for name in (*LAYERS, "quality"):
+        np.testing.assert_array_equal(flags[name], other_flags[name])
 
 
 @pytest.mark.parametrize("size", [3_000, 12_000])

@@ -23,7 +23,7 @@ def test_proposals_on_traced_cars__are_right_or_refused() -> None:
     sky = Atmosphere.clear(34.0, 105.0)
     park = car_park(length=14.0, width=32.0, seed=3, neighbours=(), margin=10.0, flakes=False, islands=False)
     flight = pushbroom(150, 200, altitude=15.0, ground_sample=0.06, line_spacing=0.06, start=(-0.1, 2.0))
-    traced = hp.simulation.trace(park, flight, [sky], samples=48, seed=3, sun_radius=0.267)
+    traced = hp.simulation.trace(park, flight, [sky], samples=24, seed=3, sun_radius=0.267)
     line = hp.simulation.relight(traced, BandSet(NM, np.full(NM.size, 6.0)), atmosphere=sky).compute()
     found = hp.regions.propose_regions(line, sun_zenith=34.0, sun_azimuth=105.0, heading=0.0, erode=2)
     assert len(found) >= 1

@@ -40,16 +40,18 @@ def noisy_collect(
     read_noise: float = 0.5,
     gain_u: float = 0.005,
     irradiance_u: float = 0.005,
-    common: bool = False,
+    common: bool | dict[str, float] = False,
     smile: float = 0.0,
     masked: int = 0,
     dark_times: int = 1,
 ) -> xr.Dataset:
-    # Return a collect whose errors are drawn anew; ``smile`` is the shift at the last column [nm]
+    # Return a collect whose errors are drawn anew; ``common`` may give errors of `COMMON` in standard
+    # deviations, and none where it is empty; ``smile`` is the shift at the last column [nm]
     # ``darks`` frames are averaged in each of ``dark_times`` dark references, before and after the line;
     # ``masked`` columns see no light, and the pedestal of every line is another one
     u = COMMON if common else {}
-    error = {name: rng.normal(0.0, size) for name, size in u.items()}
+    drawn_error = common if isinstance(common, dict) else {name: rng.standard_normal() for name in u}
+    error = {name: u[name] * size for name, size in drawn_error.items()}
     shift = smile * (np.arange(columns) / max(columns - 1, 1)) ** 2
     seen = WAVELENGTH[:, None] + shift + error.get("wavelength_u", 0.0)
     own_gain = rng.normal(0.0, gain_u, (BANDS, columns))

@@ -13,7 +13,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.sky_functions import facing_gain
 
 NM = np.array([410.0, 450.0, 550.0, 700.0, 850.0, 980.0])
-SUNS = (25.0, 45.0, 60.0, 75.0)
+SUNS = (30.0, 45.0, 60.0, 75.0)
 BLACK = 0.013
 COAT = 0.04  # reflectance of a coat of 1.5 at normal incidence
 ROOF_LEAN = np.radians(4.0)  # of a roof's parts; what they mirror is twice as far from the zenith
@@ -23,7 +23,7 @@ _skies: dict[tuple[float, float], SkyRadiance] = {}
 
 def truth(nm: float, sun: float) -> SkyRadiance:
     if (nm, sun) not in _skies:
-        _skies[nm, sun] = sky_radiance(nm, sun, photons=2500, zeniths=20, azimuths=20)
+        _skies[nm, sun] = sky_radiance(nm, sun, photons=1500, zeniths=20, azimuths=20)
     return _skies[nm, sun]
 
 
