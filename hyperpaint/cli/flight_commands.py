@@ -442,7 +442,8 @@ def make_map(
 
 def _check_map(store: Path, out: Path, *companions: Path | None) -> None:
     if out.suffix.lower() not in (*RASTER_FORMATS, ".zarr"):
-        raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
+        suffixes = f"{', '.join(RASTER_FORMATS)} or .zarr"
+        raise click.UsageError(f"--out {out}, expected a name that ends in {suffixes} [suffix-unknown]")
     refuse_in_store(store, out, *companions)
 
 

@@ -19,8 +19,8 @@ from hyperpaint.geometry.georeference.cameras import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, published_files
-from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
-from hyperpaint.io.maps.map_grids import geozarr_attrs, stac_item, with_own_transform
+from hyperpaint.io.maps.geotiff import draw_geotiff
+from hyperpaint.io.maps.map_grids import RASTER_FORMATS, geozarr_attrs, stac_item, with_own_transform
 from hyperpaint.io.maps.rasters import read_heights
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 
@@ -206,15 +206,15 @@ def write_map(
     MissingExtraError
         A GeoTIFF needs rasterio (extra ``geo``).
     """
-    item, is_tiff = path.with_suffix(".json"), path.suffix.lower() in (".tif", ".tiff")
+    item, is_file = path.with_suffix(".json"), path.suffix.lower() in RASTER_FORMATS
     companions = ([item] if stac else []) + ([] if seams is None else [seams])
     if stac:
         check_place(item, "the STAC item", example="map.json", overwrite=overwrite)
     plan = map_planned(orthomap, str(path))
     orthomap = with_own_transform(orthomap)
-    if geozarr and not is_tiff:
+    if geozarr and not is_file:
         orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
-    if not is_tiff and not companions:
+    if not is_file and not companions:
         with plan:
             to_store(orthomap, path, overwrite=overwrite, progress=progress)
         return ""
@@ -224,12 +224,11 @@ def write_map(
         # empty for a store of one map, which may be replaced
         return "" if list_groups(folder) == [""] else "something other than a map"
 
-    product = published_files([*companions, path], overwrite=overwrite, foreign=None if is_tiff else foreign)
+    product = published_files([*companions, path], overwrite=overwrite, foreign=None if is_file else foreign)
     with plan, product as (*companion_paths, target):
         texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
-        if is_tiff:
-            draw_geotiff(orthomap, target, path)
-            factors = ", ".join(f"1:{factor}" for factor in read_geotiff_header(target).overviews)
+        if is_file:
+            factors = ", ".join(f"1:{factor}" for factor in draw_geotiff(orthomap, target, path))
             notes.append(f"overviews {factors}" if factors else "too small for overviews")
         else:
             to_store(orthomap, target, progress=progress)

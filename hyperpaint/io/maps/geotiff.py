@@ -123,8 +123,9 @@ def draw_geotiff(
     cog: bool = True,
     stretch: tuple[float, float] = (2.0, 98.0),
     progress: Callable[[int, int], None] | None = None,
-) -> None:
+) -> list[int]:
     # Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`.
+    # Return the reduction factors of its overviews.
     with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
         import rasterio
         from rasterio.shutil import copy
@@ -157,6 +158,8 @@ def draw_geotiff(
             if cog:
                 options = form.picture_options if is_picture else form.options
                 copy(uncompressed, target, driver=form.driver, **options)
+            with rasterio.open(target) as written:
+                return list(written.overviews(1))
     except rasterio.errors.RasterioError as error:
         raise unwritable(final_path, error) from error
 

@@ -12,7 +12,8 @@ from support.flown_lines import EAST, GSD, MAP, NORTH, fly, located
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
-from hyperpaint.io.maps.map_grids import geozarr_attrs, grid_of, stac_item, with_own_transform
+from hyperpaint.io.maps import map_grids
+from hyperpaint.io.maps.map_grids import RasterFormat, geozarr_attrs, grid_of, stac_item, with_own_transform
 from hyperpaint.workflows.maps import write_map
 
 pyproj = pytest.importorskip("pyproj")
@@ -202,3 +203,17 @@ def test_the_command_writes_overviews_an_item_and_attributes(line: xr.Dataset, t
     assert opened["spatial_ref"].attrs["crs_wkt"]
     assert hp.verify(tmp_path / "map.zarr").ok
     assert CliRunner().invoke(main, [*call, str(tmp_path / "other.tif"), "--geozarr"]).exit_code == 2
+
+
+def test_a_format_of_maps_is_a_row(line: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hp.to_store(xr.DataTree.from_dict({"/flightlines/raw_0": line}), tmp_path / "lot.zarr")
+    words = ["orthorectify", str(tmp_path / "lot.zarr"), "--quiet", "--gsd", "0.002", "--stac", "--out"]
+    assert CliRunner().invoke(main, [*words, str(tmp_path / "map.img")]).exit_code == 2
+    hfa = RasterFormat("HFA", "application/x-erdas-hfa", {"compressed": "yes"}, {})
+    monkeypatch.setitem(map_grids.RASTER_FORMATS, ".img", hfa)
+    for name in ("map.img", "map.tif"):
+        done = CliRunner().invoke(main, [*words, str(tmp_path / name), "--overwrite"])
+        assert done.exit_code == 0, done.output
+    with rasterio.open(tmp_path / "map.img") as made, rasterio.open(tmp_path / "map.tif") as tiff:
+        assert (made.driver, made.crs, made.transform) == ("HFA", tiff.crs, tiff.transform)
+        np.testing.assert_array_equal(made.read(), tiff.read())
