@@ -448,8 +448,7 @@ class Explored:
         if self._quality is not None:
             bits = reduced_lines(self._quality[first:last], step, np.bitwise_or)
             for flag in sorted(flags, key=lambda flag: -self.flag_shares.get(flag, 0.0)):
-                colour = (*bytes.fromhex(flag.colour[1:]), _FLAG_OPACITY)
-                colours[(bits.T & int(flag)) != 0] = colour
+                colours[(bits.T & int(flag)) != 0] = (*bytes.fromhex(flag.colour[1:]), _FLAG_OPACITY)
         return Picture(colours.view(np.uint32)[..., 0], first, first + rows * step, "")
 
 

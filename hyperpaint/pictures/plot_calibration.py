@@ -105,8 +105,7 @@ def calibration_report(
         f"line shape {calibration.attrs['srf_shape']}, FWHM {np.nanmedian(values['fwhm']):.2f} nm",
         f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
     ]
-    title = textwrap.fill("   ·   ".join(facts), max(30, int(11 * width)))
-    figure.suptitle(title, fontsize="medium")
+    figure.suptitle(textwrap.fill("   ·   ".join(facts), max(30, int(11 * width))), fontsize="medium")
     heights = (1.3,) + (1.0,) * (rows - 1)  # the first cell holds two axes
     cells = figure.add_gridspec(rows, columns, height_ratios=heights if columns == 1 else None)
     grid = [cells[divmod(number, columns)] for number in range(6)]
