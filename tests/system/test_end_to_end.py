@@ -1,14 +1,19 @@
 """The whole chain against a simulator that shares no code with it: files in, known reflectance out."""
 
 import contextlib
+import multiprocessing
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
+import dask
 import numpy as np
 import pytest
 import xarray as xr
 
 import hyperpaint as hp
+from hyperpaint.simulation import simulate_line
 
 pytestmark = pytest.mark.slow
 
@@ -82,8 +87,6 @@ def test_dropped_frames_and_clocks__leave_every_line_its_own_light(store):
 def test_exact_irradiance__closes_to_single_precision():
     # Rationale: float32 counts that were never quantised, and the irradiance each element saw itself
     # Expected: pi L / E is the true reflectance to 1e-5
-    from hyperpaint.simulation import simulate_line
-
     line = simulate_line(
         lines=12, bands=60, columns=9, seed=4, matched=True, quantise=False, noise=False, smile_nm=1.0,
         drift_per_minute=0.0,
@@ -109,10 +112,6 @@ CHUNKS = (
 @pytest.fixture(scope="module")
 def made():
     # Return what makes the bits of a line in some chunks, all at once
-    import dask
-
-    from hyperpaint.simulation import simulate_line
-
     line = simulate_line(lines=70, bands=40, columns=12, seed=2, smile_nm=1.2, glint=0.01)
 
     def bits(chunks):
@@ -127,8 +126,6 @@ def made():
 def test_one_result__whatever_the_chunks_and_the_scheduler(made, scheduler):
     # Rationale: a result that depends on how it was computed cannot be checked by anyone
     # Expected: the same bits for five chunkings on threads, on processes and on a cluster of two workers
-    import dask
-
     expected = made(CHUNKS[2])
     with contextlib.ExitStack() as stack:
         if scheduler == "cluster":
@@ -137,6 +134,13 @@ def test_one_result__whatever_the_chunks_and_the_scheduler(made, scheduler):
             cluster = stack.enter_context(distributed.LocalCluster(**workers, dashboard_address=":0"))
             stack.enter_context(distributed.Client(cluster))
         else:
-            stack.enter_context(dask.config.set(scheduler=scheduler, num_workers=2))
+            # one pool for all chunks: its processes import the package once
+            spawned = multiprocessing.get_context("spawn")
+            made_by = {
+                "threads": ThreadPoolExecutor,
+                "processes": partial(ProcessPoolExecutor, mp_context=spawned),
+            }
+            pool = stack.enter_context(made_by[scheduler](2))
+            stack.enter_context(dask.config.set(scheduler=scheduler, pool=pool))
         for chunks in CHUNKS:
             assert made(chunks) == expected

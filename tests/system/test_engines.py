@@ -50,10 +50,14 @@ def calibrated(store: str, first: int) -> xr.Dataset:
     ]
 
 
-@pytest.mark.parametrize("scheduler", ["threads", "processes"])
-def test_schedulers_of_dask(store: Path, wanted: xr.Dataset, scheduler: str) -> None:
-    with dask.config.set(scheduler=scheduler, num_workers=2):
-        assert_same(xr.open_zarr(store, group=GROUP).paint.reflectance().compute(), wanted)
+def test_threads_and_processes(store: Path, wanted: xr.Dataset) -> None:
+    line = xr.open_zarr(store, group=GROUP).paint.reflectance()
+    with dask.config.set(scheduler="threads", num_workers=2):
+        assert_same(line.compute(), wanted)
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        with dask.config.set(scheduler="processes", pool=pool):
+            assert_same(line.compute(), wanted)
+        assert_same(list(pool.map(calibrated, [str(store)] * 3, range(0, 80, SLAB))), wanted)
 
 
 def test_a_cluster_reads_raw_files(store: Path, wanted: xr.Dataset) -> None:
@@ -66,11 +70,6 @@ def test_a_cluster_reads_raw_files(store: Path, wanted: xr.Dataset) -> None:
             assert_same(line.paint.reflectance().compute(), wanted)
         futures = client.map(calibrated, [str(store)] * 3, range(0, 80, SLAB), pure=False)
         assert_same(client.gather(futures), wanted)
-
-
-def test_a_pool_of_processes(store: Path, wanted: xr.Dataset) -> None:
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        assert_same(list(pool.map(calibrated, [str(store)] * 3, range(0, 80, SLAB))), wanted)
 
 
 def test_ray(store: Path, wanted: xr.Dataset) -> None:
