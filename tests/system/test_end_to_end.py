@@ -1,13 +1,8 @@
 """The whole chain against a simulator that shares no code with it: files in, known reflectance out."""
 
-import contextlib
-import multiprocessing
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 
-import dask
 import numpy as np
 import pytest
 import xarray as xr
@@ -98,49 +93,3 @@ def test_exact_irradiance__closes_to_single_precision():
     seen = np.isfinite(made)
     assert seen.mean() > 0.99
     np.testing.assert_allclose(made[seen], truth[seen], rtol=1e-5)
-
-
-CHUNKS = (
-    {"along_track": 1},
-    {"along_track": (5, 40, 25)},
-    {"along_track": 32},
-    {"along_track": -1},
-    {"along_track": 16, "band": 50, "cross_track": 7},
-)
-
-
-@pytest.fixture(scope="module")
-def made():
-    # Return what makes the bits of a line in some chunks, all at once
-    line = simulate_line(lines=70, bands=40, columns=12, seed=2, smile_nm=1.2, glint=0.01)
-
-    def bits(chunks):
-        lit = line.chunk(chunks).paint.reflectance(keep_bits=12)
-        return [array.tobytes() for array in dask.compute(lit["reflectance"].data, lit["quality"].data)]
-
-    return bits
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scheduler", ["threads", "processes", "cluster"])
-def test_one_result__whatever_the_chunks_and_the_scheduler(made, scheduler):
-    # Rationale: a result that depends on how it was computed cannot be checked by anyone
-    # Expected: the same bits for five chunkings on threads, on processes and on a cluster of two workers
-    expected = made(CHUNKS[2])
-    with contextlib.ExitStack() as stack:
-        if scheduler == "cluster":
-            distributed = pytest.importorskip("distributed")
-            workers = {"n_workers": 2, "threads_per_worker": 1, "processes": True}
-            cluster = stack.enter_context(distributed.LocalCluster(**workers, dashboard_address=":0"))
-            stack.enter_context(distributed.Client(cluster))
-        else:
-            # one pool for all chunks: its processes import the package once
-            spawned = multiprocessing.get_context("spawn")
-            made_by = {
-                "threads": ThreadPoolExecutor,
-                "processes": partial(ProcessPoolExecutor, mp_context=spawned),
-            }
-            pool = stack.enter_context(made_by[scheduler](2))
-            stack.enter_context(dask.config.set(scheduler=scheduler, pool=pool))
-        for chunks in CHUNKS:
-            assert made(chunks) == expected
