@@ -226,12 +226,9 @@ def _draw_smile(axes: Any, values: Values) -> None:
 
 def _shade_untrusted(axes: Any, values: Values) -> None:
     edges = _edges(values["wavelength"])
-    has_no_gain = np.concatenate([[False], ~values["good"], [False]])
-    starts, stops = (
-        np.flatnonzero(has_no_gain[1:] & ~has_no_gain[:-1]),
-        np.flatnonzero(~has_no_gain[1:] & has_no_gain[:-1]),
-    )
-    for number, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
+    # first band of every run of bands without a gain, and the band after the run
+    runs = np.flatnonzero(np.diff(~values["good"], prepend=False, append=False)).reshape(-1, 2)
+    for number, (start, stop) in enumerate(runs.tolist()):
         label = None if number else "no gain"
         axes.axvspan(edges[start], edges[stop], color=_UNTRUSTED, alpha=0.2, lw=0, zorder=0, label=label)
     axes.set_xlim(edges.min(), edges.max())
