@@ -448,8 +448,7 @@ class Explored:
         if self._quality is not None:
             bits = reduced_lines(self._quality[first:last], step, np.bitwise_or)
             for flag in sorted(flags, key=lambda flag: -self.flag_shares.get(flag, 0.0)):
-                colour = (*bytes.fromhex(flag.colour[1:]), _FLAG_OPACITY)
-                colours[(bits.T & int(flag)) != 0] = colour
+                colours[(bits.T & int(flag)) != 0] = (*bytes.fromhex(flag.colour[1:]), _FLAG_OPACITY)
         return Picture(colours.view(np.uint32)[..., 0], first, first + rows * step, "")
 
 
@@ -977,14 +976,12 @@ class Explorer:
     def _write_regions(self) -> None:
         file = self._save_to or Path(self._widgets.file.value)
         try:
-            saved_file = self._state.save_again(file)
+            text = f"{self._region_count()} saved in {self._state.save_again(file)}"
         except PaintError as error:
-            self._show_message(error.text(on_command_line=self._save_to is not None))
-            return
+            text = error.text(on_command_line=self._save_to is not None)
         except OSError as error:
-            self._show_message(str(error))
-            return
-        self._show_message(f"{self._region_count()} saved in {saved_file}")
+            text = str(error)
+        self._show_message(text)
 
     def _view_changed(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002
         (first, last), (width, height) = new["along"], new["size"]

@@ -50,8 +50,7 @@ def ink_of(axes: Any, strength: float = 1.0) -> tuple[float, float, float]:
     from matplotlib import rcParams
     from matplotlib.colors import to_rgb
 
-    background = axes.get_facecolor()
-    ink, ground = np.array(to_rgb(rcParams["text.color"])), np.array(to_rgb(background))
+    ink, ground = np.array(to_rgb(rcParams["text.color"])), np.array(to_rgb(axes.get_facecolor()))
     red, green, blue = (strength * ink + (1.0 - strength) * ground).tolist()
     return red, green, blue
 

@@ -340,8 +340,7 @@ def quicklook(
     dataset = dataset.isel({ALONG_TRACK: slice(None, None, step)})
     names = ("flags", "light", "spectra")
     mosaic = [["picture", name] for name in names] if is_wide else [["picture"], *([name] for name in names)]
-    heights = (1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0)
-    plots = figure.subplot_mosaic(mosaic, height_ratios=heights)
+    plots = figure.subplot_mosaic(mosaic, height_ratios=(1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0))
     show_picture(plots["picture"], rgb(dataset).values, orientation)
     title = f"{label_for(dataset.attrs.get('name', 'flight line'))}: "
     title += "true colour" if cube_name == "reflectance" else cube_name
@@ -439,8 +438,7 @@ def draw_quantiles(axes: Any, wavelength: Array, values: Array, styles: Sequence
     # ``styles``: of the 5 to 95 %, of the middle half, and of the median.
     quantiles = finite_quantiles(values, QUANTILES)
     for lower, label in enumerate(("5 to 95 %", "middle half")):
-        edges = quantiles[lower], quantiles[4 - lower]
-        axes.fill_between(wavelength, *edges, label=label, **styles[lower])
+        axes.fill_between(wavelength, quantiles[lower], quantiles[4 - lower], label=label, **styles[lower])
     axes.plot(wavelength, quantiles[2], label="median", **styles[2])
 
 
@@ -938,8 +936,7 @@ def triptych(
     ['counts', 'radiance', 'reflectance']
     """
     columns = 3 if columns_for(width, _AXES_INCH[0], 3) == 3 else 1
-    size = (width, _AXES_INCH[1] * (3 // columns))
-    figure = new_figure("a triptych", figsize=size, layout="constrained")
+    figure = new_figure("a triptych", figsize=(width, _AXES_INCH[1] * (3 // columns)), layout="constrained")
     dataset = rename_to_roles(dataset)
     counts = require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
     if (region is None) == (pixels is None):

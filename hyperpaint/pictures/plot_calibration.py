@@ -105,8 +105,7 @@ def calibration_report(
         f"line shape {calibration.attrs['srf_shape']}, FWHM {np.nanmedian(values['fwhm']):.2f} nm",
         f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
     ]
-    title = textwrap.fill("   ·   ".join(facts), max(30, int(11 * width)))
-    figure.suptitle(title, fontsize="medium")
+    figure.suptitle(textwrap.fill("   ·   ".join(facts), max(30, int(11 * width))), fontsize="medium")
     heights = (1.3,) + (1.0,) * (rows - 1)  # the first cell holds two axes
     cells = figure.add_gridspec(rows, columns, height_ratios=heights if columns == 1 else None)
     grid = [cells[divmod(number, columns)] for number in range(6)]
@@ -227,12 +226,9 @@ def _draw_smile(axes: Any, values: Values) -> None:
 
 def _shade_untrusted(axes: Any, values: Values) -> None:
     edges = _edges(values["wavelength"])
-    has_no_gain = np.concatenate([[False], ~values["good"], [False]])
-    starts, stops = (
-        np.flatnonzero(has_no_gain[1:] & ~has_no_gain[:-1]),
-        np.flatnonzero(~has_no_gain[1:] & has_no_gain[:-1]),
-    )
-    for number, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
+    # first band of every run of bands without a gain, and the band after the run
+    runs = np.flatnonzero(np.diff(~values["good"], prepend=False, append=False)).reshape(-1, 2)
+    for number, (start, stop) in enumerate(runs.tolist()):
         label = None if number else "no gain"
         axes.axvspan(edges[start], edges[stop], color=_UNTRUSTED, alpha=0.2, lw=0, zorder=0, label=label)
     axes.set_xlim(edges.min(), edges.max())

@@ -174,8 +174,7 @@ def _largest_part(validation: Validation, pair: int) -> xr.Dataset:
 def _values_on_wavelengths(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:
     # sorted wavelengths [nm], and values; NaN in bands not compared
     order = np.argsort(spectra["wavelength"].values, kind="stable")
-    values = np.where(spectra["used"].values, array.values, np.nan)
-    return spectra["wavelength"].values[order], values[order]
+    return spectra["wavelength"].values[order], np.where(spectra["used"].values, array.values, np.nan)[order]
 
 
 # --- ratio of measured to expected panel reflectance, band by band -----------------------------------------

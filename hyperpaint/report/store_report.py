@@ -324,8 +324,7 @@ def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | Non
         name: flags[name].reset_coords(drop=True).copy(data=array)
         for name, array in zip(names, values, strict=True)
     }
-    note = f"{_SCENE_FLAGS} were detected for this page; the store has no such flags."
-    return line.assign(arrays), note
+    return line.assign(arrays), f"{_SCENE_FLAGS} were detected for this page; the store has no such flags."
 
 
 def message_of(error: Exception) -> str:

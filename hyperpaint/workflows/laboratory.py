@@ -146,8 +146,7 @@ def opened_collect(
         if isinstance(reflectance, Path):
             certificate = read_certificate(reflectance)
             reflectance = np.stack([certificate["wavelength"].values, certificate.values], axis=-1).tolist()
-        row = {**vars(panel), "reflectance": reflectance}
-        panels_by_line.setdefault(panel.line, []).append(row)
+        panels_by_line.setdefault(panel.line, []).append({**vars(panel), "reflectance": reflectance})
     for name, rows in panels_by_line.items():
         lines[name].dataset = lines[name].to_dataset().assign_attrs(panels=json.dumps(rows))
     return opened

@@ -42,8 +42,7 @@ def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
     passed for a line that is located; or as `location_of`.
     """
     flightline = line_of_store(store, line)
-    names = LOCATION & set(options)
-    location = location_of(flightline, **{name: options.pop(name) for name in names})
+    location = location_of(flightline, **{name: options.pop(name) for name in LOCATION & set(options)})
     return orthorectify(flightline, **options, **location)
 
 

@@ -240,8 +240,7 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
 
     first_array = arrays[0]
     interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first_array.axes)
-    forms = {(array.axes, array.file_shape[1:], array.stored) for array in arrays}
-    if interleave is None or len(forms) > 1:
+    if interleave is None or len({(array.axes, array.file_shape[1:], array.stored) for array in arrays}) > 1:
         problem = (
             "bsq: a slab of lines is not contiguous in the file"
             if interleave is None

@@ -27,6 +27,12 @@ def state() -> Explored:
     return Explored(flight().line, BEGIN, library=hp.paints.starter_library(members=0), flightline="raw_0")
 
 
+def spectrum_of(state: Explored, place: exploring.Place) -> Spectrum:
+    spectrum = state.spectrum_of(place)
+    assert isinstance(spectrum, Spectrum), spectrum
+    return spectrum
+
+
 # --- regions -----------------------------------------------------------------------------------------------
 
 
@@ -64,11 +70,10 @@ def test_polygons_become_regions_with_names_of_their_own(state: Explored) -> Non
 
 
 def test_corners_move_and_properties_stay(state: Explored) -> None:
-    assert state.move("roof", [2, 2, 12.2], [1, 4, 4])
-    assert state.regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 12]]
+    for along, is_area in ([1, 4, 4], True), ([1, 4, 5], False):
+        assert state.move("roof", [2, 2, 12.2 if is_area else 2], along) == is_area
+        assert state.regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 12]]
     assert state.regions[0].properties == {"colour": "red"}
-    assert not state.move("roof", [2, 2, 2], [1, 4, 5])
-    assert state.regions[0].polygon.tolist() == [[1, 2], [4, 2], [4, 12]]
 
 
 def test_names_are_taken_or_refused_with_a_reason(state: Explored) -> None:
@@ -86,22 +91,17 @@ def test_what_is_drawn_is_saved_and_signatures_take_it(state: Explored, tmp_path
     assert hp.read_regions(path) == state.regions
     library = hp.extract_signatures(flight().line, path, min_pixels=1, members=0)
     assert library["signature"].values.tolist() == ["roof", "region 1"]
-    spectrum = state.spectrum_of(state.drawn[1])
-    assert isinstance(spectrum, Spectrum)
+    spectrum = spectrum_of(state, state.drawn[1])
     middle = library["reflectance_quantiles"].sel(quantile=0.5, method="nearest")[1]
     np.testing.assert_array_equal(spectrum.reflectance.astype(np.float32), middle.values)
 
 
-def test_regions_to_begin_with_can_be_drawn() -> None:
-    with pytest.raises(SchemaError, match="region-coordinates"):
-        Explored(flight().line, hp.Regions(tuple(BEGIN), "map"))
-    holed = hp.Region("ring", [(0, 0), (5, 0), (5, 9)], ([(2, 1), (3, 1), (3, 2)],))
-    expect_errors((SchemaError, r"ring.*region-holes", lambda: Explored(flight().line, holed)))
-
-
-def test_a_line_without_reflectance_or_wavelength_is_refused() -> None:
+def test_what_cannot_be_explored_is_refused() -> None:
     line = flight().line
+    holed = hp.Region("ring", [(0, 0), (5, 0), (5, 9)], ([(2, 1), (3, 1), (3, 2)],))
     expect_errors(
+        (SchemaError, "region-coordinates", lambda: Explored(line, hp.Regions(tuple(BEGIN), "map"))),
+        (SchemaError, r"ring.*region-holes", lambda: Explored(line, holed)),
         (SchemaError, "reflectance", lambda: Explored(line.drop_vars("counts"))),
         (SchemaError, "wavelength", lambda: Explored(line.drop_vars("wavelength"))),
     )
@@ -116,12 +116,11 @@ def test_on_a_crop_regions_have_the_numbers_of_the_line() -> None:
     assert state.drawn[0].polygon.tolist() == [[1, 2], [4, 2], [4, 9]]
     assert state.add([2, 9, 9], [1, 1, 4]) == "region 1"
     assert state.regions[1].polygon.tolist() == [[11, 102], [11, 109], [14, 109]]
-    spectrum = state.spectrum_of(state.drawn[1])
-    assert isinstance(spectrum, Spectrum)
+    spectrum = spectrum_of(state, state.drawn[1])
     library = hp.extract_signatures(line, state.regions[1:2], members=0, min_pixels=1)
     middle = library["reflectance_quantiles"].sel(quantile=0.5, method="nearest")[0]
     np.testing.assert_array_equal(spectrum.reflectance.astype(np.float32), middle.values)
-    assert "line 105, column 13" in state.spectrum_of((5, 3)).text  # type: ignore[union-attr]
+    assert "line 105, column 13" in spectrum_of(state, (5, 3)).text
 
 
 def test_regions_of_other_lines_are_kept_and_not_drawn(tmp_path: Path) -> None:
@@ -187,8 +186,7 @@ def test_a_click_has_the_bits_of_the_pixel(state: Explored) -> None:
     line = flight().line
     whole = line.paint.reflectance()
     for along, across in ((0, 0), (7, 3), (23, 5)):
-        spectrum = state.spectrum_of((along, across))
-        assert isinstance(spectrum, Spectrum)
+        spectrum = spectrum_of(state, (along, across))
         assert spectrum.reflectance.dtype == np.float32
         pixel = line.paint.pixels(along, across)
         good = line["good"].values if "good" in line.variables else np.ones(pixel.sizes["band"], bool)
@@ -206,17 +204,13 @@ def test_flags_of_a_region_are_named_and_left_out() -> None:
     line["quality"] = line["quality"].copy(data=quality)
     state = Explored(line)
     state.add([0, 0, 23, 23], [0, 5, 5, 0])
-    spectrum = state.spectrum_of(state.drawn[0])
-    assert isinstance(spectrum, Spectrum)
+    spectrum = spectrum_of(state, state.drawn[0])
     assert "glint 50 %" in spectrum.text
     assert "72 of 144" in spectrum.text or int(spectrum.text.split()[2]) <= 72
     state.add([0, 0, 9, 9], [0, 5, 5, 0])
     message = str(state.spectrum_of(state.drawn[1]))
     assert "glint 100 %" in message
     assert message.endswith("[region-empty]")
-
-
-def test_a_region_without_pixels_says_why(state: Explored) -> None:
     # a sliver between the pixels' centres
     sliver = hp.Region("sliver", [(0.2, 0.2), (0.4, 0.2), (0.4, 20.0)])
     assert "sliver contains no pixel" in str(state.spectrum_of(sliver))
@@ -225,8 +219,7 @@ def test_a_region_without_pixels_says_why(state: Explored) -> None:
 def test_of_a_large_region_every_nth_line_is_taken(state: Explored, monkeypatch: pytest.MonkeyPatch) -> None:
     state.add([0, 0, 23, 23], [0, 5, 5, 0])
     monkeypatch.setattr(exploring, "MAX_REGION_PIXELS", 60)
-    spectrum = state.spectrum_of(state.drawn[1])
-    assert isinstance(spectrum, Spectrum)
+    spectrum = spectrum_of(state, state.drawn[1])
     assert "of 48 pixels (every 3. line)" in spectrum.text
     rows = flight().line.paint.reflectance().compute().isel(along_track=slice(None, None, 3))
     used = (rows.quality.values & exploring.EXCLUDED) == 0
@@ -251,11 +244,8 @@ def test_the_uncertainty_is_that_of_the_mean() -> None:
     whole = state.uncertainty_of(state.drawn[0])
     assert not isinstance(whole, str)
     assert np.nanmedian(whole[0]) < np.nanmedian(u)
-
-
-def test_without_noise_the_uncertainty_says_what_is_missing() -> None:
-    state = Explored(flight().line.drop_vars("read_noise", errors="ignore"))
-    assert "read_noise" in str(state.uncertainty_of((0, 0)))
+    noiseless = Explored(flight().line.drop_vars("read_noise", errors="ignore"))
+    assert "read_noise" in str(noiseless.uncertainty_of((0, 0)))
 
 
 def test_near_paints_are_those_of_the_search(state: Explored) -> None:

@@ -116,17 +116,12 @@ def test_the_colours_clash_with_nothing(lazy: bool, tmp_path: Any) -> None:
     # Rationale: of an array named as its own coordinate no Dataset is made, which hvplot and netCDF need
     line = flight(lines=20).line
     made = rgb(line.chunk(along_track=8) if lazy else line).assign_coords(along_track=np.arange(100, 120))
+    assert made["along_track"].values.tolist() == list(range(100, 120))
     whole = made.to_dataset()
     assert list(whole.data_vars) == ["true_colour"]
     made.to_netcdf(tmp_path / "picture.nc", engine="h5netcdf")
     np.testing.assert_array_equal(whole["true_colour"].sel(along_track=105, rgb="red"), made.values[5, :, 0])
     assert len(whole.isel(rgb=0).to_dataframe()) == made.size // 3
-
-
-def test_index_coordinates_of_a_line_stay() -> None:
-    made = rgb(flight(lines=20).line.paint.reflectance().assign_coords(along_track=np.arange(7, 27)))
-    assert made["along_track"].values.tolist() == list(range(7, 27))
-    assert set(made.dims) == {"along_track", "cross_track", "rgb"}
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray, of affine
@@ -146,12 +141,6 @@ def test_a_map_stays_a_map(called: Any) -> None:
     expected = cube["reflectance"].transpose("band", "y", "x").rio.reproject("EPSG:4326")
     np.testing.assert_allclose(warped["x"], expected["x"])
     np.testing.assert_allclose(warped["y"], expected["y"])
-
-
-def test_without_visible_bands() -> None:
-    line = scene(np.ones((2, NM.size)))
-    with pytest.raises(SchemaError, match="band-missing"):
-        rgb(line.assign_coords(wavelength=line.wavelength + 600))
 
 
 def test_quicklook_draws_a_picture(tmp_path: Any) -> None:
@@ -213,4 +202,5 @@ def test_the_overview_serves_where_few_lines_are_asked_for(no_compute: Any) -> N
     expect_errors(
         (SchemaError, "variable-missing", lambda: rgb(alone.drop_vars("overview"))),
         (SchemaError, r"lines=0.*out-of-range", lambda: rgb(line, lines=0)),
+        (SchemaError, "band-missing", lambda: rgb(whole.assign_coords(wavelength=whole.wavelength + 600))),
     )

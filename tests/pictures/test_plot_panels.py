@@ -29,9 +29,6 @@ def test_curves_are_the_factors(tmp_path: Path) -> None:
     texts = [text.get_text() for text in axes.get_legend().get_texts()]
     assert texts[0].endswith(": off level")
     assert texts[1].endswith(": as expected")
-
-
-def test_a_line_without_panels_has_no_picture() -> None:
     expect_errors((SchemaError, "variable-missing", lambda: hp.pictures.panel_figure(flight().line)))
 
 

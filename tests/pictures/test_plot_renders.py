@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.refusals import expect_error
 from support.traced_scenes import SUN, flat_light, flight, two_cars
 
 import hyperpaint as hp
@@ -31,5 +32,5 @@ def test_chips_stand_above_the_renders(tmp_path: Path) -> None:
 
 
 def test_what_makes_no_collage_is_refused() -> None:
-    with pytest.raises(SchemaError, match="empty-input"):
-        chips_and_renders(starter_library(members=0).isel(signature=slice(0, 3)), {})
+    paints = starter_library(members=0).isel(signature=slice(0, 3))
+    expect_error(SchemaError, "empty-input", lambda: chips_and_renders(paints, {}))

@@ -1,11 +1,13 @@
 """Pictures of validations show what was compared."""
 
+from functools import partial
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from support.agreeing_spectra import NM, agreeing, field, library, seen
+from support.refusals import expect_errors
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -66,19 +68,15 @@ def test_any_name_is_drawn(tmp_path: Path) -> None:
     hp.pictures.validation_figure(hp.validate(paints, paints), tmp_path / "a.png", limit=0.1)
 
 
-def test_wrong_sizes() -> None:
-    found = hp.validate(*agreeing())
-    for wrong in ({"columns": 0}, {"limit": 0.0}, {"limit": float("nan")}):
-        with pytest.raises(SchemaError, match="value-out-of-range"):
-            hp.pictures.validation_figure(found, **wrong)
-
-
-def test_a_place_for_a_picture_is_refused_before_any_work(tmp_path: Path) -> None:
+def test_sizes_and_places_are_refused_before_any_work(tmp_path: Path) -> None:
+    draw = partial(hp.pictures.validation_figure, hp.validate(*agreeing()))
     check_picture(tmp_path / "a.PNG")
-    for name, told in {
-        "a.nope": "suffix-unknown",
-        "a": "suffix-unknown",
-        "none/a.png": "folder-missing",
-    }.items():
-        with pytest.raises(SchemaError, match=told):
-            check_picture(tmp_path / name)
+    expect_errors(
+        *(
+            (SchemaError, "value-out-of-range", partial(draw, **{name: wrong}))
+            for name, wrong in (("columns", 0), ("limit", 0.0), ("limit", float("nan")))
+        ),
+        (SchemaError, "suffix-unknown", lambda: check_picture(tmp_path / "a.nope")),
+        (SchemaError, "suffix-unknown", lambda: check_picture(tmp_path / "a")),
+        (SchemaError, "folder-missing", lambda: check_picture(tmp_path / "none/a.png")),
+    )

@@ -2,6 +2,7 @@
 
 import base64
 import re
+import shutil
 import struct
 import zlib
 from html.parser import HTMLParser
@@ -26,7 +27,7 @@ def with_overview(line: xr.Dataset) -> xr.Dataset:
     return line.assign(overview=(("overview_y", "overview_x", "rgb"), picture, attrs))
 
 
-def test_a_flight_line_in_words() -> None:
+def test_a_flight_line_and_a_library_in_words() -> None:
     shown = repr(flight().line.paint)
     assert shown.startswith("flight line raw_0\n")
     expect_words(
@@ -36,6 +37,10 @@ def test_a_flight_line_in_words() -> None:
         "2020-06-21T17:00:10.000 to 2020-06-21T17:00:10.161 UTC",
         ".reflectance()",
     )
+    region = hp.Region("hood", [(0, 0), (2, 0), (2, 9), (0, 9)])
+    library = repr(hp.extract_signatures(flight().line, hp.Regions((region,)), exclude=0).paint)
+    assert library.startswith("paint library")
+    expect_words(library, "1 paint: hood", "30 to 30 a paint")
 
 
 def test_flags_are_told_where_they_are_at_hand() -> None:
@@ -73,8 +78,6 @@ def test_the_stored_picture_is_shown(tmp_path: Path) -> None:
 
 
 def test_a_store_that_is_gone_is_no_error(tmp_path: Path) -> None:
-    import shutil
-
     hp.to_store(with_overview(flight().line), tmp_path / "lot.zarr")
     line = xr.open_zarr(tmp_path / "lot.zarr")
     shutil.rmtree(tmp_path / "lot.zarr")
@@ -105,13 +108,6 @@ def test_names_and_attributes_stay_texts() -> None:
         without=("<script", "<img"),
     )
     assert "\x1b" not in summary_text(line)
-
-
-def test_a_library_in_words() -> None:
-    region = hp.Region("hood", [(0, 0), (2, 0), (2, 9), (0, 9)])
-    shown = repr(hp.extract_signatures(flight().line, hp.Regions((region,)), exclude=0).paint)
-    assert shown.startswith("paint library")
-    expect_words(shown, "1 paint: hood", "30 to 30 a paint")
 
 
 def test_png_holds_the_picture() -> None:

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
+from hyperpaint.simulation import simulate_line
 
 pytestmark = pytest.mark.slow
 
@@ -81,8 +82,6 @@ def test_dropped_frames_and_clocks__leave_every_line_its_own_light(store):
 def test_exact_irradiance__closes_to_single_precision():
     # Rationale: float32 counts that were never quantised, and the irradiance each element saw itself
     # Expected: pi L / E is the true reflectance to 1e-5
-    from hyperpaint.simulation import simulate_line
-
     line = simulate_line(
         lines=12, bands=60, columns=9, seed=4, matched=True, quantise=False, noise=False, smile_nm=1.0,
         drift_per_minute=0.0,
@@ -94,46 +93,3 @@ def test_exact_irradiance__closes_to_single_precision():
     seen = np.isfinite(made)
     assert seen.mean() > 0.99
     np.testing.assert_allclose(made[seen], truth[seen], rtol=1e-5)
-
-
-CHUNKS = (
-    {"along_track": 1},
-    {"along_track": (5, 40, 25)},
-    {"along_track": 32},
-    {"along_track": -1},
-    {"along_track": 16, "band": 50, "cross_track": 7},
-)
-
-
-@pytest.fixture(scope="module")
-def made():
-    # Return what makes the bits of a line in some chunks, all at once
-    import dask
-
-    from hyperpaint.simulation import simulate_line
-
-    line = simulate_line(lines=70, bands=40, columns=12, seed=2, smile_nm=1.2, glint=0.01)
-
-    def bits(chunks):
-        lit = line.chunk(chunks).paint.reflectance(keep_bits=12)
-        return [array.tobytes() for array in dask.compute(lit["reflectance"].data, lit["quality"].data)]
-
-    return bits
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scheduler", ["threads", "processes", "cluster"])
-def test_one_result__whatever_the_chunks_and_the_scheduler(made, scheduler, request):
-    # Rationale: a result that depends on how it was computed cannot be checked by anyone
-    # Expected: the same bits for five chunkings on threads, on processes and on a cluster of two workers
-    import dask
-
-    expected = made(CHUNKS[2])
-    if scheduler == "cluster":
-        context = request.getfixturevalue("two_workers").as_current()
-    else:
-        pool = request.getfixturevalue("two_processes") if scheduler == "processes" else None
-        context = dask.config.set(scheduler=scheduler, pool=pool)
-    with context:
-        for chunks in CHUNKS:
-            assert made(chunks) == expected

@@ -49,12 +49,13 @@ def calibrated(store: str, first: int) -> xr.Dataset:
     ]
 
 
-@pytest.mark.parametrize("scheduler", ["threads", "processes"])
-def test_schedulers_of_dask(
-    store: Path, wanted: xr.Dataset, scheduler: str, two_processes: ProcessPoolExecutor
-) -> None:
-    with dask.config.set(scheduler=scheduler, pool=two_processes if scheduler == "processes" else None):
-        assert_same(xr.open_zarr(store, group=GROUP).paint.reflectance().compute(), wanted)
+def test_threads_and_processes(store: Path, wanted: xr.Dataset, two_processes: ProcessPoolExecutor) -> None:
+    line = xr.open_zarr(store, group=GROUP).paint.reflectance()
+    with dask.config.set(scheduler="threads", num_workers=2):
+        assert_same(line.compute(), wanted)
+    with dask.config.set(scheduler="processes", pool=two_processes):
+        assert_same(line.compute(), wanted)
+    assert_same(list(two_processes.map(calibrated, [str(store)] * 3, range(0, 80, SLAB))), wanted)
 
 
 def test_a_cluster_reads_raw_files(store: Path, wanted: xr.Dataset, two_workers: Any) -> None:
@@ -63,10 +64,6 @@ def test_a_cluster_reads_raw_files(store: Path, wanted: xr.Dataset, two_workers:
             assert_same(line.paint.reflectance().compute(), wanted)
         futures = two_workers.map(calibrated, [str(store)] * 3, range(0, 80, SLAB), pure=False)
         assert_same(two_workers.gather(futures), wanted)
-
-
-def test_a_pool_of_processes(store: Path, wanted: xr.Dataset, two_processes: ProcessPoolExecutor) -> None:
-    assert_same(list(two_processes.map(calibrated, [str(store)] * 3, range(0, 80, SLAB))), wanted)
 
 
 def test_ray(store: Path, wanted: xr.Dataset) -> None:

@@ -685,10 +685,6 @@ def test_the_files_are_right_without_the_fault(folder: Path, kind: str) -> None:
     read(folder / f"{kind}.toml")
 
 
-def test_there_are_forty() -> None:
-    assert len(CASES) >= 40
-
-
 @pytest.mark.parametrize(("kind", "line", "instead", "found", "expected", "mend", "code"), CASES)
 def test_a_fault_is_told_once(
     folder: Path, kind: str, line: str, instead: str, found: str, expected: str, mend: str, code: str
@@ -771,20 +767,16 @@ def exported(tmp_path: Path, text: str, paints: xr.Dataset | None = None) -> dic
 
 def test_foreign_names_are_dealt_to_the_cars(tmp_path: Path) -> None:
     faces = exported(tmp_path, SCENE_DIRSIG, library("roof 7", "roof 8"))
-    assert faces["roof 7"] > 0
-    assert faces["roof 8"] > 0
+    assert min(faces["roof 7"], faces["roof 8"]) > 0
     assert "asphalt" in faces
 
 
-def test_without_a_library_the_built_in_spectra_are_written(tmp_path: Path) -> None:
-    assert {"asphalt", "glass"} <= exported(tmp_path, SCENE_DIRSIG).keys()
-
-
-def test_a_file_of_two_columns_repaints(tmp_path: Path) -> None:
-    (tmp_path / "mine.csv").write_text("wavelength,reflectance\n" + "".join(f"{nm:.1f},0.3\n" for nm in NM))
+def test_without_a_library_built_in_spectra_and_those_of_the_file_are_written(tmp_path: Path) -> None:
+    rows = "".join(f"{nm:.1f},0.3\n" for nm in NM)
+    (tmp_path / "mine.csv").write_text("wavelength,reflectance\n" + rows)
     faces = exported(tmp_path, SCENE_DIRSIG + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')
     assert faces["mine"] > 0
-    assert "asphalt" not in faces
+    expect_words(faces, "glass", "painted_line", without=("asphalt",))
 
 
 def test_paints_of_libraries_in_a_file_have_its_names() -> None:

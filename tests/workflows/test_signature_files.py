@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.commands import hyperpaint
-from support.refusals import expect_error, expect_refusals, expect_words, refusal
+from support.refusals import expect_error, expect_refusals, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError, StoreError
@@ -17,6 +17,9 @@ from hyperpaint.radiometry.panels import declared_panels
 from hyperpaint.workflows.library_files import write_signatures
 
 signatures = partial(hyperpaint, "signatures")
+NO_ATTITUDE = pytest.mark.filterwarnings(
+    "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"
+)
 HOOD = hp.Region("hood", [(1, 2), (9, 2), (9, 12), (1, 12)], flightline="raw_0", properties={"make": "x"})
 ROOF = hp.Region("roof", [(2, 3), (12, 9), (4, 15)], flightline="raw_16", properties={"reference": "svc"})
 
@@ -64,20 +67,14 @@ def test_command_makes_the_library_of_the_function(store: Path, drawn: Path, tmp
 @pytest.mark.slow
 def test_command_again(store: Path, drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "paints.zarr"
-    assert signatures(store, "--regions", drawn, "--out", out).exit_code == 0
+    call = partial(signatures, store, "--regions", drawn, "--out", out, "--no-flags")
+    call(status=0)
     before = xr.open_zarr(out).attrs["created"]
-    assert (
-        signatures(store, "--regions", drawn, "--out", out).exit_code,
-        xr.open_zarr(out).attrs["created"],
-    ) == (
-        0,
-        before,
-    )
-    refused = signatures(store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", 5, status=2)
-    assert "pass --overwrite to replace it" in refused.stderr
-    signatures(
-        store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", 5, "--overwrite", status=0
-    )
+    call(status=0)
+    assert xr.open_zarr(out).attrs["created"] == before
+    smoothed = partial(call, "--smooth", "box", "--window", 5)
+    assert "pass --overwrite to replace it" in smoothed(status=2).stderr
+    smoothed("--overwrite", status=0)
     assert xr.open_zarr(out).attrs["smoothing"] == "box, 5 bands"
 
 
@@ -95,31 +92,15 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
     far = hp.write_regions(
         hp.Regions((hp.Region("far", [(90, 0), (99, 0), (99, 9)], (), "raw_0"),)), tmp_path / "f"
     )
+    everything = ("--regions", drawn, "--out", out)
     for words, told in {
         (store, "--regions", bad, "--out", out): "bad.geojson: not GeoJSON",
         (store, "--regions", far, "--out", out): "region 'far' contains no pixel",
-        (
-            store,
-            "--regions",
-            drawn,
-            "--out",
-            out,
-            "--keep",
-            "glitter",
-        ): "no flag 'glitter', expected some of saturated",
+        (store, *everything, "--keep", "glitter"): "no flag 'glitter', expected some of saturated",
         (store, "--regions", drawn, "--out", store / "signatures"): "in the store itself",
-        (store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", "4"): "window 4",
-        (
-            store,
-            "--regions",
-            drawn,
-            "--out",
-            out,
-            "--min-pixels",
-            "5000",
-            "--no-flags",
-        ): "'hood': 99 of 99 pixels are usable",
-        (drawn.parent, "--regions", drawn, "--out", out): "not a Zarr store",
+        (store, *everything, "--smooth", "box", "--window", "4"): "window 4",
+        (store, *everything, "--min-pixels", "5000", "--no-flags"): "'hood': 99 of 99 pixels are usable",
+        (drawn.parent, *everything): "not a Zarr store",
         (store, "--regions", tmp_path / "none", "--out", out): "does not exist",
         (store, "--out", out): "no region can be proposed",
     }.items():
@@ -146,29 +127,18 @@ def test_a_store_without_flight_lines(tmp_path: Path, drawn: Path) -> None:
 
 
 @pytest.mark.slow
-def test_flags_that_are_kept(store: Path, drawn: Path, tmp_path: Path) -> None:
-    made = write_signatures(store, drawn, tmp_path / "l.zarr", keep=["GLINT", "shadow"])
-    assert made.attrs["exclude"] == "saturated irradiance_gap adjacency mixed_edge no_data"
-    told: list[tuple[int, int]] = []
-    write_signatures(store, drawn, tmp_path / "m.zarr", progress=lambda *each: told.append(each))
-    assert told[-1][0] == told[-1][1]
-    np.testing.assert_array_equal(made.n + made.n_excluded, [99, made.n[1] + made.n_excluded[1]])
-
-
-@pytest.mark.slow
 def test_flags_are_kept_or_excluded(store: Path, drawn: Path, tmp_path: Path) -> None:
-    expect_error(
-        SchemaError,
-        "option-conflict",
-        lambda: write_signatures(
-            store, drawn, tmp_path / "l.zarr", keep=["glint"], exclude=hp.Quality.SHADOW
-        ),
-    )
+    write, steps = partial(write_signatures, store, drawn), list[tuple[int, int]]()
+    both = {"keep": ["glint"], "exclude": hp.Quality.SHADOW}
+    expect_error(SchemaError, "option-conflict", lambda: write(tmp_path / "l.zarr", **both))
     assert not (tmp_path / "l.zarr").exists()
-    made = write_signatures(store, drawn, tmp_path / "l.zarr", keep=["glint"], exclude=None)
-    assert "glint" not in made.attrs["exclude"]
-    made = write_signatures(store, drawn, tmp_path / "m.zarr", exclude=hp.Quality.SHADOW)
-    assert made.attrs["exclude"] == "shadow"
+    made = write(
+        tmp_path / "l.zarr", keep=["GLINT", "shadow"], exclude=None, progress=lambda *step: steps.append(step)
+    )
+    assert made.attrs["exclude"] == "saturated irradiance_gap adjacency mixed_edge no_data"
+    assert steps[-1][0] == steps[-1][1]
+    np.testing.assert_array_equal(made.n + made.n_excluded, [99, made.n[1] + made.n_excluded[1]])
+    assert write(tmp_path / "m.zarr", exclude=hp.Quality.SHADOW).attrs["exclude"] == "shadow"
 
 
 def test_command_without_the_mirrored_sky(store: Path, drawn: Path, tmp_path: Path) -> None:
@@ -195,9 +165,7 @@ def said(path: Path, old: str, new: str) -> Path:
     return path
 
 
-@pytest.mark.filterwarnings(
-    "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"
-)
+@NO_ATTITUDE
 def test_a_light_sensor_on_the_aircraft_is_levelled(collect: Path) -> None:
     plain = hp.open_collect(collect)["irradiance"].to_dataset()
     levelled = hp.open_collect(said(collect, "[irradiance]", '[irradiance]\nmount = "aircraft"'))
@@ -213,9 +181,7 @@ def test_a_light_sensor_on_the_aircraft_is_levelled(collect: Path) -> None:
     assert not np.array_equal(record.irradiance[there], plain.irradiance[there])
 
 
-@pytest.mark.filterwarnings(
-    "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"
-)
+@NO_ATTITUDE
 def test_it_needs_an_attitude_in_utc(collect: Path) -> None:
     said(collect, "[irradiance]", '[irradiance]\nmount = "aircraft"')
     text = collect.read_text(encoding="utf-8")
@@ -243,9 +209,7 @@ def with_panels(flown: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.filterwarnings(
-    "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"
-)
+@NO_ATTITUDE
 @pytest.mark.slow
 def test_a_declared_panel_scales_its_line_and_is_reported(flown: Path, tmp_path: Path) -> None:
     (flown.parent / "grey.csv").write_text("nm;R\n380;0.5\n1020;0.5\n", encoding="utf-8")
@@ -265,30 +229,32 @@ def test_a_declared_panel_scales_its_line_and_is_reported(flown: Path, tmp_path:
     assert "Ratio of measured to certified reflectance" in page
 
 
-@pytest.mark.filterwarnings(
-    "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"
-)
+@NO_ATTITUDE
 def test_what_a_panel_lacks_is_listed(flown: Path) -> None:
-    collect = with_panels(flown, "\n[[panels]]\nline = 'raw_0'\nalong_track = [11, 7]\nreflectance = 0.5\n")
-    with pytest.raises(CollectError) as error:
-        hp.open_collect(collect)
-    assert error.value.codes == ("type-wrong", "key-missing")
-    assert "along_track = [11, 7]" in error.value.problems[0].found
-    assert "cross_track" in error.value.problems[1].found
-    collect = with_panels(flown, PANEL + "reflectance = 0.5\ncertificate = 'none.csv'\n")
-    with pytest.raises(CollectError, match="option-conflict") as error:
-        hp.open_collect(collect)
-    assert "certificate" in error.value.problems[0].found
-    collect = with_panels(flown, PANEL.replace("raw_0", "raw_7") + "reflectance = 0.5\n")
-    expect_error(CollectError, r"raw_0.*choice-unknown", lambda: hp.open_collect(collect))
-    collect = with_panels(flown, PANEL + "reflectance = 50\nuncertainty = 5\n")
-    with refusal(CollectError, "value-out-of-range", "reflectance = 50", "uncertainty = 5", "0 to below 1"):
-        hp.open_collect(collect)
+    def refused(text: str) -> CollectError:
+        return expect_error(CollectError, None, lambda: hp.open_collect(with_panels(flown, text)))
+
+    error = refused("\n[[panels]]\nline = 'raw_0'\nalong_track = [11, 7]\nreflectance = 0.5\n")
+    assert error.codes == ("type-wrong", "key-missing")
+    assert "along_track = [11, 7]" in error.problems[0].found
+    assert "cross_track" in error.problems[1].found
+    for text, code, *told in (
+        (
+            PANEL + "reflectance = 0.5\ncertificate = 'none.csv'\n", "file-not-found, option-conflict",
+            "certificate",
+        ),
+        (PANEL.replace("raw_0", "raw_7") + "reflectance = 0.5\n", "choice-unknown", "raw_0"),
+        (
+            PANEL + "reflectance = 50\nuncertainty = 5\n", "value-out-of-range",
+            "reflectance = 50", "uncertainty = 5", "0 to below 1",
+        ),
+    ):  # fmt: skip
+        error = refused(text)
+        assert ", ".join(sorted(set(error.codes))) == code
+        expect_words(str(error), *told)
 
 
-@pytest.mark.filterwarnings(
-    "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"
-)
+@NO_ATTITUDE
 def test_a_refused_panel_stops_the_run_before_it_writes(flown: Path, tmp_path: Path) -> None:
     # grass and asphalt
     collect = with_panels(flown, PANEL.replace("[44, 48]", "[0, 40]") + "reflectance = 0.5\n")
@@ -300,9 +266,7 @@ def test_a_refused_panel_stops_the_run_before_it_writes(flown: Path, tmp_path: P
     expect_words(text, "under [[panels]] of the collect.toml", without=("Panel(",))
 
 
-@pytest.mark.filterwarnings(
-    "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"
-)
+@NO_ATTITUDE
 def test_an_attribute_that_declares_no_panels(flown: Path) -> None:
     line = next(iter(hp.open_collect(flown)["flightlines"].children.values())).to_dataset()
     for text in ("[{}]", "7", "{", '[{"along_track": 3}]'):
@@ -328,9 +292,7 @@ def signatures_of(store: Path, regions: Path, *words: str) -> xr.Dataset:
     return xr.open_zarr(out).load()
 
 
-@pytest.mark.filterwarnings(
-    "ignore:.*of the light sensor have no attitude:hyperpaint.base.errors.PaintWarning"
-)
+@NO_ATTITUDE
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", ["stored", "none"])
 def test_signatures_have_the_scale_of_a_declared_panel(too_bright: Path, tmp_path: Path, kept: Any) -> None:

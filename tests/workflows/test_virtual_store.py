@@ -27,6 +27,7 @@ icechunk = pytest.importorskip("icechunk", reason="icechunk is not installed (ex
 
 LINES = 80
 NAME = "lot.icechunk"
+GROUP = "flightlines/raw_0"
 
 
 @pytest.fixture(scope="module")
@@ -76,33 +77,31 @@ def rewritten(collect: Path, interleave: str = "bil", dtype: str = "<u2", offset
 
 
 def test_the_bits_of_process_and_nothing_copied(collect: Path, wanted: xr.Dataset, tmp_path: Path) -> None:
-    assert virtualise(collect, tmp_path / NAME).written == ("flightlines/raw_0",)
-    line = hp.io.open_virtual(tmp_path / NAME, "flightlines/raw_0", allow=collect.parent)
+    out, flight = tmp_path / NAME, str(collect.parent / "flight")
+    run = hyperpaint("virtual", collect, "--out", out, status=0)
+    assert f"allow={flight!r}" in run.output
+    line = hp.io.open_virtual(out, GROUP, allow=collect.parent)
     assert line["counts"].variable.chunksizes["along_track"] == (40, 40)
     assert_same(line, wanted)
-    assert_same(
-        hp.io.open_virtual(tmp_path / NAME, allow=[collect.parent], chunks={"along_track": 80}), wanted
-    )
-    assert_same(hp.io.open_virtual(tmp_path / NAME, allow=str(collect.parent), chunks=None), wanted)
-    again = virtualise(collect, tmp_path / NAME)
-    assert ((again.written, again.unchanged), sorted(path.name for path in tmp_path.iterdir())) == (
-        ((), ("flightlines/raw_0",)),
-        [NAME],
-    )
-    facts = facts_of_path(tmp_path / NAME, [str(collect.parent)])
-    assert "1 flight line" in facts["is"]
-    assert f"counts: {LINES} along_track" in facts["/flightlines/raw_0 holds"]
-
-
-def test_as_other_programs_open_them(collect: Path, wanted: xr.Dataset, tmp_path: Path) -> None:
-    virtualise(collect, tmp_path / NAME)
-    prefix = f"file://{collect.parent.parent}/"  # above the name with a space, which icechunk does not match
+    assert_same(hp.io.open_virtual(out, allow=[collect.parent], chunks={"along_track": 80}), wanted)
+    assert_same(hp.io.open_virtual(out, allow=str(collect.parent), chunks=None), wanted)
+    again = virtualise(collect, out)
+    assert (again.written, again.unchanged, list(tmp_path.iterdir())) == ((), (GROUP,), [out])
+    # as other programs open it, above the name with a space, which icechunk does not match
     repository = icechunk.Repository.open(
-        icechunk.local_filesystem_storage(str(tmp_path / "lot.icechunk")),
-        authorize_virtual_chunk_access=icechunk.containers_credentials({prefix: None}),
+        icechunk.local_filesystem_storage(str(out)),
+        authorize_virtual_chunk_access=icechunk.containers_credentials(
+            {f"file://{collect.parent.parent}/": None}
+        ),
     )
     store = repository.readonly_session("main").store
-    assert_same(xr.open_zarr(store, group="flightlines/raw_0", consolidated=False), wanted)
+    assert_same(xr.open_zarr(store, group=GROUP, consolidated=False), wanted)
+    # as the command line describes it
+    facts = facts_of_path(out, [str(collect.parent)])
+    assert "1 flight line" in facts["is"]
+    assert f"counts: {LINES} along_track" in facts[f"/{GROUP} holds"]
+    expect_words(hyperpaint("info", out).output, "NOT READ", f"pass --allow '{flight}'")
+    assert "NOT READ" not in hyperpaint("info", out, "--allow", flight).output
 
 
 @pytest.mark.parametrize(
@@ -167,7 +166,7 @@ def test_other_raw_files_are_refused(copied: Path, tmp_path: Path, damage: str) 
         os.utime(data, (2e9, 2e9))
         words = "changed at 2033"
     expect_error(StoreError, rf"(?s){words}.*again", lambda: hp.io.open_virtual(tmp_path / NAME))
-    assert words in facts_of_path(tmp_path / NAME)["/flightlines/raw_0 NOT READ"]
+    assert words in facts_of_path(tmp_path / NAME)[f"/{GROUP} NOT READ"]
     expect_error(icechunk.IcechunkError, "virtual", lambda: line["counts"].load())
 
 
@@ -207,25 +206,16 @@ def test_urls_that_icechunk_does_not_read(collect: Path, tmp_path: Path, prefix:
 
 
 def test_the_place_of_the_raw_files(collect: Path, wanted: xr.Dataset, tmp_path: Path) -> None:
-    for number, odd in enumerate(("a%20b", "a#b?c", "\u00fc [1]")):  # characters that mean something in URLs
-        copied = Path(shutil.copytree(collect.parent, tmp_path / odd / "day")) / "collect.toml"
-        out = tmp_path / "stores" / f"{number}.icechunk"
-        virtualise(copied, out)
-        caught = expect_error(StoreError, "raw-file-not-allowed", partial(hp.io.open_virtual, out))
-        (needed,) = re.findall(r"allow='([^']*)'", str(caught))
-        assert needed == str(copied.parent / "flight")
-        assert f"--allow {shlex.quote(needed)}" in caught.text(on_command_line=True)
-        assert_same(hp.io.open_virtual(out, allow=needed), wanted)
-        assert not virtualise(copied, out).written
-
-
-def test_the_command_line_says_what_to_allow(collect: Path, tmp_path: Path) -> None:
-    run = hyperpaint("virtual", collect, "--out", tmp_path / NAME)
-    flight = str(collect.parent / "flight")
-    assert run.exit_code == 0, run.output
-    assert f"allow={flight!r}" in run.output
-    expect_words(hyperpaint("info", tmp_path / NAME).output, "NOT READ", f"pass --allow '{flight}'")
-    assert "NOT READ" not in hyperpaint("info", tmp_path / NAME, "--allow", flight).output
+    # characters that mean something in URLs
+    flight = shutil.copytree(collect.parent, tmp_path / "a%20b" / "a#b?c" / "\u00fc [1]")
+    copied, out = flight / "collect.toml", tmp_path / "stores" / NAME
+    virtualise(copied, out)
+    caught = expect_error(StoreError, "raw-file-not-allowed", lambda: hp.io.open_virtual(out))
+    (needed,) = re.findall(r"allow='([^']*)'", str(caught))
+    assert needed == str(copied.parent / "flight")
+    assert f"--allow {shlex.quote(needed)}" in caught.text(on_command_line=True)
+    assert_same(hp.io.open_virtual(out, allow=needed), wanted)
+    assert not virtualise(copied, out).written
 
 
 def test_the_old_store_is_there_until_the_new_one_is(
@@ -252,15 +242,15 @@ def test_the_old_store_is_there_until_the_new_one_is(
     ) == (8191, ["day", NAME])
 
 
-@pytest.mark.parametrize("lost", ["chunks", "manifests"])
-def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path, lost: str) -> None:
+def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path) -> None:
     shortened(copied, 73)  # so that a slab is copied
     out = tmp_path / NAME
     virtualise(copied, out)
-    shutil.rmtree(out / lost)
-    expect_error(StoreError, "store-damaged", lambda: hp.io.open_virtual(out))
-    assert virtualise(copied, out).written
-    assert hp.io.open_virtual(out).load().sizes["along_track"] == 73
+    for lost in ("chunks", "manifests"):
+        shutil.rmtree(out / lost)
+        expect_error(StoreError, "store-damaged", lambda: hp.io.open_virtual(out))
+        assert virtualise(copied, out).written
+        assert hp.io.open_virtual(out).load().sizes["along_track"] == 73
     assert not virtualise(copied, out).written
     shutil.rmtree(out / "snapshots")
     (out / "snapshots").mkdir()
