@@ -15,7 +15,7 @@ from support.refusals import expect_equal, expect_error, expect_errors, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
-from hyperpaint.io.collect.collect_toml import join_lines, open_collect, read_collect
+from hyperpaint.io.collect.collect_toml import join_lines, read_collect
 from hyperpaint.io.envi.envi_cubes import EnviArray, parse_header
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.spectrometers.asd import open_asd
@@ -58,7 +58,7 @@ def change(folder: Path, *pairs: tuple[str, str], end: str = "") -> Path:
 
 def problems_of(path: Path, *, opened: bool = False, **options: Any) -> str:
     with pytest.raises(CollectError) as caught:
-        (open_collect if opened else read_collect)(path, **options)
+        (hp.open_collect if opened else read_collect)(path, **options)
     return str(caught.value)
 
 
@@ -66,20 +66,20 @@ def problems_of(path: Path, *, opened: bool = False, **options: Any) -> str:
 
 
 def test_the_frame_index_and_the_navigation_beside_a_cube_are_found(folder: Path) -> None:
-    expected = open_collect(folder / "collect.toml")["flightlines/raw_0"].to_dataset()
+    expected = hp.open_collect(folder / "collect.toml")["flightlines/raw_0"].to_dataset()
     path = change(folder, (r"^frame_index = .*\n", ""), (r"^nav = .*\n", ""))
-    xr.testing.assert_identical(open_collect(path)["flightlines/raw_0"].to_dataset(), expected)
+    xr.testing.assert_identical(hp.open_collect(path)["flightlines/raw_0"].to_dataset(), expected)
     for name in ("frameIndex_0.txt", "imu_gps.txt"):
         (folder / "flight" / name).unlink()
     assert "[[flightlines]] 1 no line times: found frame_period_ms" in problems_of(path)
 
 
 def test_patterns_may_begin_outside_the_folder(folder: Path) -> None:
-    expected = open_collect(folder / "collect.toml")["irradiance"].to_dataset()
+    expected = hp.open_collect(folder / "collect.toml")["irradiance"].to_dataset()
     shutil.move(folder / "asd", folder.parent / "asd_elsewhere")
     for pattern in ("../asd_elsewhere/*.asd", f"{folder.parent}/asd_elsewhere/*.asd"):
         path = change(folder, (r'^files = ".*asd\w*/\*\.asd"\nquantity', f'files = "{pattern}"\nquantity'))
-        xr.testing.assert_identical(open_collect(path)["irradiance"].to_dataset(), expected)
+        xr.testing.assert_identical(hp.open_collect(path)["irradiance"].to_dataset(), expected)
 
 
 def test_what_the_file_says(folder: Path) -> None:
@@ -119,11 +119,11 @@ def test_no_dark_is_said_in_either_way(folder: Path, said: str) -> None:
     text = path.read_text()
     path.write_text(said + text if said.startswith("dark") else text + said)
     assert {line.dark for line in read_collect(path).flightlines} == {"none"}
-    assert (open_collect(path)["flightlines/raw_0/dark_counts"] == 0).all()
+    assert (hp.open_collect(path)["flightlines/raw_0/dark_counts"] == 0).all()
 
 
 def test_the_tree_holds_every_line_and_nothing_at_its_root(folder: Path) -> None:
-    tree = open_collect(folder / "collect.toml")
+    tree = hp.open_collect(folder / "collect.toml")
     assert tree.to_dataset().sizes == {}
     assert not tree.to_dataset().variables
     assert set(tree["flightlines"].children) == {"raw_0", "raw_30"}
@@ -151,7 +151,7 @@ def test_no_cube_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch, no_compu
 
     monkeypatch.setattr(EnviArray, "__getitem__", refuse)
     with no_compute():
-        tree = open_collect(path)
+        tree = hp.open_collect(path)
     assert tree["flightlines/raw_0/counts"].chunks is not None
 
 
@@ -166,14 +166,14 @@ def test_navigation_shared_by_the_cubes_is_read_once(folder: Path, monkeypatch: 
         return original(path, *arguments)
 
     monkeypatch.setattr(collect, "read_imu_gps", count)
-    open_collect(folder / "collect.toml")
+    hp.open_collect(folder / "collect.toml")
     assert read == [folder / "flight" / "imu_gps.txt"]
 
 
 def test_the_clock_of_the_navigation_is_corrected(folder: Path) -> None:
-    before = open_collect(folder / "collect.toml")["flightlines/raw_0/time"].values
+    before = hp.open_collect(folder / "collect.toml")["flightlines/raw_0/time"].values
     path = change(folder, (r"^bit_depth", 'clock_offset_s = 20.5\ntime_scale = "gps"\nbit_depth'))
-    after = open_collect(path)["flightlines/raw_0/time"].values
+    after = hp.open_collect(path)["flightlines/raw_0/time"].values
     assert np.unique(after - before).tolist() == [np.timedelta64(2_500_000_000, "ns").astype(int)]
 
 
@@ -184,7 +184,7 @@ def test_lines_without_side_files_start_at_a_time(folder: Path) -> None:
         (r"^nav = .*\n", ""),
         (r"^frame_index = .*_30.*\n", 'start_time = "2021-07-20T17:10:00.210Z"\n'),
     )
-    tree = open_collect(path)
+    tree = hp.open_collect(path)
     assert tree["flightlines/raw_0/time"].values[0] == np.datetime64("2021-07-20T17:09:59.997500000")
     assert "latitude" not in tree["flightlines/raw_0"].to_dataset()
 
@@ -192,7 +192,7 @@ def test_lines_without_side_files_start_at_a_time(folder: Path) -> None:
 def test_radiance_needs_no_irradiance(folder: Path) -> None:
     path = change(folder, (r"^\[irradiance\]\n(.+\n)+", ""))
     assert "no [irradiance]" in problems_of(path)
-    tree = open_collect(path, need_irradiance=False)
+    tree = hp.open_collect(path, need_irradiance=False)
     assert "irradiance" not in tree.children
     assert "irradiance" not in tree["flightlines/raw_0"].to_dataset()
 
