@@ -533,8 +533,7 @@ def test_no_line_takes_the_place_of_another(copied: Path, tables: list[str], pro
 
 
 def test_flights_of_one_day_may_have_cubes_of_the_same_names(copied: Path) -> None:
-    second = shutil.copytree(copied.parent / "flight", copied.parent / "second")
-    (second / "raw_24.hdr").unlink()
+    (shutil.copytree(copied.parent / "flight", copied.parent / "second") / "raw_24.hdr").unlink()
     tables = ['id = "one"\ncube = "flight"', 'id = "two"\ncube = "second/raw_*.hdr"']
     with pytest.warns(hp.errors.PaintWarning, match=r"two_raw_36 .*recording-interrupted"):
         lines = hp.open_collect(with_lines(copied, *tables))["flightlines"]
