@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import inspect
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, Self
+from typing import Any, ParamSpec, Self, TypeVar
 
 __all__ = [
     "CollectError",
@@ -27,6 +27,9 @@ __all__ = [
     "UnitsError",
     "needs_extra",
 ]
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -455,6 +458,14 @@ class Findings:
             yield
         except (PaintError, OSError) as error:
             self.errors.append(error)
+
+    def attempt(self, function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T | None:
+        """Return the result of a step; None after an error, which is collected."""
+        try:
+            return function(*arguments, **options)
+        except (PaintError, OSError) as error:
+            self.errors.append(error)
+            return None
 
     def raise_if_any(self) -> None:
         """Raise a single error unchanged, or one error that lists all."""

@@ -12,7 +12,7 @@ from support.refusals import expect_error, expect_refusals
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError
 from hyperpaint.cli.program import main
-from hyperpaint.io.collect.collect_toml import open_collect as open_without_physics
+from hyperpaint.io.collect.collect_toml import open_with_settings
 from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 from hyperpaint.simulation import simulate_collect, simulate_sweep
 
@@ -106,8 +106,9 @@ def test_a_collect_is_calibrated_on_the_way(collect: Path) -> None:
     line = tree["flightlines/raw_0"].to_dataset()
     assert not [name for name in line.variables if str(name).startswith(("line_", "beam_", "stray"))]
     assert line.radiance_gain_u_systematic.dims == ("band",)
-    assert np.isfinite(line.paint.reflectance().reflectance.values[:, 20:-20]).mean() > 0.9
-    expect_refusals((CollectError, "calibrate-missing", lambda: open_without_physics(collect)))
+    reflectance = line.paint.reflectance().reflectance.values
+    assert np.isfinite(reflectance[:, 20:-20]).mean() > 0.9
+    expect_refusals((CollectError, "calibrate-missing", lambda: open_with_settings(collect)))
 
 
 def test_a_collect_has_one_calibration(collect: Path, tmp_path: Path) -> None:

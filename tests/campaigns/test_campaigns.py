@@ -22,7 +22,6 @@ from campaigns.faults import (
     disks,
     interruptions,
     long_texts,
-    mutation,
     outcome,
     parsers,
     storage,
@@ -86,8 +85,8 @@ def test_long_texts_take_time_with_their_size(name: str, piece: str, seeds: Path
 
 def test_a_number_names_an_input(seeds: Path) -> None:
     data = (seeds / "flight/raw_0.hdr").read_bytes()
-    inputs = [mutation.mutated(data, "envi", number) for number in range(100)]
-    assert inputs == [mutation.mutated(data, "envi", number) for number in range(100)]
+    inputs = [parsers.mutated(data, "envi", number) for number in range(100)]
+    assert inputs == [parsers.mutated(data, "envi", number) for number in range(100)]
     assert len(set(inputs)) > 90
 
 

@@ -611,18 +611,6 @@ class OpenedCollect:
         return {group: tuple(files[name] for name in names) for group, names in self.members.items()}
 
 
-def open_collect(
-    path: str | os.PathLike[str],
-    *,
-    need_irradiance: bool = True,
-    chunks: Any = "auto",
-    calibrate: Callable[[Path], xr.Dataset] | None = None,
-) -> xr.DataTree:
-    """Open all files of a ``collect.toml``; see `hyperpaint.open_collect`, which passes ``calibrate``."""
-    options: Any = {"need_irradiance": need_irradiance, "chunks": chunks, "calibrate": calibrate}
-    return open_with_settings(path, **options).tree
-
-
 def open_with_settings(
     source: str | os.PathLike[str] | Collect,
     *,
@@ -649,14 +637,12 @@ def open_with_settings(
     else:
         collect = parse_collect(path, problems, need_irradiance=need_irradiance)
     findings = Findings(str(path))
-    calibration: xr.Dataset | Unavailable | None = None
-    if collect.calibration is not None or collect.sweep is not None:
-        calibration = Unavailable.REPORTED
+    is_stated = collect.calibration is not None or collect.sweep is not None
+    calibration: xr.Dataset | Unavailable | None = Unavailable.REPORTED if is_stated else None
     if isinstance(collect.calibration, Path):
         with findings.step():
             calibration = open_calibration(collect.calibration)
     if collect.sweep is not None:
-        calibration = Unavailable.REPORTED
         with findings.step():
             if calibrate is None:
                 raise CollectError(
@@ -705,10 +691,8 @@ def open_with_settings(
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
     joined_lines = dict(_joined_lines(collect, lines, irradiance))
     groups |= {f"/flightlines/{name}": joined.line for name, joined in joined_lines.items()}
-    if isinstance(irradiance, xr.Dataset):
-        groups["/irradiance"] = irradiance
-    if isinstance(calibration, xr.Dataset):
-        groups["/calibration"] = calibration
+    shared_groups = {"/irradiance": irradiance, "/calibration": calibration}
+    groups |= {name: shared for name, shared in shared_groups.items() if isinstance(shared, xr.Dataset)}
     groups |= {f"/references/{name}": dataset for name, dataset in references.items()}
     members = {f"flightlines/{name}": joined.members for name, joined in joined_lines.items()}
     return OpenedCollect(xr.DataTree.from_dict(groups), collect, members)

@@ -118,9 +118,8 @@ def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: 
     counts = label(counts.reset_coords(drop=True), "dark_counts")
     if times is not None:
         counts = counts.assign_coords(dark_time=times.astype("datetime64[ns]"))
-    if exposure is None:
-        return Dark(counts, (None,), None, name)
-    return Dark(counts, tuple(map(float, np.atleast_1d(arrays["dark_exposure_time"].values))), None, name)
+    seconds = [None] if exposure is None else np.atleast_1d(arrays["dark_exposure_time"].values).tolist()
+    return Dark(counts, tuple(seconds), None, name)
 
 
 def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:

@@ -267,29 +267,24 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
             opened = opened.rename(values="radiance")
         is_counts = "counts" in opened
         cube = _check_cube(opened, inputs)
-    exposure: NDArray[np.float64] | None = None
-    with findings.step():
-        exposure, exposure_source = find_exposure(
-            inputs.exposure_time, on_disk, path.name, opened, required=is_counts
-        )
-    calibration: xr.Dataset | None = None
-    with findings.step():
-        calibration = _calibration(inputs, cube, required=is_counts)
+    exposure, exposure_source = findings.attempt(
+        find_exposure, inputs.exposure_time, on_disk, path.name, opened, required=is_counts
+    ) or (None, "")
+    calibration = findings.attempt(_calibration, inputs, cube, required=is_counts)
     timing = Timing() if isinstance(inputs.timing, Unavailable) else inputs.timing
     times: LineTimes | None = None
     if cube is not None and timing is inputs.timing:
-        with findings.step():
-            times = line_times(
-                path,
-                cube.sizes[ALONG_TRACK],
-                timing,
-                0.0 if exposure is None else exposure,
-                shortened=inputs.keep_whole_lines,
-            )
+        times = findings.attempt(
+            line_times,
+            path,
+            cube.sizes[ALONG_TRACK],
+            timing,
+            0.0 if exposure is None else exposure,
+            shortened=inputs.keep_whole_lines,
+        )
     dark: Dark | None = None
     if is_counts and not isinstance(inputs.dark, Unavailable):
-        with findings.step():
-            dark = open_dark(inputs.dark, timing, calibration, cube)
+        dark = findings.attempt(open_dark, inputs.dark, timing, calibration, cube)
     irradiance: xr.Dataset | None = None
     with findings.step():
         if inputs.irradiance is not None and not isinstance(inputs.irradiance, Unavailable):
@@ -312,9 +307,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
             convention_attrs = Convention(**{"stamp_reference": timing.stamp, **declared}).to_attrs()
             assumed = [name for name in ASSUMED if name not in declared]
             convention_attrs |= {"navigation_assumed": ", ".join(assumed)} if assumed else {}
-    saturation: xr.DataArray | None = None
-    with findings.step():
-        saturation = saturation_of(inputs.saturation_count, inputs.bit_depth, calibration)
+    saturation = findings.attempt(saturation_of, inputs.saturation_count, inputs.bit_depth, calibration)
     if findings.errors or cube is None or times is None:
         return xr.Dataset()
     variables: dict[str, xr.DataArray] = {cube.name: _lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]

@@ -178,9 +178,7 @@ def line_times(
     # from the stamped instant of the exposure to its middle
     to_middle = np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp]
     time = time + np.round(to_middle * NS_PER_S).astype("timedelta64[ns]")
-    pose: Mapping[str, NDArray[np.float64]] = {}
-    if nav is not None:
-        pose = nav.dated_by(clock).at(time, timing.max_gap_s)
+    pose = {} if nav is None else nav.dated_by(clock).at(time, timing.max_gap_s)
     dropped = int(frame[-1] - frame[0]) + 1 - int(recorded.sum()) if lines else 0
     return LineTimes(frame, recorded, time, pose, dropped, clock.source)
 
@@ -229,8 +227,7 @@ def _clock(
                 mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
                 code="clock-offset-missing",
             )
-        utc = timing.correction.apply(np.array([midnight]))
-        return _steady(0, int(utc[0]), "date and time of day")
+        return _steady(0, int(timing.correction.apply(np.array([midnight]))[0]), "date and time of day")
     if nav is None:
         raise TimeError(
             f"{cube.name}: {index.name} has no UTC",

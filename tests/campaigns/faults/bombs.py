@@ -72,7 +72,7 @@ DOORS: Mapping[str, Door] = {
         (FormatError,),
     ),
     "collect": Door(
-        reader("io.collect.collect_toml:open_collect"), (CollectError, FormatError, StoreError, TimeError)
+        reader("workflows.laboratory:open_collect"), (CollectError, FormatError, StoreError, TimeError)
     ),
     "info": Door(reader("cli.info_command:describe_path"), (FormatError, StoreError, CollectError)),
     "open-store": Door(reader("io.store:open_store", then=_load), (StoreError,)),
@@ -184,8 +184,19 @@ def warm_up() -> None:
         *(f"hyperpaint.io.{name}" for name in ("collect.collect_toml", "envi.envi_cubes", "library")),
         *(f"hyperpaint.io.{name}" for name in ("flightline.calibration_store", "store.verification")),
         *(f"hyperpaint.io.{name}" for name in ("navigation.navigation_opening", "spectrometers.asd")),
-        *("hyperpaint.io.spectrometers.irradiance", "hyperpaint.cli.info_command", "google_crc32c"),
-        *("fsspec.implementations.zip", "fsspec.core", "xarray", "zarr.storage", "dask.array"),
+        *(
+            "hyperpaint.io.spectrometers.irradiance",
+            "hyperpaint.cli.info_command",
+            "hyperpaint.workflows.laboratory",
+        ),
+        *(
+            "google_crc32c",
+            "fsspec.implementations.zip",
+            "fsspec.core",
+            "xarray",
+            "zarr.storage",
+            "dask.array",
+        ),
     ):
         importlib.import_module(module)
     from hyperpaint.base.units import conversion_factor

@@ -27,8 +27,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store import chunks, is_complete, open_store
 
-from .children import DONE, REFUSED, end_of, start
-from .interruptions import GROUP, _slab as slab_of, chunks_of, scene_line
+from .interruptions import DONE, GROUP, REFUSED, _slab as slab_of, chunks_of, end_of, scene_line, start
 from .outcome import Outcome, each, numbers_of
 
 LEVELS, CUTS = 30, 60

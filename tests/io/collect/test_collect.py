@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from support.refusals import expect_equal, expect_error, expect_errors, refusal
+from support.refusals import expect_equal, expect_error, expect_errors, expect_refusals, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
-from hyperpaint.io.collect.collect_toml import join_lines, open_collect, read_collect
+from hyperpaint.io.collect.collect_toml import join_lines, read_collect
 from hyperpaint.io.envi.envi_cubes import EnviArray, parse_header
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.spectrometers.asd import open_asd
@@ -58,7 +58,7 @@ def change(folder: Path, *pairs: tuple[str, str], end: str = "") -> Path:
 
 def problems_of(path: Path, *, opened: bool = False, **options: Any) -> str:
     with pytest.raises(CollectError) as caught:
-        (open_collect if opened else read_collect)(path, **options)
+        (hp.open_collect if opened else read_collect)(path, **options)
     return str(caught.value)
 
 
@@ -66,20 +66,20 @@ def problems_of(path: Path, *, opened: bool = False, **options: Any) -> str:
 
 
 def test_the_frame_index_and_the_navigation_beside_a_cube_are_found(folder: Path) -> None:
-    expected = open_collect(folder / "collect.toml")["flightlines/raw_0"].to_dataset()
+    expected = hp.open_collect(folder / "collect.toml")["flightlines/raw_0"].to_dataset()
     path = change(folder, (r"^frame_index = .*\n", ""), (r"^nav = .*\n", ""))
-    xr.testing.assert_identical(open_collect(path)["flightlines/raw_0"].to_dataset(), expected)
+    xr.testing.assert_identical(hp.open_collect(path)["flightlines/raw_0"].to_dataset(), expected)
     for name in ("frameIndex_0.txt", "imu_gps.txt"):
         (folder / "flight" / name).unlink()
     assert "[[flightlines]] 1 no line times: found frame_period_ms" in problems_of(path)
 
 
 def test_patterns_may_begin_outside_the_folder(folder: Path) -> None:
-    expected = open_collect(folder / "collect.toml")["irradiance"].to_dataset()
+    expected = hp.open_collect(folder / "collect.toml")["irradiance"].to_dataset()
     shutil.move(folder / "asd", folder.parent / "asd_elsewhere")
     for pattern in ("../asd_elsewhere/*.asd", f"{folder.parent}/asd_elsewhere/*.asd"):
         path = change(folder, (r'^files = ".*asd\w*/\*\.asd"\nquantity', f'files = "{pattern}"\nquantity'))
-        xr.testing.assert_identical(open_collect(path)["irradiance"].to_dataset(), expected)
+        xr.testing.assert_identical(hp.open_collect(path)["irradiance"].to_dataset(), expected)
 
 
 def test_what_the_file_says(folder: Path) -> None:
@@ -119,11 +119,11 @@ def test_no_dark_is_said_in_either_way(folder: Path, said: str) -> None:
     text = path.read_text()
     path.write_text(said + text if said.startswith("dark") else text + said)
     assert {line.dark for line in read_collect(path).flightlines} == {"none"}
-    assert (open_collect(path)["flightlines/raw_0/dark_counts"] == 0).all()
+    assert (hp.open_collect(path)["flightlines/raw_0/dark_counts"] == 0).all()
 
 
 def test_the_tree_holds_every_line_and_nothing_at_its_root(folder: Path) -> None:
-    tree = open_collect(folder / "collect.toml")
+    tree = hp.open_collect(folder / "collect.toml")
     assert tree.to_dataset().sizes == {}
     assert not tree.to_dataset().variables
     assert set(tree["flightlines"].children) == {"raw_0", "raw_30"}
@@ -151,7 +151,7 @@ def test_no_cube_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch, no_compu
 
     monkeypatch.setattr(EnviArray, "__getitem__", refuse)
     with no_compute():
-        tree = open_collect(path)
+        tree = hp.open_collect(path)
     assert tree["flightlines/raw_0/counts"].chunks is not None
 
 
@@ -166,14 +166,14 @@ def test_navigation_shared_by_the_cubes_is_read_once(folder: Path, monkeypatch: 
         return original(path, *arguments)
 
     monkeypatch.setattr(collect, "read_imu_gps", count)
-    open_collect(folder / "collect.toml")
+    hp.open_collect(folder / "collect.toml")
     assert read == [folder / "flight" / "imu_gps.txt"]
 
 
 def test_the_clock_of_the_navigation_is_corrected(folder: Path) -> None:
-    before = open_collect(folder / "collect.toml")["flightlines/raw_0/time"].values
+    before = hp.open_collect(folder / "collect.toml")["flightlines/raw_0/time"].values
     path = change(folder, (r"^bit_depth", 'clock_offset_s = 20.5\ntime_scale = "gps"\nbit_depth'))
-    after = open_collect(path)["flightlines/raw_0/time"].values
+    after = hp.open_collect(path)["flightlines/raw_0/time"].values
     assert np.unique(after - before).tolist() == [np.timedelta64(2_500_000_000, "ns").astype(int)]
 
 
@@ -184,7 +184,7 @@ def test_lines_without_side_files_start_at_a_time(folder: Path) -> None:
         (r"^nav = .*\n", ""),
         (r"^frame_index = .*_30.*\n", 'start_time = "2021-07-20T17:10:00.210Z"\n'),
     )
-    tree = open_collect(path)
+    tree = hp.open_collect(path)
     assert tree["flightlines/raw_0/time"].values[0] == np.datetime64("2021-07-20T17:09:59.997500000")
     assert "latitude" not in tree["flightlines/raw_0"].to_dataset()
 
@@ -192,7 +192,7 @@ def test_lines_without_side_files_start_at_a_time(folder: Path) -> None:
 def test_radiance_needs_no_irradiance(folder: Path) -> None:
     path = change(folder, (r"^\[irradiance\]\n(.+\n)+", ""))
     assert "no [irradiance]" in problems_of(path)
-    tree = open_collect(path, need_irradiance=False)
+    tree = hp.open_collect(path, need_irradiance=False)
     assert "irradiance" not in tree.children
     assert "irradiance" not in tree["flightlines/raw_0"].to_dataset()
 
@@ -324,35 +324,26 @@ def test_a_damaged_reference_is_an_error_that_names_it(collect: Path) -> None:
     assert "blue.asd" in str(error)
 
 
-def test_instruments_name_groups(collect: Path) -> None:
-    text = collect.read_text()
-    for name, told in {
-        "../svc": "instrument = '../svc', expected letters",
-        "": "instrument = '', expected a text",
-        "ASD": "'asd' has another table",
-    }.items():
-        collect.write_text(text.replace('instrument = "svc"', f'instrument = "{name}"'))
-        with pytest.raises(CollectError, match=re.escape(told)):
-            hp.open_collect(collect)
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('instrument = "svc"', 'instrument = "../svc"', "instrument = '../svc', expected letters"),
+        ('instrument = "svc"', 'instrument = ""', "instrument = '', expected a text"),
+        ('instrument = "svc"', 'instrument = "ASD"', "'asd' has another table"),
+        ('files = "svc/*.sig"', 'files = ["svc/red.sig", "asd_reflectance/red.asd"]', "instrument-mixed"),
+    ],
+)
+def test_instruments_name_groups_of_one_kind(collect: Path, old: str, new: str, told: str) -> None:
+    collect.write_text(collect.read_text().replace(old, new))
+    expect_errors((CollectError, re.escape(told), lambda: hp.open_collect(collect)))
 
 
 def test_an_instrument_may_be_called_by_its_model(collect: Path) -> None:
-    text = collect.read_text()
-    collect.write_text(text.replace('instrument = "svc"', 'instrument = "SVC HR-1024i"'))
+    collect.write_text(collect.read_text().replace('instrument = "svc"', 'instrument = "SVC HR-1024i"'))
     opened = hp.open_collect(collect)["references/SVC_HR-1024i"].to_dataset()
     assert (opened.attrs["instrument_name"], opened.attrs["instrument"]) == ("SVC HR-1024i", "SVC")
-    collect.write_text(text.replace('instrument = "svc"', 'instrument = "SVC HR-1024i"')
-                       .replace('instrument = "asd"', 'instrument = "svc_hr-1024i"'))  # fmt: skip
-    with refusal(CollectError, "name-duplicate", "'svc_hr-1024i'"):
-        hp.open_collect(collect)
-
-
-def test_instruments_are_not_mixed(collect: Path) -> None:
-    text = collect.read_text()
-    collect.write_text(
-        text.replace('files = "svc/*.sig"', 'files = ["svc/red.sig", "asd_reflectance/red.asd"]')
-    )
-    expect_errors((CollectError, "instrument-mixed", lambda: hp.open_collect(collect)))
+    collect.write_text(collect.read_text().replace('instrument = "asd"', 'instrument = "svc_hr-1024i"'))
+    expect_refusals((CollectError, "name-duplicate", "'svc_hr-1024i'", lambda: hp.open_collect(collect)))
 
 
 @pytest.mark.slow
@@ -373,27 +364,22 @@ def test_another_reference_is_other_input(collect: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("pattern", "code"),
+    ("pattern", "match"),
     [
+        # RecursionError from glob (a level a folder); with many '**' the time multiplies
         ("*/" * 3000, "pattern-invalid"),
-        ("**/" * 30 + "*.asd", "file-not-found"),
+        ("**/" * 30 + "*.txt", "file-not-found"),
         ("[" * 5000, "pattern-invalid"),
+        # a pipe was left out, and with it a spectrum of the sky, without a word
+        ("*.asd", r"sky\.asd .*file-special"),
     ],
 )
-def test_globs_that_recurse_or_never_end(pattern: str, code: str, tmp_path: Path) -> None:
-    # RecursionError from glob (a level a folder); with many '**' the time multiplies
-    path = tmp_path / "collect.toml"
-    path.write_text(f'[irradiance]\nfiles = "{pattern}"\n')
-    expect_errors((CollectError, code, lambda: read_collect(path)))
-
-
-def test_a_pipe_that_a_glob_matches_is_missed(tmp_path: Path) -> None:
-    # it was left out, and with it a spectrum of the sky, without a word
+def test_globs_that_recurse_or_never_end_or_match_a_pipe(pattern: str, match: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "sky.asd")
     (tmp_path / "sky_1.asd").touch()
     path = tmp_path / "collect.toml"
-    path.write_text('[irradiance]\nfiles = "*.asd"\n')
-    expect_errors((CollectError, r"sky\.asd .*file-special", lambda: read_collect(path)))
+    path.write_text(f'[irradiance]\nfiles = "{pattern}"\n')
+    expect_errors((CollectError, match, lambda: read_collect(path)))
 
 
 @pytest.mark.parametrize("number", ["9" * 400, "-" + "9" * 400, "0x" + "f" * 5000, "[0x" + "f" * 5000 + "]"])
@@ -456,6 +442,11 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return with_lines(path, 'cube = "flight/raw_*.hdr"')
 
 
+@pytest.fixture
+def copied(cut: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(cut.parent, tmp_path / "raw") / cut.name
+
+
 def with_lines(path: Path, *tables: str) -> Path:
     # Replace the tables [[flightlines]] of a collect
     text = re.sub(r"\[\[flightlines\]\][^\[]*", "", path.read_text(encoding="utf-8"))
@@ -465,9 +456,8 @@ def with_lines(path: Path, *tables: str) -> Path:
 
 
 @pytest.mark.parametrize("cubes", ['"flight/raw_*.hdr"', '"flight"', '"flight/"'])
-def test_a_flight_that_goes_on_is_one_line(whole: xr.Dataset, cut: Path, tmp_path: Path, cubes: str) -> None:
-    shutil.copytree(cut.parent, tmp_path / "raw")
-    lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", f"cube = {cubes}"))["flightlines"]
+def test_a_flight_that_goes_on_is_one_line(whole: xr.Dataset, copied: Path, cubes: str) -> None:
+    lines = hp.open_collect(with_lines(copied, f"cube = {cubes}"))["flightlines"]
     assert set(lines.children) == {"raw_0"}
     line = lines["raw_0"].to_dataset()
     assert line.attrs["source"] == "raw_0.hdr, raw_12.hdr, raw_24.hdr, raw_36.hdr, raw_48.hdr"
@@ -477,29 +467,26 @@ def test_a_flight_that_goes_on_is_one_line(whole: xr.Dataset, cut: Path, tmp_pat
     )
 
 
-def test_the_line_has_the_name_it_is_given(cut: Path, tmp_path: Path) -> None:
-    shutil.copytree(cut.parent, tmp_path / "raw")
-    path = with_lines(tmp_path / "raw" / "collect.toml", 'id = "north"\ncube = "flight/raw_*.hdr"')
-    assert set(hp.open_collect(path)["flightlines"].children) == {"north"}
+@pytest.mark.parametrize(
+    ("tables", "names"),
+    [
+        (['id = "north"\ncube = "flight/raw_*.hdr"'], {"north"}),
+        (['cube = "flight/raw_0.hdr"', 'cube = "flight/raw_12.hdr"'], {"raw_0", "raw_12"}),
+    ],
+)
+def test_a_table_makes_a_line_of_its_name(copied: Path, tables: list[str], names: set[str]) -> None:
+    assert set(hp.open_collect(with_lines(copied, *tables))["flightlines"].children) == names
 
 
-def test_a_cube_that_is_missing_makes_two_lines_and_says_why(cut: Path, tmp_path: Path) -> None:
-    shutil.copytree(cut.parent, tmp_path / "raw")
+def test_a_cube_that_is_missing_makes_two_lines_and_says_why(copied: Path) -> None:
     for name in ("raw_24", "raw_24.hdr", "frameIndex_24.txt"):
-        (tmp_path / "raw" / "flight" / name).unlink()
+        (copied.parent / "flight" / name).unlink()
     with pytest.warns(hp.errors.PaintWarning, match=r"raw_36 .*recording-interrupted"):
-        lines = hp.open_collect(tmp_path / "raw" / "collect.toml")["flightlines"]
+        lines = hp.open_collect(copied)["flightlines"]
     assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
         "raw_0": 24,
         "raw_36": 24,
     }
-
-
-def test_tables_of_their_own_stay_lines_of_their_own(cut: Path, tmp_path: Path) -> None:
-    shutil.copytree(cut.parent, tmp_path / "raw")
-    tables = [f'cube = "flight/raw_{number}.hdr"' for number in (0, 12)]
-    lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))["flightlines"]
-    assert set(lines.children) == {"raw_0", "raw_12"}
 
 
 def test_a_store_of_joined_cubes_is_the_store_of_one(cut: Path, whole: xr.Dataset, tmp_path: Path) -> None:
@@ -539,22 +526,17 @@ DAY = 'id = "day"\n'
         (['cube = "flight/raw_*.hdr"', 'cube = "flight/raw_1*.hdr"'], "the id 'raw_12'"),
     ],
 )  # fmt: skip
-def test_no_line_takes_the_place_of_another(
-    cut: Path, tmp_path: Path, tables: list[str], problem: str
-) -> None:
-    shutil.copytree(cut.parent, tmp_path / "raw")
-    with pytest.raises(hp.errors.PaintError, match=re.escape(problem)) as caught:
-        hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))
-    assert str(caught.value).count("expected letters") <= 1
+def test_no_line_takes_the_place_of_another(copied: Path, tables: list[str], problem: str) -> None:
+    path = with_lines(copied, *tables)
+    error = expect_error(hp.errors.PaintError, re.escape(problem), lambda: hp.open_collect(path))
+    assert str(error).count("expected letters") <= 1
 
 
-def test_flights_of_one_day_may_have_cubes_of_the_same_names(cut: Path, tmp_path: Path) -> None:
-    shutil.copytree(cut.parent, tmp_path / "raw")
-    shutil.copytree(tmp_path / "raw" / "flight", tmp_path / "raw" / "second")
-    (tmp_path / "raw" / "second" / "raw_24.hdr").unlink()
+def test_flights_of_one_day_may_have_cubes_of_the_same_names(copied: Path) -> None:
+    (shutil.copytree(copied.parent / "flight", copied.parent / "second") / "raw_24.hdr").unlink()
     tables = ['id = "one"\ncube = "flight"', 'id = "two"\ncube = "second/raw_*.hdr"']
     with pytest.warns(hp.errors.PaintWarning, match=r"two_raw_36 .*recording-interrupted"):
-        lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))["flightlines"]
+        lines = hp.open_collect(with_lines(copied, *tables))["flightlines"]
     assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
         "one": 60, "two_raw_0": 24, "two_raw_36": 24,
     }  # fmt: skip

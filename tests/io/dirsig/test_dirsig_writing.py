@@ -289,11 +289,6 @@ def test_what_is_done_to_spectra_is_counted_and_said(
             hp.write_dirsig(paints, tmp_path / "refused", gaps="refuse")
 
 
-def test_curves_that_a_library_lacks_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="needs member_reflectance"):
-        hp.write_dirsig(library().drop_vars("member_reflectance"), tmp_path / "m", curves="members")
-
-
 def test_unmeasured_ends_are_left_away_and_holes_refused(tmp_path: Path) -> None:
     paints = library()
     for name in ("reflectance", "member_reflectance"):
@@ -381,9 +376,9 @@ def test_detectors_that_overlap(tmp_path: Path) -> None:
     ],
 )
 def test_a_coat_does_not_count_twice(attrs: dict[str, str], source: str, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="coat-counted-twice"):
-        hp.write_dirsig(library(**attrs), tmp_path / "out", specular=0.1)
-    made = hp.write_dirsig(library(**attrs), tmp_path / "out")
+    paints, out = library(**attrs), tmp_path / "out"
+    expect_errors((SchemaError, "coat-counted-twice", lambda: hp.write_dirsig(paints, out, specular=0.1)))
+    made = hp.write_dirsig(paints, out)
     assert (made.attrs["mirror_reflection"], made.attrs["mirror_reflection_source"]) == ("included", source)
 
 
@@ -414,10 +409,16 @@ def test_a_library_with_its_coat_apart(tmp_path: Path) -> None:
     np.testing.assert_allclose((1 - emissivity) * (1 - fraction), members, atol=1e-6)
 
 
-@pytest.mark.parametrize("specular", [1.0, -0.1, float("nan"), "much", "library"])
-def test_other_specular_terms_are_refused(specular: Any, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="specular="):
-        hp.write_dirsig(library(mirror_reflection="excluded"), tmp_path / "out", specular=specular)
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        *(({"specular": term}, "specular=") for term in (1.0, -0.1, float("nan"), "much", "library")),
+        ({"curves": "members"}, "needs member_reflectance"),
+    ],
+)
+def test_terms_and_curves_that_a_library_lacks_are_refused(options: Any, match: str, tmp_path: Path) -> None:
+    paints = library(mirror_reflection="excluded").drop_vars("member_reflectance")
+    expect_errors((SchemaError, match, lambda: hp.write_dirsig(paints, tmp_path / "out", **options)))
 
 
 # --- A call of `write_dirsig` that makes no sense, and the folder that it fills: whole, or not at all ------
@@ -432,11 +433,18 @@ def test_all_wrong_options_are_told_at_once(tmp_path: Path, max_curves: Any) -> 
         )  # fmt: skip
     options = ("curves", "wavelength_range", "gaps", "surface", "rad_solver", "thermal", "max_curves")
     assert [name for name in options if f"{name}=" not in str(caught.value)] == []
-    with pytest.raises(SchemaError, match="empty-input"):
-        hp.write_dirsig(library().isel(signature=slice(0)), tmp_path / "out")
-    with pytest.raises(SchemaError, match="option-conflict"):
-        hp.write_dirsig(library(mirror_reflection="excluded"), tmp_path / "out", surface="SimpleReflectance",
-                        specular=0.1)  # fmt: skip
+    excluded, conflict = (
+        library(mirror_reflection="excluded"),
+        {"surface": "SimpleReflectance", "specular": 0.1},
+    )
+    expect_errors(
+        (
+            SchemaError,
+            "empty-input",
+            lambda: hp.write_dirsig(library().isel(signature=slice(0)), tmp_path / "o"),
+        ),
+        (SchemaError, "option-conflict", lambda: hp.write_dirsig(excluded, tmp_path / "out", **conflict)),
+    )
     assert not list(tmp_path.iterdir())
 
 

@@ -127,11 +127,8 @@ def test_a_damaged_file_is_refused(line: int, text: str, said: str, tmp_path: Pa
     assert said in str(error)
 
 
-def test_an_old_file_is_read(tmp_path: Path) -> None:
+def test_an_old_file_is_read_and_all_problems_are_told_at_once(tmp_path: Path) -> None:
     assert read_emissivity(written(tmp_path, OLD)).curves[0].emissivity.tolist() == [0.5] * 396
-
-
-def test_all_problems_are_told_at_once(tmp_path: Path) -> None:
     lines = NEW.copy()
     lines[94], lines[96] = "0.5 7", "x"
     error = expect_error(FormatError, None, lambda: read_emissivity(written(tmp_path, lines)))

@@ -278,9 +278,7 @@ def test_all_problems_come_in_one_message(folder: Path, counts: np.ndarray[Any, 
     assert all(part in text for part in expected)
     counts[:-1].tofile(folder / "flight" / "raw_0")
     (folder / "flight" / "settings.txt").write_text("Exposure (ms) = -1")
-    with pytest.raises(CollectError) as caught_too:
-        open_line(folder, calibration=wrong, dark=[])
-    text = str(caught_too.value)
+    text = str(expect_error(CollectError, None, lambda: open_line(folder, calibration=wrong, dark=[])))
     expected = ("no units", "shorter than its header", "positive exposure", "no dark")
     assert all(part in text for part in expected)
 

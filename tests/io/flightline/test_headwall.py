@@ -141,9 +141,11 @@ def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], 
     expect_errors((error, match, lambda: read_frame_index(write(tmp_path / "f.txt", text))))
 
 
-def test_trailing_tabs_and_blank_lines_are_no_cells(tmp_path: Path) -> None:
+def test_trailing_tabs_and_blank_lines_are_no_cells_and_rows_are_bounded(tmp_path: Path) -> None:
     table = read_table(write(tmp_path / "t.txt", "a\tb\t\n1\t2\t\n\n3\t4\n"), "table", needs=["a"])
     assert (table.columns, table.rows.tolist()) == ({"a": ["1", "3"], "b": ["2", "4"]}, [2, 4])
+    path = write(tmp_path / "long.txt", "a\tb\n" + "\n" * MAX_TABLE_ROWS)
+    expect_errors((FormatError, "at most 2000000", lambda: read_table(path, "table", needs=["a"])))
 
 
 # --- lines of a cube ---------------------------------------------------------------------------------------
@@ -161,40 +163,39 @@ def test_a_regular_table_is_read_as_an_irregular_one(tmp_path: Path, rows: int) 
     np.testing.assert_array_equal(regular.rows, np.arange(2, rows + 2))
 
 
+FLIGHT = [0, 1, 2, 3, 4, 6, 7, 8, 9]
+
+
 @pytest.mark.parametrize(
-    ("frames", "lines", "shortened", "frame", "row"),
+    ("frames", "name", "lines", "expected"),
     [
-        ([10, 11, 14], 3, False, [10, 11, 14], [0, 1, 2]),  # as many lines as rows
-        ([10, 11, 14], 5, False, [10, 11, 12, 13, 14], [0, 1, -1, -1, 2]),  # as many lines as frames
-        ([10, 11, 14], 4, False, None, None),
-        ([5, 6, 7, 8], 3, True, [5, 6, 7], [0, 1, 2]),  # cut short in flight
-        ([5, 6, 8, 9], 3, True, None, None),  # which frames are missing is unknown
+        ([10, 11, 14], "cube", 3, [[10, 11, 14], [0, 1, 2]]),  # as many lines as rows
+        ([10, 11, 14], "cube", 5, [[10, 11, 12, 13, 14], [0, 1, -1, -1, 2]]),  # as many lines as frames
+        ([10, 11, 14], "cube", 4, None),
+        ([5, 6, 7, 8], "short", 3, [[5, 6, 7], [0, 1, 2]]),  # cut short in flight
+        ([5, 6, 8, 9], "short", 3, None),  # which frames are missing is unknown
+        # cubes of a flight share its frame index
+        (FLIGHT, "raw_0.hdr", 4, [[0, 1, 2, 3], [0, 1, 2, 3]]),
+        (FLIGHT, "raw_4.hdr", 3, [[4, 6, 7], [4, 5, 6]]),  # only what was recorded
+        (FLIGHT, "raw_4", 4, [[4, 5, 6, 7], [4, -1, 5, 6]]),  # with a blank line for the dropped frame
+        (FLIGHT, "raw_8.hdr", 2, [[8, 9], [7, 8]]),
+        (FLIGHT, "raw_4.hdr", 5, None),
     ],
 )
 def test_lines_of_a_cube_have_rows_of_its_index(
-    frames: list[int], lines: int, shortened: bool, frame: list[int] | None, row: list[int] | None
+    frames: list[int], name: str, lines: int, expected: list[list[int]] | None, tmp_path: Path
 ) -> None:
-    if frame is None:
-        with pytest.raises(FormatError, match="frame-index-mismatch"):
-            match_frames(index_of(frames), lines, Path("cube"), shortened=shortened)
-    else:
-        found = match_frames(index_of(frames), lines, Path("cube"), shortened=shortened)
-        assert [part.tolist() for part in found] == [frame, row]
-
-
-def test_cubes_of_a_flight_share_its_frame_index(tmp_path: Path) -> None:
     for number in (0, 4, 8):
         (tmp_path / f"raw_{number}.hdr").touch()
-    index = index_of([0, 1, 2, 3, 4, 6, 7, 8, 9])
-    for name, lines, frame, row in (
-        ("raw_0.hdr", 4, [0, 1, 2, 3], [0, 1, 2, 3]),
-        ("raw_4.hdr", 3, [4, 6, 7], [4, 5, 6]),  # only what was recorded
-        ("raw_4", 4, [4, 5, 6, 7], [4, -1, 5, 6]),  # with a blank line for the dropped frame
-        ("raw_8.hdr", 2, [8, 9], [7, 8]),
-    ):
-        assert [part.tolist() for part in match_frames(index, lines, tmp_path / name)] == [frame, row]
-    with pytest.raises(FormatError, match="frame-index-mismatch"):
-        match_frames(index, 5, tmp_path / "raw_4.hdr")
+
+    def match() -> list[list[int]]:
+        found = match_frames(index_of(frames), lines, tmp_path / name, shortened=name == "short")
+        return [part.tolist() for part in found]
+
+    if expected is None:
+        expect_errors((FormatError, "frame-index-mismatch", match))
+    else:
+        assert match() == expected
 
 
 # --- dark --------------------------------------------------------------------------------------------------
@@ -225,13 +226,6 @@ def test_the_real_headwall_dark_cube(shared_data: Path) -> None:
     assert frames.mean.shape == (978, 1600)
     assert frames.mean.mean() == pytest.approx(13.97111260, abs=5e-9)
     assert (frames.mean.min(), frames.mean.max()) == (2, 47)
-
-
-def test_a_record_of_too_many_rows_has_a_mend(tmp_path: Path) -> None:
-    path = tmp_path / "frameIndex_0.txt"
-    path.write_bytes(b"Frame#\tTimestamp\n" + b"\n" * MAX_TABLE_ROWS)
-    with pytest.raises(FormatError, match="at most 2000000"):
-        read_table(path, "frame index", needs=["frame#"])
 
 
 # --- dark references, against plain means of the frames ---------------------------------------------------
@@ -288,7 +282,7 @@ def test_few_lines_measure_no_noise_of_elements() -> None:
     assert set(single.variables(needs_noise=True)) == {"dark_counts"}
 
 
-def test_cubes_of_known_times_stay_apart_in_order() -> None:
+def test_cubes_of_known_times_stay_apart_and_others_are_averaged() -> None:
     late, early = frames(2, 1), frames(3, 2)
     dark = open_dark([cube(late, 60, 0.004), cube(early, 0, 0.005)], Timing(), None, LINE)
     assert dark.counts.dims == ("dark_time", *ELEMENT)
@@ -297,16 +291,14 @@ def test_cubes_of_known_times_stay_apart_in_order() -> None:
     assert dark.counts["dark_time"].dtype == "datetime64[ns]"
     assert (dark.counts["dark_time"].values - NOON).astype("timedelta64[s]").astype(int).tolist() == [0, 60]
     assert dark.variables(needs_noise=False)["dark_exposure_time"].values.tolist() == [0.005, 0.004]
-
-
-def test_cubes_of_unknown_times_are_averaged_line_by_line() -> None:
+    # cubes of unknown times are averaged line by line
     one, two = frames(2, 1), frames(5, 2)
     dark = open_dark([cube(one), cube(two, 0)], Timing(), None, LINE)
     np.testing.assert_allclose(dark.counts, np.concatenate([one, two]).mean(axis=0, dtype="f8"), rtol=1e-6)
     assert "averaged" in dark.source
 
 
-def test_none_and_the_calibrations() -> None:
+def test_none_the_calibrations_and_what_failed_to_open() -> None:
     none = open_dark(DARK_NONE, Timing(), None, LINE)
     assert none.counts.dtype == np.float32
     assert not none.counts.any()
@@ -320,11 +312,10 @@ def test_none_and_the_calibrations() -> None:
     given = open_dark("calibration", Timing(), calibration, LINE)
     assert (given.counts == 12.5).all()
     assert (given.counts.dtype, given.exposures) == (np.float32, (0.005,))
-
-
-def test_what_failed_to_open_is_not_reported_again() -> None:
-    assert open_dark(DARK_NONE, Timing(), None, None) is None
-    assert open_dark("calibration", Timing(), None, LINE) is None
+    # a cube or calibration that failed to open is not reported again
+    assert (
+        open_dark(DARK_NONE, Timing(), None, None) is open_dark("calibration", Timing(), None, LINE) is None
+    )
 
 
 HOLLOW = {"dark_counts": (ELEMENT, np.full((BANDS, COLUMNS), np.nan), {"units": "count"})}

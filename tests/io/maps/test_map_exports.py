@@ -455,14 +455,11 @@ def test_bands_or_a_place_that_are_not_there(
     tmp_path: Path, lost: list[str], arguments: dict[str, Any], match: str
 ) -> None:
     pytest.importorskip("rasterio")
-    with pytest.raises(SchemaError, match=match):
-        hp.io.write_geotiff(map_of(values(), turned(0.0)).drop_vars(lost), tmp_path / "map.tif", **arguments)
-
-
-def test_a_line_is_no_map(tmp_path: Path) -> None:
-    pytest.importorskip("rasterio")
-    with pytest.raises(SchemaError, match="dim-missing"):
-        hp.io.write_geotiff(line_of(values()), tmp_path / "map.tif")
+    made = map_of(values(), turned(0.0)).drop_vars(lost)
+    expect_errors(
+        (SchemaError, match, lambda: hp.io.write_geotiff(made, tmp_path / "map.tif", **arguments)),
+        (SchemaError, "dim-missing", lambda: hp.io.write_geotiff(line_of(values()), tmp_path / "map.tif")),
+    )
 
 
 @pytest.mark.parametrize("wavelength", [[900.0, 1000.0], [], [640.0, np.nan]])

@@ -133,21 +133,18 @@ def test_gdal_warps_a_map_to_its_place(
         assert np.median(away) < 0.01
 
 
-def test_no_program_finds_distances_under_the_names_of_map_coordinates(line: xr.Dataset) -> None:
-    made = hp.geometry.orthorectify(line, GSD, grid="flight")
-    assert not {"x", "y"} & set(made.variables)
-    assert made["east"].dims == made["north"].dims == ("y", "x")
-
-
-def test_north_is_up_unless_asked_otherwise(line: xr.Dataset) -> None:
+def test_north_is_up_unless_asked_otherwise(line: xr.Dataset, resampled: dict[str, xr.Dataset]) -> None:
+    # no program finds distances under the names of map coordinates
+    assert not {"x", "y"} & set(resampled["flight"].variables)
+    assert resampled["flight"]["east"].dims == resampled["flight"]["north"].dims == ("y", "x")
     made = hp.geometry.orthorectify(line)
     assert made.attrs["grid"] == "north"
     assert np.diff(made["y"]).max() < 0 < np.diff(made["x"]).min()
 
 
 @pytest.mark.parametrize("grid", ["north", "flight"])
-def test_attributes_of_geozarr_are_those_of_the_cells(line: xr.Dataset, grid: Any) -> None:
-    part = hp.geometry.orthorectify(line, GSD, grid=grid).isel(PARTS["part"])
+def test_attributes_of_geozarr_are_those_of_the_cells(resampled: dict[str, xr.Dataset], grid: Any) -> None:
+    part = resampled[grid].isel(PARTS["part"])
     attrs = geozarr_attrs(part)
     assert (attrs["proj:code"], attrs["spatial:shape"]) == (MAP, [80, 70])
     x, y = centres(attrs["spatial:transform"], (80, 70))
@@ -164,8 +161,8 @@ def test_attributes_of_geozarr_are_those_of_the_cells(line: xr.Dataset, grid: An
     np.testing.assert_allclose(renewed.transform, grid_of(part).transform)  # type: ignore[union-attr]
 
 
-def test_a_stac_item_says_where_and_when(line: xr.Dataset, tmp_path: Path) -> None:
-    made = hp.geometry.orthorectify(line, GSD)
+def test_a_stac_item_says_where_and_when(resampled: dict[str, xr.Dataset], tmp_path: Path) -> None:
+    made = resampled["north"]
     item = stac_item(made, tmp_path / "map.tif")
     assert {"type", "stac_version", "id", "geometry", "bbox", "properties", "links", "assets"} < set(item)
     ring = np.array(item["geometry"]["coordinates"][0])

@@ -24,7 +24,9 @@ rasterio = pytest.importorskip("rasterio", reason="rasterio (extra 'geo') reads 
 HEIGHTS = np.array([[1.0, 2.0, 3.0], [4.0, -9999.0, 6.0]], np.float32)
 
 
-def written(path: Path, heights: Any = HEIGHTS, tags: dict[str, Any] | None = None, **profile: Any) -> Path:
+def written(
+    path: Path, heights: Any = HEIGHTS, tags: Any = None, changes: Any = None, **profile: Any
+) -> Path:
     place = rasterio.Affine(0.3, 0.0, 500000.1, 0.0, -0.7, 3700000.3)
     shape = dict(zip(("height", "width"), heights.shape, strict=True))
     given = {"count": 1, "dtype": heights.dtype, "nodata": -9999.0, "crs": "EPSG:32617", "transform": place}
@@ -32,6 +34,9 @@ def written(path: Path, heights: Any = HEIGHTS, tags: dict[str, Any] | None = No
         raster.write(heights, 1)
         for namespace, pairs in (tags or {}).items():
             raster.update_tags(ns=namespace, **pairs)
+    with rasterio.open(path, "r+") if changes else contextlib.nullcontext() as raster:
+        for name, value in (changes or {}).items():
+            setattr(raster, name, value)
     return path
 
 
@@ -48,11 +53,13 @@ def test_heights_are_as_rioxarray_has_them(tmp_path: Path) -> None:
 
 
 def test_scale_offset_and_unit_of_a_raster_count(tmp_path: Path) -> None:
-    path = written(tmp_path / "dem.tif", np.array([[10, 20], [-9999, 40]], np.int16))
-    with rasterio.open(path, "r+") as raster:
-        raster.scales, raster.offsets, raster.units = (0.5,), (100.0,), ("ft",)
-    heights = read_heights(path)
+    cells, changes = [[10, 20], [-9999, 40]], {"scales": (0.5,), "offsets": (100.0,), "units": ("ft",)}
+    heights = read_heights(written(tmp_path / "dem.tif", np.array(cells, np.int16), changes=changes))
     expect_equal((heights, [[105.0, 110.0], [np.nan, 120.0]]), (heights.attrs["units"], "ft"))
+    # what is not finite is no height
+    cells = np.array([[0x7F800001, 0x7F800000], [0x3F800000, 0x40000000]], np.uint32).view(np.float32)
+    path = written(tmp_path / "odd.tif", cells, changes={"scales": (2.0,)}, nodata=None)
+    np.testing.assert_array_equal(read_heights(path), [[np.nan, np.nan], [2.0, 4.0]])
 
 
 TURNED = rasterio.Affine(0.0, 1.0, 500000.0, 1.0, 0.0, 3700000.0)
@@ -76,19 +83,8 @@ TURNED = rasterio.Affine(0.0, 1.0, 500000.0, 1.0, 0.0, 3700000.0)
 def test_a_raster_that_holds_no_heights_in_a_place_is_refused(
     tmp_path: Path, profile: dict[str, Any], changes: dict[str, Any], code: str
 ) -> None:
-    path = written(tmp_path / "dem.tif", **profile)
-    with rasterio.open(path, "r+") as raster:
-        for name, value in changes.items():
-            setattr(raster, name, value)
+    path = written(tmp_path / "dem.tif", changes=changes, **profile)
     expect_errors((FormatError, code, lambda: read_heights(path)))
-
-
-def test_what_is_not_finite_is_no_height(tmp_path: Path) -> None:
-    signalling = np.array([0x7F800001, 0x7F800000], np.uint32).view(np.float32)
-    path = written(tmp_path / "dem.tif", np.array([[*signalling], [1.0, 2.0]], np.float32), nodata=None)
-    with rasterio.open(path, "r+") as raster:
-        raster.scales = (2.0,)
-    np.testing.assert_array_equal(read_heights(path), [[np.nan, np.nan], [2.0, 4.0]])
 
 
 def test_holes_of_a_mask_inside_the_file(tmp_path: Path) -> None:
@@ -269,8 +265,7 @@ def test_a_block_of_any_size_is_not_decoded(tmp_path: Path) -> None:
 
 
 def test_a_large_raster_of_a_local_crs_is_refused(sparse: Path, tmp_path: Path) -> None:
-    local = tmp_path / "local.tif"
-    shutil.copyfile(sparse, local)
+    local = shutil.copyfile(sparse, tmp_path / "local.tif")
     with rasterio.open(local, "r+") as raster:
         raster.crs = rasterio.CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1]]')
     expect_errors((FormatError, "crs-unknown", lambda: read_heights(local, ([-81.0], [33.4], [500.0]))))

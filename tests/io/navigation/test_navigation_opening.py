@@ -27,7 +27,6 @@ import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.cli.info_command import describe_path
-from hyperpaint.io.collect.collect_toml import open_collect
 from hyperpaint.io.flightline.timing import Timing, line_times, utc_of
 from hyperpaint.io.navigation.control_points import read_control_points
 from hyperpaint.io.navigation.navigation_records import (
@@ -854,17 +853,14 @@ def test_what_does_not_exist_is_refused(collect: Path, declared: dict[str, str],
 
 
 def test_collect_declares_it(collect: Path) -> None:
-    meant = Convention.from_attrs(
-        open_collect(changed(collect, "^column_order = .*", 'column_order = "right_to_left"'))[
-            "flightlines/raw_0"
-        ].attrs
-    )
+    line = hp.open_collect(changed(collect, "^column_order = .*", 'column_order = "right_to_left"'))
+    meant = Convention.from_attrs(line["flightlines/raw_0"].attrs)
     assert meant == Convention(stamp_reference="mid", column_order="right_to_left")
 
 
 def test_mistakes_in_a_collect_are_told(collect: Path) -> None:
     with pytest.raises(CollectError) as caught:
-        open_collect(changed(collect, "^roll_positive = .*", 'roll_positive = "up"\nwander = 3'))
+        hp.open_collect(changed(collect, "^roll_positive = .*", 'roll_positive = "up"\nwander = 3'))
     assert "[navigation] roll_positive = 'up', expected one of right_wing_down" in str(caught.value)
     assert "wander" in str(caught.value)
 
