@@ -1361,4 +1361,4 @@ def test_east_and_north_come_in_the_unit_of_their_map(
     points = read_control_points(path)
     assert points.east.item() == points.north.item() == pytest.approx(east, rel=1e-11)
     assert points.height.item() == 50 * 0.3048
-    assert points.east.attrs["units"] == "m" == crs == "EPSG:32617" or unit == "UTM"
+    assert (points.east.attrs["units"] == "m") == (crs == "EPSG:32617" or unit == "UTM")
