@@ -189,11 +189,21 @@ def test_a_flag_on_many_pixels_is_said(collect: Path, tmp_path: Path) -> None:
 UNSEEN = {"lost frames, by the picture"}  # no promise: an edge of a field across the track looks the same
 
 
+@pytest.fixture(scope="module")
+def right(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    # One collect for all faults; the campaign draws one for each
+    folder = tmp_path_factory.mktemp("right") / "c"
+    simulate_collect(
+        folder, scene="plan", truth=False, seed=17, lines=160, bands=90, columns=40, irradiance_noise=0.002
+    )
+    return folder
+
+
 @pytest.mark.parametrize("number", range(len(FAULTS)))
-def test_every_fault_is_named(number: int, tmp_path: Path) -> None:
+def test_every_fault_is_named(number: int, right: Path, tmp_path: Path) -> None:
     fault, strength = list(FAULTS)[number], number % 3
     texts = wrong_collects.said_of(
-        wrong_collect(tmp_path / "c", fault, strength, seed=17), whole=fault == "flagged pixels"
+        wrong_collect(tmp_path / "c", fault, strength, 17, right), whole=fault == "flagged pixels"
     )
     assert wrong_collects.is_named(fault, texts) or fault in UNSEEN, texts
 
