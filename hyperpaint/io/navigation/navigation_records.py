@@ -1124,11 +1124,11 @@ def _time_column(
     if len(problems) > problem_count:
         return stamp, has_time, clock
     has_time = has_time & ~np.isnan(seconds)
-    if (seconds < 0.0).any():
-        problems.add(
-            f"column {column.shown!r} is negative in {name_rows(table.rows[seconds < 0.0])}",
-            code="value-out-of-range",
-        )
+    problems.add_if(
+        (seconds < 0.0).any(),
+        f"column {column.shown!r} is negative in {name_rows(table.rows[seconds < 0.0])}",
+        code="value-out-of-range",
+    )
     stamp = nanoseconds(np.where(has_time & (seconds >= 0.0), seconds, 0.0))
     if clock == "gps" and has_time.any() and (seconds[has_time] <= _WEEKS_S).all():
         clock = "week"
