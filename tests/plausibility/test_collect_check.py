@@ -148,10 +148,8 @@ def test_a_cube_that_lost_its_first_frame_or_its_name_is_only_said(collect: Path
 @pytest.mark.parametrize(("lost", "alarm"), [(("roll", "pitch", "heading"), False), (("latitude",), True)])
 def test_angles_that_nothing_measured_are_no_gap(lost: tuple[str, ...], alarm: bool, collect: Path) -> None:
     line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
-    assert (
-        bool([*judge_navigation("raw_0", line.assign_coords({key: line[key] * np.nan for key in lost}))])
-        is alarm
-    )
+    without = line.assign_coords({key: line[key] * np.nan for key in lost})
+    assert bool([*judge_navigation("raw_0", without)]) is alarm
 
 
 def test_a_name_of_no_finding_is_refused(collect: Path, tmp_path: Path) -> None:
@@ -169,10 +167,8 @@ def test_every_finding_is_listed() -> None:
 def test_what_was_accepted_stands_in_the_store(collect: Path, tmp_path: Path) -> None:
     _change(collect.parent / "dark/raw_0", np.zeros_like)
     process(collect, tmp_path / "lot.zarr", reflectance="none", accept=["dark-of-zeros"])
-    assert (
-        "100 % of the dark"
-        in open_store(tmp_path / "lot.zarr", "flightlines/raw_0").attrs["accepted_findings"][0]
-    )
+    line = open_store(tmp_path / "lot.zarr", "flightlines/raw_0")
+    assert "100 % of the dark" in line.attrs["accepted_findings"][0]
 
 
 def test_a_flag_on_many_pixels_is_said(collect: Path, tmp_path: Path) -> None:

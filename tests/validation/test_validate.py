@@ -343,16 +343,9 @@ def test_the_limit_is_a_share_of_the_level_and_a_floor(level: float) -> None:
 
 
 def test_every_row_says_whether_it_passes() -> None:
-    rows = [
-        line
-        for line in hp.validate(
-            library([smooth(NM), 1.2 * smooth(NM)], ("hood", "roof")),
-            library([smooth(NM)] * 2, ("hood", "roof")),
-        )
-        .table()
-        .splitlines()
-        if "/" in line
-    ]
+    paints = library([smooth(NM), 1.2 * smooth(NM)], ("hood", "roof"))
+    table = hp.validate(paints, library([smooth(NM)] * 2, ("hood", "roof"))).table()
+    rows = [line for line in table.splitlines() if "/" in line]
     assert [row.split()[-1] for row in rows if row.startswith("hood")] == ["pass"] * 3
     assert [row.split()[-1] for row in rows if row.startswith("roof")] == ["FAIL"] * 3
 

@@ -738,14 +738,9 @@ def test_a_line_of_aviris(shared_data: Path) -> None:
     smooth = np.ones(51) / 51
     turn = np.convolve(np.gradient(np.unwrap(flight.heading.values, period=360.0), time), smooth, "valid")
     slope = np.polyfit(np.convolve(flight["roll"].values, smooth, "valid"), turn, 1)[0]
-    assert slope == pytest.approx(
-        9.8
-        / np.hypot(
-            np.gradient(flight.latitude.values, time) * 110.9e3,
-            np.gradient(flight.longitude.values, time) * 111.3e3 * np.cos(np.radians(flight.latitude.values)),
-        ).mean(),
-        rel=0.1,
-    )
+    north = np.gradient(flight.latitude.values, time) * 110.9e3
+    east = np.gradient(flight.longitude.values, time) * 111.3e3 * np.cos(np.radians(flight.latitude.values))
+    assert slope == pytest.approx(9.8 / np.hypot(north, east).mean(), rel=0.1)
 
 
 @pytest.mark.real_data
