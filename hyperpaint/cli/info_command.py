@@ -95,7 +95,7 @@ def _envi(path: Path) -> Facts:
 
     from hyperpaint.io.envi.envi_cubes import MAX_LIBRARY_HEADER_BYTES, find_pair, open_envi, read_header
     from hyperpaint.io.flightline.headwall import exposure_seconds
-    from hyperpaint.io.navigation.navigation_formats import is_eph_att
+    from hyperpaint.io.navigation.navigation_records import is_eph_att
 
     header_path, data = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
@@ -295,7 +295,7 @@ def _navigation(path: Path) -> Facts:
 
 def _is_pose_table(path: Path) -> bool:
 
-    from hyperpaint.io.navigation.navigation_formats import is_navigation_csv, is_nmea
+    from hyperpaint.io.navigation.navigation_records import is_navigation_csv, is_nmea
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True

@@ -396,7 +396,8 @@ def read_uvspec(
     FormatError
         Lines have another form (``output_user``, another solver): such files are refused.
     SchemaError
-        The sun is not above the horizon, or ``units`` are not units of spectral irradiance.
+        The sun is not above the horizon, ``directions`` is not a whole number from 0 on, or ``units`` are not
+        units of spectral irradiance.
 
     Examples
     --------
@@ -410,6 +411,12 @@ def read_uvspec(
     (array([1.  , 0.84]), array([0.18, 0.04]))
     """
     cosine, factor = _cosine(sun_zenith), conversion_factor(units, _IRRADIANCE)
+    SchemaError.raise_if(
+        isinstance(directions, bool) or not isinstance(directions, int | np.integer) or directions < 0,
+        f"directions is {directions!r}",
+        expected="a whole number from 0 on",
+        code="value-out-of-range",
+    )
     lines = [line for line in sky_lines(path) if line.strip() and not line.startswith("#")]
     rows = [numbers(line.split()) or [] for line in lines]
     step = 1 if directions == 0 else 2 + directions

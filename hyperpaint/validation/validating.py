@@ -707,13 +707,13 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
     datasets = [references] if hasattr(references, "data_vars") else references
     if isinstance(datasets, Mapping):
         datasets = list(datasets.values())
-    if not isinstance(datasets, Iterable) or isinstance(datasets, str):
-        raise SchemaError(
-            f"references are {type(references).__name__}",
-            expected="a Dataset, or several",
-            mend="see open_svc",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not isinstance(datasets, Iterable) or isinstance(datasets, str),
+        f"references are {type(references).__name__}",
+        expected="a Dataset, or several",
+        mend="see open_svc",
+        code="type-wrong",
+    )
     problems = Problems("references cannot be used", SchemaError)
     spectra: list[Measured] = []
     for number, dataset in enumerate(datasets, 1):
@@ -999,14 +999,14 @@ class _Channels:
 def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
     # A single wrong width would determine the step of all responses
     spacing = float(np.median(np.diff(wavelength))) if wavelength.size > 1 else np.inf
-    if not ((fwhm >= _MIN_WIDTH_NM) & (fwhm <= _MAX_WIDTH_SPACINGS * spacing)).all():
-        raise SchemaError(
-            f"'fwhm' is {np.min(fwhm):g} to {np.max(fwhm):g} nm",
-            expected=f"{_MIN_WIDTH_NM:g} to {_MAX_WIDTH_SPACINGS * spacing:g} nm, {_MAX_WIDTH_SPACINGS:g} "
-            "distances of channels",
-            mend="correct it, or pass reference_fwhm=",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        not ((fwhm >= _MIN_WIDTH_NM) & (fwhm <= _MAX_WIDTH_SPACINGS * spacing)).all(),
+        f"'fwhm' is {np.min(fwhm):g} to {np.max(fwhm):g} nm",
+        expected=f"{_MIN_WIDTH_NM:g} to {_MAX_WIDTH_SPACINGS * spacing:g} nm, {_MAX_WIDTH_SPACINGS:g} "
+        "distances of channels",
+        mend="correct it, or pass reference_fwhm=",
+        code="value-out-of-range",
+    )
 
 
 # --- statistics of agreement, and resampling of both spectra onto common bands ----------------------------
@@ -1231,12 +1231,12 @@ def paired(
             unpaired.append(signature.name + (f" (no reference {requested!r})" if is_missing else ""))
             missing += unpaired[-1:] if is_missing else []
             continue
-        if counts[signature.name] > 1 and (names_of_paint is not None or not requested):
-            problems.add(
-                f"{counts[signature.name]} paints have the name {signature.name!r}",
-                mend="give each paint a unique name",
-                code="paint-duplicate",
-            )
+        problems.add_if(
+            counts[signature.name] > 1 and (names_of_paint is not None or not requested),
+            f"{counts[signature.name]} paints have the name {signature.name!r}",
+            mend="give each paint a unique name",
+            code="paint-duplicate",
+        )
         paired_references.update(matching)
         for instrument in dict.fromkeys(references[k].instrument for k in matching):
             group = tuple(references[k] for k in matching if references[k].instrument == instrument)
@@ -1293,12 +1293,12 @@ def _references_of_name(name: str, references: Sequence[Measured], problems: Pro
 def _named_pairs(
     signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any
 ) -> dict[str, tuple[str, ...]]:
-    if not isinstance(pairs, Mapping):
-        raise SchemaError(
-            f"pairs is {type(pairs).__name__}",
-            expected="a mapping from names of paints to names of references",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not isinstance(pairs, Mapping),
+        f"pairs is {type(pairs).__name__}",
+        expected="a mapping from names of paints to names of references",
+        code="type-wrong",
+    )
     problems = Problems("pairs= cannot be used", SchemaError)
     paints = {signature.name for signature in signatures}
     known_names = frozenset[str]().union(
@@ -1331,18 +1331,6 @@ def _listed(names: Sequence[str]) -> str:
     text = ", ".join(map(repr, names[:_MAX_LISTED_NAMES])) or "none"
     more = len(names) - _MAX_LISTED_NAMES
     return f"{text} and {more} more" if more > 0 else text
-
-
-def between_references(pairs: Sequence[Pair]) -> list[Pair]:
-    # Return pairs of references of one paint, measured by two instruments
-    pairs_of_paint: dict[int, list[Pair]] = {}
-    for pair in pairs:
-        pairs_of_paint.setdefault(id(pair.signature), []).append(pair)
-    return [
-        Pair(_mean_reference(first), second.references, between=True)
-        for same_paint in pairs_of_paint.values()
-        for first, second in itertools.combinations(same_paint, 2)
-    ]
 
 
 def _mean_reference(pair: Pair) -> Measured:
@@ -1743,7 +1731,12 @@ def validate(
         signatures_from(signatures), reference_spectra, pairs
     )
     compared = [compare(pair, seed) for pair in matched]
-    between = [compare(pair, seed) for pair in between_references(matched)]
+    # references of one paint, measured by two instruments, against one another
+    between = [
+        compare(Pair(_mean_reference(first), second.references, between=True), seed)
+        for _, same_paint in itertools.groupby(matched, key=lambda pair: id(pair.signature))
+        for first, second in itertools.combinations(same_paint, 2)
+    ]
     between = [comparison for comparison in between if comparison.used.any()]
     problems = Problems("pairs have no band in common", SchemaError)
     problems.extend(
@@ -1756,7 +1749,16 @@ def validate(
         if not comparison.used.any()
     )
     problems.raise_if_any()
-    scatters = [_scatter(comparison, limits) for comparison in compared]
+    # a text where repeated readings scatter by more than the tolerance of their mean
+    scatters: list[list[str]] = []
+    for comparison in compared:
+        level = np.asarray(comparison.reference[comparison.used].mean())
+        limit = float(np.fmin(_rmse_limit(limits, level), limits.get("mae", np.nan)))
+        text = (
+            f"readings of the reference scatter by {comparison.scatter:.2g}, more than the tolerance of "
+            f"{limit:.2g}; check whether they show one paint"
+        )
+        scatters.append([text] if comparison.scatter > limit else [])
     messages = [message for comparison in compared for message in comparison.warnings()]
     messages += [
         ("reference-scatter", f"{comparison.pair.signature.name}: {text}")
@@ -1847,23 +1849,18 @@ def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
     return np.where(np.isfinite(limit), limit, np.nan)
 
 
-def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
-    # A text if repeated readings scatter by more than the tolerance of their mean
-    level = np.asarray(compared.reference[compared.used].mean())
-    limit = float(np.fmin(_rmse_limit(limits, level), limits.get("mae", np.nan)))
-    text = f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of "
-    text += f"{limit:.2g}; check whether they show one paint"
-    return [text] if compared.scatter > limit else []
-
-
 def _limits(tolerance: Any) -> dict[str, float]:
     limits = {"rmse": tolerance} if tolerance is not None else TOLERANCE
     limits = dict(tolerance) if isinstance(tolerance, Mapping) else dict(limits)
     problems = Problems("tolerance= cannot be used", SchemaError)
     for name, limit in limits.items():
         one_of(name, (RELATIVE, FLOOR, *STATISTICS), "statistic", problems=problems)
-        if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0:
-            problems.add(f"{name}: {limit!r}", expected="a number from 0 on", code="value-out-of-range")
+        problems.add_if(
+            isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0,
+            f"{name}: {limit!r}",
+            expected="a number from 0 on",
+            code="value-out-of-range",
+        )
     problems.add_if(
         not limits, "no limit", mend="pass at least one limit, such as rmse 0.02", code="argument-missing"
     )

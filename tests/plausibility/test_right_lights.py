@@ -1,10 +1,22 @@
 """Lights of which nothing is said, and orders of bands that are named, as plain arrays."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+import xarray as xr
 
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.plausibility.line_judging import CubeSample, judge_bands, judge_dark
+from hyperpaint.plausibility.line_judging import (
+    CubeSample,
+    judge_bands,
+    judge_dark,
+    judge_dark_frames,
+    judge_irradiance,
+    judge_navigation,
+    judge_range,
+)
+from hyperpaint.radiometry.planning import LightLevel
 
 FINE = np.arange(350.0, 1100.0, 0.5)
 DAYLIGHT = sum(ClearSky(45.0).irradiance(FINE))
@@ -55,10 +67,8 @@ def test_lights_that_are_not_smooth_over_bands_are_right(bands: int, seed: int) 
 @pytest.mark.parametrize("seed", range(3))
 def test_bands_in_any_order_are_named(seed: int) -> None:
     nm = np.linspace(400.0, 1000.0, 120)
-    assert (
-        "neighbouring bands"
-        in _said(np.random.default_rng(seed).permutation(900.0 * _seen(DAYLIGHT, nm)), nm)[0]
-    )
+    mixed = np.random.default_rng(seed).permutation(900.0 * _seen(DAYLIGHT, nm))
+    assert "neighbouring bands" in _said(mixed, nm)[0]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -131,3 +141,66 @@ def test_rounded_darks_are_right_and_those_of_another_exposure_are_not() -> None
         assert _said_darks(dark, 60.0 + factor * (dark - 60.0) + light, noise) == ["dark-pattern"] * named, (
             factor
         )
+
+
+# --- thresholds: right just inside, named just outside -----------------------------------------------------
+
+
+def _flown(steps: np.ndarray, roll: np.ndarray) -> xr.Dataset:
+    # Return the coordinates of lines that move north by steps [degree]
+    count = steps.size
+    pose = {"latitude": np.cumsum(steps) + 43.0, "longitude": np.full(count, -77.0), "roll": roll}
+    time = np.datetime64("2024-06-01T12", "ns") + np.arange(count) * np.timedelta64(1, "s")
+    return xr.Dataset(coords={"time": ("line", time), **{key: ("line", v) for key, v in pose.items()}})
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.14, False), (0.3, True)])
+def test_shares_of_lines_without_movement_or_angle(share: float, named: bool) -> None:
+    is_part = np.arange(200) < 200 * share
+    still = _flown(np.where(np.arange(200) < 250 * share, 0.0, 1e-5), np.zeros(200))
+    lost = _flown(np.full(200, 1e-5), np.where(is_part, np.nan, 0.0))
+    kinds = [[f.kind.name for f in judge_navigation("line", line)] for line in (still, lost)]
+    assert kinds == [["navigation-still"] * named, ["navigation-gaps"] * named]
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.011, True), (0.02, False), (2.6, False), (5.0, True)])
+def test_irradiance_over_that_of_a_clear_sky(share: float, named: bool, monkeypatch: Any) -> None:
+    level = LightLevel(share, 40.0, 1.0)
+    monkeypatch.setattr("hyperpaint.plausibility.line_judging.light_level", lambda *_: level)
+    time = np.array(["2024-06-01T12", "2024-06-01T13"], "datetime64[ns]")
+    line = xr.Dataset(
+        {"irradiance": (("irradiance_time", "irradiance_wavelength"), [[1.0, 2.0], [3.0, 4.0]])},
+        {"irradiance_time": time, "irradiance_wavelength": [500.0, 600.0], "time": ("line", time)},
+    )
+    assert [f.kind.name for f in judge_irradiance("line", line)] == ["irradiance-level"] * named
+
+
+@pytest.mark.parametrize(("share", "name"), [(1.4e-3, "stray-counts"), (3e-3, "counts-over-range")])
+def test_share_of_elements_over_the_range(share: float, name: str) -> None:
+    maximum = np.where(np.arange(10_000) < 10_000 * share, 5000.0, 100.0)
+    sample = CubeSample(1, maximum, maximum, 1)
+    assert [f.kind.name for f in judge_range("line", sample, 12, 4095.0)] == [name]
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.035, False), (0.075, True)])
+def test_share_of_zeros_in_a_dark(share: float, named: bool) -> None:
+    dark = np.full((40, 50), 60.0)
+    dark.flat[: round(2000 * share)] = 0.0
+    assert _said_darks(dark, dark + _daylight(800.0)[:40, :1]) == ["dark-of-zeros"] * named
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.075, False), (0.15, True)])
+def test_share_of_bands_in_which_a_dark_exceeds_the_scene(share: float, named: bool) -> None:
+    dark = np.full((40, 50), 60.0)
+    scene = dark + np.where(np.arange(40) < 40 * share, -20.0, 20.0)[:, None]
+    assert _said_darks(dark, scene) == ["dark-over-scene"] * named
+    # a drift of 15 % of the dark is right, one of 30 % is not
+    assert _said_darks(dark, 0.85 * dark) == []
+    assert _said_darks(dark, 0.7 * dark) == ["dark-over-scene"]
+
+
+@pytest.mark.parametrize(("change", "named"), [(0.18, False), (0.35, True)])
+def test_change_of_the_median_of_dark_frames(change: float, named: bool) -> None:
+    level = np.where(np.arange(20) == 7, 100.0 * (1.0 + change), 100.0)
+    counts = xr.DataArray(np.broadcast_to(level[:, None, None], (20, 9, 5)), dims=("line", "band", "column"))
+    assert [f.kind.name for f in judge_dark_frames("dark", counts)] == ["dark-unsteady"] * named

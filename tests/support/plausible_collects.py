@@ -418,12 +418,15 @@ FAULTS: dict[str, tuple[Callable[[Path, int], None], tuple[str, ...]]] = {
 }  # fmt: skip
 
 
-def wrong_collect(folder: Path, fault: str, strength: int, seed: int) -> Path:
-    # Simulate a collect with one fault
-    rng = np.random.default_rng([seed, list(FAULTS).index(fault), strength])
-    size = {"lines": int(rng.integers(140, 220)), "bands": int(rng.integers(60, 140))}
-    path = simulate_collect(
-        folder, **_size(rng, **size, columns=int(rng.integers(24, 64)), irradiance_noise=0.002)
-    )
+def wrong_collect(folder: Path, fault: str, strength: int, seed: int, right: Path | None = None) -> Path:
+    # Simulate a collect with one fault, or put the fault into a copy of the right collect in a folder
+    if right is None:
+        rng = np.random.default_rng([seed, list(FAULTS).index(fault), strength])
+        size = {"lines": int(rng.integers(140, 220)), "bands": int(rng.integers(60, 140))}
+        path = simulate_collect(
+            folder, **_size(rng, **size, columns=int(rng.integers(24, 64)), irradiance_noise=0.002)
+        )
+    else:
+        path = Path(shutil.copytree(right, folder), "collect.toml")
     FAULTS[fault][0](folder, strength)
     return path

@@ -12,7 +12,7 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
-from support.refusals import expect_errors, expect_refusals
+from support.refusals import expect_errors, expect_refusals, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
@@ -261,8 +261,7 @@ def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
     assert pairs == [("hood", "svc/red_01.sig"), ("roof", "roof.asd.txt")]
     assert found.unpaired_signatures == ("door (no reference 'nowhere')", "bonnet")
     assert found.unpaired_references == ("hood (ASD)", "other (ASD)")
-    for text in ("without a reference: door", "references without a paint: hood"):
-        assert text in found.table()
+    expect_words(found.table(), "without a reference: door", "references without a paint: hood")
 
 
 def test_pairs_that_are_said() -> None:
@@ -344,16 +343,9 @@ def test_the_limit_is_a_share_of_the_level_and_a_floor(level: float) -> None:
 
 
 def test_every_row_says_whether_it_passes() -> None:
-    rows = [
-        line
-        for line in hp.validate(
-            library([smooth(NM), 1.2 * smooth(NM)], ("hood", "roof")),
-            library([smooth(NM)] * 2, ("hood", "roof")),
-        )
-        .table()
-        .splitlines()
-        if "/" in line
-    ]
+    paints = library([smooth(NM), 1.2 * smooth(NM)], ("hood", "roof"))
+    table = hp.validate(paints, library([smooth(NM)] * 2, ("hood", "roof"))).table()
+    rows = [line for line in table.splitlines() if "/" in line]
     assert [row.split()[-1] for row in rows if row.startswith("hood")] == ["pass"] * 3
     assert [row.split()[-1] for row in rows if row.startswith("roof")] == ["FAIL"] * 3
 
@@ -470,8 +462,7 @@ def test_texts_are_only_texts() -> None:
     assert max(map(len, found.table().splitlines()[:4])) < 250
     assert repr(found).startswith("<Validation>")
     page = found._repr_html_()
-    assert "<b>" not in page
-    assert "<i>" not in page
+    expect_words(page, without=("<b>", "<i>"))
     html.parser.HTMLParser().feed(page)
 
 

@@ -117,20 +117,9 @@ def test_a_white_reference_seen_as_a_target_is_white(shared_data: Path) -> None:
         shared_data / "svc_sig" / "ACPL_D2_P1_T_1_WR_000.sig", dayfirst=False, utc_offset_h=-5.0
     )
     bands = np.arange(420.0, 900.0, 5.0)
-    assert (
-        abs(
-            value_of(
-                hp.validate(
-                    library(np.ones(bands.size), ("panel",), nm=bands),
-                    white,
-                    {"panel": "ACPL_D2_P1_T_1_WR_000"},
-                ),
-                "scale",
-            )
-            - 1.0
-        )
-        < 0.005
-    )
+    paint = library(np.ones(bands.size), ("panel",), nm=bands)
+    found = hp.validate(paint, white, {"panel": "ACPL_D2_P1_T_1_WR_000"})
+    assert abs(value_of(found, "scale") - 1.0) < 0.005
     panel = hp.io.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
     scaled = hp.validate(
         library(np.ones(bands.size), ("panel",), nm=bands), white, {"panel": "ACPL_D2_P1_T_1_WR_000"},

@@ -307,12 +307,12 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
         return f"{nm.size} wavelengths from {nm[0]:g} to {nm[-1]:g} nm"
 
     for path, library in opened:
-        if not np.array_equal(library["wavelength"].values, first["wavelength"].values):
-            problems.add(
-                f"{path.name} has {grid(library)}",
-                expected=f"{grid(first)} as in {first_path.name}",
-                code="grid-mismatch",
-            )
+        problems.add_if(
+            not np.array_equal(library["wavelength"].values, first["wavelength"].values),
+            f"{path.name} has {grid(library)}",
+            expected=f"{grid(first)} as in {first_path.name}",
+            code="grid-mismatch",
+        )
         plain_dims = ((SIGNATURE, BAND), (SIGNATURE,))
         if variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims):
             problems.add(

@@ -515,13 +515,13 @@ def metadata_text(library: xr.Dataset, spectra: Sequence[str]) -> str:
         rows = ",\n".join(f"    {_json(name)}: {_json(entry)}" for name, entry in variables.items())
         lines.append(f"  {_json(part)}: {{\n{rows}\n  }}")
     text = "{\n" + ",\n".join(lines) + "\n}\n"
-    if len(text.encode()) > MAX_METADATA_BYTES:
-        raise SchemaError(
-            f"the metadata of the library take {len(text.encode())} bytes",
-            expected=f"at most {MAX_METADATA_BYTES}",
-            mend="drop variables, write fewer paints, or write Zarr",
-            code="file-too-large",
-        )
+    SchemaError.raise_if(
+        len(text.encode()) > MAX_METADATA_BYTES,
+        f"the metadata of the library take {len(text.encode())} bytes",
+        expected=f"at most {MAX_METADATA_BYTES}",
+        mend="drop variables, write fewer paints, or write Zarr",
+        code="file-too-large",
+    )
     return text
 
 
@@ -585,8 +585,7 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> xr.Dataset:
         if not len(problems):
             about = xr.Dataset.from_dict(document).assign_attrs(dict(document["attrs"]))
             sizes = {dim: size for dim, size in sizes.items() if about.sizes.get(dim, size) != size}
-            if sizes:
-                problems.add(f"sizes {dict(about.sizes)}", expected=str(sizes), code="metadata-damaged")
+            problems.add_if(sizes, f"sizes {dict(about.sizes)}", expected=str(sizes), code="metadata-damaged")
     except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
         problems.add(
             f"not readable as JSON of a library ({error!s:.100})",
@@ -1589,13 +1588,13 @@ def _csv_rows(path: Path) -> Iterator[list[str]]:
 def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
     # Rows without the unnamed index column of pandas
     for number_of_row, row in enumerate(rows):
-        if row[0] != str(number_of_row):
-            raise FormatError(
-                f"{source}: the first column has no name and holds {row[0][:30]!r}",
-                expected=f"{SIGNATURE} as the first column, or the row numbers of pandas before it",
-                mend="write it with to_csv(index=False)",
-                code="column-name-missing",
-            )
+        FormatError.raise_if(
+            row[0] != str(number_of_row),
+            f"{source}: the first column has no name and holds {row[0][:30]!r}",
+            expected=f"{SIGNATURE} as the first column, or the row numbers of pandas before it",
+            mend="write it with to_csv(index=False)",
+            code="column-name-missing",
+        )
         yield row[1:]
 
 

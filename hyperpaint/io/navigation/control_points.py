@@ -101,24 +101,24 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     comments = [line for _, line in rows if line.lstrip().startswith("#")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
-    if len(rows) < 2 or len(rows) > _MAX_ROWS:
-        raise FormatError(
-            f"{path}: {max(len(rows) - 1, 0)} points",
-            expected=f"a header and 1 to {_MAX_ROWS}",
-            code="table-missing",
-        )
+    FormatError.raise_if(
+        len(rows) < 2 or len(rows) > _MAX_ROWS,
+        f"{path}: {max(len(rows) - 1, 0)} points",
+        expected=f"a header and 1 to {_MAX_ROWS}",
+        code="table-missing",
+    )
     separator = next((separator for separator in ("\t", ";", ",") if separator in rows[0][1]), ",")
     cells = _cells(rows[0][1], separator)
     headings = [column_heading(cell) for cell in cells]
     header = [_ALIASES.get(name, "") for name, _ in headings]
     units = dict(zip(header, (unit for _, unit in headings), strict=True))
     for name in _NUMBERS:
-        if header.count(name) != 1:
-            problems.add(
-                f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}",
-                expected="one column",
-                code="column-missing",
-            )
+        problems.add_if(
+            header.count(name) != 1,
+            f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}",
+            expected="one column",
+            code="column-missing",
+        )
     for name, cell in zip(header, cells, strict=True):
         problems.add_if(
             name.endswith("_track") and _ONE_BASED.search(cell),
@@ -145,11 +145,11 @@ def read_control_points(path: str | Path) -> xr.Dataset:
         for name in _NUMBERS
     }
     for name, values in numbers.items():
-        if np.isnan(values).any():
-            problems.add(
-                f"column {name!r} is not finite in {name_rows(table.rows[np.isnan(values)])}",
-                code="not-finite",
-            )
+        problems.add_if(
+            np.isnan(values).any(),
+            f"column {name!r} is not finite in {name_rows(table.rows[np.isnan(values)])}",
+            code="not-finite",
+        )
     problems.raise_if_any()
     variable_names = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
     texts = {name: table.columns.get(name, [""] * len(table.rows)) for name in ("name", "flightline")}

@@ -22,14 +22,6 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.store import load_group
 from hyperpaint.io.store.reader import is_zarr
 
-from .navigation_formats import (
-    is_nmea,
-    read_eph_att,
-    read_lcf,
-    read_navigation_csv,
-    read_nmea,
-    read_sbet,
-)
 from .navigation_records import (
     ASSUMED,
     GPS_EPOCH,
@@ -39,9 +31,15 @@ from .navigation_records import (
     ClockCorrection,
     Navigation,
     PoseRecord,
+    is_nmea,
     midnight_of,
+    read_eph_att,
     read_gps_time,
     read_imu_gps,
+    read_lcf,
+    read_navigation_csv,
+    read_nmea,
+    read_sbet,
     refuse_backwards,
 )
 

@@ -1,25 +1,69 @@
-"""Clocks: GPS time, leap seconds, corrections, and a clock tied to UTC at knots.
+"""Navigation records of all formats (position, attitude, clocks of the camera), and conversion of clocks.
 
-Only corrections that the caller asks for are applied.
+GPS time, leap seconds, corrections, and a clock tied to UTC at knots: only corrections that the caller asks
+for are applied.
+
+Each reader returns a `PoseRecord`, which `navigation_opening` converts to UTC and labels. Of the
+files of Headwall, ``imu_gps.txt`` is read by its header names (three generations of the program), and
+``gps_time.txt`` ties the recording computer's clock to the receiver's.
+
+Applanix SBET: a smoothed best estimate of trajectory, post-processed by POSPac. The file consists of records
+of 17 little-endian float64, so that only its size and values show whether it is an SBET file. Stamps are
+seconds of a GPS week that the file does not contain (POSPac exports seconds of the UTC week on request:
+``time_scale="utc"``).
+
+Resonon ``.lcf``, the navigation of an airborne Pika, stored beside the cube: a table without a header, with
+columns separated by blanks or tabs: time [s of GPS time], roll, pitch, heading [rad], longitude, latitude
+[degree], altitude [m], and two unused ones. The vendor has published no description; the meaning of the
+columns follows public readers whose authors asked the maker (massipipe, mi3nts). Roll is positive with the
+right wing UP.
+
+AVIRIS-NG ``ang<date>t<time>_eph_att``: an ENVI file. Each of its lines is a row of the record, each band a
+column with the name in ``band names``.
+
+A table of text has a header of names and units, and comments with the conventions. NMEA 0183 sentences are
+found in a log among other text.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import reduce
+from operator import xor
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import FormatError, Problems, TimeError, warn_user
+from hyperpaint.base.errors import (
+    FormatError,
+    Problem,
+    Problems,
+    SchemaError,
+    TimeError,
+    UnitsError,
+    warn_user,
+)
 from hyperpaint.base.facts import one_of
-from hyperpaint.io.files.reading import number
-from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
+from hyperpaint.base.input_files import open_input
+from hyperpaint.base.units import conversion_factor
+from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
+from hyperpaint.io.files.reading import number, numbered_lines
+from hyperpaint.io.files.text_tables import (
+    MAX_TABLE_ROWS,
+    Table,
+    name_rows,
+    read_table,
+    read_text,
+    table_of,
+    to_integers,
+)
 from hyperpaint.io.flightline.headwall import FrameIndex, check_increasing, time_of_day
 
 #: GPS time minus UTC [s], valid from 0 h UTC of a day on (IERS ``leap-seconds.list``: TAI - UTC - 19 s).
@@ -223,7 +267,7 @@ def tie_clock(
     return Clock(stamp, utc, source, daily)
 
 
-# --- navigation records: position, attitude, and clocks of the camera --------------------------------------
+# --- poses -------------------------------------------------------------------------------------------------
 
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
@@ -539,3 +583,773 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
     utc = _dates(table, "receiver", np.zeros(len(rows), bool))
     utc = (correction or ClockCorrection()).apply(utc)
     return tie_clock(time_of_day(table, "computer")[0], utc, rows, path.name, daily=True)
+
+
+# --- tables of numbers: SBET, lcf, eph_att -----------------------------------------------------------------
+
+
+_MAX_TEXT_BYTES = 2**28
+_MAX_COLUMNS = _MAX_COMMENTS = 1000
+#: Largest time [s], counted from 1970 or 1980: end of the 22nd century.
+_MAX_TIME_S = 7e9
+_WEEKS_S = 2.0 * WEEK_S
+
+
+@dataclass(frozen=True)
+class Dialect:
+    # A format that is a table of numbers: its columns and their meaning.
+
+    name: str  # name of the format
+    content: str  # content of a file, for messages
+    columns: Mapping[str, str]  # name of the variable by the column of the file
+    convention: Convention  # conventions of the format
+    assumed: tuple[str, ...] = ()  # fields of the convention that are not published
+    row: str = "row"  # noun of a row, for messages
+    max_bytes: int = 2**32
+    max_seconds: float = _WEEKS_S  # seconds of the GPS week, or larger for seconds of GPS time
+    #: Meaning of columns that are returned besides the variables [radian].
+    others: Mapping[str, str] = field(default_factory=dict)
+
+
+_SBET_COLUMNS = (
+    *("time", "latitude", "longitude", "altitude", "x_velocity", "y_velocity", "z_velocity"),
+    *("roll", "pitch", "platform_heading", "wander_angle"),
+    *("x_acceleration", "y_acceleration", "z_acceleration", "x_rate", "y_rate", "z_rate"),
+)
+_SBET = Dialect(
+    "Applanix SBET",
+    "an SBET file of little-endian float64",
+    {name: name for name in ("time", "latitude", "longitude", "altitude", "roll", "pitch", "heading")},
+    Convention(angle_unit="radian"),
+    row="record",
+    others={
+        "platform_heading": "Heading from the north of the wander frame",
+        "wander_angle": "Platform heading less heading from true north",
+    },
+)
+_LCF = Dialect(
+    "Resonon lcf",
+    "a Resonon .lcf file",
+    {name: name for name in ("time", "roll", "pitch", "heading", "longitude", "latitude", "altitude")},
+    Convention(roll_positive="right_wing_up", angle_unit="radian"),
+    assumed=("euler_order",),
+    row="line",
+    max_bytes=_MAX_TEXT_BYTES,
+    max_seconds=_MAX_TIME_S,
+)
+_MAX_LCF_CELLS = 64
+_EPH_ATT = Dialect(
+    "AVIRIS-NG eph_att",
+    "navigation",
+    {
+        "gpstime": "time",
+        "lat": "latitude",
+        "lon": "longitude",
+        "alt": "altitude",
+        "pitch": "pitch",
+        "roll": "roll",
+        "heading": "heading",
+    },
+    Convention(),
+    assumed=("roll_positive", "pitch_positive", "euler_order", "height_reference"),
+)
+_EPH_ATT_START = re.compile(r"ang([0-9]{8})t([0-9]{6})", re.IGNORECASE)
+_MAX_START_DIFFERENCE_S = 3600
+
+
+def read_sbet(path: str | Path) -> PoseRecord:
+    """Read an SBET file.
+
+    The north of the wander frame rotates relative to true north as the aircraft travels: ``heading`` is the
+    platform heading minus the wander angle, both of which are also returned. (In the two records of PDAL's
+    sample, velocities are along the axes of the wander frame; with this sign they agree with the
+    displacement.)
+
+    Returns PoseRecord: Roll, pitch and heading [rad]: right wing down, nose up, clockwise from true north;
+        heights above the ellipsoid.
+    Raises FormatError: The file does not consist of records, or values are out of range; all are listed.
+    Raises TimeError: Time runs backwards.
+    """
+    path, layout = Path(path), np.dtype([(name, "<f8") for name in _SBET_COLUMNS])
+    with open_input(path, "an SBET file", _SBET.max_bytes) as file:
+        size = os.fstat(file.fileno()).st_size
+        count, extra_bytes = divmod(size, layout.itemsize)
+        FormatError.raise_if(
+            extra_bytes or not count,
+            f"{path}: {size} bytes",
+            expected=f"a multiple of {layout.itemsize}, the size of a record",
+            mend="copy the file again, or check its format",
+            code="file-truncated",
+        )
+        records = np.fromfile(file, layout, count)
+    FormatError.raise_if(
+        records.size != count, f"{path}: became shorter during reading", code="file-truncated"
+    )
+    names = (*_SBET.columns, *_SBET.others)  # heading is the difference of the others
+    columns = {name: records[name].astype(np.float64) for name in names if name != "heading"}
+    # values of damaged files may overflow; `check_poses` refuses the results
+    with np.errstate(invalid="ignore", over="ignore"):
+        columns |= {name: np.degrees(columns[name]) for name in ("latitude", "longitude")}
+        columns["heading"] = columns["platform_heading"] - columns["wander_angle"]
+    return _record_of(
+        path, _SBET, columns, Problems(f"{path} cannot be used as {_SBET.content}", FormatError)
+    )
+
+
+def read_lcf(path: str | Path) -> PoseRecord:
+    """Read a Resonon ``.lcf`` file.
+
+    Returns PoseRecord: Roll, pitch and heading [rad]: right wing UP, nose up, clockwise from true north;
+        heights above the ellipsoid. Stamps count from the beginning of GPS time, or of a GPS week if they are
+        below two weeks.
+    Raises FormatError: The file is not such a table, or cells are not numbers, positions and angles; all are
+        listed.
+    Raises TimeError: Time runs backwards.
+    """
+    path = Path(path)
+    text = read_text(path, _LCF.max_bytes, MAX_TABLE_ROWS)
+
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        for row, line in numbered_lines(text):
+            if line.strip():
+                yield row, line.replace(",", " ").split(None, _MAX_LCF_CELLS)
+
+    # the first row has as many cells as the others; only seven of them have a meaning
+    cell_count = min(len(next(rows(), (0, []))[1]), _MAX_LCF_CELLS)
+    table = table_of(path, [*_LCF.columns, *map(str, range(len(_LCF.columns), cell_count))], rows())
+    problems = Problems(f"{path} cannot be used as {_LCF.content}", FormatError)
+    limits = {"time": _LCF.max_seconds, **LIMITS}
+    columns = {name: limited_numbers(table, name, limits[name], problems) for name in _LCF.columns}
+    return _record_of(path, _LCF, columns, problems, table.rows)
+
+
+def is_eph_att(header: EnviHeader) -> bool:
+    """Return whether the bands of an ENVI file are the columns of a navigation record."""
+    return set(_EPH_ATT.columns) <= {name.lower() for name in header.band_names}
+
+
+def read_eph_att(path: str | Path) -> PoseRecord:
+    """Read navigation of AVIRIS-NG.
+
+    path: The header or the data file.
+    Returns PoseRecord: Angles [degree]. Their signs and the reference of the height are not published. In the
+        sample, heading rate = g tan(roll) / speed within 6 % if roll is positive with the right wing down and
+        heading clockwise. The height is assumed to be above the ellipsoid.
+    Raises FormatError: The file is not such a record, or values are out of range; all are listed.
+    Raises TimeError: Time runs backwards.
+    """
+    header_path, data_path = find_pair(path)
+    header = read_header(header_path)
+    stored_bytes = data_path.stat().st_size
+    expected_bytes = header.header_offset + header.lines * header.line_bytes
+    found_bytes = f"{data_path.name} has {stored_bytes} bytes"
+    names = ", ".join(header.band_names)[:120]
+    problems = Problems(f"{header_path} cannot be used as {_EPH_ATT.content}", FormatError)
+    for is_wrong, found, expected, mend, code in (
+        (not is_eph_att(header), f"band names are {names!r}", ", ".join(_EPH_ATT.columns), "",
+         "column-missing"),
+        (header.samples != 1, f"samples is {header.samples}", "1, as in navigation", "", "dims-wrong"),
+        (header.dtype.kind != "f", f"values are {header.dtype}", "float64 (data type 5)", "", "type-wrong"),
+        (stored_bytes != expected_bytes or stored_bytes > _EPH_ATT.max_bytes, found_bytes,
+         f"{expected_bytes}, as its header says", "copy it again", "file-size"),
+    ):  # fmt: skip
+        problems.extend([Problem(found, expected, mend, code=code)] if is_wrong else [])
+    problems.raise_if_any()
+    with open_input(data_path, "navigation") as file:
+        file.seek(header.header_offset)
+        stored = np.fromfile(file, header.dtype, header.lines * header.bands)
+    FormatError.raise_if(
+        stored.size != header.lines * header.bands,
+        f"{data_path}: became shorter during reading",
+        code="file-truncated",
+    )
+    # with one sample per line, the dims are lines and bands
+    is_band_sequential = header.interleave == "bsq"
+    bands = stored.reshape((header.bands, -1)) if is_band_sequential else stored.reshape(header.lines, -1).T
+    numbers = {name.lower(): number for number, name in enumerate(header.band_names)}
+    columns = {name: bands[numbers[name]].astype(np.float64) for name in _EPH_ATT.columns}
+    problems = Problems(f"{data_path} cannot be used as {_EPH_ATT.content}", FormatError)
+    return _record_of(data_path, _EPH_ATT, columns, problems)
+
+
+def _record_of(
+    path: Path,
+    dialect: Dialect,
+    columns: Mapping[str, NDArray[np.float64]],
+    problems: Problems,
+    rows: NDArray[np.int64] | None = None,
+) -> PoseRecord:
+    # Return the record of a file with the columns of a dialect, after checks of times and values. ``rows``:
+    # numbers of the rows in the file, by default from 1 on.
+    are_cells_read = not len(problems)  # else the same cells would be listed twice
+    values = {name: columns[column] for column, name in dialect.columns.items()}
+    seconds = values.pop("time")
+    rows = np.arange(1, seconds.size + 1) if rows is None else rows
+    is_in_week = seconds <= _WEEKS_S
+    # cells beyond the maximum are already listed by the reader of a text
+    is_invalid = ~(seconds >= 0.0) | (are_cells_read & (seconds > dialect.max_seconds))
+    if is_invalid.any():
+        problems.add(
+            f"time is {seconds[is_invalid][0]:g} s in {name_rows(rows[is_invalid], dialect.row)}",
+            expected=f"0 to {dialect.max_seconds:g} s",
+            mend=f"check the format of {path.name}",
+            code="value-out-of-range",
+        )
+    elif are_cells_read and 0 < is_in_week.sum() < is_in_week.size:
+        minority_rows = rows[is_in_week == (2 * is_in_week.sum() < is_in_week.size)]
+        problems.add(
+            f"time has another origin in {name_rows(minority_rows, dialect.row)} than in the other rows",
+            code="time-origin-conflict",
+        )
+    if are_cells_read:
+        check_poses(values, dialect.convention.angle_unit, problems, dialect.row, rows)
+    problems.raise_if_any()
+    is_week_time = bool(is_in_week.all())
+    stamp = unwrap_weeks(nanoseconds(seconds)) if is_week_time else nanoseconds(seconds) + GPS_EPOCH
+    refuse_backwards(path.name, stamp, rows, dialect.row)
+    return PoseRecord(
+        path.name,
+        dialect.name,
+        stamp,
+        "week" if is_week_time else "1970",
+        values,
+        dialect.convention,
+        assumed=dialect.assumed,
+        week=_week_of_name(path.name, int(stamp[0])) if dialect is _EPH_ATT else None,
+        others={
+            name: (columns[name], {"units": "radian", "long_name": meaning})
+            for name, meaning in dialect.others.items()
+        },
+    )
+
+
+def _week_of_name(name: str, first_stamp: int) -> int | None:
+    # Return the GPS week of the date and time in a file name of AVIRIS-NG if they agree with the first stamp.
+    match = _EPH_ATT_START.search(name)
+    if match is None:
+        return None
+    date, clock = match.groups()
+    start = instants([f"{date[:4]}-{date[4:6]}-{date[6:]}T{clock[:2]}:{clock[2:4]}:{clock[4:]}"])[0]
+    if np.isnat(start):
+        return None
+    offset_ns = int(start.astype(np.int64)) - GPS_EPOCH - first_stamp
+    week = round(offset_ns / (WEEK_S * NS_PER_S))
+    difference_ns = abs(offset_ns - week * WEEK_S * NS_PER_S)
+    is_plausible = difference_ns < _MAX_START_DIFFERENCE_S * NS_PER_S and date[:4] < "2199"
+    return week if week >= 0 and is_plausible else None
+
+
+# --- tables of text ---------------------------------------------------------------------------------------
+
+
+#: Name of the variable in a column, by the name in its heading.
+_ALIASES: Mapping[str, str] = {
+    **dict.fromkeys(("latitude", "lat"), "latitude"),
+    **dict.fromkeys(("longitude", "lon", "lng", "long"), "longitude"),
+    **dict.fromkeys(("altitude", "alt", "height", "ellipsoidal height", "elevation"), "altitude"),
+    "roll": "roll",
+    "pitch": "pitch",
+    **dict.fromkeys(("heading", "yaw", "true heading"), "heading"),
+}
+#: Origin of the times in a column, by its name; "" if stamps need a zone.
+_CLOCKS: Mapping[str, str] = {
+    **dict.fromkeys(("utc", "utc time", "time utc"), "utc"),
+    **dict.fromkeys(("time", "timestamp", "datetime", "date time"), ""),
+    **dict.fromkeys(("gps time", "gps seconds"), "gps"),
+    **dict.fromkeys(("time of week", "gps time of week", "gps seconds of week", "tow", "sow"), "week"),
+    **dict.fromkeys(("unix time", "posix time", "epoch time", "unix"), "unix"),
+}
+_UNIT_SUFFIXES = ("deg", "degree", "degrees", "rad", "radian", "radians", "m", "s", "ms", "us", "ns")
+_CELL = re.compile(r"(?P<name>[^\[(]*)(?:[\[(](?P<unit>[^\])]*)[\])])?")
+_STAMP = re.compile(
+    r"(\d{4})[-/](\d{2})[-/](\d{2})[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,9})\d*)?"
+    r"\s*(Z|UTC|[+-]\d{2}:?\d{2})?",
+    re.ASCII,
+)
+
+
+class _Column(NamedTuple):
+    # One column of the header.
+    key: str  # name in lower case, with blanks for underscores
+    shown: str  # heading, for messages
+    unit: str | None
+
+
+def is_navigation_csv(head: bytes) -> bool:
+    """Return whether the header of a file names position and attitude."""
+    lines = head.decode("latin-1").removeprefix("\xef\xbb\xbf").splitlines()
+    header = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
+    names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", header, maxsplit=_MAX_COLUMNS)}
+    return {"latitude", "longitude", "roll", "pitch"} <= names
+
+
+def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) -> PoseRecord:
+    r"""Read navigation from a table of text.
+
+    The header names ``latitude``, ``longitude``, ``altitude``, ``roll``, ``pitch``, ``heading`` (or ``lat``,
+    ``lon``, ``alt``, ``yaw`` ...) with units, ``roll [degree]``, ``roll (rad)`` or ``roll_deg``, and a time:
+    ``time`` or ``utc``, ISO 8601 stamps (in a column ``time`` with a zone); ``gps_time [s]`` from 1980-01-06,
+    ``time_of_week [s]`` or ``unix_time [s]``. Cells are separated by commas, semicolons or tabs; an empty
+    cell is NaN, and a row without a time is left out. Other columns are ignored. Comments ``# key: value``
+    before the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``,
+    ``leap_seconds`` and ``time_scale``.
+
+    names: Headings with units for a table without a header, in the order of its columns; columns to ignore
+        may have any other name. Cells of such a table may also be separated by blanks.
+    Returns PoseRecord: Angles in radian if all three columns are, else in degree.
+    Raises FormatError: Columns or units are missing, or cells do not fit the header; all are listed.
+    Raises TimeError: Time runs backwards.
+    """
+    path = Path(path)
+    comments, header, table = _table_and_comments(path, names)
+    problems = Problems(f"{path} cannot be used as navigation", FormatError)
+    convention, assumed, clock_settings = _declarations(comments, problems)
+    columns = _columns(header, problems)
+    problems.raise_if_any()
+    is_unit_declared = "angle_unit" not in assumed
+    is_radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in ANGLES]
+    unit: Literal["degree", "radian"] = "radian" if all(is_radian) else "degree"
+    problems.add_if(
+        is_unit_declared and convention.angle_unit != unit,
+        f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
+        mend="remove one of them",
+        code="units-conflict",
+    )
+    values: dict[str, NDArray[np.float64]] = {}
+    for name in POSE:
+        target_unit = unit if name in ANGLES else "m" if name == "altitude" else "degree"
+        numbers = limited_numbers(table, columns[name].shown, 1e6, problems, empty="nan")
+        if target_unit == "degree" and conversion_factor(str(columns[name].unit), "radian") == 1.0:
+            values[name] = np.degrees(numbers)  # exact, unlike conversion factors, which have twelve digits
+        else:
+            values[name] = numbers * conversion_factor(str(columns[name].unit), target_unit)
+    stamp, has_time, clock = _time_column(table, columns["time"], clock_settings, problems)
+    if not len(problems):  # else the same cells would be listed twice
+        check_poses(values, unit, problems, "row", np.arange(1, stamp.size + 1))
+    problems.raise_if_any()
+    FormatError.raise_if(not has_time.any(), f"{path}: no row with a time", code="time-missing")
+    timed_stamps = unwrap_weeks(stamp[has_time]) if clock == "week" else stamp[has_time]
+    refuse_backwards(path.name, timed_stamps, row="row")
+    rows_left_out = int((~has_time).sum())
+    return PoseRecord(
+        path.name,
+        "csv",
+        timed_stamps,
+        "week" if clock == "week" else "1970",
+        {name: value[has_time] for name, value in values.items()},
+        convention.replace(angle_unit=unit),
+        assumed=tuple(name for name in assumed if name != "angle_unit"),
+        time_scale=clock_settings.get("time_scale") or ("gps" if clock in ("gps", "week") else "utc"),
+        week=clock_settings.get("gps_week"),
+        leap_seconds=clock_settings.get("leap_seconds"),
+        attrs={"rows_without_time": rows_left_out} if rows_left_out else {},
+    )
+
+
+def _table_and_comments(
+    path: Path, names: Sequence[str] | None
+) -> tuple[dict[str, str], list[_Column], Table]:
+    # Return comments, header and cells of a file.
+    text = read_text(path, _MAX_TEXT_BYTES, MAX_TABLE_ROWS)
+    comments: dict[str, str] = {}
+    start, head = 0, ""
+    for start, line in numbered_lines(text):  # noqa: B007
+        if line.strip() and not line.lstrip().startswith("#"):
+            head = line
+            break
+        key, _, value = line.lstrip("# \t").partition(":")
+        if line.strip() and len(comments) < _MAX_COMMENTS:
+            comments[_plain_words(key).replace(" ", "_")] = value.strip()
+    separator = next(
+        (character for character in ("\t", ";", ",") if character in head), "," if names is None else None
+    )
+    cells = head.split(separator, _MAX_COLUMNS) if names is None else list(names)
+    header = [_column(cell) for cell in cells]
+    if len(cells) > _MAX_COLUMNS or not any(column.key in _ALIASES for column in header):
+        shown_header = head.strip()[:80] if names is None else ", ".join(cells)[:80]
+        raise FormatError(
+            f"{path}: the header is {shown_header!r}",
+            expected=f"names of {', '.join(POSE)} and a time",
+            mend="pass columns= for a table without a header",
+            code="header-missing",
+        )
+    first = start + (names is None)
+    rows = (
+        (
+            number,
+            line.strip().split(separator, len(header))
+            if separator is None
+            else line.split(separator, len(header)),
+        )
+        for number, line in numbered_lines(text)
+        if number >= first and line.strip() and not line.lstrip().startswith("#")
+    )
+    return comments, header, table_of(path, [column.shown for column in header], rows)
+
+
+def _plain_words(text: str) -> str:
+    return " ".join(text.strip().strip('"').lower().replace("_", " ").split())
+
+
+def _column(cell: str) -> _Column:
+    heading = cell.strip().strip('"')[:60]
+    match = _CELL.match(heading)
+    name, unit = (match["name"], match["unit"]) if match else (heading, None)
+    key = _plain_words(name)
+    if unit is None and key not in _ALIASES and key not in _CLOCKS:
+        stem, _, unit_suffix = key.rpartition(" ")
+        if unit_suffix in _UNIT_SUFFIXES and (stem in _ALIASES or stem in _CLOCKS):
+            return _Column(stem, heading, unit_suffix)
+    return _Column(key, heading, unit.strip() if unit is not None else None)
+
+
+def _declarations(
+    comments: Mapping[str, str], problems: Problems
+) -> tuple[Convention, list[str], dict[str, Any]]:
+    # Return the convention and the clock settings in the comments, and the fields assumed without a comment.
+    names = {field.name for field in fields(Convention)}
+    declared: dict[str, Any] = {}
+    for key, value in comments.items():
+        name = key.removeprefix("convention_")
+        if name in ("declination", "geoid_undulation"):
+            try:
+                declared[name] = float(value)
+            except ValueError:
+                problems.add(
+                    f"comment {key!r} is {value[:40]!r}", expected="a number", code="number-unreadable"
+                )
+        elif name in names:
+            declared[name] = value
+    clock_settings: dict[str, Any] = {}
+    for name, maximum in (("gps_week", 11_479), ("leap_seconds", 100)):
+        text = comments.get(name)
+        if text is None:
+            continue
+        if re.fullmatch(r"[0-9]{1,5}", text) and int(text) <= maximum:
+            clock_settings[name] = int(text)
+        else:
+            problems.add(
+                f"comment {name!r} is {text[:40]!r}",
+                expected=f"a whole number up to {maximum}",
+                code="value-out-of-range",
+            )
+    if "time_scale" in comments:
+        time_scale = comments["time_scale"].lower()
+        if one_of(time_scale, ("gps", "utc"), "time_scale", problems=problems):
+            clock_settings["time_scale"] = time_scale
+    convention = Convention()
+    try:
+        convention = Convention(**declared)
+    except SchemaError as error:
+        problems.add_error("", error)
+    optional_fields = ("stamp_reference", "column_order", "declination", "geoid_undulation", "grid_crs")
+    assumed = [f.name for f in fields(Convention) if f.name not in declared and f.name not in optional_fields]
+    return convention, assumed, clock_settings
+
+
+def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
+    columns_by_name: dict[str, list[_Column]] = {}
+    for column in header:
+        name = _ALIASES.get(column.key) or ("time" if column.key in _CLOCKS else None)
+        if name:
+            columns_by_name.setdefault(name, []).append(column)
+    for name in (*POSE, "time"):
+        if name not in columns_by_name:
+            names = _CLOCKS if name == "time" else [key for key, value in _ALIASES.items() if value == name]
+            problems.add(
+                f"no column of {name}",
+                expected=f"one named {' or '.join(map(repr, list(names)[:4]))}",
+                code="column-missing",
+            )
+        elif len(columns_by_name[name]) > 1:
+            headings = ", ".join(repr(column.shown) for column in columns_by_name[name])
+            problems.add(f"{headings} all mean {name}", mend="keep one of them", code="column-duplicate")
+        elif name != "time" and columns_by_name[name][0].unit is None:
+            heading, unit = columns_by_name[name][0].shown, "m" if name == "altitude" else "degree"
+            problems.add(
+                f"column {heading!r} has no unit",
+                mend=f"name it for example '{heading} [{unit}]'",
+                code="units-missing",
+            )
+        elif name != "time":
+            try:
+                conversion_factor(str(columns_by_name[name][0].unit), "m" if name == "altitude" else "degree")
+            except UnitsError as error:
+                problems.add_error(f"column {columns_by_name[name][0].shown!r}", error)
+    return {name: columns[0] for name, columns in columns_by_name.items()}
+
+
+def _time_column(
+    table: Table, column: _Column, clock_settings: Mapping[str, Any], problems: Problems
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
+    # Return stamps [ns], whether each row has one, and their origin as in `_CLOCKS`.
+    clock = _CLOCKS[column.key]
+    cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
+    has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
+    stamp = np.zeros(len(cells), np.int64)
+    first_stamp = next((cell for cell, has_stamp in zip(cells, has_time, strict=True) if has_stamp), "")
+    if not first_stamp:
+        return stamp, has_time, clock
+    if ":" in first_stamp:
+        is_zone_required = not clock and "time_scale" not in clock_settings
+        stamp, wrong_rows = _iso_times(cells, has_time, table.rows, is_zone_required=is_zone_required)
+        if wrong_rows.size:
+            zone = " with a zone (or '# time_scale: utc')" if is_zone_required else ""
+            problems.add(
+                f"column {column.shown!r} is unreadable in {name_rows(wrong_rows)}",
+                expected=f"times such as '2024-06-01T12:00:00.5Z'{zone}",
+                code="time-unreadable",
+            )
+        return stamp, has_time, clock if clock == "gps" else ""
+    if clock in ("", "utc"):
+        problems.add(
+            f"column {column.shown!r} contains numbers of unknown origin",
+            mend="name it 'gps_time [s]' (from 1980-01-06), 'time_of_week [s]' or 'unix_time [s]'",
+            code="time-origin-unknown",
+        )
+        return stamp, has_time, clock
+    try:
+        factor = conversion_factor(str(column.unit or "no unit"), "s")
+    except UnitsError:
+        problems.add(
+            f"column {column.shown!r} has no unit of time",
+            mend=f"name it for example '{column.key} [s]'",
+            code="units-missing",
+        )
+        return stamp, has_time, clock
+    numbers = Table(table.name, table.rows, {column.shown: [cell or "0" for cell in cells]})
+    maximum = (_WEEKS_S if clock == "week" else _MAX_TIME_S) / factor
+    problem_count = len(problems)
+    seconds = limited_numbers(numbers, column.shown, maximum, problems) * factor
+    if len(problems) > problem_count:
+        return stamp, has_time, clock
+    has_time = has_time & ~np.isnan(seconds)
+    problems.add_if(
+        (seconds < 0.0).any(),
+        f"column {column.shown!r} is negative in {name_rows(table.rows[seconds < 0.0])}",
+        code="value-out-of-range",
+    )
+    stamp = nanoseconds(np.where(has_time & (seconds >= 0.0), seconds, 0.0))
+    if clock == "gps" and has_time.any() and (seconds[has_time] <= _WEEKS_S).all():
+        clock = "week"
+    return (stamp + GPS_EPOCH if clock == "gps" else stamp), has_time, clock
+
+
+def _iso_times(
+    cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, is_zone_required: bool
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    # Return nanoseconds since 1970, and the line numbers of unreadable stamps.
+    texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
+    is_unreadable = np.zeros(len(cells), np.bool_)
+    for position in np.flatnonzero(has_time).tolist():
+        match = _STAMP.fullmatch(cells[position][:64])
+        if match is None or not "1980" <= match[1] < "2199" or (is_zone_required and match[8] is None):
+            is_unreadable[position] = True
+            continue
+        texts[position] = f"{match[1]}-{match[2]}-{match[3]}T{match[4]}:{match[5]}:{match[6]}.{match[7] or 0}"
+        if match[8] and match[8][0] in "+-":
+            zone_text = match[8].replace(":", "")
+            minutes = int(zone_text[1:3]) * 60 + int(zone_text[3:5])
+            shifts[position] = (-minutes if zone_text[0] == "-" else minutes) * 60
+    stamps = instants(texts)
+    is_unreadable |= np.isnat(stamps)
+    return stamps.astype(np.int64) - shifts * NS_PER_S, rows[is_unreadable]
+
+
+# --- NMEA 0183 ---------------------------------------------------------------------------------------------
+
+
+#: Largest number of positions in a log: five hours at 20 Hz.
+_MAX_POSITIONS = 400_000
+
+_SENTENCE = re.compile(r"\$?((?:[A-Z]{2}(?:GGA|RMC|ZDA|HDT|THS)|PASHR),[ -)+-~]{0,120})\*([0-9A-Fa-f]{2})")
+_CLOCK = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,9})?)")
+_ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
+_NUMBER = re.compile(r"[+-]?[0-9]{1,9}(?:\.[0-9]{0,12})?")
+_DAY_S = 86_400
+_HALF_DAY_S = 43_200.0
+#: Quality codes of GGA for measured positions, without estimated, manual and simulated ones.
+_MEASURED_QUALITIES = (1, 2, 3, 4, 5, 9)
+#: Largest share of sentences with a wrong checksum [1].
+_MAX_DAMAGED_SHARE = 0.5
+
+
+def is_nmea(head: bytes) -> bool:
+    """Return whether the first bytes of a file contain NMEA sentences with positions."""
+    return any("GGA" in match[1][:6] for match in _SENTENCE.finditer(head.decode("latin-1")))
+
+
+def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
+    """Read a log of NMEA 0183 sentences.
+
+    Each GGA sentence with a fix gives a row: time of day in UTC, position, and height above the ellipsoid,
+    which is the sum of its heights above mean sea level and of the geoid. If a sentence lacks the latter, all
+    heights are above the geoid. The date comes from RMC or ZDA. Roll, pitch and heading come from PASHR of
+    the same time; without it, heading comes from the HDT or THS before or after the GGA sentence. The course
+    over ground is not the heading, and is ignored, as are other texts, and sentences with a wrong checksum.
+
+    path: The log.
+    midnight: 0 h UTC of the first row's day [ns since 1970-01-01], for a log without dates.
+    Returns PoseRecord: Angles [degree], NaN if unknown. The standard does not define the signs of roll and
+        pitch, which are assumed.
+    Raises FormatError: No position with a fix, too many damaged sentences, or positions and angles out of
+    range. Raises TimeError: No date, or time runs backwards. Warns PaintWarning: Damaged sentences; no
+    attitude in the whole log.
+    """
+    path = Path(path)
+    text = read_text(path, _MAX_TEXT_BYTES, MAX_TABLE_ROWS)
+    log, damaged, total = _Log(path), 0, 0
+    for match in _SENTENCE.finditer(text):
+        total += 1
+        if reduce(xor, match[1].encode("latin-1")) != int(match[2], 16):
+            damaged += 1
+            continue
+        log.take(match[1].split(","))
+        FormatError.raise_if(
+            len(log.rows) > _MAX_POSITIONS,
+            f"{path}: over {_MAX_POSITIONS} positions",
+            expected="a log of hours",
+            mend="shorten the log to the flight",
+            code="file-too-large",
+        )
+    wrong_checksums = f"{damaged} of {total} sentences have a wrong checksum"
+    FormatError.raise_if(
+        damaged > _MAX_DAMAGED_SHARE * total,
+        f"{path}: {wrong_checksums}",
+        mend="copy it again",
+        code="checksum-wrong",
+    )
+    if damaged:
+        message = f"{path.name}: {wrong_checksums}, and are ignored"
+        warn_user(message, "checksum-wrong")
+    log.problems.raise_if_any()
+    FormatError.raise_if(
+        not log.rows,
+        f"{path}: no position with a fix",
+        expected="GGA sentences of NMEA 0183",
+        code="position-missing",
+    )
+    midnight_ns = log.first_day if log.first_day is not None else midnight
+    if midnight_ns is None:
+        raise TimeError(
+            f"{path.name} contains no date (RMC or ZDA)",
+            mend="pass date='YYYY-MM-DD' of its first row",
+            code="date-missing",
+        )
+    stamp = np.rint(np.array(list(log.rows)) * NS_PER_S).astype(np.int64) + midnight_ns
+    names = (*POSE, "separation")
+    values = {name: np.array([row.get(name, np.nan) for row in log.rows.values()]) for name in names}
+    separation = values.pop("separation")
+    height: Literal["ellipsoid", "geoid"] = "geoid" if np.isnan(separation).any() else "ellipsoid"
+    if height == "ellipsoid":
+        values["altitude"] += separation
+    check_poses(values, "degree", log.problems, "position", np.arange(1, stamp.size + 1))
+    log.problems.raise_if_any()
+    refuse_backwards(path.name, stamp, row="position")
+    if all(np.isnan(values[name]).all() for name in ANGLES):
+        text = f"{path.name} contains no roll, pitch or heading (PASHR, HDT or THS)"
+        warn_user(text, "attitude-missing")
+    return PoseRecord(
+        path.name,
+        "NMEA 0183",
+        stamp,
+        "1970",
+        values,
+        Convention(height_reference=height),
+        assumed=("roll_positive", "pitch_positive", "euler_order"),
+        time_scale="utc",
+    )
+
+
+class _Log:
+    # Collects the sentences of a log into rows.
+    def __init__(self, path: Path) -> None:
+        self.rows: dict[float, dict[str, float]] = {}  # poses by seconds from 0 h of the first day
+        self.first_day: int | None = None  # 0 h of the first day [ns since 1970-01-01]
+        self.problems = Problems(f"{path} cannot be used as a log of NMEA sentences", FormatError)
+        self._last_seconds: float | None = None  # of the previous sentence with a time
+        self._heading_ahead: float | None = None  # for the next position
+        self._is_heading_first = False  # whether the heading precedes its position
+        # attitudes of positions that follow, by seconds
+        self._attitudes_ahead: dict[float, dict[str, float]] = {}
+
+    def take(self, fields: list[str]) -> None:
+        try:
+            self._take(fields)
+        except (ValueError, LookupError):
+            self.problems.add_if(
+                len(self.problems) < 5,
+                f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183",
+                code="row-unreadable",
+            )
+
+    def _take(self, fields: list[str]) -> None:
+        match fields[0][-3:]:
+            case "GGA" if int(fields[6] or 0) in _MEASURED_QUALITIES and fields[2]:
+                seconds = self._record_seconds(fields[1])
+                if seconds in self.rows:
+                    return
+                row = self.rows[seconds] = {
+                    "latitude": _angle(fields[2]) * {"N": 1.0, "S": -1.0}[fields[3]],
+                    "longitude": _angle(fields[4]) * {"E": 1.0, "W": -1.0}[fields[5]],
+                    "altitude": _number(fields[9]),
+                    "separation": _number(fields[11]),
+                }
+                if self._heading_ahead is not None:
+                    row["heading"], self._heading_ahead = self._heading_ahead, None
+                row.update(self._attitudes_ahead.pop(seconds, {}))
+                self._attitudes_ahead.clear()
+            case "RMC" if fields[2] == "A":
+                day, month, year = (int(fields[9][start : start + 2]) for start in (0, 2, 4))
+                self._date(fields[1], 2000 + year if year < 80 else 1900 + year, month, day)
+            case "ZDA" if fields[2]:
+                self._date(fields[1], int(fields[4]), int(fields[3]), int(fields[2]))
+            case "SHR" if len(fields) >= 6 and _CLOCK.fullmatch(fields[1]):  # else of the same maker
+                seconds = self._record_seconds(fields[1])
+                numbers = {"heading": 2, "roll": 4, "pitch": 5}
+                pose = {name: _number(fields[number]) for name, number in numbers.items() if fields[number]}
+                if seconds in self.rows:
+                    self.rows[seconds].update(pose)
+                else:
+                    self._attitudes_ahead[seconds] = pose
+            case ("HDT" | "THS") as kind if (kind == "HDT" or fields[2] == "A") and fields[1]:
+                # without a time: belongs to the next position if the log begins with it, else to the previous
+                self._is_heading_first |= not self.rows
+                if self._is_heading_first:
+                    self._heading_ahead = _number(fields[1])
+                else:
+                    self.rows[next(reversed(self.rows))].setdefault("heading", _number(fields[1]))
+
+    def _record_seconds(self, clock: str) -> float:
+        # Return seconds from 0 h of the first row's day.
+        match = _CLOCK.fullmatch(clock)
+        if match is None:
+            raise ValueError(clock)
+        seconds_of_day = int(match[1]) * 3600.0 + int(match[2]) * 60.0 + float(match[3])
+        if self._last_seconds is None:
+            self._last_seconds = seconds_of_day
+        # some sentences are late: choose the day that is nearest to the previous sentence
+        self._last_seconds += (seconds_of_day - self._last_seconds + _HALF_DAY_S) % _DAY_S - _HALF_DAY_S
+        return round(self._last_seconds, 9)
+
+    def _date(self, clock: str, year: int, month: int, day: int) -> None:
+        days = int(self._record_seconds(clock) // _DAY_S)
+        midnight = int(np.datetime64(f"{year:04}-{month:02}-{day:02}", "ns").astype(np.int64))
+        if self.first_day is None:
+            self.first_day = midnight - days * _DAY_S * NS_PER_S
+
+
+def _angle(text: str) -> float:
+    # Convert ``dddmm.mmmm`` to degrees.
+    match = _ANGLE.fullmatch(text)
+    if match is None:
+        raise ValueError(text)
+    return int(match[1]) + float(match[2]) / 60.0
+
+
+def _number(text: str) -> float:
+    if not text:
+        return np.nan
+    if not _NUMBER.fullmatch(text):
+        raise ValueError(text)
+    return float(text)

@@ -917,10 +917,11 @@ def utc_offsets(
     if one_clock and sources_by_offset:
         return [next(iter(sources_by_offset))] * len(spectra)
     without_zone = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
-    if without_zone:
-        raise TimeError(
-            f"the time stamps are local, and {_missing_zone_text(without_zone)}", code="zone-missing"
-        )
+    TimeError.raise_if(
+        without_zone,
+        f"the time stamps are local, and {_missing_zone_text(without_zone)}",
+        code="zone-missing",
+    )
     return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
 
 

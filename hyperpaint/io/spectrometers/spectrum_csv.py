@@ -240,13 +240,13 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     path = Path(path)
     wavelength, values, headings = _table(path, _MAX_HEADING_LINES, has_units=True)
     values = values * _factor(headings, 1, path)
-    if not ((values > 0.0) & (values <= _MAX_PANEL_REFLECTANCE)).all():
-        raise FormatError(
-            f"{path}: values from {values.min():g} to {values.max():g}",
-            expected="reflectance as a fraction",
-            mend="divide percent by 100",
-            code="scale-missing",
-        )
+    FormatError.raise_if(
+        not ((values > 0.0) & (values <= _MAX_PANEL_REFLECTANCE)).all(),
+        f"{path}: values from {values.min():g} to {values.max():g}",
+        expected="reflectance as a fraction",
+        mend="divide percent by 100",
+        code="scale-missing",
+    )
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the certificate"}
     return xr.DataArray(
         values,

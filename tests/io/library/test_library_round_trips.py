@@ -14,7 +14,7 @@ import xarray as xr
 from hypothesis import given, settings, strategies as st
 from support import painted_lines
 from support.library_examples import NAMES, make_library
-from support.refusals import expect_errors
+from support.refusals import expect_errors, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
@@ -280,8 +280,7 @@ def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_pa
     bad["n"] = bad["n"].assign_attrs(units="m")
     with pytest.raises(SchemaError) as caught:
         hp.write_library(bad, tmp_path / "paints.sli")
-    assert "'wavelength' is missing" in str(caught.value)
-    assert "'n' has units 'm'" in str(caught.value)
+    expect_words(str(caught.value), "'wavelength' is missing", "'n' has units 'm'")
     broken = library.assign_coords(signature=["a\nb", "c", "d\x00", "e", "f"])
     for format in ("envi", "csv"):
         with pytest.raises(SchemaError, match="name-unwritable"):
