@@ -2,7 +2,6 @@
 
 import functools
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.calibration import anchor_to_radiance, quantum_efficiency
 from hyperpaint.calibration.detector import fit_dark_model
+from hyperpaint.io.flightline.calibration_store import scale_attrs
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 CLEAN = {"noise": False, "quantise": False}
@@ -98,13 +98,13 @@ def test_dead_elements_at_the_edge_spoil_no_neighbour(seed: int) -> None:
     assert not np.isfinite(made.radiance_gain.values[dead]).any()
 
 
-@pytest.mark.parametrize("band", [0, 1, 2, 269, 270, 271])
-def test_one_dead_element_at_either_end(band: int) -> None:
-    sweep = sweep_of(columns=6)
+def test_one_dead_element_at_either_end() -> None:
+    # One in every column
+    sweep, dead = sweep_of(columns=6), ([0, 1, 2, 269, 270, 271], range(6))
     counts = sweep.counts.values.copy()
-    counts[:, band, 3] = sweep.dark_counts.values[band, 3]
+    counts[:, *dead] = sweep.dark_counts.values[dead]
     made = hp.calibrate(with_values(sweep, "counts", counts))
-    assert np.nanmax(np.abs(error_of(made, sweep)[:, 3])) < 0.02
+    assert np.nanmax(np.abs(error_of(made, sweep))) < 0.02
 
 
 @pytest.mark.parametrize("nonuniformity", [0.0, 0.005, 0.02])
@@ -338,15 +338,6 @@ def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:
     assert anchored.linearity == [1e-4]
 
 
-def check_travel(change: Callable[[xr.Dataset], xr.Dataset]) -> None:
-    # The line keeps what its calibration says of counts and scale
-    from hyperpaint.io.flightline.calibration_store import scale_attrs
-
-    made = change(xr.Dataset())
-    assert scale_attrs(made) == made.attrs
-
-
 def test_lines_keep_what_the_calibration_says() -> None:
-    check_travel(lambda d: d.assign_attrs(linearity=[1e-6], absolute_scale="unknown"))
-    check_travel(lambda d: d.assign_attrs(absolute_scale="known"))
-    check_travel(lambda d: d)
+    for attrs in ({"linearity": [1e-6], "absolute_scale": "unknown"}, {"absolute_scale": "known"}, {}):
+        assert scale_attrs(xr.Dataset(attrs=attrs)) == attrs
