@@ -41,6 +41,13 @@ def spread_of_z(made: xr.Dataset, sweep: xr.Dataset) -> float:
     return float(np.nanstd(error_of(made, sweep) / made.radiance_gain_u_random.values))
 
 
+def calibrated_silently(sweep: xr.Dataset) -> xr.Dataset:
+    # Return a calibration that warns of nothing
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return hp.calibrate(sweep)
+
+
 # --- dark
 
 
@@ -57,10 +64,7 @@ def test_a_dark_that_is_off_moves_no_gain_and_is_told(drift: float) -> None:
 
 
 def test_stray_light_is_not_taken_for_a_dark_that_is_off() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        made = hp.calibrate(sweep_of(stray_light=0.02, **CLEAN))
-    assert abs(made.dark_offset_count) < 0.2
+    assert abs(calibrated_silently(sweep_of(stray_light=0.02, **CLEAN)).dark_offset_count) < 0.2
 
 
 def test_noise_of_the_dark_is_in_the_uncertainty() -> None:
@@ -133,19 +137,14 @@ def test_a_beam_that_is_not_told_is_seen() -> None:
     wandering = {"columns": 24, "beam_fwhm_columns": 60.0, "beam_wander_columns": 6.0}
     with pytest.warns(PaintWarning, match="flux-profile-missing"):
         hp.calibrate(sweep_of(beam_recorded=False, **wandering))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        hp.calibrate(sweep_of(**wandering))
-        # neither elements that differ nor dead ones are a beam
-        hp.calibrate(sweep_of(columns=24, nonuniformity=0.02))
-        hp.calibrate(sweep_of(columns=24, bad_elements=60))
+    # neither elements that differ nor dead ones are a beam
+    for effects in (wandering, {"columns": 24, "nonuniformity": 0.02}, {"columns": 24, "bad_elements": 60}):
+        calibrated_silently(sweep_of(**effects))
 
 
 def test_what_passes_as_an_even_beam_depends_on_the_flux() -> None:
     sweep = sweep_of(columns=24, beam_fwhm_columns=120.0, beam_recorded=False)  # 2.7 % at the ends
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        hp.calibrate(sweep)
+    calibrated_silently(sweep)
     with pytest.warns(PaintWarning, match=r"fall by 2.*flux-profile-missing"):
         hp.calibrate(sweep, flux_uncertainty=0.02)
 
@@ -194,10 +193,8 @@ def test_clipped_lines_without_a_saturation_count() -> None:
     with pytest.warns(PaintWarning, match=r"4095.*saturation-missing") as caught:
         hp.calibrate(sweep.drop_vars("saturation_count"))
     assert caught[0].filename == __file__
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        hp.calibrate(sweep_of().drop_vars("saturation_count"))
-        hp.calibrate(sweep_of(**CLEAN).drop_vars("saturation_count"))
+    for whole in (sweep_of(), sweep_of(**CLEAN)):
+        calibrated_silently(whole.drop_vars("saturation_count"))
 
 
 @pytest.mark.parametrize("value", [np.nan, -3.0, np.inf])
