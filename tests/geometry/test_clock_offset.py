@@ -95,7 +95,7 @@ def test_clouds_in_the_record_and_in_the_picture(seed: int, offset: float) -> No
     assert found.uncertainty_s < 1.0
 
 
-@pytest.mark.parametrize(("offset", "names"), [(1.6, ["raw_0"]), (0.3, [])])
+@pytest.mark.parametrize(("offset", "names"), [(1.6, ["raw_0"]), (0.85, [])])
 def test_an_offset_of_the_irradiance_record_is_a_finding(offset: float, names: list[str]) -> None:
     line, record = lit(offset, 0.5, 1)
     lines = {"short": line.isel(along_track=slice(0, 50)), "raw_0": xr.merge([line, record])}

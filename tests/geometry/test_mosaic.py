@@ -137,6 +137,17 @@ def test_what_does_not_fit_is_refused() -> None:
     maps = {name: hp.geometry.orthorectify(line, GSD, grid="north") for name, line in lines.items()}
     coarse = hp.geometry.orthorectify(second, 1.5 * GSD, grid="north")
     turned = hp.geometry.orthorectify(second, GSD, grid="flight")
+    # grids may be a thousandth of a cell apart
+    east, *rest = map(float, maps["b"].spatial_ref.attrs["GeoTransform"].split())
+    near, far = (
+        maps["b"].assign_coords(
+            spatial_ref=maps["b"].spatial_ref.assign_attrs(
+                GeoTransform=" ".join(map(repr, (east + cells * GSD, *rest)))
+            )
+        )
+        for cells in (0.7e-3, 1.4e-3)
+    )
+    assert make({**maps, "b": near}).sizes["x"] > 0
     counts = {**lines, "b": second.assign(radiance=second.radiance.assign_attrs(units="mW"))}
     expect_refusals(
         (SchemaError, ("choice-unknown", "value-out-of-range"), lambda: make(lines, -1.0, rule=best)),
@@ -150,6 +161,7 @@ def test_what_does_not_fit_is_refused() -> None:
         ),
         (SchemaError, "crs-conflict", "a: EPSG:32617", lambda: make({**lines, "b": elsewhere})),
         (SchemaError, "grid-mismatch", lambda: make({**maps, "b": coarse})),
+        (SchemaError, "grid-mismatch", lambda: make({**maps, "b": far})),
         (SchemaError, ("crs-conflict", "grid-turned"), lambda: make({**maps, "b": turned})),
         (
             SchemaError,
