@@ -85,10 +85,11 @@ def deviant_elements(
     _, bands, columns = lab.shape
     suspect, tested = np.zeros((bands, columns), np.int64), np.zeros((bands, columns), np.int64)
     widths = _camera_widths(lab, lamp_lines, wavelength_map)
+    centres = wavelength_map.band_of(lab.wavelength[:, None], np.arange(columns))
     for step, window in enumerate(sweep_data.windows):
         if window is None:
             continue
-        centre = wavelength_map.band_of(float(lab.wavelength[step]), window.columns)
+        centre = centres[step, window.columns]
         is_cut = (window.first < 0) | (window.first + window.values.shape[1] > bands)
         reach = widths[step] / float(np.median(wavelength_map.spacing(centre, window.columns))) + 2.0
         is_at_edge = is_cut.any() and abs(float(np.median(centre)) - window.band) < reach
@@ -134,16 +135,16 @@ def element_differences(
     from scipy.optimize import nnls
 
     widths = _camera_widths(lab, lamp_lines, wavelength_map)
-    tally = np.zeros((4, SIGNAL_BINS))
-    shares = []
+    centres = wavelength_map.band_of(lab.wavelength[:, None], np.arange(lab.shape[2]))
+    tally, shares = np.zeros((4, SIGNAL_BINS)), []
     for step, window in enumerate(sweep_data.windows):
         if window is None or not lamp_lines.trusted[step].any():
             continue
         is_usable = np.isfinite(window.values).all(axis=1) & lamp_lines.trusted[step, window.columns]
         if not is_usable.any():
             continue
-        centre = wavelength_map.band_of(float(lab.wavelength[step]), window.columns)
         # error of the dial and slope shift are common to the columns
+        centre = centres[step, window.columns]
         centre = centre + np.median((lamp_lines.centre[step, window.columns] - centre)[is_usable])
         unit_before, unit, unit_after = (
             _unit_lines(lab, window, step, wavelength_map, centre + centre_shift, float(widths[step]), shape)[

@@ -367,10 +367,10 @@ class WavelengthMap:
         slope = chebyshev.chebder(self.coefficients, axis=0) * (2.0 / max(self.bands - 1, 1))
         return np.asarray(np.abs(chebyshev.chebval2d(u, v, slope)))
 
-    def band_of(self, wavelength: float, column: npt.NDArray[np.int64]) -> Floats:
-        """Return the fractional bands of a wavelength [nm] in some columns, to a little beyond the array."""
-        low = np.full(column.shape, -0.05 * self.bands - 2.0)
-        high = np.full(column.shape, 1.05 * self.bands + 1.0)
+    def band_of(self, wavelength: float | Floats, column: npt.NDArray[np.int64]) -> Floats:
+        """Return the fractional bands of wavelengths [nm] in some columns, to a little beyond the array."""
+        shape = np.broadcast_shapes(np.shape(wavelength), column.shape)
+        low, high = np.full(shape, -0.05 * self.bands - 2.0), np.full(shape, 1.05 * self.bands + 1.0)
         is_rising = self.at(self.bands - 1.0, column) > self.at(0.0, column)
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)

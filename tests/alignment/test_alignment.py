@@ -1,5 +1,6 @@
 """Wavelengths and widths found in flight, against instruments that are plain sums over a fine grid."""
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_refusals
+from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
 from support.strategies import START, labelled
 
 import hyperpaint as hp
@@ -307,60 +308,30 @@ def test_what_cannot_tell_is_flagged() -> None:
 
 def test_what_cannot_be_is_refused() -> None:
     line = line_of(grey())
-    cut = line.isel(irradiance_wavelength=slice(0, 90))
+    cut, dark = (line.isel(irradiance_wavelength=slice(0, size)) for size in (90, 20))
+    later = line.assign_coords(time=line.time + np.timedelta64(1, "h"))
+    align: Any = hp.alignment.align_to_irradiance
+    wrong = {"degree": 99, "group": 0, "max_shift": -1.0, "max_uncertainty": 0.0}
     expect_refusals(
-        (
-            SchemaError,
-            "irradiance-coverage",
-            " of the 27 bands",
-            lambda: hp.alignment.align_to_irradiance(cut, window=OXYGEN),
+        (SchemaError, "irradiance-coverage", " of the 27 bands", lambda: align(cut, window=OXYGEN)),
+        (SchemaError, "irradiance-coverage", lambda: align(dark)),
+        (SchemaError, "bands-too-few", "at least 11", lambda: align(line, window=(755, 770))),
+        (SchemaError, "windows-overlap", lambda: align(line, window=[(740, 800), (790, 850)])),
+        *(
+            (SchemaError, "window-unreadable", functools.partial(align, line, window=window))
+            for window in ((740, 800, 900), ("a", "b"), ((740, 800), (890,)), {})
         ),
-        (
-            SchemaError,
-            "irradiance-coverage",
-            lambda: hp.alignment.align_to_irradiance(line.isel(irradiance_wavelength=slice(0, 20))),
-        ),
-        (
-            SchemaError,
-            "bands-too-few",
-            "at least 11",
-            lambda: hp.alignment.align_to_irradiance(line, window=(755, 770)),
-        ),
-        (
-            SchemaError,
-            "windows-overlap",
-            lambda: hp.alignment.align_to_irradiance(line, window=[(740, 800), (790, 850)]),
-        ),
-    )
-    with pytest.raises(SchemaError, match="window-unreadable"):
-        hp.alignment.align_to_irradiance(line, window=(740, 800, 900))  # type: ignore[arg-type]
-    with pytest.raises(UnitsError, match="window='red'"):
-        hp.alignment.align_to_irradiance(line, window="red")  # type: ignore[arg-type]
-    for window in (("a", "b"), ((740, 800), (890,)), {}):
-        with pytest.raises(SchemaError, match="window-unreadable"):
-            hp.alignment.align_to_irradiance(line, window=window)  # type: ignore[arg-type]
-    with pytest.raises(SchemaError) as caught:
-        hp.alignment.align_to_irradiance(line, degree=99, group=0, max_shift=-1.0, max_uncertainty=0.0)
-    assert (caught.value.codes, [problem.found.split("=")[0] for problem in caught.value.problems]) == (
-        ("value-out-of-range",) * 4,
-        [
-            "degree",
-            "group",
-            "max_shift",
-            "max_uncertainty",
-        ],
-    )
-    expect_refusals(
+        (SchemaError, ("value-out-of-range",) * 4, *(f"{n}=" for n in wrong), lambda: align(line, **wrong)),
         (
             SchemaError,
             "variable-missing",
             "'time'",
             "'irradiance'",
-            lambda: hp.alignment.align_to_irradiance(line.drop_vars(["irradiance", "time"])),
-        )
+            lambda: align(line.drop_vars(["irradiance", "time"])),
+        ),
+        (SchemaError, "irradiance-time-gap", lambda: align(later)),
     )
-    later = line.assign_coords(time=line.time + np.timedelta64(1, "h"))
-    expect_refusals((SchemaError, "irradiance-time-gap", lambda: hp.alignment.align_to_irradiance(later)))
+    expect_errors((UnitsError, "window='red'", lambda: align(line, window="red")))
 
 
 def test_one_wild_column_does_not_bend_the_others() -> None:
@@ -395,11 +366,10 @@ def test_applying_what_does_not_belong_is_refused() -> None:
         ),
     )
     # what is no alignment
-    with pytest.raises(SchemaError) as caught:
-        hp.alignment.apply_alignment(line, xr.Dataset())
-    assert caught.value.codes == (("variable-missing",) * 7 + ("dim-missing",) * 2 + ("attribute-missing",))
-    text = str(caught.value)
-    assert all(name in text for name in ("'flag'", "'window_centre'", "dim 'band'"))
+    codes = ("variable-missing",) * 7 + ("dim-missing",) * 2 + ("attribute-missing",)
+    error = expect_error(SchemaError, None, lambda: hp.alignment.apply_alignment(line, xr.Dataset()))
+    expect_words(str(error), "'flag'", "'window_centre'", "dim 'band'")
+    assert error.codes == codes
     flagged = found.copy(deep=True)
     flagged["flag"][:4] = 2
     thin = found.assign(fwhm_u=found.fwhm_u[0])

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 from support.codecs import plain_zarr
-from support.refusals import expect_error, expect_refusals
+from support.refusals import expect_error, expect_refusals, expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError
@@ -37,43 +37,33 @@ def test_what_is_written_is_read(lab: Path, tmp_path: Path) -> None:
     assert (back.srf_shape, back.wavelength_residual_nm) == (made.srf_shape, made.wavelength_residual_nm)
 
 
+def run(sweep: Path, out: Path, code: int, *words: str, options: tuple[str, ...] = ()) -> None:
+    # Calibrate on the command line, and expect an exit code, these words, and no traceback
+    done = CliRunner().invoke(main, ["calibrate", str(sweep), "--out", str(out), *options])
+    assert done.exit_code == code, done.output
+    expect_words(done.output, *words, without=("Traceback",))
+
+
 @pytest.mark.slow
 def test_command_line(lab: Path, tmp_path: Path) -> None:
-    out = tmp_path / "cal.zarr"
-    done = CliRunner().invoke(main, ["calibrate", str(lab / "sweep.zarr"), "--out", str(out)])
-    assert done.exit_code == 0, done.output
-    assert "of 136 bands have a gain" in done.output
-    assert "line shape gaussian, FWHM 6." in done.output
+    sweep, out, other = lab / "sweep.zarr", tmp_path / "cal.zarr", ("--flux-uncertainty", "0.02")
+    run(sweep, out, 0, "of 136 bands have a gain", "line shape gaussian, FWHM 6.")
     assert hp.verify(out).ok
-    again = CliRunner().invoke(main, ["calibrate", str(lab / "sweep.zarr"), "--out", str(out)])
-    assert again.exit_code == 0, again.output
-    other = ["calibrate", str(lab / "sweep.zarr"), "--out", str(out), "--flux-uncertainty", "0.02"]
-    other += ["--wavelength-uncertainty", "0.2"]
-    refused = CliRunner().invoke(main, other)
-    assert (refused.exit_code, CliRunner().invoke(main, [*other, "--overwrite"]).exit_code) == (2, 0)
-    assert "--overwrite" in refused.output
+    run(sweep, out, 0)
+    run(sweep, out, 2, "--overwrite", options=other)
+    run(sweep, out, 0, options=(*other, "--wavelength-uncertainty", "0.2", "--overwrite"))
     made = open_calibration(out)
     assert (made.flux_uncertainty, float(made.wavelength_u)) == (0.02, pytest.approx(0.2, rel=0.01))
 
 
 def test_command_line_says_what_is_wrong(lab: Path, tmp_path: Path) -> None:
-    nothing = CliRunner().invoke(main, ["calibrate", str(tmp_path), "--out", str(tmp_path / "cal.zarr")])
-    assert nothing.exit_code == 2
-    assert "not a readable Zarr store" in nothing.output
-    itself = CliRunner().invoke(
-        main, ["calibrate", str(lab / "sweep.zarr"), "--out", str(lab / "sweep.zarr")]
-    )
-    assert itself.exit_code == 2
-    assert "is the sweep itself" in itself.output
+    out = tmp_path / "cal.zarr"
+    run(tmp_path, out, 2, "not a readable Zarr store")
+    run(lab / "sweep.zarr", lab / "sweep.zarr", 2, "is the sweep itself")
     bad = xr.open_zarr(lab / "sweep.zarr", consolidated=False).drop_vars("flux")
     bad.to_zarr(tmp_path / "bad.zarr", zarr_format=3, consolidated=False)
-    done = CliRunner().invoke(
-        main, ["calibrate", str(tmp_path / "bad.zarr"), "--out", str(tmp_path / "cal.zarr")]
-    )
-    assert done.exit_code == 2
-    assert "'flux' is missing" in done.output
-    assert "Traceback" not in done.output
-    assert not (tmp_path / "cal.zarr").exists()
+    run(tmp_path / "bad.zarr", out, 2, "'flux' is missing")
+    assert not out.exists()
 
 
 def test_other_stores_are_no_sweeps(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """Fringes that the steps of a sweep miss, and ripples that they follow."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -51,15 +53,18 @@ def test_a_sweep_of_too_few_lines_says_nothing() -> None:
     assert error_between_lines(STEPS[:10], np.ones(10), np.zeros(10), VARIANCE[:10]) is None
 
 
-def test_calibrate_warns_and_is_as_unsure() -> None:
+@pytest.mark.parametrize("depth", [0.05, 0.015, 0.007])
+def test_calibrate_warns_and_is_as_unsure(depth: float) -> None:
     sweep = simulate_sweep(columns=8, bands=136, seed=21, nonuniformity=0.0)
-    fringe = 1 + 0.05 * np.cos(2 * np.pi * sweep.step_wavelength / 8.0)
+    fringe = 1 + depth * np.cos(2 * np.pi * sweep.step_wavelength / 8.0)
     sweep["counts"] = ((sweep.counts - sweep.dark_counts) * fringe + sweep.dark_counts).transpose(
         *sweep.counts.dims
     ).assign_attrs(sweep.counts.attrs)  # fmt: skip
-    with pytest.warns(PaintWarning, match=r"10 nm.*steps-too-coarse"):
+    # an error below 1 % is not reported
+    expected = pytest.warns(PaintWarning, match=r"10 nm.*steps-too-coarse")
+    with expected if depth > 0.01 else contextlib.nullcontext():
         calibration = hp.calibrate(sweep)
     size = calibration.attrs["gain_between_lines"]
     wrong = np.abs(calibration.radiance_gain / sweep.true_radiance_gain - 1)[10:-10]
     assert 0.5 < size / float(wrong.max()) < 2.0
-    assert float(calibration.radiance_gain_u_systematic.min()) >= size
+    assert (float(calibration.radiance_gain_u_systematic.min()) >= size) or depth < 0.01

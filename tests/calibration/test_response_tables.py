@@ -110,7 +110,10 @@ def test_a_model_that_is_asked_for_warns_of_what_it_costs(lopsided: np.ndarray) 
     assert 0.5 < calibration.attrs["srf_model_effect"] / error_in_flight(lopsided, calibration) < 2.0
 
 
-def test_a_slit_stays_a_slit() -> None:
-    calibration = hp.calibrate(sweep_of(camera(tail=0.0)))
-    assert (calibration.srf_shape, "srf" in calibration) == ("slit", False)
-    assert calibration.attrs["srf_model_misfit"] < 0.005
+@pytest.mark.parametrize(("tail", "most"), [(0.0, 0.005), (0.4, 0.012), (0.5, 0.02)])
+def test_a_slit_stays_a_slit(tail: float, most: float) -> None:
+    # Up to a tail that changes the curve by 1.2 %
+    calibration = hp.calibrate(sweep_of(camera(tail)))
+    shape = "slit" if tail < 0.45 else "tabulated"
+    assert (calibration.srf_shape, "srf" in calibration) == (shape, shape == "tabulated")
+    assert calibration.attrs["srf_model_misfit"] < most

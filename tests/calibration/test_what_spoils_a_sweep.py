@@ -2,7 +2,6 @@
 
 import functools
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.calibration import anchor_to_radiance, quantum_efficiency
 from hyperpaint.calibration.detector import fit_dark_model
+from hyperpaint.io.flightline.calibration_store import scale_attrs
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 CLEAN = {"noise": False, "quantise": False}
@@ -41,26 +41,34 @@ def spread_of_z(made: xr.Dataset, sweep: xr.Dataset) -> float:
     return float(np.nanstd(error_of(made, sweep) / made.radiance_gain_u_random.values))
 
 
+def calibrated_silently(sweep: xr.Dataset) -> xr.Dataset:
+    # Return a calibration that warns of nothing
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return hp.calibrate(sweep)
+
+
 # --- dark
 
 
-@pytest.mark.parametrize("drift", [2.0, -2.0])
+@pytest.mark.parametrize("drift", [2.0, -1.4])
 def test_a_dark_that_is_off_moves_no_gain_and_is_told(drift: float) -> None:
     sweep = sweep_of(**CLEAN)
     off = with_values(sweep, "dark_counts", sweep.dark_counts.values + drift)
     with pytest.warns(PaintWarning, match="dark-offset") as caught:
         made = hp.calibrate(off)
+    # an error of less than a count is none
+    calibrated_silently(with_values(sweep, "dark_counts", sweep.dark_counts.values + drift / 2.7))
     assert (caught[0].filename, made.dark_offset_count) == (__file__, pytest.approx(-drift, abs=0.05))
     assert np.nanmax(np.abs(error_of(made, sweep))) < 1e-3
     # a count in every band outside of the line, over the line's area
-    assert made.out_of_band_of_one_count == pytest.approx(abs(float(made.out_of_band.median())) / 2, rel=0.2)
+    assert made.out_of_band_of_one_count == pytest.approx(
+        abs(float(made.out_of_band.median()) / drift), rel=0.2
+    )
 
 
 def test_stray_light_is_not_taken_for_a_dark_that_is_off() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        made = hp.calibrate(sweep_of(stray_light=0.02, **CLEAN))
-    assert abs(made.dark_offset_count) < 0.2
+    assert abs(calibrated_silently(sweep_of(stray_light=0.02, **CLEAN)).dark_offset_count) < 0.2
 
 
 def test_noise_of_the_dark_is_in_the_uncertainty() -> None:
@@ -98,13 +106,13 @@ def test_dead_elements_at_the_edge_spoil_no_neighbour(seed: int) -> None:
     assert not np.isfinite(made.radiance_gain.values[dead]).any()
 
 
-@pytest.mark.parametrize("band", [0, 1, 2, 269, 270, 271])
-def test_one_dead_element_at_either_end(band: int) -> None:
-    sweep = sweep_of(columns=6)
+def test_one_dead_element_at_either_end() -> None:
+    # One in every column
+    sweep, dead = sweep_of(columns=6), ([0, 1, 2, 269, 270, 271], range(6))
     counts = sweep.counts.values.copy()
-    counts[:, band, 3] = sweep.dark_counts.values[band, 3]
+    counts[:, *dead] = sweep.dark_counts.values[dead]
     made = hp.calibrate(with_values(sweep, "counts", counts))
-    assert np.nanmax(np.abs(error_of(made, sweep)[:, 3])) < 0.02
+    assert np.nanmax(np.abs(error_of(made, sweep))) < 0.02
 
 
 @pytest.mark.parametrize("nonuniformity", [0.0, 0.005, 0.02])
@@ -133,19 +141,14 @@ def test_a_beam_that_is_not_told_is_seen() -> None:
     wandering = {"columns": 24, "beam_fwhm_columns": 60.0, "beam_wander_columns": 6.0}
     with pytest.warns(PaintWarning, match="flux-profile-missing"):
         hp.calibrate(sweep_of(beam_recorded=False, **wandering))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        hp.calibrate(sweep_of(**wandering))
-        # neither elements that differ nor dead ones are a beam
-        hp.calibrate(sweep_of(columns=24, nonuniformity=0.02))
-        hp.calibrate(sweep_of(columns=24, bad_elements=60))
+    # neither elements that differ nor dead ones are a beam
+    for effects in (wandering, {"columns": 24, "nonuniformity": 0.02}, {"columns": 24, "bad_elements": 60}):
+        calibrated_silently(sweep_of(**effects))
 
 
 def test_what_passes_as_an_even_beam_depends_on_the_flux() -> None:
     sweep = sweep_of(columns=24, beam_fwhm_columns=120.0, beam_recorded=False)  # 2.7 % at the ends
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        hp.calibrate(sweep)
+    calibrated_silently(sweep)
     with pytest.warns(PaintWarning, match=r"fall by 2.*flux-profile-missing"):
         hp.calibrate(sweep, flux_uncertainty=0.02)
 
@@ -194,10 +197,8 @@ def test_clipped_lines_without_a_saturation_count() -> None:
     with pytest.warns(PaintWarning, match=r"4095.*saturation-missing") as caught:
         hp.calibrate(sweep.drop_vars("saturation_count"))
     assert caught[0].filename == __file__
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        hp.calibrate(sweep_of().drop_vars("saturation_count"))
-        hp.calibrate(sweep_of(**CLEAN).drop_vars("saturation_count"))
+    for whole in (sweep_of(), sweep_of(**CLEAN)):
+        calibrated_silently(whole.drop_vars("saturation_count"))
 
 
 @pytest.mark.parametrize("value", [np.nan, -3.0, np.inf])
@@ -338,15 +339,6 @@ def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:
     assert anchored.linearity == [1e-4]
 
 
-def check_travel(change: Callable[[xr.Dataset], xr.Dataset]) -> None:
-    # The line keeps what its calibration says of counts and scale
-    from hyperpaint.io.flightline.calibration_store import scale_attrs
-
-    made = change(xr.Dataset())
-    assert scale_attrs(made) == made.attrs
-
-
 def test_lines_keep_what_the_calibration_says() -> None:
-    check_travel(lambda d: d.assign_attrs(linearity=[1e-6], absolute_scale="unknown"))
-    check_travel(lambda d: d.assign_attrs(absolute_scale="known"))
-    check_travel(lambda d: d)
+    for attrs in ({"linearity": [1e-6], "absolute_scale": "unknown"}, {"absolute_scale": "known"}, {}):
+        assert scale_attrs(xr.Dataset(attrs=attrs)) == attrs

@@ -93,12 +93,14 @@ def test_what_is_missing_is_named() -> None:
     flight = Flight(lines=100)
     line, nav, declared = right(flight)
     late = line.assign_coords(time=line.time + np.timedelta64(1, "h"))
+    short = line.isel(along_track=slice(0, 40))
     no_roll, no_counts = nav.drop_vars("roll"), line.drop_vars("counts")
     expect_errors(
         (SchemaError, "ground-height-missing", lambda: check(flight, (line, nav, declared), ground=None)),
         (SchemaError, r"roll.*variable-missing", lambda: check(flight, (line, no_roll, declared))),
         (SchemaError, r"picture.*picture-missing", lambda: check(flight, (no_counts, nav, declared))),
         (SchemaError, "motion-not-seen", lambda: check(flight, (late, nav, declared))),
+        (SchemaError, "line-too-short", lambda: check(flight, (short, nav, declared))),
     )
 
 

@@ -131,34 +131,45 @@ def test_what_a_cell_is_of_is_said() -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     lines = flown_lines()
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.mosaic(lines, -1.0, rule="best")  # type: ignore[arg-type]
-    assert refused.value.codes == ("choice-unknown", "value-out-of-range")
+    make, second = hp.geometry.mosaic, lines["b"]
+    best: Any = "best"
+    elsewhere = second.assign_coords(east=second.east.assign_attrs(crs="EPSG:32618"))
+    maps = {name: hp.geometry.orthorectify(line, GSD, grid="north") for name, line in lines.items()}
+    coarse = hp.geometry.orthorectify(second, 1.5 * GSD, grid="north")
+    turned = hp.geometry.orthorectify(second, GSD, grid="flight")
+    # grids may be a thousandth of a cell apart
+    east, *rest = map(float, maps["b"].spatial_ref.attrs["GeoTransform"].split())
+    near, far = (
+        maps["b"].assign_coords(
+            spatial_ref=maps["b"].spatial_ref.assign_attrs(
+                GeoTransform=" ".join(map(repr, (east + cells * GSD, *rest)))
+            )
+        )
+        for cells in (0.7e-3, 1.4e-3)
+    )
+    assert make({**maps, "b": near}).sizes["x"] > 0
+    counts = {**lines, "b": second.assign(radiance=second.radiance.assign_attrs(units="mW"))}
     expect_refusals(
-        (SchemaError, "type-wrong", lambda: hp.geometry.mosaic({})),
+        (SchemaError, ("choice-unknown", "value-out-of-range"), lambda: make(lines, -1.0, rule=best)),
+        (SchemaError, "type-wrong", lambda: make({})),
+        (SchemaError, "variable-missing", "a, b, c lack", lambda: make(lines, variables=["quality"])),
         (
             SchemaError,
             "variable-missing",
-            "a, b, c lack",
-            lambda: hp.geometry.mosaic(lines, variables=["quality"]),
+            "b has",
+            lambda: make({**lines, "b": second.drop_vars("view_zenith")}),
+        ),
+        (SchemaError, "crs-conflict", "a: EPSG:32617", lambda: make({**lines, "b": elsewhere})),
+        (SchemaError, "grid-mismatch", lambda: make({**maps, "b": coarse})),
+        (SchemaError, "grid-mismatch", lambda: make({**maps, "b": far})),
+        (SchemaError, ("crs-conflict", "grid-turned"), lambda: make({**maps, "b": turned})),
+        (
+            SchemaError,
+            "variable-mismatch",
+            "mW",
+            lambda: make(counts, variables=["radiance", "view_zenith"]),
         ),
     )
-    with pytest.raises(SchemaError, match=r"b has.*variable-missing"):
-        hp.geometry.mosaic({**lines, "b": lines["b"].drop_vars("view_zenith")})
-    elsewhere = lines["b"].assign_coords(east=lines["b"].east.assign_attrs(crs="EPSG:32618"))
-    expect_refusals(
-        (SchemaError, "crs-conflict", "a: EPSG:32617", lambda: hp.geometry.mosaic({**lines, "b": elsewhere}))
-    )
-    maps = {name: hp.geometry.orthorectify(line, GSD, grid="north") for name, line in lines.items()}
-    maps["b"] = hp.geometry.orthorectify(lines["b"], 1.5 * GSD, grid="north")
-    expect_refusals((SchemaError, "grid-mismatch", lambda: hp.geometry.mosaic(maps)))
-    maps["b"] = hp.geometry.orthorectify(lines["b"], GSD, grid="flight")
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.mosaic(maps)
-    assert refused.value.codes == ("crs-conflict", "grid-turned")
-    counts = {**lines, "b": lines["b"].assign(radiance=lines["b"].radiance.assign_attrs(units="mW"))}
-    with pytest.raises(SchemaError, match=r"mW.*variable-mismatch"):
-        hp.geometry.mosaic(counts, variables=["radiance", "view_zenith"])
 
 
 def test_seamlines_enclose_the_cells_of_each_line() -> None:

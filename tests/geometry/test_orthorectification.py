@@ -282,49 +282,24 @@ def test_what_comes_along() -> None:
 
 def test_what_cannot_be_mapped_is_named_at_once() -> None:
     line = located(fly(20, 10))
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.orthorectify(
-            line, -1, grid="up", method="cubic", multi_hit="best", tile=0, bounds=(1, 1, 0, 0)
-        )
-    assert refused.value.codes == (
-        "choice-unknown",
-        "choice-unknown",
-        "choice-unknown",
-        "value-out-of-range",
-        "value-out-of-range",
-        "bounds-invalid",
-    )
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.orthorectify(line.assign(lamp=1.0), variables=["paint", "lamp"])
-    assert refused.value.codes == ("variable-missing", "dim-missing")
-    expect_refusals(
-        (SchemaError, "option-conflict", lambda: hp.geometry.orthorectify(line, ground=0.0)),
-        (
-            SchemaError,
-            "ground-not-seen",
-            lambda: hp.geometry.orthorectify(line.assign_coords(east=line.east * np.nan), variables=[]),
-        ),
-        (
-            SchemaError,
-            "line-too-short",
-            lambda: hp.geometry.orthorectify(line.isel(cross_track=[0]), variables=[]),
-        ),
-        (SchemaError, "map-too-large", lambda: hp.geometry.orthorectify(line, 1e-7, variables=[])),
-        (SchemaError, "variable-missing", lambda: hp.geometry.map_report(line)),
-    )
+    make = hp.geometry.orthorectify
+    wrong: dict[str, Any] = {"grid": "up", "method": "cubic", "multi_hit": "best", "tile": 0}
+    codes = ("choice-unknown",) * 3 + ("value-out-of-range",) * 2 + ("bounds-invalid",)
+    lamp, unseen = line.assign(lamp=1.0), line.assign_coords(east=line.east * np.nan)
     odd = {f"odd_{kind}": (CUBE[::2], np.zeros((20, 10), kind)) for kind in ("c8", "U3", "m8[ns]")}
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.orthorectify(line.assign(odd), variables=list(odd))
-    assert refused.value.codes == ("type-wrong",) * 3
+    expect_refusals(
+        (SchemaError, codes, lambda: make(line, -1, bounds=(1, 1, 0, 0), **wrong)),
+        (SchemaError, ("variable-missing", "dim-missing"), lambda: make(lamp, variables=["paint", "lamp"])),
+        (SchemaError, "option-conflict", lambda: make(line, ground=0.0)),
+        (SchemaError, "ground-not-seen", lambda: make(unseen, variables=[])),
+        (SchemaError, "line-too-short", lambda: make(line.isel(cross_track=[0]), variables=[])),
+        (SchemaError, "map-too-large", lambda: make(line, 1e-7, variables=[])),
+        (SchemaError, "variable-missing", lambda: hp.geometry.map_report(line)),
+        (SchemaError, ("type-wrong",) * 3, lambda: make(line.assign(odd), variables=list(odd))),
+    )
     # too many tiles are counted before they are made
     tracemalloc.start()
-    expect_refusals(
-        (
-            SchemaError,
-            "map-too-large",
-            lambda: hp.geometry.orthorectify(line, GSD / 40.0, tile=1, variables=[]),
-        )
-    )
+    expect_refusals((SchemaError, "map-too-large", lambda: make(line, GSD / 40.0, tile=1, variables=[])))
     assert tracemalloc.get_traced_memory()[1] < 20e6
     tracemalloc.stop()
 

@@ -1,5 +1,6 @@
 """Rays to rasters of heights: planes, an independent march in small steps, what is hidden, and holes."""
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -209,34 +210,16 @@ def test_heights_above_the_geoid() -> None:
 
 def test_rasters_that_cannot_be_used() -> None:
     line, heights = flown(3, COLUMNS), np.zeros((9, 9))
-    with pytest.raises(SchemaError) as refused:
-        hp.geometry.locate(line, dem=dem(heights, crs=None, height_reference=None), crs=UTM, camera=CAMERA)
-    assert refused.value.codes == ("crs-missing", "height-reference-missing")
+    even = dem(heights)
+    uneven = even.assign_coords(x=even.x.values + 0.01 * (np.arange(9) == 4))
+    place = functools.partial(hp.geometry.locate, line, crs=UTM, camera=CAMERA)
+    missing, geoid = dem(heights, crs=None, height_reference=None), dem(heights, height_reference="geoid")
     expect_refusals(
-        (
-            SchemaError,
-            "undulation-missing",
-            lambda: hp.geometry.locate(
-                line, dem=dem(heights, height_reference="geoid"), crs=UTM, camera=CAMERA
-            ),
-        )
-    )
-    uneven = dem(heights)
-    uneven = uneven.assign_coords(x=uneven.x.values + 0.01 * (np.arange(9) == 4))
-    expect_refusals(
-        (SchemaError, "grid-uneven", lambda: hp.geometry.locate(line, dem=uneven, crs=UTM, camera=CAMERA)),
-        (
-            SchemaError,
-            "dim-missing",
-            lambda: hp.geometry.locate(
-                line, dem=dem(heights).rename(y="lat", x="lon"), crs=UTM, camera=CAMERA
-            ),
-        ),
-        (
-            SchemaError,
-            "option-conflict",
-            lambda: hp.geometry.locate(line, dem=dem(heights), ground=0.0, crs=UTM, camera=CAMERA),
-        ),
+        (SchemaError, ("crs-missing", "height-reference-missing"), lambda: place(dem=missing)),
+        (SchemaError, "undulation-missing", lambda: place(dem=geoid)),
+        (SchemaError, "grid-uneven", lambda: place(dem=uneven)),
+        (SchemaError, "dim-missing", lambda: place(dem=even.rename(y="lat", x="lon"))),
+        (SchemaError, "option-conflict", lambda: place(dem=even, ground=0.0)),
     )
 
 
