@@ -19,7 +19,6 @@ from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.collect import PaintedRectangles
 from hyperpaint.simulation.flight import Lines, PlanFlight
-from hyperpaint.simulation.rendered_flight import RenderedFlight
 from hyperpaint.simulation.rendering.scene_spectra import MATERIALS
 
 # --- rendered collect ---
@@ -278,12 +277,6 @@ def test_a_flight_too_long_to_render_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SchemaError, match="flight-too-long"):
         simulate_collect(tmp_path / "new", lines=512, columns=2)
     assert not (tmp_path / "new").exists()
-
-
-def test_memory_is_used_again_without_a_trace() -> None:
-    flight = RenderedFlight(SimulationSettings(**SMALL))
-    fresh = flight.lines(32, 50).radiance.copy()
-    np.testing.assert_array_equal(flight.lines(32, 50, into=flight.lines(0, 32)).radiance, fresh)
 
 
 def test_command_line(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import datetime as dt
 import hashlib
-import itertools
 import re
 import struct
 import tomllib
@@ -483,14 +482,6 @@ def test_files_hold_whole_counts_only(tmp_path: Path) -> None:
         (SchemaError, "block_lines", lambda: simulate_collect(tmp_path / "new", block_lines=0)),
     )
     assert not (tmp_path / "new").exists()
-
-
-def test_memory_is_used_again_without_a_trace() -> None:
-    flight = PlanFlight(SimulationSettings(**SMALL))
-    fresh = [flight.lines(a, b).counts.copy() for a, b in itertools.pairwise((0, 32, 64, 70))]
-    memory = flight.lines(0, 32)
-    for kept, (first, last) in zip(fresh, itertools.pairwise((0, 32, 64, 70)), strict=True):
-        np.testing.assert_array_equal(flight.lines(first, last, into=memory).counts, kept)
 
 
 # --- reference files ---

@@ -79,6 +79,7 @@ def test_another_seed_another_draw(whole: xr.Dataset) -> None:
 
 def test_a_block_is_what_the_dataset_holds(whole: xr.Dataset) -> None:
     prepared = relighting.prepare_scene(two_cars(), TraceSettings([SUN, LOW_SUN], **SETTINGS))
+    np.testing.assert_allclose(prepared.sources.sun_radius, np.radians([0.27, 0.27]))
     block = relighting.trace_block(prepared, flight(), 5, 9)
     np.testing.assert_array_equal(block.weight, whole.transport_weight.values[5:9])
     np.testing.assert_array_equal(block.code, whole.transport_path.values[5:9])

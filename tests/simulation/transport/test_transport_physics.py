@@ -56,37 +56,6 @@ def test_the_glint_of_a_flat_coat(view: tuple[float, float], alpha: float) -> No
         assert radiance.mean() > 10 * 0.3 / np.pi * np.cos(np.radians(40)) * irradiance
 
 
-def share_seen(height: float, width: float, distance: float) -> float:
-    # Return the view factor from a level element to a rectangle that stands upright, element at its middle
-    # J. R. Howell, "A catalog of radiation heat transfer configuration factors", B-4 (the element faces a
-    # corner of the rectangle), twice.
-    b, root = width / 2, np.hypot(height, distance)
-    return float((np.arctan(b / distance) - distance / root * np.arctan(b / root)) / np.pi)
-
-
-def test_the_view_factor_is_a_sum_over_the_wall() -> None:
-    n = 1000
-    y, z = np.meshgrid(((np.arange(n) + 0.5) / n - 0.5) * 6, (np.arange(n) + 0.5) / n)
-    assert share_seen(1.0, 6.0, 0.3) == pytest.approx(
-        (z * 0.3 / (np.pi * (0.3**2 + y**2 + z**2) ** 2)).sum() * 6 / n**2, rel=1e-5
-    )
-
-
-def test_a_red_wall_beside_a_grey_panel() -> None:
-    grey, red = 0, 1
-    panel = (rectangle([0.2, -0.1, 0], [0.2, 0, 0], [0, 0.2, 0]), QUAD, grey)
-    wall = (rectangle([0, -3, 0], [0, 6, 0], [0, 0, 1]), QUAD, red)
-    rays = staring([0.3, 0, 0.0], sun(20, EAST), 64)
-    found = traced(
-        joined(panel, wall), materials(None, None), suns(sun(60, EAST)), rays, samples=8192, depth=3, seed=1
-    )
-    assert weight_of(found, code(SUN, grey, red, indirect=True)).mean() == pytest.approx(
-        share_seen(1.0, 6.0, 0.3) * np.sin(np.radians(60)), rel=5e-3
-    )
-    np.testing.assert_allclose(weight_of(found, code(SUN, grey)), 0.5, rtol=1e-6)
-    assert weight_of(found, code(SKY, grey)).mean() == pytest.approx(1 - share_seen(1.0, 6.0, 0.3), rel=5e-3)
-
-
 def white_furnace(alpha: float, zenith: float, flakes: float = 0.0, flake_alpha: float = 0.35) -> float:
     surfaces = materials((1.5, alpha), flakes=flakes, flake_alpha=flake_alpha)
     rays = staring([0, 0, 0.0], sun(zenith, EAST), 16)
@@ -105,12 +74,6 @@ def test_a_coated_white_base_in_a_white_furnace(alpha: float, zenith: float) -> 
 @pytest.mark.parametrize("flake_alpha", [0.12, 0.35, 0.6])
 def test_flakes_over_a_white_base_in_a_white_furnace(flake_alpha: float, share: float, zenith: float) -> None:
     assert white_furnace(0.001, zenith, share, flake_alpha) == pytest.approx(1, abs=0.01)
-
-
-def test_overcast_sky_brings_the_same_light_to_a_plane() -> None:
-    found = traced(joined(PLANE), materials(None), suns(overcast=True), nadir(16, 64, width=8.0), samples=256)
-    np.testing.assert_allclose(weight_of(found, code(SKY, 0)), 1, rtol=1e-6)
-    assert weight_of(found, code(OVERCAST, 0)).mean() == pytest.approx(1, abs=5e-3)
 
 
 def test_overcast_sky_favours_what_looks_up() -> None:
