@@ -261,18 +261,6 @@ def test_more_samples_are_less_noise() -> None:
     assert error[1] < 0.5 * error[0]
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"scene": "3d"}, {"samples": 0}, {"samples": 2.5}, {"sky": "blue"}, {"coat": 1}, {"neighbours": None},
-     {"sun_azimuth": 400.0}],
-    ids=str,
-)  # fmt: skip
-def test_wrong_settings_are_refused_before_anything_is_written(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    with pytest.raises(SchemaError, match=next(iter(wrong))):
-        simulate_collect(tmp_path / "new", **wrong)
-    assert not (tmp_path / "new").exists()
-
-
 def test_a_flight_too_long_to_render_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SchemaError, match="flight-too-long"):
         simulate_collect(tmp_path / "new", lines=512, columns=2)

@@ -456,13 +456,20 @@ def test_in_memory_line_equals_the_files(collect: Path) -> None:
         {"utc_offset_h": 30.0}, {"irradiance_interval_s": 0},
         {"first_wavelength": 900.0, "last_wavelength": 500.0}, {"drift_per_minute": 1.0, "lines": 10_000},
         {"bad_elements": 10**9}, {"dark_level": 5000.0}, {"glint": 1.5}, {"fwhm": 6.0},
+        {"scene": "3d"}, {"samples": 0}, {"samples": 2.5}, {"sky": "blue"}, {"coat": 1},
+        {"neighbours": None}, {"sun_azimuth": 400.0},
+        {"psf_across_columns": -1.0}, {"psf_along_lines": 99.0}, {"keystone_columns": "wide"},
+        {"stray_light": 0.9}, {"pedestal": float("nan")}, {"masked_columns": 1.5}, {"masked_columns": 160},
+        {"psf_kernel": [[1.0, 1.0]]}, {"psf_kernel": [[-1.0]]}, {"psf_kernel": [[0.0]]},
+        {"psf_kernel": 3.0}, {"psf_kernel": [[1.0], [1.0, 2.0, 1.0], [1.0]]}, {"pedestal": 4000.0},
+        {"psf_kernel": [[1.0]], "psf_along_lines": 1.0},
     ],
     ids=str,
 )  # fmt: skip
 def test_hostile_arguments_are_refused_before_anything_is_written(
     tmp_path: Path, wrong: dict[str, Any]
 ) -> None:
-    with pytest.raises(SchemaError):
+    with pytest.raises(SchemaError, match=next(iter(wrong))):
         simulate_collect(tmp_path / "new", **wrong)
     assert not (tmp_path / "new").exists()
 
