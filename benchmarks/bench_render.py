@@ -33,8 +33,8 @@ def platform(lines, columns):
 
 @functools.cache
 def prepared(samples):
+    from hyperpaint.simulation.rendering.relighting import prepare_scene
     from hyperpaint.simulation.rendering.scene_record import TraceSettings
-    from hyperpaint.simulation.rendering.tracing import prepare_scene
 
     return prepare_scene(scene(), TraceSettings([SUN], samples=samples))
 
@@ -44,8 +44,7 @@ def lighting(smile=0.0):
     """Return what the tasks of a relighting share, for 272 bands."""
     from hyperpaint.simulation.camera import BandResponses, BandSet, smile as shifts
     from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
-    from hyperpaint.simulation.rendering.painting import factor_spectra
-    from hyperpaint.simulation.rendering.relighting import make_lighting
+    from hyperpaint.simulation.rendering.relighting import factor_spectra, make_lighting
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     bands = BandSet.nano_hyperspec()
@@ -59,7 +58,7 @@ def lighting(smile=0.0):
 
 @functools.cache
 def traced_block(samples):
-    from hyperpaint.simulation.rendering.tracing import trace_block
+    from hyperpaint.simulation.rendering.relighting import trace_block
 
     lines, columns = BLOCK
     return trace_block(prepared(samples), platform(lines, columns), 0, lines)
@@ -81,7 +80,7 @@ class Block:
             method(samples)
 
     def time_trace(self, samples):
-        from hyperpaint.simulation.rendering.tracing import trace_block
+        from hyperpaint.simulation.rendering.relighting import trace_block
 
         trace_block(prepared(samples), platform(*BLOCK), 0, BLOCK[0])
 

@@ -138,7 +138,7 @@ def _with_truth(line: Any, lit: Any, traced: Any, sky: Any, clouds: Any, bands: 
     ``dust`` (along_track, cross_track) is the row of ``dust_ratio`` (row, band): what a pixel's paint is to
     the mean of its car's. ``true_direct``, ``true_shares`` (band): of the light at the middle of the scene.
     """
-    from hyperpaint.simulation.rendering.painting import factor_spectra, populations_of
+    from hyperpaint.simulation.rendering.relighting import factor_spectra, populations_of
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
     from hyperpaint.simulation.transport.mixing import member_rows
 

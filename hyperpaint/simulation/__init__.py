@@ -5,8 +5,8 @@ demonstration and `hyperpaint render` call it. Physics in float64 and file write
 chain is tested against independent code. `atmosphere` has the light, `rendering.scene_spectra` the
 surfaces, `camera` the camera, `rendering.platforms` its path and attitude. `flight` combines them scan line
 by scan line: over a flat picture of a car park, a checkerboard, or a car park of triangles
-(`rendered_flight`, `rendering`). `instruments` writes the instrument files, `stores` truth and sweeps,
-`collect` everything; `sweep` is a monochromator sweep of the same camera.
+(`rendered_flight`, `rendering`). `instruments` writes the instrument files, `collect` all files, truth
+and sweeps; `sweep` is a monochromator sweep of the same camera.
 """
 
 import lazy_loader

@@ -2,6 +2,8 @@ from .atmosphere import BrokenClouds as BrokenClouds
 from .collect import (
     simulate_collect as simulate_collect,
     simulate_line as simulate_line,
+    simulate_sweep as simulate_sweep,
+    write_sweep as write_sweep,
 )
 from .rendering.materials import (
     base_albedo as base_albedo,
@@ -10,8 +12,6 @@ from .rendering.materials import (
     reflectance_factor as reflectance_factor,
 )
 from .rendering.platforms import platform_from_poses as platform_from_poses
-from .rendering.relighting import relight as relight
-from .rendering.tracing import trace as trace
+from .rendering.relighting import relight as relight, trace as trace
 from .settings import SimulationSettings as SimulationSettings
-from .stores import simulate_sweep as simulate_sweep, write_sweep as write_sweep
 from .sweep import SweepSettings as SweepSettings

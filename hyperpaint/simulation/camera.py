@@ -815,6 +815,7 @@ class Camera:
     bit_depth: int
     optics: Optics | None = None  # blur, keystone and stray light; None for a camera without these effects
     pedestal: float = 0.0  # counts added to the dark in all frames except dark frames [count]
+    etendue: float = ETENDUE  # of an element [m2 sr]
 
     @classmethod
     def of(cls, settings: SimulationSettings) -> Camera:
@@ -862,11 +863,6 @@ class Camera:
         # detector with the dark of an exposure [s]
         dark = self.dark_bias + self.dark_rate * exposure_time
         return Detector(dark, self.electrons_per_count, self.read_noise, self.bit_depth)
-
-    @property
-    def etendue(self) -> float:
-        # etendue of an element [m2 sr]
-        return ETENDUE
 
     @cached_property
     def response_area(self) -> Floats:

@@ -24,13 +24,19 @@ from .camera import BandSet
 from .flight import Flight, Layer, Lines, LineView
 from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
-from .rendering.painting import factor_spectra, populations_of
 from .rendering.platforms import Platform, pixel_edges
-from .rendering.relighting import ProductTable, source_spectra
+from .rendering.relighting import (
+    PreparedScene,
+    ProductTable,
+    factor_spectra,
+    populations_of,
+    prepare_scene,
+    source_spectra,
+    trace_block,
+)
 from .rendering.scene import Scene
 from .rendering.scene_record import SceneRecord, TraceSettings, label_layers
 from .rendering.scene_spectra import paint_spec, spectrum_of
-from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .settings import PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 from .transport.mixing import member_rows
 from .transport.path_codes import is_direct, is_indirect, is_mirrored

@@ -66,13 +66,11 @@ from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.pictures.figures import new_figure, save_figure
 from hyperpaint.pictures.plot import overview
 from hyperpaint.simulation.camera import BandSet
-from hyperpaint.simulation.rendering.painting import assigned_paints, by_name
-from hyperpaint.simulation.rendering.relighting import relight
+from hyperpaint.simulation.collect import labelled
+from hyperpaint.simulation.rendering.relighting import assigned_paints, by_name, relight, trace
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-from hyperpaint.simulation.rendering.tracing import trace
 from hyperpaint.simulation.settings import ORIGIN, SimulationSettings
-from hyperpaint.simulation.stores import labelled
 
 from .products import (
     Outcome,

@@ -257,9 +257,9 @@ def test_a_finished_store_is_left_alone(tmp_path: Path) -> None:
 _KILLED = """
 import os, sys
 import dask, hyperpaint
-from hyperpaint.simulation.rendering import tracing
+from hyperpaint.simulation.rendering import relighting
 
-original, traced = tracing._trace_rays, []
+original, traced = relighting._trace_rays, []
 
 def trace_or_die(*arguments):
     traced.append(arguments)
@@ -267,7 +267,7 @@ def trace_or_die(*arguments):
         os._exit(9)
     return original(*arguments)
 
-tracing._trace_rays = trace_or_die
+relighting._trace_rays = trace_or_die
 with dask.config.set(scheduler="synchronous"):
     hyperpaint.render_scene(*sys.argv[1:], atmospheres=["noon"])
 """
@@ -275,7 +275,7 @@ with dask.config.set(scheduler="synchronous"):
 
 @pytest.mark.slow
 def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hyperpaint.simulation.rendering import tracing
+    from hyperpaint.simulation.rendering import relighting
 
     text = SCENE.replace("lines = 40", "lines = 160").replace("samples = 4", "samples = 1")
     file, out = scene_file(tmp_path, text.replace("columns = 24", "columns = 4")), tmp_path / "out.zarr"
@@ -283,13 +283,13 @@ def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert done.returncode == 9
     assert "unfinished: 0 of 2 groups are written" in str(hp.verify(out))
     traced: list[int] = []
-    original = tracing._trace_rays
+    original = relighting._trace_rays
 
     def note(prepared: Any, origin: Any, rotation: Any, edges: Any, first_line: int) -> Any:
         traced.append(first_line)
         return original(prepared, origin, rotation, edges, first_line)
 
-    monkeypatch.setattr(tracing, "_trace_rays", note)
+    monkeypatch.setattr(relighting, "_trace_rays", note)
     with dask.config.set(scheduler="synchronous"):
         hp.render_scene(file, out, atmospheres=["noon"])
         # blocks that were stored are not traced again

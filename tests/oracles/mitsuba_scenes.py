@@ -19,7 +19,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.simulation.camera import BandSet
 from hyperpaint.simulation.rendering.materials import internal_reflectance
-from hyperpaint.simulation.rendering.painting import factor_spectra
+from hyperpaint.simulation.rendering.relighting import factor_spectra
 from hyperpaint.simulation.rendering.scene_record import SceneRecord, sun_vectors
 
 if TYPE_CHECKING:

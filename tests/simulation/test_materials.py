@@ -29,6 +29,7 @@ from hyperpaint.simulation.rendering.materials import (
     reflectance_factor,
 )
 from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.relighting import trace
 from hyperpaint.simulation.rendering.scene import Scene, plane
 from hyperpaint.simulation.rendering.scene_spectra import (
     LEAF_INDEX,
@@ -37,7 +38,6 @@ from hyperpaint.simulation.rendering.scene_spectra import (
     leaf_optics,
     spectrum_of,
 )
-from hyperpaint.simulation.rendering.tracing import trace
 from hyperpaint.simulation.transport.path_codes import is_direct, is_indirect, is_mirrored
 
 # --- materials ---

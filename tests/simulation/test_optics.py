@@ -321,21 +321,6 @@ def test_a_sweep_cannot_have_other_optics_than_the_flight(tmp_path: Path) -> Non
 # --- settings ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"psf_across_columns": -1.0}, {"psf_along_lines": 99.0}, {"keystone_columns": "wide"},
-        {"stray_light": 0.9}, {"pedestal": float("nan")}, {"masked_columns": 1.5}, {"masked_columns": 160},
-        {"psf_kernel": [[1.0, 1.0]]}, {"psf_kernel": [[-1.0]]}, {"psf_kernel": [[0.0]]},
-        {"psf_kernel": 3.0}, {"psf_kernel": [[1.0], [1.0, 2.0, 1.0], [1.0]]}, {"pedestal": 4000.0},
-        {"psf_kernel": [[1.0]], "psf_along_lines": 1.0},
-    ],
-)  # fmt: skip
-def test_wrong_optics(wrong: dict[str, Any]) -> None:
-    with pytest.raises(SchemaError, match=next(iter(wrong))):
-        SimulationSettings(**wrong)
-
-
 def test_every_field_of_the_optics_makes_the_camera() -> None:
     from hyperpaint.simulation.settings import CAMERA_FIELDS
 

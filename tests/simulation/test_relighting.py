@@ -37,12 +37,11 @@ from hyperpaint.simulation.camera import (
     nominal_responsivity,
     smile,
 )
-from hyperpaint.simulation.rendering import relighting, tracing as tracing_module
+from hyperpaint.simulation.rendering import relighting
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
-from hyperpaint.simulation.rendering.painting import factor_spectra
 from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.simulation.rendering.relighting import SHARES, ProductTable
+from hyperpaint.simulation.rendering.relighting import SHARES, ProductTable, factor_spectra
 from hyperpaint.simulation.rendering.scene import plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, paint_spec, reflectance, spectrum_of
@@ -369,7 +368,7 @@ def test_a_stored_scene_is_relit_without_tracing(
     def refuse(*_: Any) -> None:
         raise AssertionError("the scene was traced again")
 
-    monkeypatch.setattr(tracing_module, "trace_lines", refuse)
+    monkeypatch.setattr(relighting, "trace_lines", refuse)
     for opened in (xr.open_zarr(path), hp.open_store(path)):
         for light, relit in zip(lights, expected, strict=True):
             with no_compute():

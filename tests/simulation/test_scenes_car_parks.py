@@ -15,7 +15,7 @@ from hyperpaint.simulation.rendering.car_parks import (
     worn,
 )
 from hyperpaint.simulation.rendering.materials import Coat
-from hyperpaint.simulation.rendering.scene import PARTS, Mesh, Scene
+from hyperpaint.simulation.rendering.scene import PARTS, Mesh, Scene, built
 from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, spectrum_of
 
 BARE = {"neighbours": (), "islands": False, "leaves": 10}
@@ -202,7 +202,8 @@ def count_over(mesh: Mesh, x: float, y: float, low: float, high: float) -> int:
 
 @pytest.mark.parametrize(("length", "width"), [(21.3, 16.0), (30.0, 32.0), (12.0, 11.0)])
 def test_the_ground_covers_everything_once(length: float, width: float) -> None:
-    ground = paved(strips_across(length, width, None, margin=12.0, line_width=0.12, islands=False))
+    layout = strips_across(length, width, None, margin=12.0, line_width=0.12, islands=False)
+    ground = built(paved(layout))
     for x, y in np.random.default_rng(0).uniform(
         (-0.5 * width - 11.9, -11.9), (0.5 * width + 11.9, length + 11.9), (400, 2)
     ):

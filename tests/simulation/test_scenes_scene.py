@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
-from support.refusals import expect_words, refusal
+from support.refusals import expect_words
 from support.traced_scenes import irradiance_series
 
 import hyperpaint as hp
@@ -26,7 +26,6 @@ from hyperpaint.simulation.rendering.materials import (
     coat_of_gloss,
     flakes_of_flop,
     fresnel_reflectance,
-    measured_factor,
 )
 from hyperpaint.simulation.rendering.platforms import Platform, matrices, platform_from_poses
 from hyperpaint.simulation.rendering.scene import (
@@ -444,77 +443,8 @@ def test_the_glint_of_a_flat_coat_is_that_of_its_formula() -> None:
     np.testing.assert_allclose(line.glint_share, 1.0)
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.05, 0.1])
-@pytest.mark.parametrize("zenith", [0.0, 60.0])
-def test_a_furnace_takes_no_more_than_the_paint(roughness: float, zenith: float) -> None:
-    # nearly white: a base that reflects everything reads 1.015 near normal, more than a spectrum may have
-    line = seen(
-        plane(500.0, Material("paint", "bright", "paint", Coat(1.5, roughness))),
-        looking(zenith=zenith, lines=4, columns=4),
-        light(0.0, 1.0, 30.0, 180.0),
-        {"bright": ([300.0, 1100.0], [1.0, 1.0])},
-        samples=8192,
-    )
-    absorbed = (1.0 - float(fresnel_reflectance(np.cos(np.radians(zenith))))) * (
-        1.0 - float(measured_factor(1.0))
-    )
-    np.testing.assert_allclose(line.reflectance.mean(), 1.0 - absorbed, atol=0.005)
-
-
-def two_boxes() -> Scene:
-    red = box((1.0, 2.0, 1.2), Material("red", "red", "paint", Coat()), centre=(-0.9, 0.0, 0.0), instance="a")
-    blue = box((1.0, 2.0, 1.2), Material("blue", "blue", "paint"), centre=(0.9, 0.3, 0.0), instance="b")
-    return Scene.join([plane(60.0), red, blue], "boxes")
-
-
-def test_noise_falls_faster_than_the_root_of_the_samples() -> None:
-    sky = light(1.0, 0.3, 40.0, 200.0)
-    above = looking(lines=8, columns=24, ifov=0.02)
-
-    def noise(samples: int) -> float:
-        one, other = (seen(two_boxes(), above, sky, samples=samples, seed=seed).radiance for seed in (1, 2))
-        return float(np.sqrt(((one - other) ** 2).mean()))
-
-    assert noise(16) / noise(1024) > 8.0
-
-
 def triangles(vertices: Any, faces: Any, material: Material = GREY) -> Scene:
     return Scene.from_arrays(vertices, faces, material)
-
-
-def test_an_open_mesh_is_seen_from_both_sides() -> None:
-    corners = [[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [0.0, 9.0, 0.0]]
-    sky = light(1.0, 0.3, 40.0, 200.0)
-    for face in ([0, 1, 2], [0, 2, 1]):
-        np.testing.assert_allclose(
-            seen(triangles(corners, [face]), looking(), sky, samples=8).reflectance, 0.2, rtol=1e-5
-        )
-
-
-def test_triangles_without_area_are_dropped_and_change_nothing() -> None:
-    whole = two_boxes()
-    spoilt_faces = np.concatenate([[[0, 0, 1]], whole.faces, [[2, 1, 2]]])
-    with pytest.warns(PaintWarning, match="triangle-without-area"):
-        spoilt = Scene(
-            whole.name,
-            whole.vertices,
-            spoilt_faces,
-            whole.normals,
-            np.pad(whole.face_material, 1),
-            np.pad(whole.face_instance, 1),
-            whole.materials,
-            whole.instances,
-        )
-    sky, above = light(1.0, 0.3, 40.0, 200.0), looking(lines=2, columns=16, ifov=0.02)
-    one, other = (seen(scene, above, sky, samples=4) for scene in (whole, spoilt))
-    xr.testing.assert_identical(one.radiance, other.radiance)
-
-
-def test_vertices_that_are_nowhere_are_refused_by_number() -> None:
-    corners = np.zeros((40, 3))
-    corners[7, 0], corners[31, 2] = np.nan, np.inf
-    with refusal(SchemaError, "not-finite", "vertices 7, 31"):
-        triangles(corners, [[0, 1, 2]])
 
 
 def test_in_a_scene_of_nothing_there_is_no_radiance() -> None:
@@ -541,26 +471,3 @@ def test_a_quarter_of_a_million_triangles_look_like_two() -> None:
     np.testing.assert_allclose(
         line.radiance, seen(plane(40.0, GREY), above, sky, samples=16).radiance, rtol=1e-6
     )
-
-
-def test_reflectance_above_one_is_refused_or_clamped() -> None:
-    sky = light(1.0, 0.3, 40.0, 200.0)
-    traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4, sun_radius=0.0)
-    bright = {"panel_20": ([300.0, 1100.0], [1.3, 1.3])}
-    with refusal(SchemaError, "value-out-of-range", "'panel_20'"):
-        hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright)
-    clamped = hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright, clip=True)
-    np.testing.assert_allclose(clamped.reflectance, 1.0, rtol=1e-5)
-
-
-def test_what_does_not_cover_the_bands_is_named() -> None:
-    sky = light(1.0, 0.3, 40.0, 200.0)
-    traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4)
-    with refusal(SchemaError, "spectrum-coverage", "'panel_20'"):
-        hp.simulation.relight(
-            traced, BANDS, atmosphere=sky, spectra={"panel_20": ([500.0, 700.0], [0.2, 0.2])}
-        )
-    wavelength, none = np.array([500.0, 1100.0]), np.zeros(2)
-    narrow = Atmosphere(wavelength, none + 1.0, none, none, none, 40.0, 200.0, name="narrow")
-    with refusal(SchemaError, "atmosphere-coverage", "'narrow'"):
-        hp.simulation.relight(traced, BANDS, atmosphere=narrow)

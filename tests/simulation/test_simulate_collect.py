@@ -1,7 +1,8 @@
 """The files of a simulated collect, read back with code of the test's own, and the effect of every switch."""
 
+import datetime as dt
 import hashlib
-import itertools
+import re
 import struct
 import tomllib
 from pathlib import Path
@@ -10,14 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from support.refusals import expect_errors
 
+import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.camera import convolve_gaussian
-from hyperpaint.simulation.flight import PlanFlight
-from hyperpaint.simulation.rendering.scene_spectra import MATERIALS
+from hyperpaint.simulation.flight import Checkerboard, CheckerboardFlight, PlanFlight
+from hyperpaint.simulation.instruments import SVC_DETECTORS, svc_wavelengths
+from hyperpaint.simulation.rendering.scene_spectra import CAR_PAINTS, MATERIALS, reflectance
+from hyperpaint.simulation.settings import PIXEL_ANGLE_RAD
+
+# --- simulate collect ---
 
 SMALL: dict[str, Any] = {"scene": "plan", "lines": 70, "bands": 12, "columns": 10, "seed": 7}
 SECOND = np.timedelta64(1, "s")
@@ -448,13 +456,20 @@ def test_in_memory_line_equals_the_files(collect: Path) -> None:
         {"utc_offset_h": 30.0}, {"irradiance_interval_s": 0},
         {"first_wavelength": 900.0, "last_wavelength": 500.0}, {"drift_per_minute": 1.0, "lines": 10_000},
         {"bad_elements": 10**9}, {"dark_level": 5000.0}, {"glint": 1.5}, {"fwhm": 6.0},
+        {"scene": "3d"}, {"samples": 0}, {"samples": 2.5}, {"sky": "blue"}, {"coat": 1},
+        {"neighbours": None}, {"sun_azimuth": 400.0},
+        {"psf_across_columns": -1.0}, {"psf_along_lines": 99.0}, {"keystone_columns": "wide"},
+        {"stray_light": 0.9}, {"pedestal": float("nan")}, {"masked_columns": 1.5}, {"masked_columns": 160},
+        {"psf_kernel": [[1.0, 1.0]]}, {"psf_kernel": [[-1.0]]}, {"psf_kernel": [[0.0]]},
+        {"psf_kernel": 3.0}, {"psf_kernel": [[1.0], [1.0, 2.0, 1.0], [1.0]]}, {"pedestal": 4000.0},
+        {"psf_kernel": [[1.0]], "psf_along_lines": 1.0},
     ],
     ids=str,
 )  # fmt: skip
 def test_hostile_arguments_are_refused_before_anything_is_written(
     tmp_path: Path, wrong: dict[str, Any]
 ) -> None:
-    with pytest.raises(SchemaError):
+    with pytest.raises(SchemaError, match=next(iter(wrong))):
         simulate_collect(tmp_path / "new", **wrong)
     assert not (tmp_path / "new").exists()
 
@@ -476,9 +491,308 @@ def test_files_hold_whole_counts_only(tmp_path: Path) -> None:
     assert not (tmp_path / "new").exists()
 
 
-def test_memory_is_used_again_without_a_trace() -> None:
-    flight = PlanFlight(SimulationSettings(**SMALL))
-    fresh = [flight.lines(a, b).counts.copy() for a, b in itertools.pairwise((0, 32, 64, 70))]
-    memory = flight.lines(0, 32)
-    for kept, (first, last) in zip(fresh, itertools.pairwise((0, 32, 64, 70)), strict=True):
-        np.testing.assert_array_equal(flight.lines(first, last, into=memory).counts, kept)
+# --- reference files ---
+
+#: What a line of the header may look like. `test_the_pattern_is_that_of_real_files` holds it to real files.
+PAIR = r"-?[\d.]+, ?-?[\d.]+"
+CLOCK = r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d( ?[AP]M)?"
+PLACE = r"(\d{4,5}\.\d{4}[NSEW])?"
+HEADER = {
+    "name": r"\S+\.sig",
+    "instrument": r"HI: \w{7} \(HR-1024i\)",
+    "integration": r"[\d.]+(, [\d.]+){5}",
+    "scan method": "Time-based, Time-based",
+    "scan coadds": r"\d+(, \d+){5}",
+    "scan time": PAIR,
+    "scan settings": "AI, AI",
+    "external data set1": r"\d+(, ?\d+){15}((, ?\d+){16})?",
+    "external data set2": r"\d+(, ?\d+){15}((, ?\d+){16})?",
+    "external data dark": r"\d+(, ?\d+){7}((, ?\d+){8})?",
+    "external data mask": r"\d+",
+    "optic": r"[\w ]+\(\d\), [\w ]+\(\d\)",
+    "temp": r"-?[\d.]+(, -?[\d.]+){5}",
+    "vis detector temp": PAIR,
+    "battery": PAIR,
+    "error": PAIR,
+    "units": "Radiance, Radiance",
+    "time": f"{CLOCK}, {CLOCK}",
+    "longitude": f"{PLACE} *, ?{PLACE} *",
+    "latitude": f"{PLACE} *, ?{PLACE} *",
+    "gpstime": r"(\d{6}\.\d{3})? *, ?(\d{6}\.\d{3})? *",
+    "comm": ".*",
+    "memory slot": PAIR,
+    "factors": r"([\d.]+, [\d.]+, [\d.]+ \[Overlap: .*\])+",
+    "inclinometer x offset": PAIR,
+    "inclinometer y offset": PAIR,
+    "sun zenith": PAIR,
+    "sun azimuth": PAIR,
+    "weather": r"\{.*\}",
+    "data": "",
+}
+OPTIONAL = {  # later versions of the firmware have them
+    "vis detector temp", "inclinometer x offset", "inclinometer y offset", "sun zenith", "sun azimuth",
+    "weather",
+}  # fmt: skip
+ROW = re.compile(r"\d{3,4}\.\d  -?\d+\.\d\d  -?\d+\.\d\d  -?\d+\.\d\d")
+
+
+def svc(path: Path) -> tuple[dict[str, str], np.ndarray]:
+    # Read a file of an HR-1024i strictly: keys in their order, then rows of four numbers (row, 4)
+    first, *lines = path.read_bytes().decode("ascii").replace("\r\n", "\n").removesuffix("\n").split("\n")
+    assert first == "/*** Spectra Vista SIG Data ***/"
+    keys: dict[str, str] = {}
+    for line in lines:
+        key, _, value = line.partition("=")
+        assert value.startswith(" ") or not value, line
+        keys[key] = value.strip()
+        if key == "data":
+            break
+    assert list(keys) == [key for key in HEADER if key in keys or key not in OPTIONAL]
+    for key, value in keys.items():
+        assert re.fullmatch(HEADER[key], value), f"{key}= {value}"
+    rows = lines[len(keys) :]
+    assert all(ROW.fullmatch(row) for row in rows)
+    return keys, np.array([row.split() for row in rows], dtype=np.float64)
+
+
+@pytest.fixture(scope="module")
+def spectrometers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    # A small collect with its spectrometers' files
+    return simulate_collect(
+        tmp_path_factory.mktemp("references"), scene="plan", lines=4, bands=4, columns=4, utc_offset_h=5.5
+    ).parent
+
+
+@pytest.mark.real_data
+def test_the_pattern_is_that_of_real_files(shared_data: Path) -> None:
+    files = sorted((shared_data / "svc_sig").glob("*.sig"))
+    assert files
+    for path in files:
+        keys, rows = svc(path)
+        np.testing.assert_allclose(
+            rows[:, 3], 100 * rows[:, 2] / rows[:, 1], atol=0.01 + 1 / rows[:, 1].min()
+        )
+        if "Preserve" in keys["factors"] and "Remove" not in keys["factors"]:
+            # three detectors of the sizes that are simulated, within what differs from unit to unit
+            assert (np.flatnonzero(np.diff(rows[:, 0]) < 0) + 1).tolist() == [512, 768]
+            np.testing.assert_allclose(rows[:, 0], svc_wavelengths(), atol=20)
+
+
+def test_svc_files_hold_the_paints(spectrometers: Path) -> None:
+    files = sorted((spectrometers / "svc").glob("*.sig"))
+    assert [path.stem for path in files] == sorted(CAR_PAINTS)
+    for path in files:
+        keys, rows = svc(path)
+        assert (keys["name"], len(rows)) == (path.name, 1024)
+        np.testing.assert_array_equal(rows[:, 0], svc_wavelengths())
+        np.testing.assert_allclose(rows[:, 3], 100 * rows[:, 2] / rows[:, 1], atol=0.0051)
+        # what a detector's resolution takes from the paints' edges, most at the sun's G band, 430 nm
+        np.testing.assert_allclose(
+            rows[:, 2] / rows[:, 1], reflectance([path.stem], rows[:, 0])[0], atol=0.0045
+        )
+
+
+def test_svc_counts_radiance_in_units_of_the_instrument(spectrometers: Path) -> None:
+    # 1e-10 W cm-2 sr-1 nm-1: a white panel at noon, by hand from the light that the flight has
+    _, rows = svc(spectrometers / "svc" / "grey.sig")
+    flight = PlanFlight(SimulationSettings(lines=4, bands=4, columns=4))
+    for nm in (550.2, 870.0):
+        row = int(np.abs(rows[:512, 0] - nm).argmin())
+        weight = np.exp(-4 * np.log(2) * ((flight.grid - rows[row, 0]) / SVC_DETECTORS[0].fwhm) ** 2)
+        assert rows[row, 1] * 1e-10 * 1e4 == pytest.approx(
+            ((flight.sky.sum(axis=0) * weight).sum() / weight.sum()) / np.pi, rel=1e-3
+        )
+
+
+def test_svc_clocks_and_places(spectrometers: Path) -> None:
+    # Local time of the instrument's clock, UTC of its GPS, the panel first, all before the flight
+    keys, _ = svc(spectrometers / "svc" / "red.sig")
+    panel, target = (dt.datetime.strptime(text, "%m/%d/%Y %I:%M:%S %p") for text in keys["time"].split(", "))
+    assert dt.timedelta(0) < target - panel < dt.timedelta(minutes=1)
+    utc = [local - dt.timedelta(hours=5.5) for local in (panel, target)]
+    assert [text.strip() for text in keys["gpstime"].split(",")] == [f"{moment:%H%M%S}.000" for moment in utc]
+    assert utc[1] < dt.datetime(2021, 7, 20, 17, 10)
+    assert (keys["latitude"].split()[0], keys["longitude"].split()[0]) == ("4305.0700N", "07740.4940W")
+
+
+@pytest.mark.parametrize(
+    ("moment", "shown"),
+    [
+        ("2021-07-20T00:30:00", "7/19/2021 11:31:00 PM"),
+        ("2021-07-20T01:30:00", "7/20/2021 12:31:00 AM"),
+        ("2021-12-31T13:30:00", "12/31/2021 12:31:00 PM"),
+    ],
+)
+def test_svc_hours_are_those_of_a_clock_face(tmp_path: Path, moment: str, shown: str) -> None:
+    # The panel of the first paint is seen 59 minutes before the flight
+    simulate_collect(
+        tmp_path, scene="plan", lines=4, bands=4, columns=4, start_time=moment, utc_offset_h=0.0, truth=False
+    )
+    keys, _ = svc(tmp_path / "svc" / "white.sig")
+    assert keys["time"].split(", ")[0] == shown
+
+
+def test_asd_files_hold_the_paints(spectrometers: Path) -> None:
+    files = sorted((spectrometers / "asd_reflectance").glob("*.asd"))
+    assert [path.stem for path in files] == sorted(CAR_PAINTS)
+    made = hp.open_asd(files)
+    assert set(made.data_vars) == {"reflectance"}
+    wavelength = made["wavelength"].values
+    for index, path in enumerate(made["source"].values.tolist()):
+        np.testing.assert_allclose(
+            made["reflectance"].values[index], reflectance([Path(path).stem], wavelength)[0], atol=0.004
+        )
+    seconds = (np.datetime64("2021-07-20T17:10:00") - made["time"].values) / np.timedelta64(1, "s")
+    assert (seconds > 0).all()
+    assert (seconds < 7200).all()
+
+
+@pytest.mark.real_data
+def test_asd_headers_say_what_those_of_reflectance_do(spectrometers: Path, shared_data: Path) -> None:
+    # Data type, fore optic, ordinate and reference flag, as in a file of the same version
+    def told(path: Path) -> dict[str, Any]:
+        raw = path.read_bytes()
+        channels = int.from_bytes(raw[204:206], "little")
+        return {
+            "version": raw[:3],
+            "type": raw[186],
+            "format": raw[199],
+            "ordinate": tuple(np.frombuffer(raw, "<f4", 2, 402).tolist()),
+            "reference": raw[484 + 8 * channels :][:2],
+        }
+
+    assert told(spectrometers / "asd_reflectance" / "red.asd") == told(
+        shared_data / "asd_binary" / "v7sample00003.asd"
+    )
+
+
+def test_collect_toml_names_the_references(spectrometers: Path) -> None:
+    assert tomllib.loads((spectrometers / "collect.toml").read_text())["references"] == [
+        {"instrument": "svc", "files": "svc/*.sig"},
+        {"instrument": "asd", "files": "asd_reflectance/*.asd"},
+    ]
+    hp.open_collect(spectrometers / "collect.toml")
+
+
+# --- checkerboard ---
+
+
+def is_bright(board: Any, east: Any, north: Any) -> Any:
+    # Tell which places are on bright squares: those whose numbers differ in being odd
+    first, second = np.floor(board.numbers(east, north))
+    return (first + second) % 2 == 1
+
+
+BOARD = {
+    "scene": "checkerboard", "lines": 70, "columns": 96, "bands": 3, "swath": 0.96, "wobble": "rough",
+    "boresight": (0.4, -0.6, 0.8), "lever_arm": (0.05, -0.02, 0.12), "course": 350.0,
+}  # fmt: skip
+
+
+def flight(**effects: object) -> CheckerboardFlight:
+    return CheckerboardFlight(SimulationSettings.of({**BOARD, **effects}))
+
+
+def test_corners_are_where_four_squares_meet() -> None:
+    board = Checkerboard((500.0, 4000.0), 0.16, 27.0)
+    corners = board.corners(np.array([[0, 0], [3, -2], [-5, 7]]))
+    around = 0.01 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    turn = np.radians(27.0)
+    along = np.array([[np.sin(turn), np.cos(turn)], [np.cos(turn), -np.sin(turn)]])
+    for corner in corners:
+        bright = is_bright(board, *(corner + around @ along).T)
+        assert bright.sum() == 2
+        assert bright[0] == bright[2] != bright[1]
+    assert np.hypot(*(corners[1] - corners[0])) == pytest.approx(0.16 * np.hypot(3, 2))
+
+
+def test_lines_are_the_same_however_they_are_asked_for() -> None:
+    whole, part = flight().lines(0, 70), flight().lines(33, 60)
+    np.testing.assert_array_equal(whole.counts[33:60], part.counts)
+    for name, values in whole.layers.items():
+        np.testing.assert_array_equal(values[33:60], part.layers[name])
+
+
+@pytest.mark.slow
+def test_share_is_the_mean_over_pixel_and_exposure() -> None:
+    # Expected: what 40 x 40 x 40 places and moments give, to what 80 of them can; on average, closer
+    still = flight(wobble="none", boresight=(0, 0, 0), lever_arm=(0, 0, 0), course=0.0, board_turn=0.0)
+    made = still.lines(0, 70).layers
+    assert 0.02 < (abs(made["bright_share"] - 0.5) < 0.45).mean() < 0.4
+    half = still.settings.exposure_time / 2
+    parts = np.arange(-39, 40, 2) / 80
+    errors = []
+    for line in (10, 31):
+        origin, rotation = still.trajectory.camera(still.line_times[line] / 1e9 + 2 * half * parts)
+        for column in range(15, 40):
+            across = (column - 47.5 + parts) * PIXEL_ANGLE_RAD
+            fine = [
+                is_bright(
+                    still.board, *still._map_coordinates(still._places(origin, rotation, across, t))[:2]
+                ).mean()
+                for t in parts * PIXEL_ANGLE_RAD
+            ]
+            errors.append(made["bright_share"][line, column] - np.mean(fine))
+    assert np.abs(errors).max() < 0.07
+    assert abs(np.mean(errors)) < 0.01
+
+
+def test_ground_is_level() -> None:
+    assert np.abs(flight().lines(0, 70).layers["height"] - 160.0).max() < 1e-6
+
+
+def test_files_hold_what_was_flown(tmp_path: Path) -> None:
+    # Expected: both navigation files give the true pose, the truth says how the camera was mounted, and the
+    # mean radiance of bright pixels is ten times that of dark ones
+    path = simulate_collect(tmp_path / "board", **BOARD, navigation_rate=200, frame_clock_offset_s=0.004)
+    truth = xr.open_zarr(path.parent / "truth.zarr")
+    assert (truth.attrs["crs"], truth.attrs["boresight"]) == ("EPSG:32618", [0.4, -0.6, 0.8])
+    assert (truth.attrs["lever_arm"], truth.attrs["frame_clock_offset_s"]) == ([0.05, -0.02, 0.12], 0.004)
+    assert truth.sizes["corner"] > 50
+    log = hp.open_navigation(path.parent / "flight" / "imu_gps.txt")
+    sbet = hp.open_navigation(path.parent / "flight" / "trajectory.sbet", date="2021-07-20")
+    assert log.sizes == sbet.sizes
+    assert abs(log["navigation_time"] - sbet["navigation_time"]).max() <= np.timedelta64(1, "us")
+    seconds = (log["navigation_time"].values - np.datetime64("2021-07-20T17:10:00", "ns")) / np.timedelta64(
+        1, "s"
+    )
+    pose = flight().trajectory.pose(seconds)
+    np.testing.assert_allclose(np.diff(seconds), 0.005)
+    for name, within in (("latitude", 1e-9), ("roll", 1e-6), ("heading", 1e-6), ("altitude", 1e-4)):
+        np.testing.assert_allclose(log[name], pose[name], atol=within, rtol=0)
+    for name in ("roll", "heading"):
+        np.testing.assert_allclose(np.degrees(sbet[name]), pose[name], atol=1e-9)
+    frame, stamp = np.loadtxt(path.parent / "flight" / "frameIndex_0.txt", skiprows=1).T
+    # the stamp is at the end of 5 ms, by a clock that is 4 ms behind
+    clock = np.loadtxt(path.parent / "flight" / "imu_gps.txt", skiprows=1, usecols=6)[0]
+    np.testing.assert_allclose((stamp - clock) / 1e6 + seconds[0], frame * 0.007 + 0.0025 - 0.004, atol=2e-6)
+    share, radiance = truth["bright_share"].values, truth["radiance"].isel(band=1).values
+    assert radiance[share == 1].mean() == pytest.approx(10 * radiance[share == 0].mean(), rel=1e-3)
+
+
+def test_line_in_memory_can_be_located() -> None:
+    line = simulate_line(**{**BOARD, "boresight": (0, 0, 0), "lever_arm": (0, 0, 0)})
+    placed = line.paint.locate(ground=160.0)
+    # the poses are exact, and so are places
+    assert (
+        float(np.hypot(placed["east"] - line["true_east"], placed["north"] - line["true_north"]).max()) < 1e-5
+    )
+
+
+def test_from_a_terminal(tmp_path: Path) -> None:
+    options = ["--scene", "checkerboard", "--lines", "8", "--columns", "40", "--bands", "4", "--quiet"]
+    flown = (
+        "swath=0.5 wobble=calm course=90 boresight=0.4,-0.6,0.8 lever_arm=0.05,-0.02,0.12 navigation_rate=50"
+    )
+    for setting in flown.split():
+        options += ["--set", setting]
+    done = CliRunner().invoke(main, ["simulate", str(tmp_path / "sim"), *options])
+    assert done.exit_code == 0, done.output
+    truth = xr.open_zarr(tmp_path / "sim" / "truth.zarr")
+    assert truth.attrs["lever_arm"] == [0.05, -0.02, 0.12]
+    assert np.ptp(truth["north"].values) > np.ptp(truth["east"].values)  # eight lines, flown east
+    done = CliRunner().invoke(
+        main, ["simulate", str(tmp_path / "two"), "--scene", "plan", "--set", "swath=3"]
+    )
+    assert done.exit_code == 2
+    assert "swath=3.0, expected 16 for all scenes but a checkerboard" in done.output

@@ -26,7 +26,6 @@ from hyperpaint.simulation.camera import nominal_responsivity
 QUIET: dict[str, Any] = {"noise": False, "quantise": False}
 EVEN: dict[str, Any] = {"nonuniformity": 0.0, "smile_nm": 0.0}
 SMALL: dict[str, Any] = {"steps": 7, "bands": 272, "columns": 3}
-CUBES = ("counts", "counts_variance", "dark_counts")
 
 
 def above_dark(sweep: xr.Dataset) -> xr.DataArray:

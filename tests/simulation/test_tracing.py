@@ -17,7 +17,7 @@ from support.traced_scenes import LOW_SUN, SUN, flight, two_cars
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import VARIABLES
-from hyperpaint.simulation.rendering import tracing
+from hyperpaint.simulation.rendering import relighting
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
 from hyperpaint.simulation.rendering.materials import KINDS, Material
@@ -52,7 +52,7 @@ def test_slots_grow_with_sources_and_samples() -> None:
 def test_variables_are_those_of_the_table_before_and_after(whole: xr.Dataset, no_compute: Any) -> None:
     with no_compute():
         lazy = traced(7)
-    assert (dict(lazy.sizes), set(lazy.data_vars)) == (DIMS, set(tracing._LAYOUT))
+    assert (dict(lazy.sizes), set(lazy.data_vars)) == (DIMS, set(relighting._LAYOUT))
     for made in (lazy, whole):
         for name, array in made.variables.items():
             row = VARIABLES[str(name)]
@@ -78,8 +78,9 @@ def test_another_seed_another_draw(whole: xr.Dataset) -> None:
 
 
 def test_a_block_is_what_the_dataset_holds(whole: xr.Dataset) -> None:
-    prepared = tracing.prepare_scene(two_cars(), TraceSettings([SUN, LOW_SUN], **SETTINGS))
-    block = tracing.trace_block(prepared, flight(), 5, 9)
+    prepared = relighting.prepare_scene(two_cars(), TraceSettings([SUN, LOW_SUN], **SETTINGS))
+    np.testing.assert_allclose(prepared.sources.sun_radius, np.radians([0.27, 0.27]))
+    block = relighting.trace_block(prepared, flight(), 5, 9)
     np.testing.assert_array_equal(block.weight, whole.transport_weight.values[5:9])
     np.testing.assert_array_equal(block.code, whole.transport_path.values[5:9])
     np.testing.assert_array_equal(block.position[:, 2], whole.up.values[5:9])
@@ -88,13 +89,13 @@ def test_a_block_is_what_the_dataset_holds(whole: xr.Dataset) -> None:
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads"])
 def test_the_scene_is_prepared_once(monkeypatch: pytest.MonkeyPatch, scheduler: str) -> None:
     calls = []
-    prepare = tracing.prepare_scene
+    prepare = relighting.prepare_scene
 
     def counted(*args: Any) -> Any:
         calls.append(args)
         return prepare(*args)
 
-    monkeypatch.setattr(tracing, "prepare_scene", counted)
+    monkeypatch.setattr(relighting, "prepare_scene", counted)
     with dask.config.set(scheduler=scheduler):
         traced(2, samples=1).compute()
     assert len(calls) == 1
@@ -102,13 +103,13 @@ def test_the_scene_is_prepared_once(monkeypatch: pytest.MonkeyPatch, scheduler: 
 
 def test_each_block_is_traced_once_for_all_variables(monkeypatch: pytest.MonkeyPatch) -> None:
     first_lines = []
-    task = tracing._trace_rays
+    task = relighting._trace_rays
 
     def counted(*args: Any) -> Any:
         first_lines.append(args[-1])
         return task(*args)
 
-    monkeypatch.setattr(tracing, "_trace_rays", counted)
+    monkeypatch.setattr(relighting, "_trace_rays", counted)
     with dask.config.set(scheduler="synchronous"):
         traced(8, samples=1).compute()
         assert sorted(first_lines) == [0, 8, 16]

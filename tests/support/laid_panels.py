@@ -7,9 +7,9 @@ import numpy as np
 import xarray as xr
 
 import hyperpaint as hp
+from hyperpaint.simulation.collect import line_dataset
 from hyperpaint.simulation.flight import PlanFlight
 from hyperpaint.simulation.settings import SimulationSettings
-from hyperpaint.simulation.stores import line_dataset
 
 
 @dataclass(frozen=True)

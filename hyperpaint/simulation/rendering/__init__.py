@@ -1,8 +1,8 @@
 """Synthetic scenes: geometry is traced once, spectra are applied later.
 
 A path of light contributes ``w E_source(lambda) / pi x product of reflectances(lambda)``, and ``w`` does not
-depend on wavelength. `tracing` records the weights, `relighting` turns them into radiance for any paints,
-atmosphere and camera.
+depend on wavelength. `relighting.trace` records the weights, `relighting.relight` turns them into radiance
+for any paints, atmosphere and camera.
 
 Scenes, flights, light and paints come in; traced weights and flight lines with their truth go out.
 `simulation`, `workflows.rendering` and users call it. The modules, in the order of their imports:
@@ -14,8 +14,6 @@ The light
     `four_curves`, the atmosphere, from the simulator's sky, a spectrometer or a table.
 The camera
     `platforms` and their flights.
-Tracing
-    `scene_record` (attributes of a traced dataset), `tracing`.
-Relighting
-    `painting` (spectra of all factors) and `relighting`.
+Tracing and relighting
+    `scene_record` (attributes of a traced dataset), `relighting` (tracing, spectra of all factors, light).
 """

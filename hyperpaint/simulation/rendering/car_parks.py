@@ -417,14 +417,10 @@ def _least_width(rows: int) -> float:
     return _GRASS + _KERB + 2 * _GUTTER + BAY[0] * rows + _AISLE * ((rows + 1) // 2)
 
 
-def paved(layout: Layout) -> Mesh:
+def paved(layout: Layout) -> Iterator[Part]:
     # ground, of the surfaces "asphalt", "line", "concrete" and "grass".
     # Painted lines are cells of the ground, not plates on it; kerbs and islands are raised. A sheet of
     # asphalt 5 cm below closes the joints.
-    return built(_ground(layout))
-
-
-def _ground(layout: Layout) -> Iterator[Part]:
     south, north = -layout.margin, layout.length + layout.margin
     first, last = max(-_BEYOND, south), min(layout.length + _BEYOND, north)
     west, east = layout.kerb[1], layout.east_kerb[0]
@@ -569,10 +565,6 @@ def _walls(layout: Layout) -> Iterator[Thing]:
     yield Thing("wall", "wall", (layout.wall, 0.0), (body, coping))
 
 
-def _hedges(layout: Layout) -> Iterator[Thing]:
-    yield Thing("hedge", "tree", (layout.hedge, 0.0), lambda rng, _: _hedge(rng, layout.length), (_TREES,))
-
-
 #: A lamp, 6 m high, the arm to the east.
 _LAMP = (
     Part(tube, ((0, 0, -0.05), (0, 0, 6.0), (0.07, 0.045), "steel", "", 8), crease=_CREASE_DEG),
@@ -592,7 +584,9 @@ def _lamps(layout: Layout) -> Iterator[Thing]:
 _NEIGHBOURS: dict[str, Callable[[Layout], Iterable[Thing]]] = {
     "trees": _trees,
     "walls": _walls,
-    "hedges": _hedges,
+    "hedges": lambda layout: [
+        Thing("hedge", "tree", (layout.hedge, 0.0), lambda rng, _: _hedge(rng, layout.length), (_TREES,))
+    ],
     "lamps": _lamps,
 }
 
@@ -681,7 +675,7 @@ def car_park(
     surroundings = _WORN if fleet == "real" else _SURROUNDINGS
     options: dict[str, Any] = {"margin": margin, "line_width": line_width, "islands": islands}
     layout = strips_across(length, width, rows, **options, walls="walls" in neighbours)
-    ground = put_together([paved(layout), *worn(layout, seed)])
+    ground = put_together([built(paved(layout)), *worn(layout, seed)])
     scenes = [ground.scene(surroundings, Instance("ground", "ground"))]
 
     def placed(things: Iterable[Thing]) -> Iterator[Scene]:

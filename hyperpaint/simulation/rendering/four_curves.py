@@ -203,8 +203,9 @@ class Atmosphere:
         """
         grid = spectral_grid(*_RANGE_NM) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
-        options: dict[str, Any] = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "name": name}
-        return cls._with_haze(grid, sun, sky, haze, aerosol=aerosol, **options)
+        return cls._with_haze(
+            grid, sun, sky, haze, aerosol=aerosol, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
+        )
 
     @classmethod
     def _with_haze(
@@ -297,8 +298,9 @@ class Atmosphere:
                 code="value-out-of-range",
             )
         sun, sky = (np.interp(grid, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
-        options: dict[str, Any] = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "name": name}
-        return cls._with_haze(grid, sun, sky, haze, aerosol=aerosol, **options)
+        return cls._with_haze(
+            grid, sun, sky, haze, aerosol=aerosol, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
+        )
 
     @classmethod
     def from_irradiance(
@@ -355,12 +357,16 @@ class Atmosphere:
             )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
-        options: dict[str, Any] = {
-            "sun_zenith": sun_zenith,
-            "sun_azimuth": sun_azimuth,
-            "overcast_share": overcast_share,
-        }
-        return cls._with_haze(grid, sun, sky, haze, **options, name=name)
+        return cls._with_haze(
+            grid,
+            sun,
+            sky,
+            haze,
+            sun_zenith=sun_zenith,
+            sun_azimuth=sun_azimuth,
+            overcast_share=overcast_share,
+            name=name,
+        )
 
     @classmethod
     def from_table(

@@ -39,7 +39,7 @@ class TraceSettings:
     suns
         Zenith and azimuth, clockwise from north, of every sun [degree].
     overcast, clear
-        As for `tracing.trace`.
+        As for `relighting.trace`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Many samples against analytic radiometry: what the recorder must get right to be used as truth."""
+"""Many samples against analytic radiometry; normals of curved surfaces, and waves of a coat."""
 
 import numpy as np
 import pytest
@@ -18,6 +18,10 @@ from support.transport_scenes import (
     traced,
     weight_of,
 )
+
+from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry, waved
+
+# --- transport physics ---
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="many samples want a compiler")
 
@@ -52,37 +56,6 @@ def test_the_glint_of_a_flat_coat(view: tuple[float, float], alpha: float) -> No
         assert radiance.mean() > 10 * 0.3 / np.pi * np.cos(np.radians(40)) * irradiance
 
 
-def share_seen(height: float, width: float, distance: float) -> float:
-    # Return the view factor from a level element to a rectangle that stands upright, element at its middle
-    # J. R. Howell, "A catalog of radiation heat transfer configuration factors", B-4 (the element faces a
-    # corner of the rectangle), twice.
-    b, root = width / 2, np.hypot(height, distance)
-    return float((np.arctan(b / distance) - distance / root * np.arctan(b / root)) / np.pi)
-
-
-def test_the_view_factor_is_a_sum_over_the_wall() -> None:
-    n = 1000
-    y, z = np.meshgrid(((np.arange(n) + 0.5) / n - 0.5) * 6, (np.arange(n) + 0.5) / n)
-    assert share_seen(1.0, 6.0, 0.3) == pytest.approx(
-        (z * 0.3 / (np.pi * (0.3**2 + y**2 + z**2) ** 2)).sum() * 6 / n**2, rel=1e-5
-    )
-
-
-def test_a_red_wall_beside_a_grey_panel() -> None:
-    grey, red = 0, 1
-    panel = (rectangle([0.2, -0.1, 0], [0.2, 0, 0], [0, 0.2, 0]), QUAD, grey)
-    wall = (rectangle([0, -3, 0], [0, 6, 0], [0, 0, 1]), QUAD, red)
-    rays = staring([0.3, 0, 0.0], sun(20, EAST), 64)
-    found = traced(
-        joined(panel, wall), materials(None, None), suns(sun(60, EAST)), rays, samples=8192, depth=3, seed=1
-    )
-    assert weight_of(found, code(SUN, grey, red, indirect=True)).mean() == pytest.approx(
-        share_seen(1.0, 6.0, 0.3) * np.sin(np.radians(60)), rel=5e-3
-    )
-    np.testing.assert_allclose(weight_of(found, code(SUN, grey)), 0.5, rtol=1e-6)
-    assert weight_of(found, code(SKY, grey)).mean() == pytest.approx(1 - share_seen(1.0, 6.0, 0.3), rel=5e-3)
-
-
 def white_furnace(alpha: float, zenith: float, flakes: float = 0.0, flake_alpha: float = 0.35) -> float:
     surfaces = materials((1.5, alpha), flakes=flakes, flake_alpha=flake_alpha)
     rays = staring([0, 0, 0.0], sun(zenith, EAST), 16)
@@ -101,12 +74,6 @@ def test_a_coated_white_base_in_a_white_furnace(alpha: float, zenith: float) -> 
 @pytest.mark.parametrize("flake_alpha", [0.12, 0.35, 0.6])
 def test_flakes_over_a_white_base_in_a_white_furnace(flake_alpha: float, share: float, zenith: float) -> None:
     assert white_furnace(0.001, zenith, share, flake_alpha) == pytest.approx(1, abs=0.01)
-
-
-def test_overcast_sky_brings_the_same_light_to_a_plane() -> None:
-    found = traced(joined(PLANE), materials(None), suns(overcast=True), nadir(16, 64, width=8.0), samples=256)
-    np.testing.assert_allclose(weight_of(found, code(SKY, 0)), 1, rtol=1e-6)
-    assert weight_of(found, code(OVERCAST, 0)).mean() == pytest.approx(1, abs=5e-3)
 
 
 def test_overcast_sky_favours_what_looks_up() -> None:
@@ -169,3 +136,83 @@ def test_slots_that_are_few_keep_the_total_and_the_mean() -> None:
     used = np.unique(full.code[full.code >= 0])
     means = np.array([[weight_of(block, int(one)).mean() for one in used] for block in (full, few)])
     np.testing.assert_allclose(means[1], means[0], atol=4e-3)
+
+
+# --- transport hits ---
+
+
+def vault(sides: int = 4, smooth: bool = True) -> Geometry:
+    # Return an upright half cylinder of radius 1 along y, 30 degrees a side
+    angle = np.radians(30.0) * (np.arange(sides + 1) - sides / 2)
+    around = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+    points = np.concatenate([around - np.array([0, 50, 0]), around + np.array([0, 50, 0])])
+    k = np.arange(sides)
+    low, high = np.stack([k, k + 1, k + sides + 2], 1), np.stack([k, k + sides + 2, k + sides + 1], 1)
+    normals = np.tile(around, (2, 1)) if smooth else []
+    return build_geometry(
+        points, np.concatenate([low, high]), normals, np.zeros(2 * sides), np.zeros(2 * sides)
+    )
+
+
+@pytest.mark.parametrize("off", [-4.0, -1.0, 1.0, 4.0])
+def test_light_fades_on_a_coarse_mesh_as_on_the_surface_it_stands_for(off: float) -> None:
+    # The facet west of the top turns its back to the sun; the round vault there still faces it
+    a = np.radians(off)
+    inner = np.cos(np.radians(15)) / np.cos(abs(a) - np.radians(15))  # of the facet, from the axis
+    rays = staring([float(inner * np.sin(a)), 0.3, float(inner * np.cos(a))], sun(3, 0), 1)
+    lit = traced(vault(), materials(None), suns(sun(80)), rays)
+    np.testing.assert_allclose(weight_of(lit, code(SUN, 0)), np.cos(np.radians(80) - a), rtol=0.1)
+    np.testing.assert_array_equal(lit.sun_visibility, 1)
+    assert (
+        weight_of(traced(vault(smooth=False), materials(None), suns(sun(80)), rays), code(SUN, 0)) > 0
+    ).all() == (off > 0)
+
+
+def test_a_coarse_mesh_keeps_the_light_of_the_sky() -> None:
+    rays = staring([0.0, 0.3, 1.0], sun(1, 0), 8)
+    found = traced(vault(), materials(None), suns(), rays, samples=4096)
+    assert found.weight.sum(axis=1).mean() == pytest.approx(1.0, abs=0.004)
+
+
+@pytest.mark.parametrize("slope", [0.002, 0.01])
+def test_waves_have_the_slope_asked_for(slope: float) -> None:
+    rng = np.random.default_rng(1)
+    count = 20000
+    tilts = []
+    for normal in rng.normal(size=(40, 3)):
+        normal /= np.linalg.norm(normal)
+        points = rng.uniform(-5, 5, size=(count // 40, 3))
+        tilts += [np.dot(waved(tuple(normal), tuple(point), slope), normal) for point in points]
+    tilts = np.tan(np.arccos(np.clip(tilts, -1, 1)))
+    assert np.sqrt(np.mean(np.square(tilts))) == pytest.approx(slope, rel=0.05)
+
+
+def test_waves_are_millimetres_to_a_centimetre_long() -> None:
+    up, here, slope = (0.0, 0.0, 1.0), (0.31, -0.2, 0.9), 0.005
+    start = np.array(waved(up, here, slope))
+    apart = [
+        np.linalg.norm(np.array(waved(up, (here[0] + step, here[1], here[2]), slope)) - start)
+        for step in (1e-5, 1e-4, 5e-3)
+    ]
+    assert apart[0] < 0.05 * slope
+    assert apart[1] < 0.3 * slope
+    assert apart[2] > 0.3 * slope
+    assert waved(up, here, slope) == waved(up, here, slope)
+
+
+def test_orange_peel_spreads_a_glint_and_keeps_its_light() -> None:
+    # Over a patch the glint is that of more slopes: as bright on the whole, lower at its peak
+    towards, light = sun(30, 270), sun(30, 90)
+    flat, wavy = materials((1.5, 0.004)), materials((1.5, 0.004))
+    wavy.numbers[0, 2] = 0.005
+    corners = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
+    floor = build_geometry(corners, [[0, 1, 2], [0, 2, 3]], [], [0, 0], [0, 0])
+    rays = staring([0, 0, 0.0], towards, 16)._replace(
+        column_edges=np.linspace(-5e-3, 5e-3, 17), along_edges=np.array([-5e-3, 5e-3])
+    )
+    glint = [
+        weight_of(traced(floor, paint, suns(light, radius=0.00466), rays, samples=4096, depth=1),
+                  code(SUN, mirror=True)).mean()
+        for paint in (flat, wavy)
+    ]  # fmt: skip
+    assert 0.1 < glint[1] / glint[0] < 0.75

@@ -70,18 +70,6 @@ def test_fresnel_is_the_mean_of_both_polarisations() -> None:
     assert fresnel(1.0, 1.5) == pytest.approx(0.04)
 
 
-@pytest.mark.parametrize("index", [1.2, 1.5, 2.0])
-def test_internal_reflectance_is_an_integral_over_directions(index: float) -> None:
-    u = (np.arange(200000) + 0.5) / 200000  # cos^2, even: diffuse light
-    sine = np.sqrt(1 - u) * index
-    total = sine >= 1
-    leaving = np.where(total, 0, 1 - fresnel_by_angles(np.sqrt(np.where(total, 1, 1 - sine**2)), index))
-    assert internal_reflectance(index) == pytest.approx(
-        1 - (1 - fresnel_by_angles(np.sqrt(u), index).mean()) / index**2, abs=1e-6
-    )
-    assert internal_reflectance(index) == pytest.approx(1 - leaving.mean(), abs=1e-5)
-
-
 @pytest.mark.parametrize("alpha", [0.02, 0.1, 0.5])
 def test_facets_cover_the_surface(alpha: float) -> None:
     cosine = 1 / np.sqrt(1 + np.tan((np.arange(20000) + 0.5) / 20000 * np.pi / 2) ** 2)
