@@ -91,14 +91,14 @@ def test_eight_points_on_four_lines() -> None:
     # As the benchmark has it for 100 repeats: 0.01 degrees, 0.1 degrees of heading, 2 ms
     both = [flights(4, wobble) for wobble in ("calm", "rough")]
     scores, within = [], 0
-    for seed in range(4, 12):
+    for seed in range(12):
         flown = both[seed % 2]
         found = solved(flown, picked(true_points(flown, seed), seed))
         scores.append(errors(found) / list(found.sd.values()))
         within += bool((np.abs(errors(found)) < LIMITS).all())
         assert found.picking_sd == pytest.approx(0.3, rel=0.35)
-    assert within == 8
-    # 40 numbers of unit variance: their mean square is 1 to a quarter
+    assert within >= 11
+    # 60 numbers of unit variance: their mean square is 1 to a fifth
     assert 0.4 < np.mean(np.square(scores)) < 1.9
 
 

@@ -21,7 +21,7 @@ pytest.importorskip("pyproj")
 
 
 @functools.cache
-def flight_of(seed: int, lines: int = 400) -> tuple[Flight, xr.Dataset, xr.Dataset]:
+def flight_of(seed: int, lines: int = 600) -> tuple[Flight, xr.Dataset, xr.Dataset]:
     # Return a flight, its line and its record
     flight = flown(seed, lines=lines)
     return flight, flight.line(), flight.navigation()
@@ -36,7 +36,7 @@ def check(flight: Flight, made: Made, **options: Any) -> ConventionCheck:
 
 @pytest.mark.slow
 def test_twelve_wrong_declarations() -> None:
-    flight, *_ = flight_of(1)
+    flight, *_ = flight_of(1, 900)
     fields, checks = {}, {}
     for name, (fields[name], make) in cases(flight).items():
         checks[name] = check(flight, make())
