@@ -124,17 +124,13 @@ def test_flags_are_counted_by_surface_and_apart_from_mixed_pixels() -> None:
         "mixed": np.array([[False, False, True, True], [False, False, False, False]]),
     }
     counts = scenes.count(bits, true, np.array([[0, 0, 0, 3], [4, 4, 0, 4]]))
-    assert (
-        counts["glint, outside mixed pixels, coloured paint"],
-        counts["glint, outside mixed pixels, glass"],
-        counts["glint, with mixed pixels, all"],
-        counts["shadow, outside mixed pixels, ground"],
-    ) == ((1, 1, 2), (0, 1, 0), (2, 3, 3), (1, 2, 1))
-    assert (
-        counts["shadow, with mixed pixels, all"],
-        counts["adjacency on clean paint"],
-        counts["mixed pixels"],
-    ) == ((1, 2, 2), (1, 1, 3), (1, 2, 2))
+    assert counts["glint, outside mixed pixels, coloured paint"] == ((1, 1, 2))
+    assert counts["glint, outside mixed pixels, glass"] == ((0, 1, 0))
+    assert counts["glint, with mixed pixels, all"] == ((2, 3, 3))
+    assert counts["shadow, outside mixed pixels, ground"] == ((1, 2, 1))
+    assert counts["shadow, with mixed pixels, all"] == ((1, 2, 2))
+    assert counts["adjacency on clean paint"] == ((1, 1, 3))
+    assert counts["mixed pixels"] == ((1, 2, 2))
     twice = scenes.total([counts, counts])
     assert twice["pixels"] == (4, 4, 16)
     rows = scenes.rows_of(twice)

@@ -53,10 +53,8 @@ def test_tolerance__is_relative_and_has_a_floor(signature: Any, true: Any, expec
 
 
 def test_flakes_stated_to_be_solid__are_wrong() -> None:
-    assert (
-        result(RED, finish="metallic", stated="solid")["result"],
-        result(RED, finish="metallic", stated="unknown")["result"],
-    ) == ("wrong", "right")
+    assert result(RED, finish="metallic", stated="solid")["result"] == "wrong"
+    assert result(RED, finish="metallic", stated="unknown")["result"] == "right"
 
 
 def test_coverage__counts_levels_within_the_interval() -> None:
@@ -68,10 +66,8 @@ def test_coverage__counts_levels_within_the_interval() -> None:
 def test_seeds__are_apart_and_scenes_follow_from_them() -> None:
     for source in fleet.SCENES:
         assert not set(fleet.TUNE[source]) & set(fleet.JUDGE[source])
-    assert (rendered_cars.conditions_of(700), foreign_cars.conditions_of(750)) == (
-        rendered_cars.conditions_of(700),
-        foreign_cars.conditions_of(750),
-    )
+    assert rendered_cars.conditions_of(700) == rendered_cars.conditions_of(700)
+    assert foreign_cars.conditions_of(750) == foreign_cars.conditions_of(750)
     zeniths = [rendered_cars.conditions_of(seed).sun_zenith for seed in fleet.JUDGE["hyperpaint"]]
     assert min(zeniths) < 20.0
     assert max(zeniths) > 70.0

@@ -1,14 +1,15 @@
 """Compiled kernels are cached on disk; a kernel works without the cache."""
 
 import errno
-import importlib.util
+import importlib
 import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numba
 import pytest
@@ -41,24 +42,21 @@ def whole(value):
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 
 
-@pytest.fixture
-def doubled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], Any]]:
-    # Return a function that imports the same kernel again, as another process would
+def imported(folder: Path, name: str, source: str, monkeypatch: pytest.MonkeyPatch) -> Any:
+    # Import a module anew, as another process would, with its cache beside it
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    if not (path := folder / f"{name}.py").exists():  # the cache belongs to a file of one age
+        path.write_text(source)
+    return importlib.import_module(name)
+
+
+@pytest.fixture
+def doubled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Any]:
+    # Return a function that imports the same kernel again
     monkeypatch.setattr(jit._Kernel, "_warned", False)
-    source = tmp_path / "doubling.py"
-    source.write_text(SOURCE)
-
-    def imported() -> Any:
-        spec = importlib.util.spec_from_file_location("doubling", source)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        return module.doubled
-
-    yield imported
-    sys.modules.pop("doubling", None)
+    return lambda: imported(tmp_path, "doubling", SOURCE, monkeypatch).doubled
 
 
 def _files(folder: Path, ending: str) -> list[Path]:
@@ -76,9 +74,7 @@ def test_the_second_process_compiles_nothing(doubled: Callable[[], Any], tmp_pat
 def test_a_kernel_works_with_a_warning_where_the_cache_is_full_or_read_only(
     number: int, owner: type, doubled: Callable[[], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: Any) -> None:
-        raise OSError(number, os.strerror(number))
-
+    refuse = mock.Mock(side_effect=OSError(number, os.strerror(number)))
     monkeypatch.setattr(owner, "_save_data" if owner is IndexDataCacheFile else "ensure_cache_path", refuse)
     kernel = doubled()
     with pytest.warns(PaintWarning, match="kernel-cache-unwritable"):
@@ -111,24 +107,6 @@ def test_wrong_arguments_are_an_error_without_a_warning(doubled: Callable[[], An
         expect_error(numba.TypingError, None, lambda: kernel({}))
 
 
-def test_a_part_is_compiled_once_and_kept_in_the_whole_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    source = tmp_path / "parts.py"
-    source.write_text(PARTS)
-    spec = importlib.util.spec_from_file_location("parts", source)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    assert (module.whole(5), len(_files(tmp_path, "nbc"))) == (5 * (2 + 3) + 5 * 5 * 4, 1)
-    # a constant argument does not make a type of its own
-    assert len(module.times._inner.overloads) == 1
-    # what is part of a whole is a kernel of its own for Python
-    assert (module.times(7, 6), len(_files(tmp_path, "nbc"))) == (42, 2)
-
-
 LOADED = """
 import sys
 from parts import times, whole
@@ -136,17 +114,17 @@ print(whole(5), "numba.np.arraymath" in sys.modules, times(7, 6), "numba.np.arra
 """
 
 
-def test_a_kernel_is_loaded_without_what_compiling_needs(tmp_path: Path) -> None:
-    (tmp_path / "parts.py").write_text(PARTS)
-    folders = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = {
-        **os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(folders),
-    }  # fmt: skip
-
-    def printed(code: str) -> str:
-        run = [sys.executable, "-c", code]
-        return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout
-
-    assert printed("from parts import whole; print(whole(5))").split() == ["125"]
-    # what is compiled after it, in the same process, works
-    assert printed(LOADED).split() == ["125", "False", "42", "True"]
+def test_a_part_is_compiled_once_and_kept_in_the_whole_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = imported(tmp_path, "parts", PARTS, monkeypatch)
+    assert (module.whole(5), len(_files(tmp_path, "nbc"))) == (5 * (2 + 3) + 5 * 5 * 4, 1)
+    # a constant argument does not make a type of its own
+    assert len(module.times._inner.overloads) == 1
+    # another process loads the kernel without the modules that compiling needs; it can compile after that
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    run = [sys.executable, "-c", LOADED]
+    loaded = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    assert loaded.split() == ["125", "False", "42", "True"]
+    # a part of a whole is a kernel of its own for Python
+    assert (module.times(7, 6), len(_files(tmp_path, "nbc"))) == (42, 2)

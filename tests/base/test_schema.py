@@ -41,20 +41,16 @@ def test_quality_bits_are_those_of_the_store() -> None:
         "timing_sensitive": 4096,
     }
     attrs = schema.quality_attrs()
-    assert (attrs["flag_meanings"].split()[-1], attrs["flag_masks"].tolist()) == (
-        "timing_sensitive",
-        [2**k for k in range(13)],
-    )
+    assert attrs["flag_meanings"].split()[-1] == "timing_sensitive"
+    assert attrs["flag_masks"].tolist() == [2**k for k in range(13)]
 
 
 def test_label_replaces_attributes() -> None:
     array = xr.DataArray(np.ones(2, "f4"), dims="band", name="L", attrs={"units": "furlong", "stale": 1})
     made = label(array, "fwhm", source="here")
-    assert (made.attrs, made.name, array.attrs) == (
-        {**VARIABLES["fwhm"].attrs, "source": "here"},
-        "fwhm",
-        {"units": "furlong", "stale": 1},
-    )
+    assert made.attrs == {**VARIABLES["fwhm"].attrs, "source": "here"}
+    assert made.name == "fwhm"
+    assert array.attrs == {"units": "furlong", "stale": 1}
     made.attrs["units"] = "changed"
     assert VARIABLES["fwhm"].attrs["units"] == "nm"
 

@@ -193,7 +193,8 @@ def test_quantities_inside_of_dask_blocks_are_refused() -> None:
         wrapped.paint.reflectance()
 
 
-def test_units_of_places() -> None:
+def level_line() -> xr.Dataset:
+    # One line of three columns, flown level and to the north
     pose = {
         "latitude": 34.0,
         "longitude": -81.0,
@@ -203,10 +204,14 @@ def test_units_of_places() -> None:
         "heading": 0.0,
     }
     line = xr.Dataset({name: ("along_track", [value]) for name, value in pose.items()})
+    return line.assign_coords(cross_track=[0, 1, 2])
+
+
+def test_units_of_places() -> None:
+    line = level_line()
     line["latitude"].attrs["units"] = "degrees_north"
     line["longitude"].attrs["units"] = "degrees_east"
     line["altitude"] = ("along_track", FIRST.Quantity([150.0 / 0.3048], "ft"))
-    line = line.assign_coords(cross_track=[0, 1, 2])
     pytest.importorskip("pyproj")
     convention = hp.Convention(column_order="left_to_right")
     camera = hp.geometry.PinholeCamera(3, field_of_view=90.0, edges="centres")
@@ -231,16 +236,7 @@ def test_units_of_places() -> None:
 
 def test_a_height_model_in_feet() -> None:
     pytest.importorskip("rioxarray")
-    pose = {
-        "latitude": 34.0,
-        "longitude": -81.0,
-        "altitude": 150.0,
-        "roll": 0.0,
-        "pitch": 0.0,
-        "heading": 0.0,
-    }
-    line = xr.Dataset({name: ("along_track", [value]) for name, value in pose.items()})
-    line = line.assign_coords(cross_track=[0, 1, 2])
+    line = level_line()
     options = {
         "camera": hp.geometry.PinholeCamera(3, field_of_view=30.0, edges="centres"),
         "convention": hp.Convention(column_order="left_to_right"), "crs": "EPSG:32617",

@@ -13,15 +13,23 @@ from support.refusals import expect_words
 import hyperpaint as hp
 
 
+def stored(path: Path, count: int) -> Path:
+    # Store flight lines that cross each other at right angles; the second looks down more steeply
+    pytest.importorskip("pyproj")
+    lines = {}
+    for number in range(count):
+        flown = fly(40, 20, "calm", heading=30.0 + 90.0 * number, seed=number)
+        values = np.random.default_rng(number).random((40, 6, 20)).astype(np.float32)
+        line = located(flown, reflectance=(("along_track", "band", "cross_track"), values, {"units": "1"}))
+        zenith = (("along_track", "cross_track"), np.full((40, 20), 5.0 - number), {"units": "degree"})
+        wavelength = ("band", np.linspace(450.0, 700.0, 6), {"units": "nm"})
+        lines[f"/flightlines/raw_{number}"] = line.assign_coords(wavelength=wavelength, view_zenith=zenith)
+    return hp.to_store(xr.DataTree.from_dict(lines), path)
+
+
 @pytest.fixture
 def store(tmp_path: Path) -> Path:
-    pytest.importorskip("pyproj")
-    flown = fly(40, 20, "calm", heading=30.0)
-    values = np.random.default_rng(0).random((40, 6, 20)).astype(np.float32)
-    line = located(flown, reflectance=(("along_track", "band", "cross_track"), values, {"units": "1"}))
-    line = line.assign_coords(wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}))
-    hp.to_store(xr.DataTree.from_dict({"/flightlines/raw_0": line}), tmp_path / "lot.zarr")
-    return tmp_path / "lot.zarr"
+    return stored(tmp_path / "lot.zarr", 1)
 
 
 def test_a_map_as_store_and_as_geotiff(store: Path) -> None:
@@ -35,14 +43,14 @@ def test_a_map_as_store_and_as_geotiff(store: Path) -> None:
 
 
 def test_what_is_wrong_is_said(store: Path) -> None:
-    done = hyperpaint("orthorectify", store, "--out", "map.png", status=2)
-    assert "ends in .tif or .zarr" in done.output
-    done = hyperpaint("orthorectify", store, "--line", "raw_9", "--out", "map.zarr", status=2)
-    assert "no flight line 'raw_9'" in done.output
-    for place in (store, store / "map.tif", store / "flightlines" / "map.zarr"):
-        done = hyperpaint("orthorectify", store, "--out", place, "--overwrite", status=2)
-        assert "in the store itself" in done.output
-        assert hp.verify(store).ok
+    inside = (store, store / "map.tif", store / "flightlines" / "map.zarr")
+    for options, refusal in (
+        (("--out", "map.png"), "ends in .tif or .zarr"),
+        (("--line", "raw_9", "--out", "map.zarr"), "no flight line 'raw_9'"),
+        *((("--out", place, "--overwrite"), "in the store itself") for place in inside),
+    ):
+        assert refusal in hyperpaint("orthorectify", store, *options, status=2).output
+    assert hp.verify(store).ok
 
 
 # rioxarray multiplies transforms the old way
@@ -133,19 +141,7 @@ def test_a_store_of_one_nameless_line_has_no_line_of_a_name(store: Path, tmp_pat
 
 @pytest.fixture
 def store_mosaic(tmp_path: Path) -> Path:
-    pytest.importorskip("pyproj")
-    lines = {}
-    for number in range(2):
-        flown = fly(40, 20, "calm", heading=30.0 + 90.0 * number, seed=number)
-        values = np.random.default_rng(number).random((40, 6, 20)).astype(np.float32)
-        line = located(flown, reflectance=(("along_track", "band", "cross_track"), values, {"units": "1"}))
-        zenith = (("along_track", "cross_track"), np.full((40, 20), 5.0 - number), {"units": "degree"})
-        line = line.assign_coords(
-            wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}), view_zenith=zenith
-        )
-        lines[f"/flightlines/raw_{number}"] = line
-    hp.to_store(xr.DataTree.from_dict(lines), tmp_path / "lot.zarr")
-    return tmp_path / "lot.zarr"
+    return stored(tmp_path / "lot.zarr", 2)
 
 
 def test_a_mosaic_as_store_and_as_geotiff(store_mosaic: Path) -> None:

@@ -121,13 +121,15 @@ def check_above(groups: Iterable[str], location: Location, problems: Problems, *
     file = location.local is not None and location.local.is_file()
     # a store without the root's metadata has a manifest
     if file or (entries and METADATA not in entries and MANIFEST_NODE not in entries):
-        mend = "choose another path"
-        problems.add("it exists and is not a Zarr v3 store", mend=mend, code="store-foreign")
+        problems.add("it exists and is not a Zarr v3 store", mend="choose another path", code="store-foreign")
         return
     parents = [] if location.local is None else location.local.absolute().parents
     if outer := [str(parent) for parent in parents if (parent / METADATA).is_file()]:
-        mend = "write a group of that store, or choose another path"
-        problems.add(f"it is inside the store {outer[0]}", mend=mend, code="path-inside-store")
+        problems.add(
+            f"it is inside the store {outer[0]}",
+            mend="write a group of that store, or choose another path",
+            code="path-inside-store",
+        )
         return
     for group in groups:
         try:

@@ -239,13 +239,15 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
                 code="manifest-lost",
             )
             return StoreState((lost,))
-        note = "not written by hyperpaint"
-        if any(map(contents, present)):
-            note = "copied from a store of hyperpaint, without its manifest"
-        elif any("hyperpaint_complete" in location.attributes(name) for name in present):
-            note = "written by hyperpaint 0.2 or older, without a manifest"
-        note += ": missing or exchanged groups and chunks cannot be detected; all chunks were read"
-        return StoreState((), (note,))
+        origins = {
+            "copied from a store of hyperpaint, without its manifest": map(contents, present),
+            "written by hyperpaint 0.2 or older, without a manifest": (
+                "hyperpaint_complete" in location.attributes(name) for name in present
+            ),
+        }
+        origin = next((text for text, signs in origins.items() if any(signs)), "not written by hyperpaint")
+        lost_text = "missing or exchanged groups and chunks cannot be detected; all chunks were read"
+        return StoreState((), (f"{origin}: {lost_text}",))
     faults: list[Problem] = []
     notes, resume = [], ""
     # unfinished writes
@@ -276,11 +278,15 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
                 for write in manifest.writes
             )
         ):
-            if location.has(name, METADATA):
-                found, code = "changed: its content differs from the manifest", "group-changed"
-            else:
-                found, code = "deleted", "group-deleted"
-            faults.append(Problem(f"/{name}: {found}", mend=mend, code=code))
+            faults.append(
+                Problem(
+                    f"/{name}: changed: its content differs from the manifest",
+                    mend=mend,
+                    code="group-changed",
+                )
+                if location.has(name, METADATA)
+                else Problem(f"/{name}: deleted", mend=mend, code="group-deleted")
+            )
     notes += [
         f"/{name}: added by another program, not in the manifest"
         for name in present

@@ -404,9 +404,8 @@ def is_zarr(path: Any) -> bool:
     if not isinstance(path, str | os.PathLike):
         return not isinstance(path, Sequence) and place_of(path)[0] is None
     text = os.fsdecode(path)
-    if "://" in text or text.rstrip("/").endswith(".zarr"):
-        return True
-    if any(os.path.lexists(os.path.join(text, name)) for name in METADATA_FILES[:3]):
+    files = (os.path.join(text, name) for name in METADATA_FILES[:3])
+    if "://" in text or text.rstrip("/").endswith(".zarr") or any(map(os.path.lexists, files)):
         return True
     if not os.path.isfile(text) or not zipfile.is_zipfile(text):
         return False

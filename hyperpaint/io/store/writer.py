@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import DEFAULT_CODEC
-from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problem, Problems, StoreError
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
 from hyperpaint.base.units import takes_quantities
@@ -436,15 +436,12 @@ def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str
     manifest = Manifest.read(location, ignore_damage=True)
     if manifest is None or any(set(write.contents) & set(contents) for write in manifest.writes):
         return False
-    is_recorded = all(
-        name in manifest.groups and manifest.groups[name].content == c for name, c in contents.items()
+    groups, listed = manifest.groups, listed_documents(location)
+    return (
+        all(name in groups and groups[name].content == content for name, content in contents.items())
+        and all(has_attributes(group, expected, location) for group, expected in attrs.items())
+        and all(joined(name, array) in listed for name in contents for array in groups[name].arrays)
     )
-    if not (
-        is_recorded and all(has_attributes(group, expected, location) for group, expected in attrs.items())
-    ):
-        return False
-    listed = listed_documents(location)
-    return all(joined(name, array) in listed for name in contents for array in manifest.groups[name].arrays)
 
 
 @contextlib.contextmanager
@@ -751,7 +748,8 @@ def pending_groups(
     except IncompleteStoreError as error:
         problems.add_error(location.url, error)
         manifest = None
-    pending, exists = [], location.has("")
+    pending: list[str] = []
+    exists = location.has("")
     lost = store_state(location).faults if manifest is None and exists and not len(problems) else ()
     if lost and not overwrite:
         problems.add(
@@ -762,28 +760,28 @@ def pending_groups(
         )
     for group, content in contents.items():
         state = occupant(group, content, location, manifest) if exists else ""
-        if state == "same":
-            continue
-        if state == "parent":
-            problems.add(
+        other = Problem(
+            f"group {'/' + group!r} exists, {state}",
+            mend="pass overwrite=True to replace it",
+            option="pass --overwrite to replace it",
+            code="store-exists",
+        )
+        faults: dict[str, Problem | None] = {
+            "parent": Problem(
                 f"group {'/' + group!r} contains other groups, files or folders, which would be lost",
                 mend="choose another group, or move them away first",
                 code="group-occupied",
-            )
-        elif state == "array":
-            problems.add(
+            ),
+            "array": Problem(
                 f"{'/' + group!r} or a parent of it is an array",
                 mend="choose another group",
                 code="group-occupied",
-            )
-        elif state not in ("", "lacks chunks") and not overwrite:
-            problems.add(
-                f"group {'/' + group!r} exists, {state}",
-                mend="pass overwrite=True to replace it",
-                option="pass --overwrite to replace it",
-                code="store-exists",
-            )
-        pending.append(group)
+            ),
+            **dict.fromkeys(("same", "", "lacks chunks")),
+        }
+        fault = faults.get(state, None if overwrite else other)
+        problems.extend([fault] if fault is not None else [])
+        pending += [group] if state != "same" else []
     problems.raise_if_any()
     return pending
 

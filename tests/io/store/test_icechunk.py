@@ -68,22 +68,21 @@ def test_a_collect_in_a_repository_is_the_one_in_the_folder(plain: Path, reposit
     assert ours.counts.chunks == theirs.counts.chunks
     xr.testing.assert_identical(ours.compute(), theirs.compute())
     made, expected = computed(ours).compute(), computed(theirs).compute()
-    assert (made.reflectance.dtype, made.reflectance.values.tobytes()) == (
-        np.float32,
-        expected.reflectance.values.tobytes(),
-    )
+    assert made.reflectance.dtype == np.float32
+    assert made.reflectance.values.tobytes() == expected.reflectance.values.tobytes()
     xr.testing.assert_identical(made, expected)
     xr.testing.assert_identical(ours.paint.rgb().compute(), theirs.paint.rgb().compute())
     assert next(snapshot.message for snapshot in repository.ancestry(branch="main")) == "ingest"
-
-
-def test_ingest_keeps_chunks_and_codec(repository: Any) -> None:
+    # chunks and codec are kept
     counts = zarr.open_group(repository.readonly_session("main").store, mode="r")[LINE]["counts"]
-    assert (counts.chunks, [type(codec).__name__ for codec in counts.compressors], counts.fill_value) == (
-        (32, 12, 16),
-        ["BloscCodec", "Crc32cCodec"],
-        65535,
-    )
+    assert counts.chunks == ((32, 12, 16))
+    assert [type(codec).__name__ for codec in counts.compressors] == ["BloscCodec", "Crc32cCodec"]
+    assert counts.fill_value == 65535
+    # a session is opened as any store
+    store = repository.readonly_session("main").store
+    xr.testing.assert_equal(hp.open_store(store, LINE), hp.open_store(plain, LINE))
+    assert set(hp.open_store(store).groups) >= {f"/{LINE}", "/irradiance", "/calibration"}
+    expect_error(hp.StoreError, "group-unknown", lambda: hp.open_store(store, "flightlines/raw_9"))
 
 
 def test_reflectance_is_written_from_threads(repository: Any) -> None:
@@ -178,13 +177,6 @@ def test_only_our_codec_tells_a_flipped_bit(plain: Path, tmp_path: Path, protect
         expect_error(ValueError, "checksum", lambda: opened.load())
     else:
         assert not opened.load().equals(product)  # and nothing was said
-
-
-def test_a_session_is_opened_as_any_store(plain: Path, repository: Any) -> None:
-    store = repository.readonly_session("main").store
-    xr.testing.assert_equal(hp.open_store(store, LINE), hp.open_store(plain, LINE))
-    assert set(hp.open_store(store).groups) >= {f"/{LINE}", "/irradiance", "/calibration"}
-    expect_error(hp.StoreError, "group-unknown", lambda: hp.open_store(store, "flightlines/raw_9"))
 
 
 def test_verify_says_what_to_do_instead(plain: Path, tmp_path: Path) -> None:

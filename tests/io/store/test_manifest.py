@@ -97,10 +97,8 @@ def test_a_whole_run_is_whole_and_can_be_moved(store: Path, tmp_path: Path) -> N
     moved = tmp_path / "elsewhere.zarr"
     assert hp.verify(moved).ok
     assert is_complete(moved, LINES[0])
-    assert (
-        set(hp.open_store(moved)["flightlines"].children),
-        hp.open_store(moved, LINES[0]).counts.values[0, 0, 0],
-    ) == ({"raw_0", "raw_1", "raw_2"}, 98)
+    assert set(hp.open_store(moved)["flightlines"].children) == {"raw_0", "raw_1", "raw_2"}
+    assert hp.open_store(moved, LINES[0]).counts.values[0, 0, 0] == 98
     consolidate(moved)
     assert hp.verify(moved).ok
     assert not {"hyperpaint_content", SETTINGS} & set(hp.open_store(moved, LINES[0]).attrs)
@@ -117,10 +115,8 @@ def test_the_manifest_names_what_lies_on_the_disk(store: Path) -> None:
     ours = listed_documents(location)
     consolidate(store)
     theirs = listed_documents(location)
-    assert ({name: node for name, node in theirs.items() if name != "hyperpaint"}, list(ours)) == (
-        ours,
-        [name for name in theirs if name != "hyperpaint"],
-    )
+    assert {name: node for name, node in theirs.items() if name != "hyperpaint"} == ours
+    assert list(ours) == [name for name in theirs if name != "hyperpaint"]
 
 
 @pytest.mark.parametrize("stop", [1, 2])
@@ -415,10 +411,8 @@ def test_nothing_is_written_where_all_is_there(store: Path) -> None:
     contents = {name: content_of(Location.of(store), name) for name in LINES}
     with whole_run(store, contents, {}, {"name": "lot"}, command=COMMAND, overwrite=True):
         pass
-    assert (
-        {path: path.stat().st_mtime_ns for path in store.rglob("*")},
-        content_of(Location.of(store), LINES[0]),
-    ) == (before, f"/{LINES[0]} {LINES[0]}-a a")
+    assert {path: path.stat().st_mtime_ns for path in store.rglob("*")} == before
+    assert content_of(Location.of(store), LINES[0]) == f"/{LINES[0]} {LINES[0]}-a a"
 
 
 def test_attributes_that_others_add_to_a_root_with_arrays_refuse_nothing(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ import xarray as xr
 from support.refusals import expect_error
 
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.io.store import chunks, open_store, to_store, verify
+from hyperpaint.io.store import chunks, is_complete, open_store, to_store, verify
 from hyperpaint.io.store.groups import version_of_program
 from hyperpaint.io.store.location import MANIFEST_NODE
 
@@ -69,10 +69,11 @@ def line(log: str | None = None, lines: int = 32) -> xr.Dataset:
 
 
 WRITER = """
-import importlib.util, sys
+import importlib.util, pathlib, sys
 import dask
 from hyperpaint.io.store import to_store
 
+sys.path.append(str(pathlib.Path(sys.argv[1]).parents[2]))
 spec = importlib.util.spec_from_file_location("resumed", sys.argv[1])
 resumed = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(resumed)
@@ -171,6 +172,8 @@ def test_killed_at_a_random_instant(seed: int, tmp_path: Path, whole: dict[str, 
     time.sleep(random.uniform(0, 0.02))
     writer.send_signal(signal.SIGKILL)
     writer.communicate(timeout=60)
+    if not is_complete(path, GROUP):  # what was not there is not there now
+        expect_error(StoreError, None, lambda: open_store(path, GROUP))
     # the function's argument is part of the content: the same log again
     to_store(line(str(log)), path, GROUP, source_token=TOKEN)
     assert len(log.read_text().split()) <= BLOCKS + 2

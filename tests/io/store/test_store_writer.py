@@ -97,10 +97,8 @@ def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         stored = xr.open_zarr(tmp_path / "lot.zarr", group=group)
-        assert (stored.counts.chunks, (stored.quality.chunks, stored.time.chunks)) == (
-            ((32, 32, 6), (3,), (5,)),
-            (((32, 32, 6), (5,)), ((70,),)),
-        )
+        assert stored.counts.chunks == (((32, 32, 6), (3,), (5,)))
+        assert ((stored.quality.chunks, stored.time.chunks)) == ((((32, 32, 6), (5,)), ((70,),)))
         assert "wavelength" not in stored.indexes
         assert_same(stored, source)
         assert_same(open_store(tmp_path / "lot.zarr", group), source)
@@ -112,10 +110,8 @@ def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
 def test_attributes(tmp_path: Path) -> None:
     to_store(flightline().assign_attrs(history="2026-01-01 flown"), tmp_path / "lot.zarr", GROUP)
     attrs = xr.open_zarr(tmp_path / "lot.zarr", group=GROUP).attrs
-    assert (
-        (attrs["hyperpaint_format"], attrs["Conventions"]),
-        (attrs["srf_shape"], attrs["gain"], attrs["bands"]),
-    ) == ((3, "CF-1.11"), ("gaussian", 2, [0, 1, 2]))
+    assert ((attrs["hyperpaint_format"], attrs["Conventions"])) == ((3, "CF-1.11"))
+    assert ((attrs["srf_shape"], attrs["gain"], attrs["bands"])) == (("gaussian", 2, [0, 1, 2]))
     assert attrs["history"].startswith("2026-01-01 flown\n20")
     assert attrs["created"] > "2024-01-01T00:00:00+00:00"
     assert zarr.open_group(tmp_path / "lot.zarr", mode="r").attrs["hyperpaint_format"] == 3
@@ -274,11 +270,9 @@ def test_finds_the_source_through_a_rewritten_graph(path: Path, tmp_path: Path) 
 
     to_store(flightline(), path, GROUP)
     (optimised,) = dask.optimize(xr.open_zarr(path, group=GROUP)[["counts"]].reset_coords(drop=True) + 1)
-    assert (
-        reads_from(optimised, Location.of(path), GROUP),
-        reads_from(optimised, Location.of(path), "flightlines/raw"),
-        reads_from(optimised, Location.of(tmp_path), ""),
-    ) == (["counts"], [], ["counts"])
+    assert reads_from(optimised, Location.of(path), GROUP) == ["counts"]
+    assert reads_from(optimised, Location.of(path), "flightlines/raw") == []
+    assert reads_from(optimised, Location.of(tmp_path), "") == ["counts"]
 
 
 @pytest.mark.parametrize(
