@@ -130,8 +130,10 @@ def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] 
     if "panels" not in dataset.attrs or not set(_SCALE) <= set(dataset.variables):
         return None
     if other_light:
-        warning = "the scale by panels belongs to the line's own irradiance and is left out; pass panel="
-        warn_user(warning, "panel-scale-foreign")
+        warn_user(
+            "the scale by panels belongs to the line's own irradiance and is left out; pass panel=",
+            "panel-scale-foreign",
+        )
         return None
     arrays = require(dataset, list(_SCALE), "the scale by panels")
     return {name.removeprefix("panel_"): slabs.small(array) for name, array in arrays.items()}

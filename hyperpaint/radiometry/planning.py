@@ -103,12 +103,12 @@ def tilt_factors(
     fraction, state = fraction[used], state[used]
     is_modelled = (state == _CLEAR) | (state == _CONTRADICTORY) | ~np.isfinite(fraction).all(axis=1)
     if (state == _CONTRADICTORY).any():
-        text = (
+        warn_user(
             f"the irradiance fits no sky at its place and time in {(state == _CONTRADICTORY).sum()} of "
             f"{used.size} samples; tilt= assumes a clear sky for them, otherwise pass "
-            "Tilt(diffuse_fraction=)"
+            "Tilt(diffuse_fraction=)",
+            "sky-unknown",
         )
-        warn_user(text, "sky-unknown")
     if is_modelled.any():
         factors[is_modelled] = factor(tilt, np.flatnonzero(is_modelled))
     for sample in np.flatnonzero(~is_modelled):
@@ -422,8 +422,10 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
         dark = dark[is_usable.all(axis=1)]
         times = None if times is None else np.asarray(times)[is_usable.all(axis=1)]
     elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():
-        text = "lines differ in exposure and 'dark_exposure_time' is missing: one dark is used for all"
-        warn_user(text, "dark-exposure-missing")
+        warn_user(
+            "lines differ in exposure and 'dark_exposure_time' is missing: one dark is used for all",
+            "dark-exposure-missing",
+        )
     index, weight = np.zeros(exposure.size, np.int64), np.zeros(exposure.size, np.float32)
     if len(dark) == 1 or times is None or "time" not in cube:
         return dark.mean(axis=0, dtype=np.float64).astype(np.float32)[None], index, weight
@@ -972,8 +974,9 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
         is_doubtful = level < DULL_MEDIAN
         comparison = f"expected at least {DULL_MEDIAN:g} by day{slip}"
     if is_doubtful:
-        text = f"{found}, {comparison}; check its units, its time, and the line's place"
-        warn_user(text, "irradiance-level")
+        warn_user(
+            f"{found}, {comparison}; check its units, its time, and the line's place", "irradiance-level"
+        )
 
 
 def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:
@@ -990,9 +993,9 @@ def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavele
     is_missing = np.isnan(spectra[has_values]).any(axis=0)
     if not (is_lost.any() and is_missing.any()):
         return
-    text = (
+    warn_user(
         f"irradiance is undefined in {is_missing.sum()} channels, such as {channels[is_missing][0]:g} nm: "
         f"{is_lost.sum()} of {is_lost.size} bands become NaN at these times, "
-        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over them"
+        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over them",
+        "irradiance-gaps",
     )
-    warn_user(text, "irradiance-gaps")
