@@ -996,6 +996,7 @@ def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavele
     warn_user(
         f"irradiance is undefined in {is_missing.sum()} channels, such as {channels[is_missing][0]:g} nm: "
         f"{is_lost.sum()} of {is_lost.size} bands become NaN at these times, "
-        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over them",
+        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over "
+        "them",
         "irradiance-gaps",
     )
