@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 from support.laid_panels import Laid, flown_over
-from support.strategies import flight
+from support.strategies import START, flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.radiometry import panel_closure
-from hyperpaint.radiometry.panel_judging import PANEL_STATES
+from hyperpaint.radiometry.panel_judging import PANEL_STATES, PanelContext, judge_panels
 
 SEED = 7301
 
@@ -166,3 +166,70 @@ def test_of_radiance_the_brightest_samples_are_the_limit() -> None:
     with pytest.warns(PaintWarning, match="saturated"):
         factor = panel_closure(radiance, laid.panel).panel_factor.values
     np.testing.assert_allclose(factor, of_counts, rtol=2e-3)
+
+
+def judged(
+    pattern: Any, spectrum: Any = 1.0, u: float = 0.0, saturated: float = 0.0, share: Any = None
+) -> set[str]:
+    # Return the faults of a panel of 0.5 with a pattern of its pixels, in twenty bands
+    observed = 0.5 * pattern[:, None, :] * np.broadcast_to(spectrum, 20)[:, None]
+    ceiling = np.full(observed.shape, np.quantile(observed[:, 0], 1.0 - saturated) if saturated else 2.0)
+    ceiling[:, 5:] = 2.0
+    observed[observed > ceiling] = np.nan
+    panel = {
+        "observed": observed, "ceiling": ceiling, "reflectance": np.full(20, 0.5), "uncertainty": u,
+        "name": "the panel", "time": START, "direct_share": share,
+    }  # fmt: skip
+    context = PanelContext(np.linspace(450.0, 950.0, 20), np.ones(20, bool), np.full(20, 0.0583), True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        closure = judge_panels((panel,), context)
+    faults = {name for bit, name in enumerate(PANEL_STATES) if int(closure.state[0]) >> bit & 1}
+    return faults | ({"bands lost"} if np.isnan(closure.factor).any() else set())
+
+
+def test_every_rule_of_panels_counts() -> None:
+    # pairs of panels around each threshold, so that twice and half of it change a verdict
+    normal, rising = np.random.default_rng(1).standard_normal((14, 14)), np.linspace(0.6, 0.9, 20)
+    even, textured = 1.0 + 1e-3 * normal, 1.0 + 0.01 * normal
+    teeth = np.sign(np.sin(2.1 * np.arange(20)))
+
+    def other(count: int, by: float, spread: float = 0.01) -> Any:
+        pattern = 1.0 + spread * normal
+        pattern.ravel()[:count] = 1.0 + by
+        return pattern
+
+    def sloping(by: float) -> Any:
+        return np.repeat(1.0 + by * np.linspace(-1.0, 1.0, 14)[:, None], 14, 1)
+
+    def leaning(by: float, share: Any = rising, **options: Any) -> set[str]:
+        return judged(even, 1.0 + by * share + options.pop("teeth", 0.0), share=share[None], **options)
+
+    bright_bands = [np.where(np.arange(20) < count, 1.3, 1.0) for count in (1, 3)]
+    verdicts = {
+        "outlier_sd": (judged(other(4, 0.045)), judged(other(4, 0.09))),
+        "least_departure": (judged(other(4, 0.014, 1e-4)), judged(other(4, 0.03, 1e-4))),
+        "noticed_share": (judged(other(1, 0.5)), judged(other(3, 0.5))),
+        "most_error": (judged(sloping(0.16)), judged(sloping(0.3))),
+        "refused_error": (judged(sloping(0.4)), judged(sloping(0.7))),
+        "least_lean": (leaning(0.0095), leaning(0.02)),
+        "lean_misfit": (leaning(0.06, teeth=0.0035 * teeth), leaning(0.06, teeth=0.0016 * teeth)),
+        "least_contrast": (leaning(0.2, 0.6 + rising / 5.0), leaning(0.2, 0.6 + rising / 2.5)),
+        "coverage": (leaning(0.03, u=0.015), leaning(0.06, u=0.015)),
+        "off_bands": tuple(judged(even, bands) for bands in bright_bands),
+        "most_saturated": (judged(textured, saturated=0.3), judged(textured, saturated=0.7)),
+    }
+    right: set[str] = set()
+    assert verdicts == {
+        "outlier_sd": (right, {"partly_other"}),
+        "least_departure": (right, {"partly_other"}),
+        "noticed_share": (right, {"partly_other"}),
+        "most_error": (right, {"uneven"}),
+        "refused_error": ({"uneven"}, {"uneven", "refused"}),
+        "least_lean": (right, {"leaning", "refused"}),
+        "lean_misfit": (right, {"leaning", "refused"}),
+        "least_contrast": ({"off_level"}, {"leaning", "refused", "off_level"}),
+        "coverage": ({"leaning"}, {"leaning", "refused"}),
+        "off_bands": (right, {"off_level"}),
+        "most_saturated": ({"saturated"}, {"saturated", "bands lost"}),
+    }
