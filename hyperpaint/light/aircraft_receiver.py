@@ -181,12 +181,12 @@ def level_irradiance(
     >>> bool(abs(level.irradiance[1] / level.irradiance[0] - 1.0).max() < 0.01)
     True
     """
-    if str(irradiance.attrs.get("irradiance_mount", "")).startswith(_LEVELLED):
-        raise SchemaError(
-            "this record is already corrected to level (attribute irradiance_mount)",
-            mend="open the original record",
-            code="record-already-levelled",
-        )
+    SchemaError.raise_if(
+        str(irradiance.attrs.get("irradiance_mount", "")).startswith(_LEVELLED),
+        "this record is already corrected to level (attribute irradiance_mount)",
+        mend="open the original record",
+        code="record-already-levelled",
+    )
     variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the irradiance of level ground")
     record = variables["irradiance"]
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
@@ -194,12 +194,12 @@ def level_irradiance(
     channels = channels_of(record)
     sensor = _sensor(stamps, attitude, mounting, cosine_response, ground_reflectance)
     usable = np.nan_to_num(sensor.tilt, nan=np.inf) <= MAX_TILT_DEG
-    if not usable.any():
-        raise SchemaError(
-            "no sample of the light sensor has an attitude",
-            mend="pass navigation that covers the record",
-            code="attitude-missing",
-        )
+    SchemaError.raise_if(
+        not usable.any(),
+        "no sample of the light sensor has an attitude",
+        mend="pass navigation that covers the record",
+        code="attitude-missing",
+    )
     if not usable.all():
         warn_user(
             f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN",
@@ -325,12 +325,18 @@ def _sensor(
             f"the attitude has no {', '.join([*missing, *([] if time_name else ['time'])])}",
             code="variable-missing",
         )
-    if np.shape(mounting) != (3,) or not np.isfinite(mounting).all():
-        problems.add(
-            f"mounting={mounting!r}", expected="roll, pitch and heading [degree]", code="angles-unreadable"
-        )
-    if not 0.0 <= ground <= 1.0:
-        problems.add(f"ground_reflectance={ground!r}", expected="0 to 1", code="value-out-of-range")
+    problems.add_if(
+        np.shape(mounting) != (3,) or not np.isfinite(mounting).all(),
+        f"mounting={mounting!r}",
+        expected="roll, pitch and heading [degree]",
+        code="angles-unreadable",
+    )
+    problems.add_if(
+        not 0.0 <= ground <= 1.0,
+        f"ground_reflectance={ground!r}",
+        expected="0 to 1",
+        code="value-out-of-range",
+    )
     # incidence [degree] and response relative to the cosine law [1]
     response = np.array([0.0, 90.0]), np.ones(2)
     if cosine_response is not None and "incidence" not in getattr(cosine_response, "coords", ()):
@@ -340,12 +346,14 @@ def _sensor(
             np.asarray(cosine_response["incidence"].values, np.float64),
             np.asarray(cosine_response.values, np.float64),
         )
-        if values.ndim != 1 or (np.diff(incidence) <= 0).any() or not ((values > 0.0) & (values < 2.0)).all():
-            problems.add(
-                "cosine_response is out of range, or its incidences do not increase",
-                expected="0 to 2, relative to the cosine law",
-                code="cosine-response-invalid",
-            )
+        problems.add_if(
+            values.ndim != 1
+            or (np.diff(incidence) <= 0).any()
+            or not ((values > 0.0) & (values < 2.0)).all(),
+            "cosine_response is out of range, or its incidences do not increase",
+            expected="0 to 2, relative to the cosine law",
+            code="cosine-response-invalid",
+        )
     problems.raise_if_any()
     # angles in the canonical convention
     convention = Convention.from_attrs(attitude.attrs) or Convention()

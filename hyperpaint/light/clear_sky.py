@@ -137,12 +137,12 @@ class ClearSky:
     airmass: float | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.sun_zenith < 90.0:
-            raise SchemaError(
-                f"sun_zenith is {self.sun_zenith!r}",
-                expected="0 to below 90 degrees",
-                code="value-out-of-range",
-            )
+        SchemaError.raise_if(
+            not 0.0 <= self.sun_zenith < 90.0,
+            f"sun_zenith is {self.sun_zenith!r}",
+            expected="0 to below 90 degrees",
+            code="value-out-of-range",
+        )
 
     @property
     def mass(self) -> float:

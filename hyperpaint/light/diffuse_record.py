@@ -125,8 +125,7 @@ def diffuse_from_record(
         ),
         (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
     ):
-        if not is_valid:
-            problems.add(found, expected=expected, code="value-out-of-range")
+        problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
     check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
     if not windows_in(channels).centre.size:

@@ -82,20 +82,26 @@ class Tilt:
 
     def __post_init__(self) -> None:
         problems = Problems("the tilt of the surface is out of range", SchemaError)
-        if not 0.0 <= self.angle <= 90.0:
-            problems.add(
-                f"angle {self.angle:g}", expected="0 to 90 degrees from level", code="value-out-of-range"
-            )
-        if not is_number(self.azimuth):
-            problems.add(
-                f"azimuth {self.azimuth}",
-                expected="degrees clockwise from north",
-                code="value-out-of-range",
-            )
+        problems.add_if(
+            not 0.0 <= self.angle <= 90.0,
+            f"angle {self.angle:g}",
+            expected="0 to 90 degrees from level",
+            code="value-out-of-range",
+        )
+        problems.add_if(
+            not is_number(self.azimuth),
+            f"azimuth {self.azimuth}",
+            expected="degrees clockwise from north",
+            code="value-out-of-range",
+        )
         for name in ("sky_view_factor", "ground_reflectance", "diffuse_fraction"):
             value = getattr(self, name)
-            if value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all():
-                problems.add(f"{name} {value}", expected="0 to 1", code="value-out-of-range")
+            problems.add_if(
+                value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all(),
+                f"{name} {value}",
+                expected="0 to 1",
+                code="value-out-of-range",
+            )
         if self.sky is not None:
             one_of(self.sky, ("clear", "uniform"), "sky", problems=problems)
         problems.raise_if_any()
@@ -185,13 +191,13 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
     shift = np.atleast_2d(
         np.asarray([0.0] * columns if wavelength_shift is None else wavelength_shift, np.float64)
     )
-    if not (np.isfinite(shift).all() and np.abs(shift).max() <= 20.0):
-        raise SchemaError(
-            "'wavelength_shift' is not finite or too large",
-            expected="at most 20 nm",
-            mend="check its units",
-            code="wavelength-shift-range",
-        )
+    SchemaError.raise_if(
+        not (np.isfinite(shift).all() and np.abs(shift).max() <= 20.0),
+        "'wavelength_shift' is not finite or too large",
+        expected="at most 20 nm",
+        mend="check its units",
+        code="wavelength-shift-range",
+    )
     if not shift.any():
         full_run = np.array([[0, columns]])
         return Smile(np.zeros(1), np.zeros((1, columns), np.float32), full_run, np.zeros((1, 1), np.int64))
@@ -280,8 +286,12 @@ def match_irradiance(
     ('irradiance_time', 'node', 'band') [[[1.3 1.3]]]
     """
     dims = schema.VARIABLES["irradiance"].dims
-    if set(irradiance.dims) != set(dims):
-        raise SchemaError(f"'irradiance' has dims {irradiance.dims}", expected=f"{dims}", code="dims-wrong")
+    SchemaError.raise_if(
+        set(irradiance.dims) != set(dims),
+        f"'irradiance' has dims {irradiance.dims}",
+        expected=f"{dims}",
+        code="dims-wrong",
+    )
     irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
     channels = channels_of(irradiance)
     imager = {

@@ -60,10 +60,13 @@ class Responses:
         fwhm = np.broadcast_to(np.asarray(self.fwhm, np.float64), wavelength.shape)
         problems = Problems("spectral responses cannot be used", SchemaError)
         one_of(self.shape, SRF_SHAPES, "line shape", problems=problems)
-        if not np.isfinite(wavelength).all():
-            problems.add("wavelengths are not finite", code="not-finite")
-        if self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()):
-            problems.add("'fwhm' is not finite and positive", expected="widths in nm", code="fwhm-invalid")
+        problems.add_if(not np.isfinite(wavelength).all(), "wavelengths are not finite", code="not-finite")
+        problems.add_if(
+            self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()),
+            "'fwhm' is not finite and positive",
+            expected="widths in nm",
+            code="fwhm-invalid",
+        )
         if self.shape == "tabulated" and (self.offset is None or self.table is None):
             problems.add(
                 "line shape 'tabulated' without its table",
@@ -82,12 +85,12 @@ class Responses:
                 problems.add(
                     "a row of 'srf' is not finite or has no positive sum", code="response-table-invalid"
                 )
-            if offset.size < 3 or not (np.diff(offset) > 0).all():
-                problems.add(
-                    "'srf_offset' does not increase or is too short",
-                    expected="three or more values in nm",
-                    code="response-table-invalid",
-                )
+            problems.add_if(
+                offset.size < 3 or not (np.diff(offset) > 0).all(),
+                "'srf_offset' does not increase or is too short",
+                expected="three or more values in nm",
+                code="response-table-invalid",
+            )
         problems.raise_if_any()
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", fwhm)

@@ -120,10 +120,12 @@ def function_shapes(sun_zenith: float) -> Floats:
     >>> print(relative_radiance(molecular, above, np.cos(np.radians(60.0))).round(1))
     0.5
     """
-    if not 0.0 <= sun_zenith < 90.0:
-        raise SchemaError(
-            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        not 0.0 <= sun_zenith < 90.0,
+        f"sun_zenith is {sun_zenith!r}",
+        expected="0 to below 90 degrees",
+        code="value-out-of-range",
+    )
     tables, sky = _tables(), dome()
     rows = _between(tables.suns, tables.shapes, sun_zenith)
     from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)
@@ -310,11 +312,11 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     """
     from scipy.optimize import nnls
 
-    if "sky_radiance" not in table.variables:
-        raise SchemaError(
-            "the table of the sky has no sky_radiance (wavelength, sky_zenith, sky_azimuth)",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        "sky_radiance" not in table.variables,
+        "the table of the sky has no sky_radiance (wavelength, sky_zenith, sky_azimuth)",
+        code="variable-missing",
+    )
     sky = convert(table["sky_radiance"], "W m-2 sr-1 nm-1").transpose(
         "wavelength", "sky_zenith", "sky_azimuth"
     )

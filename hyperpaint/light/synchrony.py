@@ -93,8 +93,9 @@ def line_light(
     problems.raise_if_any()
     levels = np.reshape(levels, (samples.size, -1))
     valid = np.flatnonzero(np.isfinite(levels).all(axis=1))
-    if valid.size == 0:
-        raise TimeError("the irradiance record holds no valid spectrum", code="irradiance-empty")
+    TimeError.raise_if(
+        valid.size == 0, "the irradiance record holds no valid spectrum", code="irradiance-empty"
+    )
     missing = np.isnat(lines)
     stamps, ticks = lines.astype(np.int64), samples[valid].astype(np.int64)
     stamps = np.where(missing, ticks[0], stamps)
@@ -188,10 +189,11 @@ def _log_level_at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
 
 def channels_of(record: xr.DataArray) -> Floats:
     """Return the wavelengths of a record's channels [nm]; SchemaError where it has no such coordinate."""
-    if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError(
-            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
-        )
+    SchemaError.raise_if(
+        IRRADIANCE_WAVELENGTH not in record.coords,
+        "'irradiance' has no coordinate 'irradiance_wavelength' [nm]",
+        code="coordinate-missing",
+    )
     channels = record[IRRADIANCE_WAVELENGTH]
     return (convert(channels, "nm") if "units" in channels.attrs else channels).values.astype(np.float64)
 
@@ -199,14 +201,13 @@ def channels_of(record: xr.DataArray) -> Floats:
 def check_irradiance_times(samples: Array) -> None:
     """Raise TimeError unless all stamps are present and increase."""
     problems = Problems("irradiance times cannot be used", TimeError)
-    if not samples.size:
-        problems.add("irradiance_time has size 0: no sample is selected", code="empty-input")
-    if np.isnat(samples).any():
-        problems.add(
-            f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT)",
-            mend="drop them",
-            code="time-missing",
-        )
+    problems.add_if(not samples.size, "irradiance_time has size 0: no sample is selected", code="empty-input")
+    problems.add_if(
+        np.isnat(samples).any(),
+        f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT)",
+        mend="drop them",
+        code="time-missing",
+    )
     steps = np.diff(samples.astype(np.int64))
     same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
     if same.size:

@@ -107,13 +107,13 @@ class Linearity:
         end = highest_count if np.isfinite(highest_count) else DEFAULT_HIGHEST_COUNT
         counts = np.linspace(0.0, end, 1025)
         linear = counts + self.correction(counts)
-        if not np.isfinite(linear).all() or (np.diff(linear) <= 0).any():
-            problems.add(
-                f"linearity is not monotonic below {end:g} counts",
-                expected="linear counts that rise with the counts",
-                mend="fit it over the whole range, or with a lower degree",
-                code="linearity-not-monotonic",
-            )
+        problems.add_if(
+            not np.isfinite(linear).all() or (np.diff(linear) <= 0).any(),
+            f"linearity is not monotonic below {end:g} counts",
+            expected="linear counts that rise with the counts",
+            mend="fit it over the whole range, or with a lower degree",
+            code="linearity-not-monotonic",
+        )
 
 
 def linearity_of(dataset: xr.Dataset) -> Linearity:
@@ -143,8 +143,10 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
     declared = attrs.get("linearity", ())
     coefficients = () if isinstance(declared, str) else np.atleast_1d(np.asarray(declared, np.float64))
     numbers = tuple(float(value) for value in coefficients)
-    if not np.isfinite(numbers).all():
-        raise SchemaError(
-            f"linearity {numbers}", expected="finite coefficients a2, a3 ...", code="linearity-invalid"
-        )
+    SchemaError.raise_if(
+        not np.isfinite(numbers).all(),
+        f"linearity {numbers}",
+        expected="finite coefficients a2, a3 ...",
+        code="linearity-invalid",
+    )
     return Linearity(numbers if any(numbers) else (), on_raw=kind == RAW)

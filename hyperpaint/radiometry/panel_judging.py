@@ -135,8 +135,7 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
     for panel in panels:
         notes, *row = _judge(panel, context)
         if notes:
-            text = f"{panel['name']}: {'; '.join(notes)}"
-            warn_user(text, "panel-doubtful")
+            warn_user(f"{panel['name']}: {'; '.join(notes)}", "panel-doubtful")
         rows.append(row)
     *spectra, states, reasons = zip(*rows, strict=True)
     time = np.array([panel["time"] for panel in panels], "datetime64[ns]")

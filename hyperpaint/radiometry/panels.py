@@ -67,23 +67,24 @@ class Panel:
     tilt: Any = None
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.uncertainty < 1.0:
-            raise SchemaError(
-                f"the panel's uncertainty is {self.uncertainty}",
-                expected="a fraction of 1, such as 0.02",
-                code="value-out-of-range",
-            )
+        SchemaError.raise_if(
+            not 0.0 <= self.uncertainty < 1.0,
+            f"the panel's uncertainty is {self.uncertainty}",
+            expected="a fraction of 1, such as 0.02",
+            code="value-out-of-range",
+        )
         is_labelled = hasattr(self.reflectance, "coords")
-        if is_labelled and "wavelength" not in self.reflectance.coords:
-            raise SchemaError(
-                "the panel's reflectance has no coordinate 'wavelength' [nm]", code="coordinate-missing"
-            )
-        if not is_labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2):
-            raise SchemaError(
-                f"the panel's reflectance is {self.reflectance}",
-                expected="0 to 1, or a DataArray",
-                code="value-out-of-range",
-            )
+        SchemaError.raise_if(
+            is_labelled and "wavelength" not in self.reflectance.coords,
+            "the panel's reflectance has no coordinate 'wavelength' [nm]",
+            code="coordinate-missing",
+        )
+        SchemaError.raise_if(
+            not is_labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2),
+            f"the panel's reflectance is {self.reflectance}",
+            expected="0 to 1, or a DataArray",
+            code="value-out-of-range",
+        )
 
     def at(self, wavelength: Any) -> Any:
         """Return the reflectance at wavelengths (band,) [nm]; NaN outside the range of ``reflectance``."""
@@ -129,8 +130,10 @@ def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] 
     if "panels" not in dataset.attrs or not set(_SCALE) <= set(dataset.variables):
         return None
     if other_light:
-        warning = "the scale by panels belongs to the line's own irradiance and is left out; pass panel="
-        warn_user(warning, "panel-scale-foreign")
+        warn_user(
+            "the scale by panels belongs to the line's own irradiance and is left out; pass panel=",
+            "panel-scale-foreign",
+        )
         return None
     arrays = require(dataset, list(_SCALE), "the scale by panels")
     return {name.removeprefix("panel_"): slabs.small(array) for name, array in arrays.items()}
@@ -161,12 +164,12 @@ def panel_inputs(
     problems = Problems("the panel cannot be used", SchemaError)
     for panel in panels:
         for dim in (ALONG_TRACK, CROSS_TRACK):
-            if not len(range(dataset.sizes[dim])[getattr(panel, dim)]):
-                problems.add(
-                    f"{dim}={getattr(panel, dim)} is outside of this line",
-                    expected=f"positions below {dataset.sizes[dim]}",
-                    code="panel-outside-line",
-                )
+            problems.add_if(
+                not len(range(dataset.sizes[dim])[getattr(panel, dim)]),
+                f"{dim}={getattr(panel, dim)} is outside of this line",
+                expected=f"positions below {dataset.sizes[dim]}",
+                code="panel-outside-line",
+            )
     problems.raise_if_any()
     names = [name for name in _STATED if name in dataset.variables]
     return {

@@ -20,7 +20,7 @@ from hyperpaint.kernels.arguments import SlabOutputs
 
 from .counts_to_reflectance import applied, merged_quality
 from .panels import declared_panels, declared_scale
-from .planning import PLANS, Entry, Origin, make_plan, plan_inputs
+from .planning import PLANS, Entry, make_plan, plan_inputs
 from .slabs import NO_CUBE, Plan, calibrate_lines
 from .spectral_axis import bands_at
 
@@ -126,7 +126,8 @@ def _entry_of(line: xr.Dataset) -> Entry:
     inputs = plan_inputs(line, stored, scale_panels)[1]
     if entry is None:
         (values,) = dask.compute(inputs, scheduler=scheduler_in_force())
-        entry = Entry(Origin(line, options), make_plan(shape, dtype.str, np.zeros(1, np.int64), **values))
+        entry = Entry(line, options)
+        entry.plan = make_plan(shape, dtype.str, np.zeros(1, np.int64), **values)
     # small coordinates and the smile
     coords = {
         name: line[name]

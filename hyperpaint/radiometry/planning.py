@@ -103,12 +103,12 @@ def tilt_factors(
     fraction, state = fraction[used], state[used]
     is_modelled = (state == _CLEAR) | (state == _CONTRADICTORY) | ~np.isfinite(fraction).all(axis=1)
     if (state == _CONTRADICTORY).any():
-        text = (
+        warn_user(
             f"the irradiance fits no sky at its place and time in {(state == _CONTRADICTORY).sum()} of "
             f"{used.size} samples; tilt= assumes a clear sky for them, otherwise pass "
-            "Tilt(diffuse_fraction=)"
+            "Tilt(diffuse_fraction=)",
+            "sky-unknown",
         )
-        warn_user(text, "sky-unknown")
     if is_modelled.any():
         factors[is_modelled] = factor(tilt, np.flatnonzero(is_modelled))
     for sample in np.flatnonzero(~is_modelled):
@@ -316,12 +316,12 @@ def make_plan(
 def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
     problems = Problems("this line cannot be calibrated", SchemaError)
     for name in ("dark_counts", "radiance_gain"):
-        if name in cube and np.shape(cube[name])[-2:] != shape[1:]:
-            problems.add(
-                f"{name!r} has shape {np.shape(cube[name])}",
-                expected=f"(band, cross_track) = {shape[1:]}",
-                code="length-mismatch",
-            )
+        problems.add_if(
+            name in cube and np.shape(cube[name])[-2:] != shape[1:],
+            f"{name!r} has shape {np.shape(cube.get(name, 0.0))}",
+            expected=f"(band, cross_track) = {shape[1:]}",
+            code="length-mismatch",
+        )
     exposure = np.asarray(cube.get("exposure_time", 1.0), np.float64)
     invalid = exposure[~(np.isfinite(exposure) & (exposure > 0))]
     if invalid.size:
@@ -336,19 +336,22 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
             code="exposure-implausible",
         )
     gain = np.asarray(cube.get("radiance_gain", 1.0))
-    if np.isfinite(gain).any() and np.min(gain[np.isfinite(gain)]) <= 0:
-        problems.add(
-            "'radiance_gain' is not positive", mend="mark bad elements by NaN", code="value-out-of-range"
-        )
-    if not np.isfinite(gain).any():
-        problems.add("'radiance_gain' contains no finite value", code="not-finite")
-    saturation = np.asarray(cube.get("saturation_count", np.inf), np.float64)
-    if (saturation <= 2 * SATURATION_MARGIN_COUNTS).any():
-        problems.add(
-            f"'saturation_count' is {np.nanmin(saturation):g}",
-            expected="the highest count of the converter, such as 4095",
-            code="saturation-implausible",
-        )
+    problems.add_if(
+        np.isfinite(gain).any() and np.min(gain[np.isfinite(gain)]) <= 0,
+        "'radiance_gain' is not positive",
+        mend="mark bad elements by NaN",
+        code="value-out-of-range",
+    )
+    problems.add_if(
+        not np.isfinite(gain).any(), "'radiance_gain' contains no finite value", code="not-finite"
+    )
+    saturation = float(np.nanmin(np.append(np.asarray(cube.get("saturation_count", np.inf)), np.inf)))
+    problems.add_if(
+        saturation <= 2 * SATURATION_MARGIN_COUNTS,
+        f"'saturation_count' is {saturation:g}",
+        expected="the highest count of the converter, such as 4095",
+        code="saturation-implausible",
+    )
     _linearity(cube).check(problems, _highest_count(cube))
     check_stray_light(cube, shape[1], exposure, problems)
     problems.raise_if_any()
@@ -366,18 +369,14 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
 def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
     # Return band and column of masked elements with finite darks (n, 2) int64.
     # `masked` is (column,), (band, 1) or (band, column).
-    if "masked" not in cube:
-        return np.empty((0, 2), np.int64)
-    is_masked = np.asarray(cube["masked"], bool)
-    shape = dark.shape[1:]
-    elements = np.argwhere(np.broadcast_to(is_masked, shape) & np.isfinite(dark).all(axis=0)).astype(np.int64)
-    if not len(elements):
-        text = (
+    is_masked = np.asarray(cube.get("masked", False), bool) & np.isfinite(dark).all(axis=0)
+    if "masked" in cube and not is_masked.any():
+        warn_user(
             "'masked' is declared, but this part of the line has no masked element: no pedestal is "
-            "subtracted; compute reflectance of the whole line before cutting it"
+            "subtracted; compute reflectance of the whole line before cutting it",
+            "masked-missing",
         )
-        warn_user(text, "masked-missing")
-    return elements
+    return np.argwhere(is_masked).astype(np.int64)
 
 
 def _highest_count(cube: Mapping[str, Any]) -> float:
@@ -423,8 +422,10 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
         dark = dark[is_usable.all(axis=1)]
         times = None if times is None else np.asarray(times)[is_usable.all(axis=1)]
     elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():
-        text = "lines differ in exposure and 'dark_exposure_time' is missing: one dark is used for all"
-        warn_user(text, "dark-exposure-missing")
+        warn_user(
+            "lines differ in exposure and 'dark_exposure_time' is missing: one dark is used for all",
+            "dark-exposure-missing",
+        )
     index, weight = np.zeros(exposure.size, np.int64), np.zeros(exposure.size, np.float32)
     if len(dark) == 1 or times is None or "time" not in cube:
         return dark.mean(axis=0, dtype=np.float64).astype(np.float32)[None], index, weight
@@ -464,17 +465,15 @@ def _darks_in_exposure(dark: Array, dark_exposure: Floats, exposure: Floats) -> 
             f"{farthest * 1e3:g} ms, {spans:.1f} times the interval between them"
         )
         mend, code = "take a dark at the line's exposure", "dark-exposure-differs"
-        if spans > MAX_DARK_SPANS:
-            raise SchemaError(text, expected=f"at most {MAX_DARK_SPANS:g}", mend=mend, code=code)
+        SchemaError.raise_if(
+            spans > MAX_DARK_SPANS, text, expected=f"at most {MAX_DARK_SPANS:g}", mend=mend, code=code
+        )
         warn_user(f"{text}: {mend}", code)
     centred = dark_exposure - dark_exposure.mean()
     rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
     shortest, longest = exposure.min(), exposure.max()
-    darks_at_ends = [
-        dark.mean(axis=0, dtype=np.float64) + rate * (exposure_at_end - dark_exposure.mean())
-        for exposure_at_end in (shortest, longest)
-    ]
-    fitted = np.stack(darks_at_ends).astype(np.float32)
+    away = np.array([shortest, longest])[:, None, None] - dark_exposure.mean()
+    fitted = (dark.mean(axis=0, dtype=np.float64) + rate * away).astype(np.float32)
     index = np.zeros(exposure.size, np.int64)
     if longest == shortest:
         return fitted[:1], index, np.zeros(exposure.size, np.float32)
@@ -540,10 +539,11 @@ def _mean_position(cube: Mapping[str, Any]) -> tuple[float, float]:
     for name in ("latitude", "longitude"):
         degrees = np.asarray(cube[name], np.float64)
         degrees = degrees[np.isfinite(degrees)]
-        if degrees.size == 0:
-            raise SchemaError(
-                f"tilt= needs the sun's position, but {name!r} is missing on every line", code="place-missing"
-            )
+        SchemaError.raise_if(
+            degrees.size == 0,
+            f"tilt= needs the sun's position, but {name!r} is missing on every line",
+            code="place-missing",
+        )
         position.append(float(degrees.mean()))
     return position[0], position[1]
 
@@ -613,7 +613,7 @@ def _panel_scale(
 
 
 MAX_PLANS = 8
-#: Largest size of all plans and their origins [byte].
+#: Largest size of all plans and of the inputs they were made from [byte].
 MAX_BYTES = 64 * 2**20
 #: Largest plan that is embedded in a graph [byte]; tasks compute larger plans from smaller inputs.
 MAX_EMBEDDED_BYTES = 8 * 2**20
@@ -656,18 +656,26 @@ def _is_lazy(variable: xr.Variable) -> bool:
     return (isinstance(data, da.Array) or not variable._in_memory) and not getattr(data, "_copied", False)
 
 
-class Origin:
-    """Inputs of a plan.
+class Entry:
+    """A plan with the inputs it was made from, and the small coordinates of its line.
 
     ``line``: flight line with dims named by role; ``options``: compared with ``==``.
     """
+
+    plan: Plan
+    #: Small coordinates; the attributes are those of reflectance
+    labels = xr.Dataset()
 
     def __init__(self, line: xr.Dataset, options: tuple[Any, ...]) -> None:
         self._states = {name: _VariableState(variable) for name, variable in _small(line).items()}
         self._attrs = dict(line.attrs)
         self._options = (*options, "counts" in line.variables)
-        copies = (state.values for state in self._states.values())
-        self.nbytes = sum(values.nbytes for values in copies if values is not None)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the copies of small variables, of the coordinates, and of the plan where it is made."""
+        copies = (state.values for state in self._states.values() if state.values is not None)
+        return sum(v.nbytes for v in copies) + self.labels.nbytes + bytes_of(getattr(self, "plan", None))
 
     def is_of(self, line: xr.Dataset, options: tuple[Any, ...]) -> bool:
         """Return whether a line with these options gives the same plan."""
@@ -688,44 +696,30 @@ def _small(line: xr.Dataset) -> dict[Any, xr.Variable]:
     }
 
 
-@dataclasses.dataclass(eq=False)
-class Entry:
-    """A plan with its origin and the small coordinates of its line."""
-
-    origin: Origin
-    plan: Plan
-    #: Small coordinates; the attributes are those of reflectance
-    labels: xr.Dataset = dataclasses.field(default_factory=xr.Dataset)
-
-    @property
-    def nbytes(self) -> int:
-        return self.origin.nbytes + bytes_of(self.plan) + self.labels.nbytes
-
-
 class PlanCache:
-    """The most recently used plans by their `Origin`; thread-safe."""
+    """The most recently used plans by the inputs they were made from; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._entries: list[Entry] = []  # most recently used last
-        self._pending: dict[str, Origin] = {}
+        self._pending: dict[str, Entry] = {}
 
     def entry(self, line: xr.Dataset, options: tuple[Any, ...]) -> Entry | None:
         """Return the plan of a line; None where it is not cached."""
         with self._lock:
             entries = self._entries[::-1]
         for entry in entries:
-            if entry.origin.is_of(line, options):
+            if entry.is_of(line, options):
                 self.add(entry)
                 return entry
         return None
 
     def expect(self, line: xr.Dataset, options: tuple[Any, ...]) -> str:
         """Return the name with which a task will `fulfil` the plan of a line."""
-        origin, name = Origin(line, options), uuid.uuid4().hex
+        entry, name = Entry(line, options), uuid.uuid4().hex
         with self._lock:
-            if origin.nbytes <= MAX_BYTES // 2:
-                self._pending[name] = origin
+            if entry.nbytes <= MAX_BYTES // 2:
+                self._pending[name] = entry
             while len(self._pending) > MAX_PENDING_PLANS:
                 del self._pending[next(iter(self._pending))]
         return name
@@ -733,9 +727,10 @@ class PlanCache:
     def fulfil(self, name: str, plan: Plan) -> None:
         """Add an expected plan; does nothing in a process that did not call `expect`."""
         with self._lock:
-            origin = self._pending.pop(name, None)
-        if origin is not None:
-            self.add(Entry(origin, plan))
+            entry = self._pending.pop(name, None)
+        if entry is not None:
+            entry.plan = plan
+            self.add(entry)
 
     def add(self, entry: Entry) -> None:
         """Add a plan or mark it as used; the least recently used plans are dropped."""
@@ -839,12 +834,12 @@ def plan_inputs(
 
 def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
     """Raise SchemaError for gains without an absolute scale, where one is needed."""
-    if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
-        raise SchemaError(
-            "the gain of this line has no absolute scale (attribute absolute_scale 'unknown')",
-            mend="compute it with hyperpaint.calibration.anchor_to_radiance, or pass panel= to reflectance",
-            code="scale-unknown",
-        )
+    SchemaError.raise_if(
+        needs_scale and dataset.attrs.get("absolute_scale") == "unknown",
+        "the gain of this line has no absolute scale (attribute absolute_scale 'unknown')",
+        mend="compute it with hyperpaint.calibration.anchor_to_radiance, or pass panel= to reflectance",
+        code="scale-unknown",
+    )
 
 
 def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
@@ -962,13 +957,13 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
         return
     found = f"the median irradiance of 400-1000 nm is {level:.3g} W m-2 nm-1"
     slip = f", {light.slip}" if light.slip else ""
-    if not LOWEST_MEDIAN <= level <= HIGHEST_MEDIAN:
-        raise SchemaError(
-            found,
-            expected=f"{LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}",
-            mend="correct its units",
-            code="irradiance-level",
-        )
+    SchemaError.raise_if(
+        not LOWEST_MEDIAN <= level <= HIGHEST_MEDIAN,
+        found,
+        expected=f"{LOWEST_MEDIAN:g} to {HIGHEST_MEDIAN:g} of daylight{slip}",
+        mend="correct its units",
+        code="irradiance-level",
+    )
     if math.isfinite(clear):
         is_doubtful = not RULES.least_share <= level / clear <= RULES.most_share
         comparison = f"{level / clear:.2g} times that of a clear sky at its place and time{slip}"
@@ -979,8 +974,9 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
         is_doubtful = level < DULL_MEDIAN
         comparison = f"expected at least {DULL_MEDIAN:g} by day{slip}"
     if is_doubtful:
-        text = f"{found}, {comparison}; check its units, its time, and the line's place"
-        warn_user(text, "irradiance-level")
+        warn_user(
+            f"{found}, {comparison}; check its units, its time, and the line's place", "irradiance-level"
+        )
 
 
 def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:
@@ -997,9 +993,10 @@ def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavele
     is_missing = np.isnan(spectra[has_values]).any(axis=0)
     if not (is_lost.any() and is_missing.any()):
         return
-    text = (
+    warn_user(
         f"irradiance is undefined in {is_missing.sum()} channels, such as {channels[is_missing][0]:g} nm: "
         f"{is_lost.sum()} of {is_lost.size} bands become NaN at these times, "
-        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over them"
+        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over "
+        "them",
+        "irradiance-gaps",
     )
-    warn_user(text, "irradiance-gaps")

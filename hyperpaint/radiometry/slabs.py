@@ -59,8 +59,10 @@ def usable_panels(closure: PanelClosure) -> Array:
             code="panel-refused",
         )
     if refused:
-        text = f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {refused[0]}"
-        warn_user(text, "panel-refused")
+        warn_user(
+            f"{len(refused)} of {len(closure.reasons)} panels are refused and left out: {refused[0]}",
+            "panel-refused",
+        )
     return np.flatnonzero([not reason for reason in closure.reasons])
 
 

@@ -130,12 +130,12 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     """
     dataset = schema.rename_to_roles(dataset)
     products = [name for name in ("radiance", "reflectance") if name in dataset.variables]
-    if not products:
-        raise SchemaError(
-            "the dataset has neither 'radiance' nor 'reflectance'",
-            mend="compute one before to_nominal",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        not products,
+        "the dataset has neither 'radiance' nor 'reflectance'",
+        mend="compute one before to_nominal",
+        code="variable-missing",
+    )
     if "wavelength_shift" not in dataset.variables:
         schema.warn_of_lost_calibration(dataset, "the spectrum at nominal wavelengths")
         return dataset[[*products, *_without_bands(dataset)]]
@@ -184,17 +184,18 @@ def _resample(values: Array, *, first: Array, weights: Array) -> Array:
 def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
     # Return the first of four bands and their weights, (band, column[, 4]).
     bands, columns = wavelength.size, shift.shape[1]
-    if bands < 4:
-        raise SchemaError(f"{bands} bands to interpolate between", expected="4 or more", code="bands-too-few")
+    SchemaError.raise_if(
+        bands < 4, f"{bands} bands to interpolate between", expected="4 or more", code="bands-too-few"
+    )
     axis = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
     is_descending = wavelength[0] > wavelength[-1]
     axis = axis[::-1] if is_descending else axis
-    if not (np.diff(axis, axis=0) > 0).all():
-        raise SchemaError(
-            "wavelengths are not in order",
-            mend="split the cube at detector joins before interpolating between bands",
-            code="wavelength-unordered",
-        )
+    SchemaError.raise_if(
+        not (np.diff(axis, axis=0) > 0).all(),
+        "wavelengths are not in order",
+        mend="split the cube at detector joins before interpolating between bands",
+        code="wavelength-unordered",
+    )
     nominal = wavelength[::-1] if is_descending else wavelength
     first = np.empty((bands, columns), np.int64)
     weights = np.empty((bands, columns, 4))
@@ -283,8 +284,7 @@ def smooth(
         (window <= bands, f"window {window} is wider than the {bands} bands", "", "value-out-of-range"),
         (method == "box" or 0 <= order < window - 1, f"order {order}", orders, "value-out-of-range"),
     ):
-        if not is_valid:
-            problems.add(found, expected=expected, code=code)
+        problems.add_if(not is_valid, found, expected=expected, code=code)
     problems.raise_if_any()
     array = convert(dataset["reflectance"], "1")
     is_cube = set(schema.CUBE) == set(array.dims)

@@ -37,22 +37,22 @@ def inverse_of(matrix: Floats, name: str) -> Floats:
     SchemaError
         D is not finite, not square, or so large that most light would be stray.
     """
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
-        raise SchemaError(
-            f"{name} has shape {matrix.shape}",
-            expected="a finite square matrix over all bands",
-            code="stray-matrix-shape",
-        )
+    SchemaError.raise_if(
+        matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all(),
+        f"{name} has shape {matrix.shape}",
+        expected="a finite square matrix over all bands",
+        code="stray-matrix-shape",
+    )
     try:
         inverse = np.linalg.inv(np.eye(len(matrix)) + matrix)
     except np.linalg.LinAlgError:
         inverse = np.full_like(matrix, np.inf)
-    if not np.abs(inverse).sum(axis=1).max() < MAX_ROW_SUM:
-        raise SchemaError(
-            f"{name} cannot be inverted, since most light would be stray",
-            expected="shares far below 1",
-            code="stray-matrix-singular",
-        )
+    SchemaError.raise_if(
+        not np.abs(inverse).sum(axis=1).max() < MAX_ROW_SUM,
+        f"{name} cannot be inverted, since most light would be stray",
+        expected="shares far below 1",
+        code="stray-matrix-singular",
+    )
     return np.asarray(inverse)
 
 
@@ -68,18 +68,20 @@ def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, pro
             mend = "select bands after computing reflectance, or drop the variable"
             problems.add(found, mend=mend, code="bands-selected")
     relative = float(cube.get(STRAY_U, 0.0))
-    if not 0.0 <= relative < 1.0:
-        problems.add(
-            f"{STRAY_U!r} is {relative:g}", expected="a fraction of 1, such as 0.1", code="value-out-of-range"
-        )
+    problems.add_if(
+        not 0.0 <= relative < 1.0,
+        f"{STRAY_U!r} is {relative:g}",
+        expected="a fraction of 1, such as 0.1",
+        code="value-out-of-range",
+    )
     shift = float(cube.get(SHIFT_TIME, 0.0))
-    if not 0.0 <= shift * bands <= MAX_SMEAR_SHARE * float(exposure.min()):
-        problems.add(
-            f"{SHIFT_TIME!r} is {shift:g} s: times {bands} bands over {MAX_SMEAR_SHARE:.0%} of the "
-            f"exposure of {exposure.min():g} s",
-            expected="the time of one band, some microseconds",
-            code="smear-implausible",
-        )
+    problems.add_if(
+        not 0.0 <= shift * bands <= MAX_SMEAR_SHARE * float(exposure.min()),
+        f"{SHIFT_TIME!r} is {shift:g} s: times {bands} bands over {MAX_SMEAR_SHARE:.0%} of the "
+        f"exposure of {exposure.min():g} s",
+        expected="the time of one band, some microseconds",
+        code="smear-implausible",
+    )
 
 
 def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, masked: Ints) -> StrayLight | None:

@@ -8,6 +8,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, TimeError
+from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record, split_of_lines
 from hyperpaint.light.sun import air_mass, solar_position
 from hyperpaint.simulation import simulate_line
@@ -176,3 +177,30 @@ def test_lines_have_the_split_of_their_record(no_compute: Any) -> None:
     xr.testing.assert_identical(part.compute(), one.isel(along_track=slice(7, 20)))
     assert split_of_lines(line.drop_vars("latitude")) is None
     assert hp.light.diffuse_from_record is diffuse_from_record
+
+
+def test_every_rule_of_skies_counts() -> None:
+    # records between two answers: a rule that is doubled or halved moves one of them by more than 0.01
+    direct, sky = ClearSky(40.0).irradiance(NM)
+    light, hazy = direct + sky, sum(ClearSky(40.0, aerosol=0.27).irradiance(NM))
+    ripple, turns = np.sin(NM / 9.0), 2.0 * np.pi * np.arange(SAMPLES)[:, None]
+    moving, wavering = 1.0 + 0.04 * np.sin(turns / 45), 0.4 * (1.0 + 0.08 * np.sin(turns / 15))
+    # light, zenith angle by the clock, uncertainty of the level; mean probabilities of the states, and ten
+    # times the mean uncertainty of the fraction at 550 nm
+    cases = {
+        "thin": (0.9 * direct + sky, 40.0, 0.05, [0.578, 0.061, 0.0, 0.0, 0.360, 1.503]),
+        "rippled": ((1 + 0.03 * ripple) * light, 40.0, 0.05, [0.890, 0.021, 0.0, 0.0, 0.089, 0.759]),
+        "torn": ((1 + 0.06 * ripple) * light, 40.0, 0.05, [0.0, 0.0, 0.0, 0.0, 1.0, 0.873]),
+        "blue": ((1 - 0.0004 * (NM - 700)) * light, 40.0, 0.05, [0.751, 0.001, 0.0, 0.0, 0.248, 1.403]),
+        "hazy": (hazy, 40.0, 0.05, [0.492, 0.418, 0.0, 0.0, 0.089, 1.029]),
+        "moving": (moving * light, 40.0, 0.05, [0.703, 0.051, 0.066, 0.0, 0.180, 0.969]),
+        "overcast": (wavering * light, 40.0, 0.05, [0.0, 0.0, 0.195, 0.648, 0.157, 1.588]),
+        "late": (light, 49.0, 0.05, [0.391, 0.001, 0.0, 0.0, 0.608, 0.808]),
+        "later": (light, 51.5, 0.05, [0.022, 0.0, 0.0, 0.0, 0.978, 0.868]),
+        "dull": (0.4 * light, 40.0, 0.05, [0.0, 0.0, 0.0, 0.790, 0.210, 0.493]),
+        "well known": (light, 40.0, 0.01, [0.916, 0.049, 0.0, 0.0, 0.035, 0.623]),
+    }
+    for name, (spectra, zenith, level_u, expected) in cases.items():
+        one = split(spectra, moments(zenith), calibration_uncertainty=level_u).mean("irradiance_time")
+        made = [*one.sky_probability.values, 10.0 * float(one.diffuse_fraction_u[1])]
+        np.testing.assert_allclose(made, expected, atol=0.01, err_msg=name)

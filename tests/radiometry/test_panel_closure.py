@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 from support.laid_panels import Laid, flown_over
-from support.strategies import flight
+from support.strategies import START, flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.radiometry import panel_closure
-from hyperpaint.radiometry.panel_judging import PANEL_STATES
+from hyperpaint.radiometry.panel_judging import PANEL_STATES, PanelContext, judge_panels
 
 SEED = 7301
 
@@ -46,8 +46,7 @@ def test_right_panels_raise_no_alarm(seed: int) -> None:
     laid = Laid((6, 6 + size), (4, 4 + size), seed, reflectance=grey, texture=texture)
     sun = float(rng.uniform(25.0, 65.0))
     closure, names, said = closure_of(laid, seed=seed + SEED, sun_zenith=sun, irradiance_noise=0.002)
-    assert (names, said) == (set(), "")
-    assert (closure.panel_used == 1.0).all()
+    assert (names, said, float(closure.panel_used.min())) == (set(), "", 1.0)
     np.testing.assert_allclose(np.median(closure.panel_factor) / laid.pattern.mean(), 1.0, atol=2e-3)
 
 
@@ -86,8 +85,7 @@ def test_what_is_no_sunlit_panel_is_noticed_and_left_out(fault: dict[str, float]
 def test_a_panel_of_which_half_is_in_shade_is_refused() -> None:
     # Which half is the panel, nothing tells
     _, names, said = closure_of(Laid(shaded=0.5))
-    assert "refused" in names
-    assert "uneven" in said
+    assert ("refused" in names, "uneven" in said) == (True, True)
     line = flown_over(Laid(shaded=0.5), seed=SEED)
     with pytest.warns(PaintWarning), pytest.raises(SchemaError, match="panel-refused"):
         hp.reflectance(line, panel=Laid(shaded=0.5).panel).compute()
@@ -107,19 +105,13 @@ def test_a_panel_that_leans_is_refused(sun_zenith: float, towards: float) -> Non
 
 def test_a_panel_of_a_known_attitude_is_as_good_as_a_level_one() -> None:
     laid = Laid(lean=(5.0, 178.0))
-    line = flown_over(laid, seed=SEED)
-    panel = hp.Panel(laid.along, laid.across, laid.reflectance, tilt=(5.0, 178.0))
-    factor = panel_closure(line, panel).panel_factor.values[0]
+    line, place = flown_over(laid, seed=SEED), (laid.along, laid.across, laid.reflectance)
+    factor = panel_closure(line, hp.Panel(*place, tilt=(5.0, 178.0))).panel_factor.values[0]
     level = closure_of(Laid())[0].panel_factor.values[0]
     np.testing.assert_allclose(factor / level, 1.0, atol=5e-3)  # the simulated sky is even
-
-
-def test_a_panel_may_be_said_to_be_off() -> None:
-    laid = Laid(lean=(5.0, 178.0))
-    line = flown_over(laid, seed=SEED)
-    panel = hp.Panel(laid.along, laid.across, laid.reflectance, uncertainty=0.03)
+    # a panel may be declared to be off
     with pytest.warns(PaintWarning, match="tilted"):
-        scaled = hp.reflectance(line, panel=panel).compute()
+        scaled = hp.reflectance(line, panel=hp.Panel(*place, uncertainty=0.03)).compute()
     assert int(scaled.panel_state[0]) == 1 << PANEL_STATES.index("leaning")
 
 
@@ -132,9 +124,7 @@ def test_a_panel_that_does_not_close_is_applied_and_said() -> None:
     np.testing.assert_allclose(scaled.reflectance.values, expected, rtol=1e-6)
     u = scaled.panel_factor_u.values[0] / scaled.panel_factor.values[0]
     np.testing.assert_allclose(u, np.hypot(0.03, 0.05), rtol=0.01)
-
-
-def test_stated_uncertainties_judge_a_panel() -> None:
+    # uncertainties of the line judge a panel that is nearer
     line = flown_over(Laid(level=0.97), seed=SEED)
     for name, u in (("radiance_gain_u_systematic", 0.01), ("irradiance_u_systematic", 0.005)):
         line[name] = ((), np.float32(u), {"units": "1"})
@@ -154,27 +144,18 @@ def test_pixels_that_differ_are_said_and_count_in_the_uncertainty() -> None:
     assert float(relative.median()) >= float(scaled.panel_scale_u[0]) * 0.999
 
 
-def test_bad_elements_are_not_taken_for_saturated() -> None:
-    line = flight(flat=True).line
-    line["radiance_gain"].values[2, 2] = np.nan
-    scaled = hp.reflectance(line, panel=hp.Panel(slice(3, 8), slice(1, 4), 0.4)).compute()
-    assert int(scaled.panel_state[0]) == 0
-    np.testing.assert_allclose(scaled.panel_used.values[0, 2], 2 / 3, rtol=1e-6)
-    np.testing.assert_allclose(scaled.panel_factor, 1.0, rtol=1e-5)
-
-
-def test_another_reflectance_forgets_the_panel() -> None:
-    laid = Laid()
-    scaled = hp.reflectance(flown_over(laid, seed=SEED), panel=laid.panel)
-    assert "panel_factor" in scaled
-    assert not [name for name in hp.reflectance(scaled).variables if str(name).startswith("panel_")]
-
-
-def test_what_is_no_panel_is_refused() -> None:
+def test_bad_elements_are_not_taken_for_saturated_and_others_are_no_panels() -> None:
     line = flight(flat=True).line
     for wrong in ([], "white", [0.5]):
         with pytest.raises(SchemaError, match="type-wrong"):
             hp.reflectance(line, panel=wrong)
+    line["radiance_gain"].values[2, 2] = np.nan
+    scaled = hp.reflectance(line, panel=hp.Panel(slice(3, 8), slice(1, 4), 0.4)).compute()
+    # another reflectance forgets the panel
+    assert not [name for name in hp.reflectance(scaled).variables if str(name).startswith("panel_")]
+    assert int(scaled.panel_state[0]) == 0
+    np.testing.assert_allclose(scaled.panel_used.values[0, 2], 2 / 3, rtol=1e-6)
+    np.testing.assert_allclose(scaled.panel_factor, 1.0, rtol=1e-5)
 
 
 def test_of_radiance_the_brightest_samples_are_the_limit() -> None:
@@ -185,3 +166,70 @@ def test_of_radiance_the_brightest_samples_are_the_limit() -> None:
     with pytest.warns(PaintWarning, match="saturated"):
         factor = panel_closure(radiance, laid.panel).panel_factor.values
     np.testing.assert_allclose(factor, of_counts, rtol=2e-3)
+
+
+def judged(
+    pattern: Any, spectrum: Any = 1.0, u: float = 0.0, saturated: float = 0.0, share: Any = None
+) -> set[str]:
+    # Return the faults of a panel of 0.5 with a pattern of its pixels, in twenty bands
+    observed = 0.5 * pattern[:, None, :] * np.broadcast_to(spectrum, 20)[:, None]
+    ceiling = np.full(observed.shape, np.quantile(observed[:, 0], 1.0 - saturated) if saturated else 2.0)
+    ceiling[:, 5:] = 2.0
+    observed[observed > ceiling] = np.nan
+    panel = {
+        "observed": observed, "ceiling": ceiling, "reflectance": np.full(20, 0.5), "uncertainty": u,
+        "name": "the panel", "time": START, "direct_share": share,
+    }  # fmt: skip
+    context = PanelContext(np.linspace(450.0, 950.0, 20), np.ones(20, bool), np.full(20, 0.0583), True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        closure = judge_panels((panel,), context)
+    faults = {name for bit, name in enumerate(PANEL_STATES) if int(closure.state[0]) >> bit & 1}
+    return faults | ({"bands lost"} if np.isnan(closure.factor).any() else set())
+
+
+def test_every_rule_of_panels_counts() -> None:
+    # pairs of panels around each threshold, so that twice and half of it change a verdict
+    normal, rising = np.random.default_rng(1).standard_normal((14, 14)), np.linspace(0.6, 0.9, 20)
+    even, textured = 1.0 + 1e-3 * normal, 1.0 + 0.01 * normal
+    teeth = np.sign(np.sin(2.1 * np.arange(20)))
+
+    def other(count: int, by: float, spread: float = 0.01) -> Any:
+        pattern = 1.0 + spread * normal
+        pattern.ravel()[:count] = 1.0 + by
+        return pattern
+
+    def sloping(by: float) -> Any:
+        return np.repeat(1.0 + by * np.linspace(-1.0, 1.0, 14)[:, None], 14, 1)
+
+    def leaning(by: float, share: Any = rising, **options: Any) -> set[str]:
+        return judged(even, 1.0 + by * share + options.pop("teeth", 0.0), share=share[None], **options)
+
+    bright_bands = [np.where(np.arange(20) < count, 1.3, 1.0) for count in (1, 3)]
+    verdicts = {
+        "outlier_sd": (judged(other(4, 0.045)), judged(other(4, 0.09))),
+        "least_departure": (judged(other(4, 0.014, 1e-4)), judged(other(4, 0.03, 1e-4))),
+        "noticed_share": (judged(other(1, 0.5)), judged(other(3, 0.5))),
+        "most_error": (judged(sloping(0.16)), judged(sloping(0.3))),
+        "refused_error": (judged(sloping(0.4)), judged(sloping(0.7))),
+        "least_lean": (leaning(0.0095), leaning(0.02)),
+        "lean_misfit": (leaning(0.06, teeth=0.0035 * teeth), leaning(0.06, teeth=0.0016 * teeth)),
+        "least_contrast": (leaning(0.2, 0.6 + rising / 5.0), leaning(0.2, 0.6 + rising / 2.5)),
+        "coverage": (leaning(0.03, u=0.015), leaning(0.06, u=0.015)),
+        "off_bands": tuple(judged(even, bands) for bands in bright_bands),
+        "most_saturated": (judged(textured, saturated=0.3), judged(textured, saturated=0.7)),
+    }
+    right: set[str] = set()
+    assert verdicts == {
+        "outlier_sd": (right, {"partly_other"}),
+        "least_departure": (right, {"partly_other"}),
+        "noticed_share": (right, {"partly_other"}),
+        "most_error": (right, {"uneven"}),
+        "refused_error": ({"uneven"}, {"uneven", "refused"}),
+        "least_lean": (right, {"leaning", "refused"}),
+        "lean_misfit": (right, {"leaning", "refused"}),
+        "least_contrast": ({"off_level"}, {"leaning", "refused", "off_level"}),
+        "coverage": ({"leaning"}, {"leaning", "refused"}),
+        "off_bands": (right, {"off_level"}),
+        "most_saturated": ({"saturated"}, {"saturated", "bands lost"}),
+    }

@@ -97,12 +97,12 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
             code="variable-missing",
         )
     for dim in mean_dims:
-        if dim not in region.dims:
-            problems.add(
-                f"the region has no dim {dim!r}",
-                expected=f"some of {', '.join(map(str, region.dims))}",
-                code="dim-missing",
-            )
+        problems.add_if(
+            dim not in region.dims,
+            f"the region has no dim {dim!r}",
+            expected=f"some of {', '.join(map(str, region.dims))}",
+            code="dim-missing",
+        )
     problems.raise_if_any()
     other_dims = [dim for dim in region["reflectance"].dims if dim not in mean_dims]
     cubes = [region[name].transpose(*other_dims, *mean_dims).values.astype(np.float64) for name in names]
@@ -285,11 +285,7 @@ class RegionSums:
         self._columns, self._column_of_pixel = np.unique(across, return_inverse=True)
         bands, darks = line.dark.shape[0], line.dark_weights.shape[1]
         shape = (bands, self._columns.size)
-        self._counts_of_pixels, self._variance_sums, self._value_sums = (
-            np.zeros(shape),
-            np.zeros(shape),
-            np.zeros(shape),
-        )
+        self._counts_of_pixels, self._variance_sums, self._value_sums = np.zeros((3, *shape))
         self._per_count_sums = np.zeros((darks, *shape))
         self._pedestal_sums = np.zeros(bands)
         self._sample_of_line: Array = np.zeros((2, 0), np.int64)

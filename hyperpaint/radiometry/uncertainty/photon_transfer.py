@@ -211,10 +211,12 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
 def _block_starts(shape: tuple[int, ...]) -> Ints:
     lines, bands, columns = shape
     problems = Problems("noise cannot be estimated", SchemaError)
-    if lines < BLOCK_LINES:
-        problems.add(f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few")
-    if bands < 3:
-        problems.add(f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few")
+    problems.add_if(
+        lines < BLOCK_LINES, f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few"
+    )
+    problems.add_if(
+        bands < 3, f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few"
+    )
     problems.raise_if_any()
     blocks = lines // BLOCK_LINES
     sampled = min(blocks, max(4, MAX_SAMPLES // (BLOCK_LINES * bands * columns)))
@@ -270,12 +272,12 @@ def _fit_transfer(points: _VariancePoints) -> tuple[float, float, Floats, Bools]
     from scipy.stats import chi2
 
     is_valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
-    if is_valid.sum() < MIN_VARIANCES:
-        raise SchemaError(
-            f"noise cannot be estimated from {is_valid.sum()} variances",
-            expected=f"{MIN_VARIANCES} or more",
-            code="noise-not-estimable",
-        )
+    SchemaError.raise_if(
+        is_valid.sum() < MIN_VARIANCES,
+        f"noise cannot be estimated from {is_valid.sum()} variances",
+        expected=f"{MIN_VARIANCES} or more",
+        code="noise-not-estimable",
+    )
     slope, height = _first_guess(points, is_valid, np.broadcast_to(points.freedom, is_valid.shape))
     edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
     # mean of the values below the edge relative to the mean of all values
@@ -290,12 +292,12 @@ def _fit_transfer(points: _VariancePoints) -> tuple[float, float, Floats, Bools]
             warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
             block_ratio = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
         is_used = is_valid & (block_ratio < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
-        if is_used.sum() < MIN_VARIANCES:
-            raise SchemaError(
-                "noise cannot be estimated, since no block is homogeneous",
-                mend="pass repeated frames, or a lab sweep",
-                code="noise-not-estimable",
-            )
+        SchemaError.raise_if(
+            is_used.sum() < MIN_VARIANCES,
+            "noise cannot be estimated, since no block is homogeneous",
+            mend="pass repeated frames, or a lab sweep",
+            code="noise-not-estimable",
+        )
         previous_slope = slope
         slope, height, covariance = _solve_with_jackknife(
             points, is_used, model * truncated_mean, points.variance / truncated_mean
@@ -304,13 +306,13 @@ def _fit_transfer(points: _VariancePoints) -> tuple[float, float, Floats, Bools]
             break
     low, high = np.percentile(points.by_signal[is_used] / points.by_floor[is_used], [1, 99])
     error = np.sqrt(covariance[0, 0])
-    if not (slope > 0 and error / max(slope, 1e-300) < MAX_RELATIVE_U):
-        raise SchemaError(
-            f"electrons per count are uncertain: signals of {low:.0f} to {high:.0f} counts give a slope of "
-            f"{slope:.3g} +- {error:.2g} counts of variance a count",
-            mend="take a line with dark and bright surfaces, or repeated frames of several levels",
-            code="electrons-uncertain",
-        )
+    SchemaError.raise_if(
+        not (slope > 0 and error / max(slope, 1e-300) < MAX_RELATIVE_U),
+        f"electrons per count are uncertain: signals of {low:.0f} to {high:.0f} counts give a slope of "
+        f"{slope:.3g} +- {error:.2g} counts of variance a count",
+        mend="take a line with dark and bright surfaces, or repeated frames of several levels",
+        code="electrons-uncertain",
+    )
     return slope, height, covariance, is_used
 
 
@@ -377,11 +379,11 @@ def _labelled(
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
     misfit_sd = np.sqrt(4.0 / (float(points.freedom.mean()) * is_used.sum() / variance.size))
     if misfit > MAX_MISFIT + 4.0 * misfit_sd:
-        text = (
+        warn_user(
             f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
-            "within blocks, or the light flickers; check 'transfer_variance'"
+            "within blocks, or the light flickers; check 'transfer_variance'",
+            "transfer-misfit",
         )
-        warn_user(text, "transfer-misfit")
     noise = float(np.sqrt(max(height - quantisation, 0.0)))
     # at zero noise, only the variance has an uncertainty
     noise_u = float(np.sqrt(covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan

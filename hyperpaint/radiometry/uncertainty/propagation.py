@@ -57,8 +57,11 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
         Variables of the noise are missing, or have other dims or units; all problems are listed.
     """
     problems = Problems("cannot compute uncertainties of reflectance", SchemaError)
-    if "counts" not in dataset.variables:
-        problems.add("'counts' is missing, and radiance alone has no noise model", code="variable-missing")
+    problems.add_if(
+        "counts" not in dataset.variables,
+        "'counts' is missing, and radiance alone has no noise model",
+        code="variable-missing",
+    )
     for name in NOISE:
         if name not in dataset.variables:
             problems.add(
@@ -212,17 +215,18 @@ def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
         if values.size == 0:
             problems.add(f"{name!r} contains no value", code="not-finite")
             continue
-        is_positive = name == "electrons_per_count"
-        if not np.isfinite(values).all() or values.min() < 0 or (is_positive and values.min() == 0):
-            problems.add(
-                f"{name!r} is {values.min():g} to {values.max():g}",
-                expected=f"finite and {'positive' if is_positive else '0 or more'}",
-                code="value-out-of-range",
-            )
-        elif name not in _ABSOLUTE and values.max() > 1.0:
-            problems.add(
-                f"{name!r} is {values.max():g}",
-                expected="a fraction of 1, such as 0.02",
-                code="value-out-of-range",
-            )
+        is_positive, low, high = name == "electrons_per_count", values.min(), values.max()
+        is_impossible = not np.isfinite(values).all() or low < 0 or (is_positive and low == 0)
+        problems.add_if(
+            is_impossible,
+            f"{name!r} is {low:g} to {high:g}",
+            expected=f"finite and {'positive' if is_positive else '0 or more'}",
+            code="value-out-of-range",
+        )
+        problems.add_if(
+            not is_impossible and name not in _ABSOLUTE and high > 1.0,
+            f"{name!r} is {high:g}",
+            expected="a fraction of 1, such as 0.02",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()

@@ -21,19 +21,23 @@ def record(samples: int, seed: int, noise: float = 0.004) -> tuple[np.ndarray, n
     return spectra, np.datetime64("2020-06-21", "ns") + (seconds * 1e9).astype("timedelta64[ns]")
 
 
+def over_truth(spectra: np.ndarray, times: np.ndarray, **options: int) -> np.ndarray:
+    # Return the noise that a record tells over its own
+    noise = noise_of_record(spectra, times, **options)
+    assert noise is not None
+    return noise / (0.004 * (1.0 + (CHANNELS - 350.0) / 700.0))
+
+
 @pytest.mark.parametrize(("samples", "within"), [(12, 0.3), (400, 0.1)])
 def test_noise_is_told_from_changes_of_light(samples: int, within: float) -> None:
-    noise = noise_of_record(*record(samples, 3))
-    assert noise is not None
-    ratio = noise / (0.004 * (1.0 + (CHANNELS - 350.0) / 700.0))
+    ratio = over_truth(*record(samples, 3))
     assert abs(ratio.mean() - 1.0) < 0.05
     assert np.percentile(np.abs(ratio - 1.0), 95) < within
 
 
 def test_channels_without_light_and_gaps_in_time() -> None:
     spectra, times = record(30, 4)
-    spectra[:, :40] = 0.0
-    spectra[3, 300] = np.nan
+    spectra[:, :40], spectra[3, 300] = 0.0, np.nan
     times[15:] += np.timedelta64(300, "s")
     noise = noise_of_record(spectra, times)
     assert noise is not None
@@ -45,16 +49,10 @@ def test_channels_without_light_and_gaps_in_time() -> None:
 
 def test_three_samples_tell_where_that_is_asked_and_lost_ones_count_for_nothing() -> None:
     spectra, times = record(40, 7)
-    size = 0.004 * (1.0 + (CHANNELS - 350.0) / 700.0)
-    few = noise_of_record(spectra[:3], times[:3], fewest=1)
-    assert few is not None
-    assert (few / size).mean() == pytest.approx(1.0, abs=0.15)
+    assert over_truth(spectra[:3], times[:3], fewest=1).mean() == pytest.approx(1.0, abs=0.15)
     assert noise_of_record(spectra[:2], times[:2], fewest=1) is None
-    spectra[[5, 20]] = np.nan
-    spectra[30] = 0.0
-    noise = noise_of_record(spectra, times)
-    assert noise is not None
-    assert (noise / size).mean() == pytest.approx(1.0, abs=0.05)
+    spectra[[5, 20]], spectra[30] = np.nan, 0.0
+    assert over_truth(spectra, times).mean() == pytest.approx(1.0, abs=0.05)
     assert noise_of_record(np.full_like(spectra, np.nan), times) is None
 
 
@@ -75,13 +73,9 @@ def test_bands_average_the_channels_they_are_matched_from() -> None:
     own = np.sqrt(np.diagonal(covariance))
     assert (own < 0.005).all()
     # many draws of the same record, matched as the chain does
-    rng = np.random.default_rng(7)
-    draws = []
-    for _ in range(400):
-        drawn = line.irradiance.values[:1] * (
-            1.0 + 0.005 * rng.standard_normal((1, line.irradiance.shape[1]))
-        )
-        draws.append(matched_noise({**arrays, "irradiance": drawn})[0])
-    np.testing.assert_allclose(own, np.std(draws, axis=0) / np.mean(draws, axis=0), rtol=0.2)
-    between = np.corrcoef(np.array(draws).T)[3, 4]
+    noise = np.random.default_rng(7).standard_normal((400, 1, line.irradiance.shape[1]))
+    drawn = line.irradiance.values[:1] * (1.0 + 0.005 * noise)
+    draws = np.array([matched_noise({**arrays, "irradiance": spectra})[0] for spectra in drawn])
+    np.testing.assert_allclose(own, draws.std(axis=0) / draws.mean(axis=0), rtol=0.2)
+    between = np.corrcoef(draws.T)[3, 4]
     assert covariance[3, 4] / (own[3] * own[4]) == pytest.approx(between, abs=0.12)

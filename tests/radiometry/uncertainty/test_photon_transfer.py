@@ -4,10 +4,11 @@ import time as clock
 import warnings
 from typing import Any
 
+import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
-from support.refusals import refusal
+from support.refusals import expect_errors, refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -17,6 +18,17 @@ from hyperpaint.simulation import simulate_line
 
 def z_of(found: xr.Dataset, name: str, truth: float) -> float:
     return (float(found[name]) - truth) / float(found[f"{name}_u"])
+
+
+def line_of(cube: np.ndarray, dark: float = 100.0) -> xr.Dataset:
+    # Return a line of counts (along_track, band, cross_track) over an even dark
+    element = ("band", "cross_track")
+    return xr.Dataset(
+        {
+            "counts": (("along_track", *element), cube.astype("u2"), {"units": "count"}),
+            "dark_counts": (element, np.full(cube.shape[1:], dark, "f4"), {"units": "count"}),
+        }
+    )
 
 
 @pytest.mark.parametrize(
@@ -94,10 +106,9 @@ def sweep_of(cube: np.ndarray) -> xr.Dataset:
 def test_frames_of_a_sweep() -> None:
     cube = frames_of(np.geomspace(5.0, 2500.0, 12), 20, 15.0, 1.2)
     found = estimate_noise(sweep_of(np.minimum(cube, 4095)))
-    assert abs(z_of(found, "electrons_per_count", 15.0)) < 4
-    assert abs(z_of(found, "read_noise", 1.2)) < 4
-    np.testing.assert_allclose(float(found.electrons_per_count), 15.0, rtol=0.03)
-    np.testing.assert_allclose(float(found.read_noise), 1.2, rtol=0.05)
+    for name, truth, within in (("electrons_per_count", 15.0, 0.03), ("read_noise", 1.2, 0.05)):
+        assert abs(z_of(found, name, truth)) < 4
+        np.testing.assert_allclose(float(found[name]), truth, rtol=within)
     with pytest.raises(SchemaError, match="frames-too-few"):
         estimate_noise(sweep_of(cube).assign(frame_count=((), 1, {"units": "1"})))
 
@@ -109,49 +120,26 @@ def test_saturated_frames_do_not_bend_the_line() -> None:
 
 
 def test_repeated_lines_of_one_scene() -> None:
-    cube = frames_of(np.array([600.0]), 64, 20.0, 0.8)[0]
-    line = xr.Dataset(
-        {
-            "counts": (("along_track", "band", "cross_track"), cube.astype("u2"), {"units": "count"}),
-            "dark_counts": (
-                ("band", "cross_track"),
-                np.full(cube.shape[1:], 100.0, "f4"),
-                {"units": "count"},
-            ),
-        }
-    )
+    line = line_of(frames_of(np.array([600.0]), 64, 20.0, 0.8)[0])
     # levels from 300 to 900: enough for the slope
     assert abs(z_of(estimate_noise(line, repeated=True), "electrons_per_count", 20.0)) < 4
 
 
 def test_signals_of_one_level_are_refused() -> None:
-    cube = np.rint(100.0 + 300.0 + 4.0 * np.random.default_rng(0).normal(size=(32, 12, 20)))
-    line = xr.Dataset(
-        {
-            "counts": (("along_track", "band", "cross_track"), cube.astype("u2"), {"units": "count"}),
-            "dark_counts": (("band", "cross_track"), np.full((12, 20), 100.0, "f4"), {"units": "count"}),
-        }
-    )
+    line = line_of(np.rint(100.0 + 300.0 + 4.0 * np.random.default_rng(0).normal(size=(32, 12, 20))))
     for repeated in (False, True):
         with refusal(SchemaError, "electrons-uncertain", "signals of ", " to "):
             estimate_noise(line, repeated=repeated)
-    with pytest.raises(SchemaError, match="lines-too-few"):
-        estimate_noise(line.isel(along_track=slice(0, 5)))
-    with pytest.raises(SchemaError, match="bands-too-few"):
-        estimate_noise(line.isel(band=slice(0, 2)))
-    with pytest.raises(SchemaError, match="dark_counts"):
-        estimate_noise(line.drop_vars("dark_counts"))
+    expect_errors(
+        (SchemaError, "lines-too-few", lambda: estimate_noise(line.isel(along_track=slice(0, 5)))),
+        (SchemaError, "bands-too-few", lambda: estimate_noise(line.isel(band=slice(0, 2)))),
+        (SchemaError, "dark_counts", lambda: estimate_noise(line.drop_vars("dark_counts"))),
+    )
 
 
 def test_a_scene_that_is_never_homogeneous_is_no_scene_to_use() -> None:
-    rng = np.random.default_rng(1)
-    signal = rng.uniform(100.0, 3000.0, (64, 12, 20))  # every line another surface
-    line = xr.Dataset(
-        {
-            "counts": (("along_track", "band", "cross_track"), signal.astype("u2"), {"units": "count"}),
-            "dark_counts": (("band", "cross_track"), np.zeros((12, 20), "f4"), {"units": "count"}),
-        }
-    )
+    # every line is of another surface
+    line = line_of(np.random.default_rng(1).uniform(100.0, 3000.0, (64, 12, 20)), dark=0.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
         with pytest.raises(SchemaError):
@@ -164,16 +152,13 @@ def test_dropped_and_saturated_lines_and_bad_elements_do_not_count() -> None:
 
 
 def test_a_long_line_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
-    import dask.array as da
-
-    block = simulate_line(lines=32, bands=48, columns=60)
-    read = []
+    block, read = simulate_line(lines=32, bands=48, columns=60), []
 
     def piece(block_id: Any = None) -> np.ndarray:
         read.append(block_id)
         return block.counts.values
 
-    chunks = ((32,) * ((40_000, 48, 60)[0] // 32), (48,), (60,))
+    chunks = ((32,) * (40_000 // 32), (48,), (60,))
     cube = da.map_blocks(piece, chunks=chunks, dtype=np.uint16, meta=np.empty((0, 0, 0), np.uint16))
     line = block.drop_dims("along_track")
     line["counts"] = (("along_track", "band", "cross_track"), cube, {"units": "count"})
