@@ -235,6 +235,28 @@ def test_roofs__differ_from_windows(
     assert bool(told) == bool(words)
 
 
+@pytest.mark.parametrize(
+    ("step", "min_pixels", "pixels"),
+    [
+        (0.05, 40, 240),  # 240 pixels are near the level, which is more than 40
+        (0.05, 250, 520),  # the others are within 2 times 3 % of it
+        (0.08, 250, 320),  # 80 of them are within 4 times 3 %, away from the step
+    ],
+)
+def test_pixels_of_roofs__are_near_the_level_where_enough_are(
+    step: float, min_pixels: int, pixels: int
+) -> None:
+    # Rails on both sides of a roof are brighter by a step
+    car, picture = car_of(0.3, 0.3, 0.05)
+    line, column = np.indices((40, 100))
+    is_rail = (np.abs(line - 19.5) > 6) & (column >= 40) & (column < 60)
+    picture.channels[is_rail] *= 1.0 + step
+    assert car.footprint is not None
+    car.footprint.brightness[is_rail] *= 1.0 + step
+    (verdict,) = judge_car(car, picture, {**LIMITS, "min_pixels": min_pixels})
+    assert verdict.measures.pixels == pixels
+
+
 def test_score__halves_where_each_of_its_measures_does() -> None:
     # Expected: 100 of 200 pixels, and an angle of 2 degrees, halve it; three penalties of 1 divide it by 4
     verdict = verdict_of(0.3, pixels=100, angle=2.0, adjacency=0.01, glint=0.02, spread=0.03)
