@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import dask.array as da
 import numpy as np
 import pytest
 import shapely
@@ -29,6 +30,18 @@ def line(flown: Flown) -> xr.Dataset:
     age = ("along_track", np.linspace(0.0, 1.0, 260, dtype=np.float32), {"units": "s"})
     line = located(flown, reflectance=(CUBE, values, {"units": "1"}), irradiance_age=age)
     return line.assign_coords(wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}))
+
+
+@pytest.fixture(scope="module")
+def north(line: xr.Dataset) -> xr.Dataset:
+    # Return the map with cells of a pixel
+    return hp.geometry.orthorectify(line, grid="north").compute()
+
+
+@pytest.fixture(scope="module")
+def fine(line: xr.Dataset) -> xr.Dataset:
+    # Return the map with cells of half a pixel
+    return hp.geometry.orthorectify(line, GSD / 2, grid="north").compute()
 
 
 def drawn(flown: Flown) -> Regions:
@@ -61,36 +74,38 @@ def extract(source: Any, regions: Any) -> xr.Dataset:
     return hp.extract_signatures(source, regions, exclude=0, members=10**6, min_pixels=1)
 
 
-def test_a_located_line_gives_the_pixels_that_lie_in_the_outline(flown: Flown, line: xr.Dataset) -> None:
+def test_a_located_line_gives_the_pixels_that_lie_in_the_outline(
+    flown: Flown, line: xr.Dataset, north: xr.Dataset
+) -> None:
     regions = drawn(flown)
     library = extract(line, regions)
     for number, region in enumerate(regions):
         assert used(library, number) == inside(region, flown)
-    library = extract(hp.geometry.orthorectify(line, grid="north"), regions)
-    large, small = (used(library, number) for number in range(2))
+    whole = extract(north, regions)
+    large, small = (used(whole, number) for number in range(2))
     # nearest cells leave pixels out, and show few from beyond the edge
     assert len(large & inside(regions[0], flown)) >= 0.99 * len(large)
     assert len(small & inside(regions[1], flown)) >= 0.98 * len(small)
     assert 0.6 * len(inside(regions[0], flown)) < len(large)
-    whole = extract(hp.geometry.orthorectify(line, grid="north").compute(), regions)
     for tile in (17, 64):
         made = hp.geometry.orthorectify(line, grid="north", tile=tile)
         assert extract(made, regions).drop_attrs().identical(whole.drop_attrs())
-    made = hp.geometry.orthorectify(line, grid="north")
-    mask = region_mask(drawn(flown), made)
-    assert made["quality"].where(mask == 1).dims == ("y", "x")
+    mask = region_mask(drawn(flown), north)
+    assert north["quality"].where(mask == 1).dims == ("y", "x")
 
 
 @pytest.mark.parametrize(
     "crs", ["EPSG:32616", "urn:ogc:def:crs:OGC:1.3:CRS84", "EPSG:4326", "EPSG:3857", "WKT"]
 )
-def test_outlines_of_another_reference_system_are_the_same(flown: Flown, line: xr.Dataset, crs: str) -> None:
+def test_outlines_of_another_reference_system_are_the_same(
+    flown: Flown, line: xr.Dataset, fine: xr.Dataset, crs: str
+) -> None:
     pyproj = pytest.importorskip("pyproj")
     crs = pyproj.CRS("EPSG:26917").to_wkt() if crs == "WKT" else crs
     turned = pyproj.Transformer.from_crs(MAP, crs, always_xy=True)
     regions = drawn(flown)
     there = tuple(Region(one.name, np.stack(turned.transform(*one.polygon.T), axis=-1)) for one in regions)
-    for source in (line, hp.geometry.orthorectify(line, GSD / 2, grid="north")):
+    for source in (line, fine):
         same, moved = (extract(source, each) for each in (regions, Regions(there, "map", crs)))
         for number in range(2):
             pairs = used(same, number), used(moved, number)
@@ -129,44 +144,38 @@ def test_outlines_of_the_sensor_are_those_of_the_pixels_that_a_map_shows(line: x
     assert len(pairs) > 0.99 * len(everywhere)
 
 
-def test_a_map_that_says_nothing_of_pixels_is_taken_cell_by_cell(flown: Flown, line: xr.Dataset) -> None:
-    made = hp.geometry.orthorectify(line, GSD / 2, grid="north")
-    plain = made.drop_vars([name for name in made.data_vars if name not in ("reflectance", "quality")])
+def test_a_map_that_says_nothing_of_pixels_is_taken_cell_by_cell(flown: Flown, fine: xr.Dataset) -> None:
+    plain = fine.drop_vars([name for name in fine.data_vars if name not in ("reflectance", "quality")])
     region = drawn(flown)[1]
-    x, y = np.meshgrid(made["x"], made["y"])
+    x, y = np.meshgrid(fine["x"], fine["y"])
     cells = shapely.contains_xy(shapely.Polygon(region.polygon), x, y)
     library = extract(plain, Regions((region,), "map", MAP))
     assert library["n"].item() == cells.sum()
     np.testing.assert_allclose(
         library["reflectance_quantiles"][0, 2],
-        np.median(made["reflectance"].values[cells], axis=0),
+        np.median(fine["reflectance"].values[cells], axis=0),
         rtol=1e-5,
     )
 
 
 # rioxarray multiplies transforms the old way
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
-def test_cells_of_a_geotiff(flown: Flown, line: xr.Dataset, tmp_path: Path) -> None:
+def test_cells_of_a_geotiff(flown: Flown, line: xr.Dataset, north: xr.Dataset, tmp_path: Path) -> None:
     rioxarray = pytest.importorskip("rioxarray")
-    made = hp.geometry.orthorectify(line, grid="north")
-    path = hp.io.write_geotiff(made, tmp_path / "map.tif")
+    path = hp.io.write_geotiff(north, tmp_path / "map.tif")
     opened = rioxarray.open_rasterio(path).to_dataset(name="reflectance")
     opened = opened.assign_coords(wavelength=("band", line["wavelength"].values, {"units": "nm"}))
     opened = opened.drop_vars("band")
     opened["reflectance"].attrs["units"] = "1"
     region = Regions(drawn(flown)[1:].regions, "map", MAP)
-    np.testing.assert_array_equal(
-        pixels(region[0], opened, coordinates="map", crs=MAP),
-        pixels(region[0], made, coordinates="map", crs=MAP),
-    )
-    assert extract(opened, region)["n"].item() == pixels(region[0], made, coordinates="map", crs=MAP)[0].size
+    cells = pixels(region[0], north, coordinates="map", crs=MAP)
+    np.testing.assert_array_equal(pixels(region[0], opened, coordinates="map", crs=MAP), cells)
+    assert extract(opened, region)["n"].item() == cells[0].size
     with pytest.raises(SchemaError, match="corner-outside-crs"):
         extract(opened, Regions(region.regions, "map", "EPSG:4326"))
 
 
 def test_only_the_tiles_of_the_regions_are_read(flown: Flown, line: xr.Dataset) -> None:
-    import dask.array as da
-
     made = hp.geometry.orthorectify(line, grid="north", tile=32).compute()
     read: list[Any] = []
 

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -114,12 +113,12 @@ def test_what_was_corrected_is_said(smile: bool) -> None:
     assert "tilt" not in line.reflectance.attrs
 
 
-@pytest.mark.parametrize("chunks", CHUNKINGS[1:])
-def test_the_same_bits_without_the_mirrored_sky(chunks: Any) -> None:
+def test_the_same_bits_without_the_mirrored_sky() -> None:
     line = raw()
-    lazy = line.assign(counts=line.counts.chunk(chunks), time=line.time.chunk(along_track=7))
     expected = line.paint.signatures(RAW, specular_sky=True, smooth="box")
-    assert_same_bits(lazy.paint.signatures(RAW, specular_sky=True, smooth="box"), expected)
+    for chunks in CHUNKINGS[1:]:
+        lazy = line.assign(counts=line.counts.chunk(chunks), time=line.time.chunk(along_track=7))
+        assert_same_bits(lazy.paint.signatures(RAW, specular_sky=True, smooth="box"), expected)
     assert expected.attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")
 
 

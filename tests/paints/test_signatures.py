@@ -135,18 +135,19 @@ def test_few_values_and_none() -> None:
 # --- the same bits -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("chunks", CHUNKINGS[1:])
-def test_the_same_bits_whatever_the_chunks(chunks: Any) -> None:
+def test_the_same_bits_whatever_the_chunks() -> None:
     line = made()
-    assert_same_bits(extract_signatures(line.chunk(chunks), TWO), extract_signatures(line, TWO))
+    expected = extract_signatures(line, TWO)
+    for chunks in CHUNKINGS[1:]:
+        assert_same_bits(extract_signatures(line.chunk(chunks), TWO), expected)
 
 
-@pytest.mark.parametrize("chunks", CHUNKINGS[1:])
-def test_the_same_bits_from_counts(chunks: Any) -> None:
+def test_the_same_bits_from_counts() -> None:
     line = raw()
-    counts = line.counts.chunk(chunks)
     expected = line.paint.signatures(RAW, smooth="box")
-    assert_same_bits(line.assign(counts=counts).paint.signatures(RAW, smooth="box"), expected)
+    for chunks in CHUNKINGS[1:]:
+        lazy = line.assign(counts=line.counts.chunk(chunks))
+        assert_same_bits(lazy.paint.signatures(RAW, smooth="box"), expected)
     assert (expected.reflectance_u_systematic[:, 1:-1] > 0).all()
 
 
@@ -169,24 +170,21 @@ def test_the_same_bits_on_a_cluster_of_two_processes(two_workers: Any) -> None:
         np.testing.assert_array_equal(flags[name], other_flags[name])
 
 
-@pytest.mark.parametrize("size", [3_000, 12_000])
 @pytest.mark.slow
-def test_regions_read_some_bands_at_a_time(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = extract_signatures(made(), TWO)
-    from_counts = extract_signatures(raw(), RAW)
-    monkeypatch.setattr(extraction, "MAX_GATHERED_BYTES", size)
-    told: list[tuple[int, int]] = []
-    found = extract_signatures(made(), TWO, progress=lambda *each: told.append(each))
-    assert_same_bits(found, expected)
-    assert told[-1][0] == told[-1][1] == (1000 if size > 10_000 else 3000)
-    assert told == sorted(told)
-    assert_same_bits(extract_signatures(raw(), RAW), from_counts)
-    if size == 3_000:
-        monkeypatch.setattr(
-            extraction, "MAX_COMPLETE_BYTES", size
-        )  # what a geometric median may gather whole
-        with pytest.raises(SchemaError, match=r"'hood'.*region-too-large"):
-            extract_signatures(made(), TWO, centre="geometric_median")
+def test_regions_read_some_bands_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    line, counts = made(), raw()
+    expected, from_counts = extract_signatures(line, TWO), extract_signatures(counts, RAW)
+    for size, total in ((12_000, 1000), (3_000, 3000)):
+        monkeypatch.setattr(extraction, "MAX_GATHERED_BYTES", size)
+        told: list[tuple[int, int]] = []
+        found = extract_signatures(line, TWO, progress=lambda *each, told=told: told.append(each))
+        assert_same_bits(found, expected)
+        assert told[-1] == (total, total)
+        assert told == sorted(told)
+        assert_same_bits(extract_signatures(counts, RAW), from_counts)
+    monkeypatch.setattr(extraction, "MAX_COMPLETE_BYTES", size)  # what a geometric median may gather whole
+    with pytest.raises(SchemaError, match=r"'hood'.*region-too-large"):
+        extract_signatures(line, TWO, centre="geometric_median")
 
 
 @pytest.mark.slow

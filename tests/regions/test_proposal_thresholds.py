@@ -18,6 +18,7 @@ from hyperpaint.regions.proposals.cars import (
     Place,
     Roof,
     Verdict,
+    _CarPark,
     change_with_lean,
     find_cars,
     find_roof,
@@ -25,6 +26,7 @@ from hyperpaint.regions.proposals.cars import (
     judge_car,
     judge_level,
     judge_pixels,
+    level_light,
     level_place,
 )
 
@@ -233,6 +235,28 @@ def test_roofs__differ_from_windows(
     assert bool(told) == bool(words)
 
 
+@pytest.mark.parametrize(
+    ("step", "min_pixels", "pixels"),
+    [
+        (0.05, 40, 240),  # 240 pixels are near the level, which is more than 40
+        (0.05, 250, 520),  # the others are within 2 times 3 % of it
+        (0.08, 250, 320),  # 80 of them are within 4 times 3 %, away from the step
+    ],
+)
+def test_pixels_of_roofs__are_near_the_level_where_enough_are(
+    step: float, min_pixels: int, pixels: int
+) -> None:
+    # Rails on both sides of a roof are brighter by a step
+    car, picture = car_of(0.3, 0.3, 0.05)
+    line, column = np.indices((40, 100))
+    is_rail = (np.abs(line - 19.5) > 6) & (column >= 40) & (column < 60)
+    picture.channels[is_rail] *= 1.0 + step
+    assert car.footprint is not None
+    car.footprint.brightness[is_rail] *= 1.0 + step
+    (verdict,) = judge_car(car, picture, {**LIMITS, "min_pixels": min_pixels})
+    assert verdict.measures.pixels == pixels
+
+
 def test_score__halves_where_each_of_its_measures_does() -> None:
     # Expected: 100 of 200 pixels, and an angle of 2 degrees, halve it; three penalties of 1 divide it by 4
     verdict = verdict_of(0.3, pixels=100, angle=2.0, adjacency=0.01, glint=0.02, spread=0.03)
@@ -250,23 +274,79 @@ def test_crown__is_twelve_degrees_across_and_five_along_at_most(half_length: flo
 
 
 @pytest.mark.parametrize(
-    ("fall", "offset", "has_edges"),
+    ("fall", "offset", "half", "ramp_px", "has_edges"),
     [
-        (1.25, 0.0, True),  # brightness falls to 1 / 1.2 at an edge
-        (1.15, 0.0, False),
-        (3.0, 2.5, True),  # the edges agree with the windows to 0.3 half widths of 12
+        (1.25, 0.0, 12.0, 1.0, True),  # brightness falls to 1 / 1.2 at an edge
+        (1.15, 0.0, 12.0, 1.0, False),
+        (3.0, 2.5, 12.0, 1.0, True),
+        (3.0, 0.0, 7.0, 1.0, False),  # within 0.7 to 1.25 half widths, of 12, of the windows
+        (3.0, 0.0, 10.5, 1.0, True),
+        (3.0, 0.0, 14.0, 1.0, True),
+        (3.0, 0.0, 17.0, 1.0, False),
+        (np.exp(0.66), 0.0, 15.0, 6.0, False),  # and over 1.5 pixels
+        (np.exp(0.82), 0.0, 15.0, 6.0, True),
     ],
 )
-def test_edges__are_seen_and_agree_with_windows(fall: float, offset: float, has_edges: bool) -> None:
+def test_edges__are_seen_near_the_windows(
+    fall: float, offset: float, half: float, ramp_px: float, has_edges: bool
+) -> None:
     y, x = np.indices((60, 90), np.float64)
-    paint = np.clip(12.0 - np.abs(y - 30.0 - offset), 0.0, 1.0)
+    # share of the fall, in logarithms
+    outside = np.clip((np.abs(y - 30.0 - offset) - half) / ramp_px + 1.0, 0.0, 1.0)
     inside = (np.abs(y - 30.0) < 0.75 * 13.0) & (x > 20) & (x < 70)
     every = np.ones(y.shape, bool)
-    car = Footprint(
-        (0, 0), every, every, paint + (1.0 - paint) / fall, AXIS, np.array([30.0, 45.0]), 90.0, 60.0, False
-    )
+    car = Footprint((0, 0), every, every, fall**-outside, AXIS, np.array([30.0, 45.0]), 90.0, 60.0, False)
     place = level_place(car, Roof(inside, (30.0, 45.0), AXIS, 1.5, 1.7, "", 1.0, True, True, 0.0))
     assert (place.across_sd == 0.4) == has_edges
+
+
+def crown_of(logs: Floats, lit: Any = True) -> Level | None:
+    # Level of a roof of half a width of 15 pixels from the logarithms of its brightness
+    lit = np.broadcast_to(lit, logs.shape)
+    return level_light(np.exp(logs), lit, Place(20.0, 40.0, 0.0, 0.0, 15.0, 20.0), AXIS)
+
+
+@pytest.mark.parametrize(
+    ("lines", "columns", "has_level"),
+    [
+        (slice(18, 22), slice(37, 43), False),  # of 25 pixels at least
+        (slice(18, 22), slice(37, 44), True),
+        (slice(14, 27), slice(51, 54), True),  # within 0.9 half widths along the car
+        (slice(14, 27), slice(54, 57), False),
+        (slice(25, 28), slice(34, 47), True),  # and 0.5 across it
+        (slice(28, 31), slice(34, 47), False),
+    ],
+)
+def test_level__is_of_the_middle_of_a_roof(lines: slice, columns: slice, has_level: bool) -> None:
+    lit = np.zeros((41, 81), bool)
+    lit[lines, columns] = True
+    assert (crown_of(np.zeros(lit.shape), lit) is not None) == has_level
+
+
+def test_level__is_as_uncertain_as_its_pixels() -> None:
+    # Expected: the scatter of pixels, 0.003 at least, over the root of the number of squares of 3 x 3 pixels
+    y, x = np.indices((41, 81))
+    count = 15 * 27
+    for scatter, expected in ((0.0, 0.003), (0.01, 0.01)):
+        level = crown_of(scatter * (-1.0) ** (y + x))
+        assert level is not None
+        assert level.sd == pytest.approx(expected * np.sqrt(9.0 / count), rel=0.01)
+
+
+@pytest.mark.parametrize(("times", "is_fitted"), [(2.3, True), (2.7, False), (-2.8, True), (-3.2, False)])
+def test_fit__leaves_out_glint_and_dark_spots(times: float, is_fitted: bool) -> None:
+    # Expected: residuals from -3 to 2.5 standard deviations are fitted, and raise the scatter
+    y, x = np.indices((41, 81))
+    logs = 0.01 * (-1.0) ** (y + x)
+    spots = np.s_[[15, 15, 25, 25], [32, 48, 32, 48]]
+    logs[spots] = 0.01 * 1.4826 * times
+    level, without = (
+        crown_of(logs),
+        crown_of(logs, ~np.isin(np.arange(41 * 81).reshape(41, 81), 81 * y[spots] + x[spots])),
+    )
+    assert level is not None
+    assert without is not None
+    assert (level.sd > 1.01 * without.sd) == is_fitted
 
 
 # --- footprints and cars -----------------------------------------------------------------------------------
@@ -334,6 +414,66 @@ def test_cars__have_the_pieces_on_their_paint(on_paint: int, cars: int) -> None:
     bonnet = Piece(1, (22, 22), np.ones((36, 20), bool))
     other = Piece(3, (22, 120 - on_paint), np.ones((20, 40), bool))
     assert len(find_cars([bonnet, other], picture)) == cars
+
+
+def block(first: int, last: int) -> Car:
+    # Car of 40 lines in a range of columns, whose windows are not seen, and without paint
+    area = np.ones((40, last - first), bool)
+    centre = np.array([19.5, 0.5 * (last - first - 1)])
+    seen = Footprint((0, first), ~area, area, area * 1.0, AXIS, centre, float(last - first), 40.0, False)
+    return Car([Piece(1, (0, first), area)], seen, NoRoof("", True))
+
+
+@pytest.mark.parametrize(
+    ("on_paint", "in_area", "is_assigned"),
+    [
+        (0, 17, True),  # 0.8 of it in the area of a car
+        (0, 15, False),
+        (11, 11, True),  # or half of it on its paint
+        (9, 9, False),
+    ],
+)
+def test_pieces__belong_to_the_car_that_they_lie_on(on_paint: int, in_area: int, is_assigned: bool) -> None:
+    car_park, car = _CarPark(picture_of(number=np.zeros((40, 200)))), block(0, 100)
+    assert car.footprint is not None
+    car.footprint.paint[:, 100 - on_paint :] = True
+    car_park.add(car)
+    assert car_park.assign(Piece(2, (0, 100 - in_area), np.ones((40, 20), bool))) == is_assigned
+
+
+@pytest.mark.parametrize(("shared", "cars"), [(35, 1), (25, 2)])
+def test_footprints__that_overlap_are_of_one_car(shared: int, cars: int) -> None:
+    # Expected: 0.3 of the smaller one, of 100 columns
+    car_park = _CarPark(picture_of(number=np.zeros((40, 320))))
+    for car in (block(0, 150), block(150 - shared, 250 - shared)):
+        car_park.add(car)
+    assert len(car_park.cars) == cars
+
+
+@pytest.mark.parametrize(
+    ("lengths", "has_roof"),
+    [
+        ((100, 100, 130), True),  # at most 1.8 times as large as the median of three cars
+        ((100, 100, 138), False),
+        ((100, 310), True),  # of fewer cars none is too large
+    ],
+)
+def test_cars__are_not_larger_than_others(lengths: tuple[int, ...], has_roof: bool) -> None:
+    # Cars of equal proportions one below another
+    number, found = np.zeros((sum(lengths), 450), np.int32), []
+    for length, top in zip(lengths, np.cumsum((20, *lengths)), strict=False):
+        for body, (first, last), inset in (
+            (1, (0.0, 1.0), 0.0),
+            (2, (0.25, 0.35), 0.03),
+            (2, (0.55, 0.65), 0.03),
+        ):
+            rows = slice(top + round(inset * length), top + round((0.4 - inset) * length))
+            number[rows, 50 + round(first * length) : 50 + round(last * length)] = body
+        found.append(Piece(1, (top + 2, 52), np.ones((round(0.36 * length), round(0.2 * length)), bool)))
+    cars = find_cars(found, picture_of(RED, 0.01 * np.ones(24), number=number))
+    assert len(cars) == len(lengths)
+    largest = max(cars, key=lambda car: car.size)
+    assert isinstance(largest.roof, Roof) == has_roof
 
 
 # --- which pixels are windows ------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """Lines that nobody has flagged are flagged before signatures and reports; others keep their flags."""
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.regions.proposals import proposing
 from hyperpaint.regions.proposals.proposing import Proposals
 from hyperpaint.report import report_sections
+from hyperpaint.simulation import simulate_line
 from hyperpaint.surroundings import flags
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.workflows import library_files
@@ -239,10 +239,7 @@ def test_the_report_shows_what_is_found(
 
 @pytest.mark.slow
 def test_the_origin_of_flags_outlives_reflectance(tmp_path: Path) -> None:
-    collect = hp.simulate_collect(
-        tmp_path / "raw", lines=32, bands=24, columns=16, scene="plan", truth=False, cubes=1
-    )
-    line = hp.open_store(hp.process(collect, tmp_path / "lot.zarr"), "flightlines/raw_0")
+    line = simulate_line(lines=32, bands=24, columns=16).assign_attrs(name="raw_0")
     flagged = line.paint.reflectance().paint.flag().compute()
     hp.to_store(flagged, tmp_path / "flagged.zarr", "flightlines/raw_0")
     again = hp.open_store(tmp_path / "flagged.zarr", "flightlines/raw_0").paint.reflectance()
@@ -253,4 +250,3 @@ def test_the_origin_of_flags_outlives_reflectance(tmp_path: Path) -> None:
         tmp_path / "flagged.zarr", hp.Regions((region,)), tmp_path / "a.zarr", exclude=0
     )
     assert made.attrs["flags"] == "those of the store, " + flagged.quality.attrs["flags_from"]
-    shutil.rmtree(tmp_path / "flagged.zarr")

@@ -692,12 +692,11 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
     shift = 0.5 * (edges[0] + edges[1])
     # standard deviation of a uniform distribution over the possible range
     along_sd, across_sd = (limit / float(np.sqrt(3.0)) for limit in (roof.unsure, roof.unsure_across))
-    if abs(shift) < LEVELS.max_shift * half_width:
+    if np.isfinite(shift):
         half_width, across_sd = 0.5 * (edges[1] - edges[0]), LEVELS.edged_sd_px
     else:
-        # edges that are not visible, or that contradict the windows
-        across_sd = max(across_sd, LEVELS.edged_sd_px, abs(shift) if np.isfinite(shift) else 0.0)
-        shift = 0.0
+        # an edge is not visible, or too far from the windows
+        shift, across_sd = 0.0, max(across_sd, LEVELS.edged_sd_px)
     line, column = _to_picture(roof.centre, roof.axis, np.zeros(()), np.array(shift))
     half_length = max(0.5 * float(np.ptp(along)), 1.0)
     return Place(float(line), float(column), along_sd, across_sd, half_width, half_length)

@@ -232,9 +232,6 @@ class LevelRules:
     min_edge_ratio: float = 1.2
     edge_px: float = 1.5  #: Distance over which an edge falls: a sampled edge is one to two wide [pixel].
     steps_per_px: int = 4  #: Samples a pixel of a profile across a roof.
-    #: Maximum distance between the middle of two edges and the middle of the windows: beyond, one of them is
-    #: not the edge of the roof.
-    max_shift: float = 0.3
     #: Standard deviation of the axis between two edges: mixed pixels shift either by half a pixel [pixel].
     edged_sd_px: float = 0.4
     #: Half of the fitted range, along and across: within it the lean is proportional to the distance, and a
