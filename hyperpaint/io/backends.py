@@ -34,7 +34,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
     )
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Return whether this is an ENVI header, or a data file that has one beside it."""
+        # Return whether this is an ENVI header, or a data file that has one beside it.
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         path = Path(os.fsdecode(filename_or_obj))
@@ -116,7 +116,7 @@ class AsdBackendEntrypoint(_SpectrometerEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         quantity: str | None = None,
     ) -> xr.Dataset:
-        """Open one spectrum; see `hyperpaint.open_asd` for ``quantity`` and the errors."""
+        # Open one spectrum; see `hyperpaint.open_asd` for ``quantity`` and the errors.
         from .spectrometers.asd import open_asd
 
         return _without(open_asd(filename_or_obj, quantity), drop_variables)
@@ -138,7 +138,7 @@ class SvcBackendEntrypoint(_SpectrometerEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         quantity: str | None = None,
     ) -> xr.Dataset:
-        """Open one spectrum; see `hyperpaint.open_svc` for ``quantity`` and the errors."""
+        # Open one spectrum; see `hyperpaint.open_svc` for ``quantity`` and the errors.
         from .spectrometers.svc import open_svc
 
         return _without(open_svc(filename_or_obj, quantity), drop_variables)

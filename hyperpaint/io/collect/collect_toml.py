@@ -581,14 +581,13 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
 
 
 def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) -> Collect:
-    """Read and check a ``collect.toml``; its files are located, not opened.
-
-    ``path``: the file; paths in it are relative to its folder; ``need_irradiance``: False if only radiance
-    will be computed.
-
-    Raises `CollectError`: Not TOML (with the line), unknown keys, wrong types or values, missing keys or
-    files; all problems are listed.
-    """
+    # Read and check a ``collect.toml``; its files are located, not opened.
+    #
+    # ``path``: the file; paths in it are relative to its folder; ``need_irradiance``: False if only radiance
+    # will be computed.
+    #
+    # Raises `CollectError`: Not TOML (with the line), unknown keys, wrong types or values, missing keys or
+    # files; all problems are listed.
     path = Path(path)
     problems = Problems(f"{path} cannot be processed", CollectError)
     collect = parse_collect(path, problems, need_irradiance=need_irradiance)
@@ -606,7 +605,7 @@ class OpenedCollect:
 
     @property
     def cubes(self) -> dict[str, tuple[Path, ...]]:
-        """Data files of every flight line, by the line's group (``flightlines/<id>``)."""
+        # Data files of every flight line, by the line's group (``flightlines/<id>``).
         files = {str(entry.name): find_pair(entry.path)[1] for entry in self.settings.flightlines}
         return {group: tuple(files[name] for name in names) for group, names in self.members.items()}
 
@@ -620,16 +619,15 @@ def open_with_settings(
     mount: Callable[[xr.Dataset, Mapping[str, Any]], xr.Dataset] | None = None,
     level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None = None,
 ) -> OpenedCollect:
-    """Open all files of a ``collect.toml``, without reading a cube, together with its settings.
-
-    ``source``: the file, or its settings after `read_collect`; ``calibrate``: computes a calibration from the
-    path of a lab sweep; ``mount``: adds the table ``[geometry]`` to a line; ``level``: converts the record of
-    a light sensor on the aircraft, with its attitude, to level ground; for the other arguments see
-    `hyperpaint.open_collect`.
-
-    Raises `CollectError`: The ``collect.toml``, or one of its files, cannot be used; all problems of all
-    files are listed.
-    """
+    # Open all files of a ``collect.toml``, without reading a cube, together with its settings.
+    #
+    # ``source``: the file, or its settings after `read_collect`; ``calibrate``: computes a calibration from
+    # the path of a lab sweep; ``mount``: adds the table ``[geometry]`` to a line; ``level``: converts the
+    # record of a light sensor on the aircraft, with its attitude, to level ground; for the other arguments
+    # see `hyperpaint.open_collect`.
+    #
+    # Raises `CollectError`: The ``collect.toml``, or one of its files, cannot be used; all problems of all
+    # files are listed.
     path = source.path if isinstance(source, Collect) else Path(source)
     problems = Problems(f"{path} cannot be processed", CollectError)
     if isinstance(source, Collect):

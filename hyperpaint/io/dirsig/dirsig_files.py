@@ -446,15 +446,15 @@ class Section:
     items: tuple[tuple[str, str] | Section, ...] = ()
 
     def get(self, key: str) -> str | None:
-        """Return the value of a key, None without one."""
+        # Return the value of a key, None without one.
         return next((item[1] for item in self.items if isinstance(item, tuple) and item[0] == key), None)
 
     def section(self, name: str) -> Section | None:
-        """Return the section of a name, None without one."""
+        # Return the section of a name, None without one.
         return next((item for item in self.sections() if item.name == name), None)
 
     def sections(self) -> Iterator[Section]:
-        """Yield the inner sections."""
+        # Yield the inner sections.
         return (item for item in self.items if isinstance(item, Section))
 
 
@@ -468,17 +468,17 @@ class Material:
 
     @property
     def emissivity_file(self) -> str | None:
-        """Path of the emissivity file, as written; not opened."""
+        # Path of the emissivity file, as written; not opened.
         return self._property("EMISSIVITY_PROP", "FILENAME")
 
     @property
     def reflectance_file(self) -> str | None:
-        """Path of the two-column reflectance file, as written."""
+        # Path of the two-column reflectance file, as written.
         return self._property("REFLECTANCE_PROP", "TXT_FILENAME")
 
     @property
     def specular_fraction(self) -> float | None:
-        """Share of reflectance that is specular [1]; None if the file does not have it."""
+        # Share of reflectance that is specular [1]; None if the file does not have it.
         text = self._property("EMISSIVITY_PROP", "SPECULAR_FRACTION")
         return None if text is None else float(text)
 

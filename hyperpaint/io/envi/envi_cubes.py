@@ -389,12 +389,12 @@ class _Reader(Problems):
 
 
 def shown(text: str) -> str:
-    """Return text shortened and quoted for messages."""
+    # Return text shortened and quoted for messages.
     return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
 def bare(text: str) -> str:
-    """Return a raw value without its braces."""
+    # Return a raw value without its braces.
     return text[1:-1].strip() if text.startswith("{") and text.endswith("}") else text
 
 

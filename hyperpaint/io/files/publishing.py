@@ -58,11 +58,10 @@ def check_place(
     overwrite: bool = False,
     error: type[PaintError] = StoreError,
 ) -> None:
-    """Check the path of a new file before any input is read; all problems are listed.
-
-    Messages name the ``product``, such as "the table", and an ``example`` of a name. ``kinds`` are the
-    allowed suffixes, any by default; the file may not be inside ``store``.
-    """
+    # Check the path of a new file before any input is read; all problems are listed.
+    #
+    # Messages name the ``product``, such as "the table", and an ``example`` of a name. ``kinds`` are the
+    # allowed suffixes, any by default; the file may not be inside ``store``.
     problems = Problems(f"{product} cannot be written to {path}", error)
     with _errors_of(path):
         _recover(path)
@@ -103,14 +102,14 @@ def check_place(
 
 
 def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
-    """Write a file completely or not at all, like `published_files`."""
+    # Write a file completely or not at all, like `published_files`.
     with published_files([path], overwrite=overwrite) as (temporary,):
         temporary.write_bytes(content)
 
 
 @contextlib.contextmanager
 def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path], str]) -> Iterator[Path]:
-    """Yield a new folder, which is moved to its path if the block succeeds; see `published_files`."""
+    # Yield a new folder, which is moved to its path if the block succeeds; see `published_files`.
     with published_files([target], overwrite=overwrite, foreign=foreign) as (build,):
         build.mkdir()
         yield build
@@ -120,16 +119,15 @@ def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path],
 def published_files(
     targets: Sequence[Path], *, overwrite: bool, foreign: Callable[[Path], str] | None = None
 ) -> Iterator[list[Path]]:
-    """Yield a temporary path per part of a product; parts are moved to their paths if the block succeeds.
-
-    ``targets``: paths of the parts, in one or several folders; the last is the key, by which the product is
-    opened; ``overwrite``: whether an earlier product may be replaced; ``foreign``: passed if the last is a
-    folder, which must be new, empty, or an earlier product; returns a description of foreign content, such as
-    "other files", empty for an earlier product. Foreign content is never replaced.
-
-    Raises `StoreError`: A path holds foreign content, or a product that may not be replaced, or is being
-    written by another process; or the system refuses. Existing files stay.
-    """
+    # Yield a temporary path per part of a product; parts are moved to their paths if the block succeeds.
+    #
+    # ``targets``: paths of the parts, in one or several folders; the last is the key, by which the product is
+    # opened; ``overwrite``: whether an earlier product may be replaced; ``foreign``: passed if the last is a
+    # folder, which must be new, empty, or an earlier product; returns a description of foreign content, such
+    # as "other files", empty for an earlier product. Foreign content is never replaced.
+    #
+    # Raises `StoreError`: A path holds foreign content, or a product that may not be replaced, or is being
+    # written by another process; or the system refuses. Existing files stay.
     if len({target.parent for target in targets}) > 1:  # one spelling per folder
         targets = [Path(os.path.realpath(target.parent), target.name) for target in targets]
     key, anchors, builds = targets[-1], _anchors(targets), {}
@@ -169,10 +167,9 @@ def published_files(
 
 
 def unwritable(place: Path, error: Exception) -> StoreError:
-    """Return the error of a path that cannot be written; on a full disk with its free space.
-
-    GDAL hides the error number of the system: a probe file shows whether the disk is full.
-    """
+    # Return the error of a path that cannot be written; on a full disk with its free space.
+    #
+    # GDAL hides the error number of the system: a probe file shows whether the disk is full.
     folder = next((parent for parent in place.absolute().parents if parent.is_dir()), Path(place.anchor))
     reason: str = getattr(error, "strerror", None) or str(error)
     code = getattr(error, "errno", None)
@@ -259,10 +256,9 @@ def _anchors(targets: Sequence[Path]) -> list[Path]:
 
 
 def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
-    """Exchange new and old files: steps 1 to 5 of the module's docstring.
-
-    ``folders``: the build of each target folder, the key's last.
-    """
+    # Exchange new and old files: steps 1 to 5 of the module's docstring.
+    #
+    # ``folders``: the build of each target folder, the key's last.
     *companions, (last, key) = enumerate(targets)
     for number, target in companions:
         with contextlib.suppress(OSError):  # there is no old file, or the disk has no links

@@ -48,13 +48,12 @@ MAX_TEXT_LINES = 200_000
 def read_limited_text(
     path: Path, limit: int, expected: str, lines: int = MAX_TEXT_LINES, mend: str = "check the file"
 ) -> bytes:
-    """Return the bytes of a text file, like `read_limited`; number and length of lines are limited too.
-
-    Callers split lines into cells, which take thirty times their bytes in memory; so do empty lines.
-
-    Raises `FormatError`: As `read_limited`; there are more than ``lines``; or a line is longer than
-    `MAX_LINE_BYTES`.
-    """
+    # Return the bytes of a text file, like `read_limited`; number and length of lines are limited too.
+    #
+    # Callers split lines into cells, which take thirty times their bytes in memory; so do empty lines.
+    #
+    # Raises `FormatError`: As `read_limited`; there are more than ``lines``; or a line is longer than
+    # `MAX_LINE_BYTES`.
     data = read_limited(path, limit, expected)
     count = max(data.count(b"\n"), data.count(b"\r"))
     FormatError.raise_if(
@@ -102,7 +101,7 @@ class PackedColumns(Mapping[str, list[str]]):
         self._packed: list[list[str]] = [[] for _ in names]
 
     def extend(self, columns: Iterable[Sequence[str]]) -> None:
-        """Add the same number of cells to every column; cells must not contain line ends."""
+        # Add the same number of cells to every column; cells must not contain line ends.
         for packed, cells in zip(self._packed, columns, strict=False):
             packed.append("\n".join(cells))
 
@@ -131,10 +130,9 @@ def decoded_text(data: bytes) -> str:
 
 
 def number(text: str) -> float | None:
-    """Return a number, NaN for an empty cell, None for other text.
-
-    Unlike float(), it accepts no underscores, no digits of other scripts, and no infinities.
-    """
+    # Return a number, NaN for an empty cell, None for other text.
+    #
+    # Unlike float(), it accepts no underscores, no digits of other scripts, and no infinities.
     text = text.strip()
     if not text:
         return float("nan")
@@ -148,7 +146,7 @@ def number(text: str) -> float | None:
 
 
 def numbers(cells: Iterable[str]) -> list[float] | None:
-    """Return cells as numbers (`number`); None if a cell is other text."""
+    # Return cells as numbers (`number`); None if a cell is other text.
     values = [number(cell) for cell in cells]
     return None if None in values else [value for value in values if value is not None]
 
@@ -183,11 +181,10 @@ def unique_names(
 
 
 def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
-    """Load a small netCDF file completely.
-
-    Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is not a plain file. A damaged file
-    raises the engine's error.
-    """
+    # Load a small netCDF file completely.
+    #
+    # Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is not a plain file. A damaged file
+    # raises the engine's error.
     FormatError.raise_if(
         not is_plain_file(input_path(path, "a netCDF file")),
         f"{path}: no plain file",
@@ -212,7 +209,7 @@ _MAGIC = re.compile(r"[*?\[]")
 
 
 def is_pattern(text: str) -> bool:
-    """Return whether a text contains wildcards."""
+    # Return whether a text contains wildcards.
     return _MAGIC.search(text) is not None
 
 

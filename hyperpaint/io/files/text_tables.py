@@ -29,11 +29,10 @@ _INTEGER = re.compile(r"[+-]?[0-9]{1,16}(?:\.0*)?")
 
 
 def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINES) -> str:
-    """Return the text of a side file, with Unix line ends.
-
-    Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, has more than ``lines``, or
-    is binary.
-    """
+    # Return the text of a side file, with Unix line ends.
+    #
+    # Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, has more than ``lines``,
+    # or is binary.
     mend = "cut it to the flight, or give an SBET file" if lines == MAX_TABLE_ROWS else "check the file"
     data = read_limited_text(path, limit, "a text file", lines, mend)
     FormatError.raise_if(
@@ -58,14 +57,13 @@ class Table:
 
 
 def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
-    """Read a tab-separated table by its header names.
-
-    ``path``: the file; blank lines are skipped; ``kind``: kind of file, for messages; ``needs``:
-    columns, in lower case, without which it is another kind of file.
-
-    Raises `FormatError`: Unreadable, binary, without its header line or a needed column, without rows, or
-    with rows of another number of cells than the header.
-    """
+    # Read a tab-separated table by its header names.
+    #
+    # ``path``: the file; blank lines are skipped; ``kind``: kind of file, for messages; ``needs``:
+    # columns, in lower case, without which it is another kind of file.
+    #
+    # Raises `FormatError`: Unreadable, binary, without its header line or a needed column, without rows, or
+    # with rows of another number of cells than the header.
     path = Path(path)
     text = read_text(path, _MAX_TABLE, MAX_TABLE_ROWS)
     first = text.partition("\n")[0]
@@ -120,12 +118,11 @@ def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
 
 
 def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]]) -> Table:
-    """Return cells under the names of their columns.
-
-    ``rows``: line number and cells of each row.
-
-    Raises `FormatError`: There are no rows, or some have another number of cells than there are names.
-    """
+    # Return cells under the names of their columns.
+    #
+    # ``rows``: line number and cells of each row.
+    #
+    # Raises `FormatError`: There are no rows, or some have another number of cells than there are names.
     numbers, wrong_rows = array("q"), array("q")
     columns = PackedColumns(names)
     block: list[list[str]] = []
@@ -150,7 +147,7 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
 
 
 def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:
-    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: noun for a row."""
+    # Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: noun for a row.
     rows_text = ", ".join(str(int(number)) for number in rows[:5])
     if len(rows) == 1:
         return f"{row} {rows_text}"
@@ -158,10 +155,9 @@ def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str
 
 
 def to_integers(table: Table, name: str) -> NDArray[np.int64]:
-    """Return a column of whole numbers.
-
-    Raises `FormatError`: Cells are not whole numbers; their lines are named.
-    """
+    # Return a column of whole numbers.
+    #
+    # Raises `FormatError`: Cells are not whole numbers; their lines are named.
     cells = [cell.strip() for cell in table.columns[name]]
     # the common case at a tenth of the time: digits only, none empty, none too long for int64
     if "".join(cells).isdecimal() and min(map(len, cells)) > 0 and max(map(len, cells)) <= 16:

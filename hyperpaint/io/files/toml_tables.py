@@ -26,11 +26,10 @@ _LONG_KEY = re.compile(rb"""(?:\.[ \t]*(?:[A-Za-z0-9_-]+|"[^"\n]{0,99}"|'[^'\n]{
 
 
 def load_tables(path: Path, kind: str) -> dict[str, Any]:
-    """Return the tables of a file; ``kind`` names the kind of file in messages.
-
-    Raises `FormatError`: The file cannot be read, is too large, or is not TOML (with the place of the
-    mistake).
-    """
+    # Return the tables of a file; ``kind`` names the kind of file in messages.
+    #
+    # Raises `FormatError`: The file cannot be read, is too large, or is not TOML (with the place of the
+    # mistake).
     raw = read_limited(path, _MAX_BYTES, kind)
     FormatError.raise_if(
         _LONG_KEY.search(raw),
@@ -45,7 +44,7 @@ def load_tables(path: Path, kind: str) -> dict[str, Any]:
 
 
 def suggestion(key: str, allowed: Iterable[str]) -> str:
-    """Return the mend for an unknown key: the nearest key, or all of them."""
+    # Return the mend for an unknown key: the nearest key, or all of them.
     allowed = list(allowed)
     close = difflib.get_close_matches(key[:100], allowed, n=1)
     return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(allowed)}"
@@ -86,7 +85,7 @@ class TableReader:
                 )
 
     def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
-        """Return the valid keys of the tables of this name; ``extra`` names another accepted value."""
+        # Return the valid keys of the tables of this name; ``extra`` names another accepted value.
         if value is None:
             return []
         is_list = name in self.lists
@@ -101,7 +100,7 @@ class TableReader:
         return [self._checked(self.place(name, number), name, table) for number, table in enumerate(tables)]
 
     def place(self, name: str, number: int) -> str:
-        """Return the name of a table in messages."""
+        # Return the name of a table in messages.
         return f"[[{name}]] {number + 1}" if name in self.lists else f"[{name}]"
 
     def _checked(self, table_place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
@@ -126,18 +125,18 @@ class TableReader:
         return valid
 
     def one(self, name: str) -> dict[str, Any]:
-        """Return the single table of this name, empty where absent."""
+        # Return the single table of this name, empty where absent.
         return next(iter(self.tables[name]), {"?": set()})
 
     def exclude(self, place: str, table: Mapping[str, Any], *keys: str) -> None:
-        """Note keys of a table that exclude each other."""
+        # Note keys of a table that exclude each other.
         present = [key for key in keys if key in table["?"]]
         self.problems.add_if(
             len(present) > 1, f"{place} has {' and '.join(present)}", mend="keep one", code="option-conflict"
         )
 
     def is_name(self, place: str, key: str, name: str, blanks: str = "") -> bool:
-        """Return whether a group of the store can have this name; otherwise note the fault."""
+        # Return whether a group of the store can have this name; otherwise note the fault.
         if _NAME.fullmatch(name) and name not in _ZARR_NAMES:
             return True
         self.problems.add(
@@ -149,7 +148,7 @@ class TableReader:
         return False
 
     def path(self, place: str, key: str, value: str | None) -> Path | None:
-        """Return a path that exists, taken from the folder of the file."""
+        # Return a path that exists, taken from the folder of the file.
         if value is None:
             return None
         path = self.folder / value
@@ -163,7 +162,7 @@ class TableReader:
         return path
 
     def files(self, place: str, key: str, value: str | list[str]) -> tuple[Path, ...]:
-        """Return the files of paths and patterns, sorted by pattern; note patterns without a match."""
+        # Return the files of paths and patterns, sorted by pattern; note patterns without a match.
         paths: list[Path] = []
         for text in value if isinstance(value, list) else [value]:
             if "\0" in text or not is_pattern(text) or os.path.lexists(self.folder / text):
@@ -201,7 +200,7 @@ _RELATIVE = "paths count from the folder of this file"
 
 
 def values(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the valid keys of a table of `TableReader`."""
+    # Return the valid keys of a table of `TableReader`.
     return {key: value for key, value in table.items() if key != "?"}
 
 

@@ -49,7 +49,7 @@ class Dark:
     uncertainty: xr.DataArray | None = None  #: (band, cross_track): Standard uncertainty of the mean [count].
 
     def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
-        """Return the variables of a flight line, with ``needs_noise`` also the read noise."""
+        # Return the variables of a flight line, with ``needs_noise`` also the read noise.
         variables = {"dark_counts": self.counts}
         exposures = [seconds for seconds in self.exposures if seconds is not None]
         if exposures and len(exposures) == len(self.exposures):

@@ -65,7 +65,7 @@ class FlightlineInputs:
 
     @property
     def path(self) -> Path:
-        """Path of the cube, or the name of its Dataset in messages."""
+        # Path of the cube, or the name of its Dataset in messages.
         if isinstance(self.cube, Path):
             return self.cube
         return Path(self.name or str(self.cube.attrs.get("source", "cube")))
@@ -244,10 +244,9 @@ def open_flightline(
 
 
 def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
-    """Open every input, with errors added to ``findings``; return the line, empty after an error.
-
-    Steps whose input failed are skipped, so that every problem is reported once.
-    """
+    # Open every input, with errors added to ``findings``; return the line, empty after an error.
+    #
+    # Steps whose input failed are skipped, so that every problem is reported once.
     path = inputs.path
     on_disk = inputs.cube if isinstance(inputs.cube, Path) else None
     cube: xr.DataArray | None = None

@@ -46,10 +46,9 @@ _IMU_GPS = re.compile(r".*imu.*gps.*\.txt", re.IGNORECASE)
 
 
 def read_settings(path: str | Path) -> dict[str, str]:
-    """Return the values of all lines ``key = value`` in ``settings.txt`` by key.
-
-    Raises `FormatError`: The file is unreadable, binary or too large.
-    """
+    # Return the values of all lines ``key = value`` in ``settings.txt`` by key.
+    #
+    # Raises `FormatError`: The file is unreadable, binary or too large.
     pairs = (line.partition("=") for line in read_text(Path(path)).split("\n"))
     return {key.strip(): value.strip() for key, sign, value in pairs if sign and key.strip()}
 
@@ -93,10 +92,9 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
 
 
 def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
-    """Return focal length [mm] and pixel pitch [um] from the comment lines of a header, if stated.
-
-    None also where pixels are binned, since the binned axis is unknown.
-    """
+    # Return focal length [mm] and pixel pitch [um] from the comment lines of a header, if stated.
+    #
+    # None also where pixels are binned, since the binned axis is unknown.
     plain = {" ".join(key.split()).lower(): text for key, text in pairs.items()}
     if any(text.strip() != "1" for key, text in plain.items() if key.endswith(" binning")):
         return None
@@ -123,7 +121,7 @@ def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[st
 def find_exposure(
     exposure_time: Any, cube: Path | None, name: str, opened: xr.Dataset, *, required: bool
 ) -> tuple[NDArray[np.float64] | None, str]:
-    """Return the exposure [s] and its source: the argument, ``settings.txt``, or the header's comments."""
+    # Return the exposure [s] and its source: the argument, ``settings.txt``, or the header's comments.
     argument = None if exposure_time is None else np.asarray(exposure_time, np.float64)
     if argument is not None:
         lines = opened.sizes.get(ALONG_TRACK, argument.size)
@@ -195,15 +193,14 @@ class FrameIndex:
 
 
 def read_frame_index(path: str | Path) -> FrameIndex:
-    """Read ``frameIndex_<N>.txt`` with any of three kinds of time stamps.
-
-    ``Timestamp`` in microseconds of the instrument's clock; or ``Time`` as ``HH:MM:SS <microseconds>`` of the
-    recording computer; or ``HH:MM:SS``, whole seconds, which are replaced by a straight line fit over the
-    frame numbers, since a pushbroom camera records at a steady rate.
-
-    Raises `FormatError`: The file is not a frame index, or cells do not fit the header. Raises `TimeError`:
-    Stamps repeat or decrease, or whole seconds fit no steady rate.
-    """
+    # Read ``frameIndex_<N>.txt`` with any of three kinds of time stamps.
+    #
+    # ``Timestamp`` in microseconds of the instrument's clock; or ``Time`` as ``HH:MM:SS <microseconds>`` of
+    # the recording computer; or ``HH:MM:SS``, whole seconds, which are replaced by a straight line fit over
+    # the frame numbers, since a pushbroom camera records at a steady rate.
+    #
+    # Raises `FormatError`: The file is not a frame index, or cells do not fit the header. Raises `TimeError`:
+    # Stamps repeat or decrease, or whole seconds fit no steady rate.
     table = read_table(path, "frame index", needs=["frame#"])
     second_column = next((column for column in table.columns if column != "frame#"), "")
     name = next((name for name in ("timestamp", "time") if name in table.columns), second_column)
@@ -247,7 +244,7 @@ def read_frame_index(path: str | Path) -> FrameIndex:
 
 
 def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject: str) -> None:
-    """Raise a `TimeError` about the rows whose stamp does not exceed the previous stamp."""
+    # Raise a `TimeError` about the rows whose stamp does not exceed the previous stamp.
     faulty_rows = rows[1:][np.diff(stamp) <= 0]
     TimeError.raise_if(
         faulty_rows.size,
@@ -258,7 +255,7 @@ def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject:
 
 
 def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
-    """Return microseconds since midnight of the first row's day, and whether all are full seconds."""
+    # Return microseconds since midnight of the first row's day, and whether all are full seconds.
     micros_of_day = np.empty(len(table.rows), np.int64)
     faulty_rows: list[int] = []
     whole_seconds = True
@@ -283,13 +280,13 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
 
 
 def cube_number(cube: Path) -> int | None:
-    """Return N of ``raw_<N>``, the number of the cube's first frame, or None."""
+    # Return N of ``raw_<N>``, the number of the cube's first frame, or None.
     match = _CUBE_NUMBER.fullmatch(cube.name.split(".")[0])
     return int(match[1]) if match else None
 
 
 def frame_index_beside(cube: Path) -> Path | None:
-    """Return the last frame index in the folder of a cube that begins at or before its first frame."""
+    # Return the last frame index in the folder of a cube that begins at or before its first frame.
     matches = [match for path in cube.parent.iterdir() if (match := _FRAME_INDEX.fullmatch(path.name))]
     files = {int(match[1] or 0): cube.with_name(match[0]) for match in matches}
     first_frame = cube_number(cube)
@@ -300,7 +297,7 @@ def frame_index_beside(cube: Path) -> Path | None:
 
 
 def navigation_beside(cube: Path) -> Path | None:
-    """Return the only ``imu_gps.txt`` in the folder of a cube, or in the parent folder."""
+    # Return the only ``imu_gps.txt`` in the folder of a cube, or in the parent folder.
     for folder in (cube.parent, cube.parent.parent):
         records = [path for path in folder.iterdir() if _IMU_GPS.fullmatch(path.name)]
         if records:
@@ -311,16 +308,16 @@ def navigation_beside(cube: Path) -> Path | None:
 def match_frames(
     index: FrameIndex, lines: int, cube: Path, *, shortened: bool = False
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the frame number and the row of the index of each line of a cube.
-
-    ``index``: frame index of the cube, or of the complete flight; ``lines``: lines of the cube; ``cube``: its
-    path, whose name ``raw_<N>`` and neighbours determine the rows of the cube in an index of the complete
-    flight; ``shortened``: whether the file was cut short, so that it may have fewer lines than rows.
-
-    Returns frame numbers (along_track,), and rows of the index (along_track,), -1 for a dropped frame.
-
-    Raises `FormatError`: The number of lines is neither that of the rows nor that of the frames.
-    """
+    # Return the frame number and the row of the index of each line of a cube.
+    #
+    # ``index``: frame index of the cube, or of the complete flight; ``lines``: lines of the cube; ``cube``:
+    # its path, whose name ``raw_<N>`` and neighbours determine the rows of the cube in an index of the
+    # complete flight; ``shortened``: whether the file was cut short, so that it may have fewer lines than
+    # rows.
+    #
+    # Returns frame numbers (along_track,), and rows of the index (along_track,), -1 for a dropped frame.
+    #
+    # Raises `FormatError`: The number of lines is neither that of the rows nor that of the frames.
     first_frame, last_frame, rows = int(index.frame[0]), int(index.frame[-1]), len(index.frame)
     # first row, number of rows, first frame and one past the last: of the index, then of the cube in it
     ranges = [(0, rows, first_frame, last_frame + 1)]
@@ -369,7 +366,7 @@ class DarkFrames:
 
     @property
     def mean(self) -> NDArray[np.float64]:
-        """Mean dark count, (band, cross_track)."""
+        # Mean dark count, (band, cross_track).
         return self.total / np.float64(self.lines)
 
     @property

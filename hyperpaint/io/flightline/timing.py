@@ -49,7 +49,7 @@ class Timing:
 
     @property
     def correction(self) -> ClockCorrection:
-        """Correction of the navigation's stamps to UTC."""
+        # Correction of the navigation's stamps to UTC.
         return ClockCorrection(self.clock_offset_s or 0.0, self.time_scale, self.gps_leap_seconds)
 
 
@@ -113,22 +113,21 @@ def line_times(
     *,
     shortened: bool = False,
 ) -> LineTimes:
-    """Return times and poses of the lines of a cube, from frame index, clocks and navigation.
-
-    The stamp of a line in the instrument's microseconds is converted to UTC by linear interpolation, in
-    int64, between rows of the navigation record that have both clocks; nothing is extrapolated. Half an
-    exposure leads from the start or end of an exposure to its middle.
-
-    ``cube``: path of the cube, whose name ``raw_<N>`` states its first frame; ``lines``: its number of lines;
-    ``timing``: the sources; ``exposure_time``: seconds, scalar or (along_track,); ``shortened``: whether the
-    file was cut short, so that its frame index may have more rows than the cube has lines.
-
-    Raises `FormatError`: A side file is damaged, or the frame index does not fit the cube. Raises
-    `TimeError`: Sources are missing or contradict each other, or no line lies within the navigation record.
-
-    Warns `PaintWarning`: Lines outside the navigation record; a frame period or exposure that the stamps
-    contradict; stamps of whole seconds.
-    """
+    # Return times and poses of the lines of a cube, from frame index, clocks and navigation.
+    #
+    # The stamp of a line in the instrument's microseconds is converted to UTC by linear interpolation, in
+    # int64, between rows of the navigation record that have both clocks; nothing is extrapolated. Half an
+    # exposure leads from the start or end of an exposure to its middle.
+    #
+    # ``cube``: path of the cube, whose name ``raw_<N>`` states its first frame; ``lines``: its number of
+    # lines; ``timing``: the sources; ``exposure_time``: seconds, scalar or (along_track,); ``shortened``:
+    # whether the file was cut short, so that its frame index may have more rows than the cube has lines.
+    #
+    # Raises `FormatError`: A side file is damaged, or the frame index does not fit the cube. Raises
+    # `TimeError`: Sources are missing or contradict each other, or no line lies within the navigation record.
+    #
+    # Warns `PaintWarning`: Lines outside the navigation record; a frame period or exposure that the stamps
+    # contradict; stamps of whole seconds.
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
     one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
     exposure_s = float(np.max(exposure_time, initial=0.0))

@@ -579,7 +579,7 @@ class LibraryReport:
 
     @property
     def ok(self) -> bool:
-        """Whether there is no finding."""
+        # Whether there is no finding.
         return not self.findings
 
     def __str__(self) -> str:

@@ -201,16 +201,15 @@ def reflectances(
     ignore: Any = None,
     is_reflectance: bool = False,
 ) -> Floats32:
-    """Return stored values as reflectance.
-
-    file_scale, scale: Stored value of a reflectance of one, from the file and from the caller; that of the
-        caller is preferred.
-    ignore: Stored value of missing samples, besides the fill values of the USGS.
-    is_reflectance: Whether values above 1 are accepted.
-    Returns numpy.ndarray: float32; a fraction.
-    Raises FormatError: The scale is unknown and the values are not fractions; or they do not fit float32.
-    Warns PaintWarning: Values far below 0 were taken for missing; or the scale is doubtful.
-    """
+    # Return stored values as reflectance.
+    #
+    # file_scale, scale: Stored value of a reflectance of one, from the file and from the caller; that of the
+    #     caller is preferred.
+    # ignore: Stored value of missing samples, besides the fill values of the USGS.
+    # is_reflectance: Whether values above 1 are accepted.
+    # Returns numpy.ndarray: float32; a fraction.
+    # Raises FormatError: The scale is unknown and the values are not fractions; or they do not fit float32.
+    # Warns PaintWarning: Values far below 0 were taken for missing; or the scale is doubtful.
     with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
         values = stored.astype(np.float64)
         is_fill = values < _MAX_FILL_VALUE

@@ -221,7 +221,7 @@ def column_heading(cell: str) -> tuple[str, str]:
 
 
 def metres_of(name: str, unit: str, problems: Problems) -> float:
-    """Return the size of a column's unit in metres; 1 without a unit, and for a wrong one, which is noted."""
+    # Return the size of a column's unit in metres; 1 without a unit, and for a wrong one, which is noted.
     metres = _metres(unit or "m")
     if metres is None:
         problems.add(

@@ -226,10 +226,9 @@ def open_navigation(
 
 
 def navigation_format(path: str | Path) -> NavigationFormat:
-    """Return the format of a navigation file, by its name and first bytes.
-
-    Raises FormatError: The file cannot be read, or its format is unknown.
-    """
+    # Return the format of a navigation file, by its name and first bytes.
+    #
+    # Raises FormatError: The file cannot be read, or its format is unknown.
     path = input_path(path, "a navigation record")
     suffix = path.suffix.lower()
     if suffix == ".hdr" or is_plain_file(path.with_name(path.name + ".hdr")):
@@ -296,13 +295,12 @@ def _stored_record(path: Any, convention: Convention | Mapping[str, Any] | None)
 def read_record(
     path: Path, format: NavigationFormat, columns: Sequence[str] | None = None, midnight: int | None = None
 ) -> PoseRecord:
-    """Read a file of any format except ``imu_gps``, with stamps as in the file.
-
-    columns: As for `open_navigation`.
-    midnight: As for `read_nmea`.
-
-    Raises FormatError, TimeError: By the reader of the format.
-    """
+    # Read a file of any format except ``imu_gps``, with stamps as in the file.
+    #
+    # columns: As for `open_navigation`.
+    # midnight: As for `read_nmea`.
+    #
+    # Raises FormatError, TimeError: By the reader of the format.
     readers: Mapping[str, Callable[[Path], PoseRecord]] = {
         "sbet": read_sbet,
         "lcf": read_lcf,

@@ -127,7 +127,7 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
 
 
 def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return seconds, finite and below 1e10, as whole nanoseconds without loss of digits."""
+    # Return seconds, finite and below 1e10, as whole nanoseconds without loss of digits.
     whole_seconds = np.floor(seconds)
     whole_ns: NDArray[np.int64] = whole_seconds.astype(np.int64) * NS_PER_S
     return whole_ns + np.round((seconds - whole_seconds) * NS_PER_S).astype(np.int64)
@@ -197,7 +197,7 @@ class ClockCorrection:
         one_of(self.time_scale, ("utc", "gps"), "time_scale", error=TimeError)
 
     def apply(self, stamp: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return UTC in nanoseconds since 1970-01-01."""
+        # Return UTC in nanoseconds since 1970-01-01.
         if self.time_scale == "gps":
             stamp = gps_to_utc(stamp, self.leap_seconds)
         return stamp + round(self.offset_s * NS_PER_S)
@@ -213,7 +213,7 @@ class Clock:
     daily: bool = False  # whether stamps are times of day, so that they may be a day early or late
 
     def at(self, stamp: NDArray[np.int64]) -> NDArray[np.datetime64]:
-        """Return UTC [datetime64[ns]] at stamps, NaT before the first and after the last knot."""
+        # Return UTC [datetime64[ns]] at stamps, NaT before the first and after the last knot.
         if self.daily:
             stamp = stamp + next((d for d in (0, _DAY_US, -_DAY_US) if overlap(stamp + d, self.stamp)), 0)
         knot, weight, is_inside = bracket(self.stamp, stamp)
@@ -224,7 +224,7 @@ class Clock:
 
 
 def overlap(first: NDArray[np.int64], second: NDArray[np.int64]) -> bool:
-    """Return whether the ranges of two arrays overlap."""
+    # Return whether the ranges of two arrays overlap.
     return bool(first.min() <= second.max() and first.max() >= second.min())
 
 
@@ -363,11 +363,11 @@ class Navigation:
     values: Mapping[str, NDArray[np.float64]] = field(repr=False)
 
     def clock_for(self, index: FrameIndex) -> Clock:
-        """Return the relation of the frame index's clock to UTC.
-
-        Raises TimeError: The record contains no UTC or no such clock, its stamps repeat or run backwards, one
-            of its clocks jumps relative to the other, or it does not overlap the frame index.
-        """
+        # Return the relation of the frame index's clock to UTC.
+        #
+        # Raises TimeError: The record contains no UTC or no such clock, its stamps repeat or run backwards,
+        # one
+        #     of its clocks jumps relative to the other, or it does not overlap the frame index.
         clock_columns = _CLOCK_COLUMNS if index.clock == "instrument" else ("time of day",)
         uncovered_spans: list[str] = []
         for column in clock_columns:
@@ -393,7 +393,7 @@ class Navigation:
         )
 
     def dated_by(self, clock: Clock) -> Navigation:
-        """Return the record with UTC from a clock of the recording computer; drop rows outside its range."""
+        # Return the record with UTC from a clock of the recording computer; drop rows outside its range.
         stamp = self.stamps.get("time of day")
         if self.utc is not None or stamp is None:
             return self
@@ -410,15 +410,15 @@ class Navigation:
     def at(
         self, time: NDArray[np.datetime64], max_gap_s: float | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """Return position and attitude at times, linear between rows.
-
-        time: UTC [datetime64[ns]], NaT allowed, (along_track,).
-        max_gap_s: Longest interval [s] that is interpolated; by default 2.5 times the median interval, at
-            least 0.1 s.
-        Returns dict of (along_track,) float64: By the names of `values`; NaN in gaps, outside the record and
-            at NaT.
-        Raises TimeError: The record contains no UTC, or UTC runs backwards.
-        """
+        # Return position and attitude at times, linear between rows.
+        #
+        # time: UTC [datetime64[ns]], NaT allowed, (along_track,).
+        # max_gap_s: Longest interval [s] that is interpolated; by default 2.5 times the median interval, at
+        #     least 0.1 s.
+        # Returns dict of (along_track,) float64: By the names of `values`; NaN in gaps, outside the record
+        # and
+        #     at NaT.
+        # Raises TimeError: The record contains no UTC, or UTC runs backwards.
         if self.utc is None:
             raise TimeError(
                 f"{self.name} contains no UTC",
@@ -449,18 +449,18 @@ class Navigation:
 
 
 def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) -> Navigation:
-    """Read ``imu_gps.txt`` of any of its three generations.
-
-    All have ``Roll Pitch Yaw Lat Lon Alt`` [degree, m]; the clock is ``Timestamp`` in microseconds with
-    ``Gps_UTC_Date&Time``, or ``Time`` of the recording computer, or ``SystemTime`` and ``GPS_UTC`` with a
-    date whose month is a word. ``heading`` is ``Yaw``, which belongs to roll and pitch; the meaning of the
-    column ``Heading`` is not published. Rows before the inertial system has aligned (``Roll`` exactly 0) have
-    no attitude, and are dropped if their date disagrees with the other rows.
-
-    correction: Conversion of ``Gps_UTC_Date&Time`` to UTC; by default it is UTC.
-    Raises FormatError: The file is binary (some systems write another log under this name), lacks columns, or
-        contains cells that are not numbers, angles or dates.
-    """
+    # Read ``imu_gps.txt`` of any of its three generations.
+    #
+    # All have ``Roll Pitch Yaw Lat Lon Alt`` [degree, m]; the clock is ``Timestamp`` in microseconds with
+    # ``Gps_UTC_Date&Time``, or ``Time`` of the recording computer, or ``SystemTime`` and ``GPS_UTC`` with a
+    # date whose month is a word. ``heading`` is ``Yaw``, which belongs to roll and pitch; the meaning of the
+    # column ``Heading`` is not published. Rows before the inertial system has aligned (``Roll`` exactly 0)
+    # have no attitude, and are dropped if their date disagrees with the other rows.
+    #
+    # correction: Conversion of ``Gps_UTC_Date&Time`` to UTC; by default it is UTC.
+    # Raises FormatError: The file is binary (some systems write another log under this name), lacks columns,
+    # or
+    #     contains cells that are not numbers, angles or dates.
     table = read_table(path, "navigation record", needs=list(_COLUMNS))
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
     values = {name: limited_numbers(table, key, limit, problems) for key, (name, limit) in _COLUMNS.items()}
@@ -555,14 +555,14 @@ def _iso_text(cell: str) -> str:
 
 
 def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -> Clock:
-    """Read ``gps_time.txt``, which relates the recording computer's time of day to the receiver's clock.
-
-    path: Rows of ``HH:MM:SS <microseconds>``, a tab, date and time. A first line of other content is ignored
-        as a header.
-    correction: Conversion of the receiver's stamps to UTC; by default they are UTC.
-    Raises FormatError: The file is binary, or rows are not such pairs.
-    Raises TimeError: Stamps repeat or run backwards, or one clock jumps relative to the other.
-    """
+    # Read ``gps_time.txt``, which relates the recording computer's time of day to the receiver's clock.
+    #
+    # path: Rows of ``HH:MM:SS <microseconds>``, a tab, date and time. A first line of other content is
+    # ignored
+    #     as a header.
+    # correction: Conversion of the receiver's stamps to UTC; by default they are UTC.
+    # Raises FormatError: The file is binary, or rows are not such pairs.
+    # Raises TimeError: Stamps repeat or run backwards, or one clock jumps relative to the other.
     path = Path(path)
     lines = [(number, line) for number, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
     if lines and _iso_text(lines[0][1].partition("\t")[2]) == "NaT":
@@ -658,18 +658,17 @@ _MAX_START_DIFFERENCE_S = 3600
 
 
 def read_sbet(path: str | Path) -> PoseRecord:
-    """Read an SBET file.
-
-    The north of the wander frame rotates relative to true north as the aircraft travels: ``heading`` is the
-    platform heading minus the wander angle, both of which are also returned. (In the two records of PDAL's
-    sample, velocities are along the axes of the wander frame; with this sign they agree with the
-    displacement.)
-
-    Returns PoseRecord: Roll, pitch and heading [rad]: right wing down, nose up, clockwise from true north;
-        heights above the ellipsoid.
-    Raises FormatError: The file does not consist of records, or values are out of range; all are listed.
-    Raises TimeError: Time runs backwards.
-    """
+    # Read an SBET file.
+    #
+    # The north of the wander frame rotates relative to true north as the aircraft travels: ``heading`` is the
+    # platform heading minus the wander angle, both of which are also returned. (In the two records of PDAL's
+    # sample, velocities are along the axes of the wander frame; with this sign they agree with the
+    # displacement.)
+    #
+    # Returns PoseRecord: Roll, pitch and heading [rad]: right wing down, nose up, clockwise from true north;
+    #     heights above the ellipsoid.
+    # Raises FormatError: The file does not consist of records, or values are out of range; all are listed.
+    # Raises TimeError: Time runs backwards.
     path, layout = Path(path), np.dtype([(name, "<f8") for name in _SBET_COLUMNS])
     with open_input(path, "an SBET file", _SBET.max_bytes) as file:
         size = os.fstat(file.fileno()).st_size
@@ -697,15 +696,16 @@ def read_sbet(path: str | Path) -> PoseRecord:
 
 
 def read_lcf(path: str | Path) -> PoseRecord:
-    """Read a Resonon ``.lcf`` file.
-
-    Returns PoseRecord: Roll, pitch and heading [rad]: right wing UP, nose up, clockwise from true north;
-        heights above the ellipsoid. Stamps count from the beginning of GPS time, or of a GPS week if they are
-        below two weeks.
-    Raises FormatError: The file is not such a table, or cells are not numbers, positions and angles; all are
-        listed.
-    Raises TimeError: Time runs backwards.
-    """
+    # Read a Resonon ``.lcf`` file.
+    #
+    # Returns PoseRecord: Roll, pitch and heading [rad]: right wing UP, nose up, clockwise from true north;
+    #     heights above the ellipsoid. Stamps count from the beginning of GPS time, or of a GPS week if they
+    # are
+    #     below two weeks.
+    # Raises FormatError: The file is not such a table, or cells are not numbers, positions and angles; all
+    # are
+    #     listed.
+    # Raises TimeError: Time runs backwards.
     path = Path(path)
     text = read_text(path, _LCF.max_bytes, MAX_TABLE_ROWS)
 
@@ -724,20 +724,21 @@ def read_lcf(path: str | Path) -> PoseRecord:
 
 
 def is_eph_att(header: EnviHeader) -> bool:
-    """Return whether the bands of an ENVI file are the columns of a navigation record."""
+    # Return whether the bands of an ENVI file are the columns of a navigation record.
     return set(_EPH_ATT.columns) <= {name.lower() for name in header.band_names}
 
 
 def read_eph_att(path: str | Path) -> PoseRecord:
-    """Read navigation of AVIRIS-NG.
-
-    path: The header or the data file.
-    Returns PoseRecord: Angles [degree]. Their signs and the reference of the height are not published. In the
-        sample, heading rate = g tan(roll) / speed within 6 % if roll is positive with the right wing down and
-        heading clockwise. The height is assumed to be above the ellipsoid.
-    Raises FormatError: The file is not such a record, or values are out of range; all are listed.
-    Raises TimeError: Time runs backwards.
-    """
+    # Read navigation of AVIRIS-NG.
+    #
+    # path: The header or the data file.
+    # Returns PoseRecord: Angles [degree]. Their signs and the reference of the height are not published. In
+    # the
+    #     sample, heading rate = g tan(roll) / speed within 6 % if roll is positive with the right wing down
+    # and
+    #     heading clockwise. The height is assumed to be above the ellipsoid.
+    # Raises FormatError: The file is not such a record, or values are out of range; all are listed.
+    # Raises TimeError: Time runs backwards.
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
     stored_bytes = data_path.stat().st_size
@@ -876,7 +877,7 @@ class _Column(NamedTuple):
 
 
 def is_navigation_csv(head: bytes) -> bool:
-    """Return whether the header of a file names position and attitude."""
+    # Return whether the header of a file names position and attitude.
     lines = head.decode("latin-1").removeprefix("\xef\xbb\xbf").splitlines()
     header = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
     names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", header, maxsplit=_MAX_COLUMNS)}
@@ -884,22 +885,21 @@ def is_navigation_csv(head: bytes) -> bool:
 
 
 def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) -> PoseRecord:
-    r"""Read navigation from a table of text.
-
-    The header names ``latitude``, ``longitude``, ``altitude``, ``roll``, ``pitch``, ``heading`` (or ``lat``,
-    ``lon``, ``alt``, ``yaw`` ...) with units, ``roll [degree]``, ``roll (rad)`` or ``roll_deg``, and a time:
-    ``time`` or ``utc``, ISO 8601 stamps (in a column ``time`` with a zone); ``gps_time [s]`` from 1980-01-06,
-    ``time_of_week [s]`` or ``unix_time [s]``. Cells are separated by commas, semicolons or tabs; an empty
-    cell is NaN, and a row without a time is left out. Other columns are ignored. Comments ``# key: value``
-    before the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``,
-    ``leap_seconds`` and ``time_scale``.
-
-    names: Headings with units for a table without a header, in the order of its columns; columns to ignore
-        may have any other name. Cells of such a table may also be separated by blanks.
-    Returns PoseRecord: Angles in radian if all three columns are, else in degree.
-    Raises FormatError: Columns or units are missing, or cells do not fit the header; all are listed.
-    Raises TimeError: Time runs backwards.
-    """
+    # Read navigation from a table of text.
+    #
+    # The header names ``latitude``, ``longitude``, ``altitude``, ``roll``, ``pitch``, ``heading`` (or
+    # ``lat``, ``lon``, ``alt``, ``yaw`` ...) with units, ``roll [degree]``, ``roll (rad)`` or ``roll_deg``,
+    # and a time: ``time`` or ``utc``, ISO 8601 stamps (in a column ``time`` with a zone); ``gps_time [s]``
+    # from 1980-01-06, ``time_of_week [s]`` or ``unix_time [s]``. Cells are separated by commas, semicolons or
+    # tabs; an empty cell is NaN, and a row without a time is left out. Other columns are ignored. Comments
+    # ``# key: value`` before the header declare fields of the
+    # `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``, ``leap_seconds`` and ``time_scale``.
+    #
+    # names: Headings with units for a table without a header, in the order of its columns; columns to ignore
+    #     may have any other name. Cells of such a table may also be separated by blanks.
+    # Returns PoseRecord: Angles in radian if all three columns are, else in degree.
+    # Raises FormatError: Columns or units are missing, or cells do not fit the header; all are listed.
+    # Raises TimeError: Time runs backwards.
     path = Path(path)
     comments, header, table = _table_and_comments(path, names)
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
@@ -1175,27 +1175,27 @@ _MAX_DAMAGED_SHARE = 0.5
 
 
 def is_nmea(head: bytes) -> bool:
-    """Return whether the first bytes of a file contain NMEA sentences with positions."""
+    # Return whether the first bytes of a file contain NMEA sentences with positions.
     return any("GGA" in match[1][:6] for match in _SENTENCE.finditer(head.decode("latin-1")))
 
 
 def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
-    """Read a log of NMEA 0183 sentences.
-
-    Each GGA sentence with a fix gives a row: time of day in UTC, position, and height above the ellipsoid,
-    which is the sum of its heights above mean sea level and of the geoid. If a sentence lacks the latter, all
-    heights are above the geoid. The date comes from RMC or ZDA. Roll, pitch and heading come from PASHR of
-    the same time; without it, heading comes from the HDT or THS before or after the GGA sentence. The course
-    over ground is not the heading, and is ignored, as are other texts, and sentences with a wrong checksum.
-
-    path: The log.
-    midnight: 0 h UTC of the first row's day [ns since 1970-01-01], for a log without dates.
-    Returns PoseRecord: Angles [degree], NaN if unknown. The standard does not define the signs of roll and
-        pitch, which are assumed.
-    Raises FormatError: No position with a fix, too many damaged sentences, or positions and angles out of
-    range. Raises TimeError: No date, or time runs backwards. Warns PaintWarning: Damaged sentences; no
-    attitude in the whole log.
-    """
+    # Read a log of NMEA 0183 sentences.
+    #
+    # Each GGA sentence with a fix gives a row: time of day in UTC, position, and height above the ellipsoid,
+    # which is the sum of its heights above mean sea level and of the geoid. If a sentence lacks the latter,
+    # all heights are above the geoid. The date comes from RMC or ZDA. Roll, pitch and heading come from PASHR
+    # of the same time; without it, heading comes from the HDT or THS before or after the GGA sentence. The
+    # course over ground is not the heading, and is ignored, as are other texts, and sentences with a wrong
+    # checksum.
+    #
+    # path: The log.
+    # midnight: 0 h UTC of the first row's day [ns since 1970-01-01], for a log without dates.
+    # Returns PoseRecord: Angles [degree], NaN if unknown. The standard does not define the signs of roll and
+    #     pitch, which are assumed.
+    # Raises FormatError: No position with a fix, too many damaged sentences, or positions and angles out of
+    # range. Raises TimeError: No date, or time runs backwards. Warns PaintWarning: Damaged sentences; no
+    # attitude in the whole log.
     path = Path(path)
     text = read_text(path, _MAX_TEXT_BYTES, MAX_TABLE_ROWS)
     log, damaged, total = _Log(path), 0, 0

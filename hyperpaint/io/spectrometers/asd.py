@@ -196,16 +196,16 @@ class Cursor:
         return self.data[self.position - count : self.position]
 
     def values(self, fmt: str, part: str) -> tuple[Any, ...]:
-        """Read the values of a struct format, little-endian."""
+        # Read the values of a struct format, little-endian.
         return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), part))
 
     def text(self, part: str) -> str:
-        """Read a text, which is stored after its length."""
+        # Read a text, which is stored after its length.
         (length,) = self.values("H", f"the length of a text in {part}")
         return _text_of_bytes(self.bytes(length, part))
 
     def array(self, count: int, dtype: np.dtype[Any], part: str) -> Floats:
-        """Read ``count`` numbers as read-only float64."""
+        # Read ``count`` numbers as read-only float64.
         raw = np.frombuffer(self.bytes(count * dtype.itemsize, part), dtype)
         with np.errstate(invalid="ignore"):  # signalling NaN in a damaged file
             values = raw.astype(np.float64)
@@ -246,14 +246,14 @@ class Cursor:
 
 
 def read_asd(path: str | os.PathLike[str]) -> AsdFile:
-    """Read one binary ``.asd`` file, of any version, to its last byte.
-
-    path: A file of an ASD FieldSpec, HandHeld or LabSpec; also their calibration files ``.ill``, ``.raw`` and
-        ``.ref``, which have the same layout.
-    Returns AsdFile: Header, spectrum (wavelength), white reference and calibration blocks.
-    Raises FormatError: The file cannot be read, is not an ``.asd`` file, or is truncated, over-long or
-        contradictory.
-    """
+    # Read one binary ``.asd`` file, of any version, to its last byte.
+    #
+    # path: A file of an ASD FieldSpec, HandHeld or LabSpec; also their calibration files ``.ill``, ``.raw``
+    # and
+    #     ``.ref``, which have the same layout.
+    # Returns AsdFile: Header, spectrum (wavelength), white reference and calibration blocks.
+    # Raises FormatError: The file cannot be read, is not an ``.asd`` file, or is truncated, over-long or
+    #     contradictory.
     path = Path(path)
     data = read_limited(path, _MAX_BINARY_BYTES, "an ASD spectrometer's file")
     version = _VERSIONS.get(data[:3], 0)
@@ -494,7 +494,7 @@ class AsdText(NamedTuple):
 
     @property
     def likely_quantity(self) -> str | None:
-        """Quantity guessed from the upper end of the operator's plot."""
+        # Quantity guessed from the upper end of the operator's plot.
         return _QUANTITY_BY_YMAX.get(self.preamble.get("ymax") or 0.0)
 
 
@@ -607,7 +607,7 @@ def find_files(paths: Paths) -> list[Path]:
 
 
 def sniff(path: Path) -> Kind:
-    """Return the kind of spectra in a file, by its first bytes; ``unknown`` also for a missing file."""
+    # Return the kind of spectra in a file, by its first bytes; ``unknown`` also for a missing file.
     head = head_of(path, _HEAD_BYTES)
     if head[:3] in _VERSIONS and b"\0" in head[:_HEADER_BYTES]:
         return "binary"
@@ -675,13 +675,12 @@ def read_spectra(
     absolute: bool = False,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
 ) -> tuple[list[Spectrum], str]:
-    """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
-
-    Returns spectra : list of Spectrum: In the order of ``files``.
-    Returns quantity : str: Their quantity.
-    Raises FormatError: See `open_asd`.
-    Raises SchemaError: See `open_asd`.
-    """
+    # Read binary files and text exports into spectra of one quantity on one set of wavelengths.
+    #
+    # Returns spectra : list of Spectrum: In the order of ``files``.
+    # Returns quantity : str: Their quantity.
+    # Raises FormatError: See `open_asd`.
+    # Raises SchemaError: See `open_asd`.
     if quantity is not None:
         one_of(quantity, QUANTITIES, "quantity")
     # calibration files of the caller, by kind of block

@@ -800,15 +800,14 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
 
 
 def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> xr.Dataset:
-    """Cut an irradiance record to a flight line +- 60 s, or to its bracketing samples where these are wider.
-
-    irradiance: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``,
-        ``irradiance_max_gap`` and, where known, ``irradiance_clock_uncertainty``.
-    time: UTC of the lines, NaT allowed, (along_track,).
-    Returns xarray.Dataset: In memory, in the units of the table.
-    Raises SchemaError: Variables or units are missing.
-    Raises TimeError: Irradiance times do not increase, or no sample and no interval covers the line.
-    """
+    # Cut an irradiance record to a flight line +- 60 s, or to its bracketing samples where these are wider.
+    #
+    # irradiance: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``,
+    #     ``irradiance_max_gap`` and, where known, ``irradiance_clock_uncertainty``.
+    # time: UTC of the lines, NaT allowed, (along_track,).
+    # Returns xarray.Dataset: In memory, in the units of the table.
+    # Raises SchemaError: Variables or units are missing.
+    # Raises TimeError: Irradiance times do not increase, or no sample and no interval covers the line.
     names = ["irradiance", "irradiance_fwhm", "irradiance_max_gap"]
     if "irradiance_clock_uncertainty" in irradiance:
         names.append("irradiance_clock_uncertainty")

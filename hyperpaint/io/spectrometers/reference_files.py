@@ -25,15 +25,14 @@ _GROUP = "references/"
 
 
 def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
-    """Open reference spectra of reflectance.
-
-    paths: Files, globs or folders: SVC ``.sig``, ASD binary or text export, anything
-        `hyperpaint.open_library` reads, or a store with groups ``references/<instrument>``: any Zarr in a
-        folder, zip file, URL or store object.
-    Returns list of xarray.Dataset: One for all files of the same kind and the same wavelengths.
-    Raises FormatError: Files are missing, damaged or of unknown kind; all are named.
-    Raises StoreError: A store was never finished, or is damaged.
-    """
+    # Open reference spectra of reflectance.
+    #
+    # paths: Files, globs or folders: SVC ``.sig``, ASD binary or text export, anything
+    #     `hyperpaint.open_library` reads, or a store with groups ``references/<instrument>``: any Zarr in a
+    #     folder, zip file, URL or store object.
+    # Returns list of xarray.Dataset: One for all files of the same kind and the same wavelengths.
+    # Raises FormatError: Files are missing, damaged or of unknown kind; all are named.
+    # Raises StoreError: A store was never finished, or is damaged.
     stores = [path for path in paths if is_zarr(path)]
     datasets = []
     for path in stores:
@@ -64,12 +63,11 @@ def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
 
 
 def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.Dataset]:
-    """Open files of field spectrometers, grouped by instrument.
-
-    files: SVC ``.sig``, ASD binary or text exports, in any mixture.
-    quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default the quantity in the files.
-    Raises FormatError: Files cannot be read, or are of unknown kind; all are named.
-    """
+    # Open files of field spectrometers, grouped by instrument.
+    #
+    # files: SVC ``.sig``, ASD binary or text exports, in any mixture.
+    # quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default the quantity in the files.
+    # Raises FormatError: Files cannot be read, or are of unknown kind; all are named.
     return _open_by_kind(files, quantity, is_reference=False)
 
 

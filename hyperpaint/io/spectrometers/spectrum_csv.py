@@ -29,15 +29,14 @@ _WAVELENGTH_RANGE_NM = (100.0, 100_000.0)  # nm
 def read_spectrum_csv(
     path: str | Path, headings: int = 1
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Read a spectrum: lines of wavelength [nm] and value, separated by a comma, semicolon, tab or blanks.
-
-    Ignores empty lines, lines that begin with ``#``, and headings before the first numbers.
-
-    headings: Number of lines at the top that may be headings.
-    Returns wavelength, value : numpy.ndarray: float64, shape (wavelength,).
-    Raises FormatError: A line is not two numbers, wavelengths do not increase or are not in nanometres, or
-        there are fewer than two lines; the first problems are listed.
-    """
+    # Read a spectrum: lines of wavelength [nm] and value, separated by a comma, semicolon, tab or blanks.
+    #
+    # Ignores empty lines, lines that begin with ``#``, and headings before the first numbers.
+    #
+    # headings: Number of lines at the top that may be headings.
+    # Returns wavelength, value : numpy.ndarray: float64, shape (wavelength,).
+    # Raises FormatError: A line is not two numbers, wavelengths do not increase or are not in nanometres, or
+    #     there are fewer than two lines; the first problems are listed.
     wavelength, values, _ = _table(Path(path), headings)
     return wavelength, values
 

@@ -57,12 +57,11 @@ def find_paths(
     expected: str,
     of_pattern: Callable[[list[Path]], list[Path]] = list,
 ) -> list[Path]:
-    """Return the files of ``paths``: a file, a glob, a folder, or a list of these.
-
-    of_folder, of_pattern: Select the spectra among the files of a folder, and among the matches of a glob.
-    expected: Names the accepted files in messages.
-    Raises FormatError: No file is found, or a glob leads out of its folder or matches too many files.
-    """
+    # Return the files of ``paths``: a file, a glob, a folder, or a list of these.
+    #
+    # of_folder, of_pattern: Select the spectra among the files of a folder, and among the matches of a glob.
+    # expected: Names the accepted files in messages.
+    # Raises FormatError: No file is found, or a glob leads out of its folder or matches too many files.
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
     problems = Problems("spectra cannot be opened", FormatError)
@@ -170,7 +169,7 @@ def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
 def ratio(
     numerator: npt.NDArray[np.float64], denominator: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Return the ratio, NaN where the denominator is zero or undefined."""
+    # Return the ratio, NaN where the denominator is zero or undefined.
     quotient = np.full(numerator.shape, np.nan)
     with np.errstate(all="ignore"):  # values of damaged files; non-finite results are reported later
         np.divide(numerator, denominator, out=quotient, where=denominator != 0.0)
@@ -207,7 +206,7 @@ def check_utc_offset(hours: float) -> None:
 
 
 def listed(names: Sequence[str], max_names: int = 20) -> str:
-    """Return the names as text, shortened to the first ``max_names``."""
+    # Return the names as text, shortened to the first ``max_names``.
     remainder = f" and {len(names) - max_names} more" if len(names) > max_names else ""
     return ", ".join(names[:max_names]) + remainder
 

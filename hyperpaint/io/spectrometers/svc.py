@@ -118,7 +118,7 @@ class SvcFile:
 
     @property
     def has_reference(self) -> bool:
-        """Whether a white reference was measured; without one, its column contains only 1, or only 0."""
+        # Whether a white reference was measured; without one, its column contains only 1, or only 0.
         return not (np.all(self.reference == 1.0) or np.all(self.reference == 0.0))
 
 
@@ -128,7 +128,7 @@ def dialect_of(head: bytes) -> Dialect | None:
 
 
 def is_named_as_scans(path: Path) -> bool:
-    """Return whether the suffix of a file is that of a dialect."""
+    # Return whether the suffix of a file is that of a dialect.
     return path.suffix.lower() in [dialect.suffix for dialect in DIALECTS]
 
 
@@ -315,7 +315,7 @@ def items(value: str) -> list[str]:
 
 
 def pair(header: Mapping[str, str], key: str) -> tuple[str, str]:
-    """Return the texts for reference and target, empty where missing."""
+    # Return the texts for reference and target, empty where missing.
     entries = items(header.get(key, ""))
     return (entries[0], entries[1]) if len(entries) == 2 else ("", entries[0] if len(entries) == 1 else "")
 
@@ -351,7 +351,7 @@ def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
 
 
 def error_bits(header: Mapping[str, str]) -> tuple[int, int]:
-    """Return the instrument's error bits of reference and target, -1 where missing."""
+    # Return the instrument's error bits of reference and target, -1 where missing.
     first, second = (int(text) if _BITS.fullmatch(text) else -1 for text in pair(header, "error"))
     return first, second
 
@@ -864,7 +864,7 @@ class LocalStamp:
 
     @property
     def order(self) -> bool | None:
-        """True if the day comes first, False if the month does, None if both are possible."""
+        # True if the day comes first, False if the month does, None if both are possible.
         if self.day_first == self.month_first:
             return None
         if self.day_first is None or self.month_first is None:
@@ -872,7 +872,7 @@ class LocalStamp:
         return None if self.slashes else True
 
     def read(self, dayfirst: bool | None) -> dt.datetime | None:
-        """Return the date in the given or the only possible order; None if it is ambiguous."""
+        # Return the date in the given or the only possible order; None if it is ambiguous.
         if None in (self.day_first, self.month_first) or self.day_first == self.month_first:
             return self.day_first or self.month_first
         order = self.order if dayfirst is None else dayfirst

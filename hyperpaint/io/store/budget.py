@@ -106,12 +106,12 @@ class Load:
 
     @property
     def a_thread(self) -> int:
-        """Memory of a thread with slabs of the lines of a storage chunk [byte]."""
+        # Memory of a thread with slabs of the lines of a storage chunk [byte].
         slab = min(CHUNK_LINES, self.lines) * (self.scan_line + self.light)
         return SLABS_IN_HAND * slab + self.encoded // 2
 
     def peak(self, *, lines: int, threads: int, fixed: int) -> int:
-        """Return the modelled peak [byte]; ``lines``: per task; ``fixed``: memory without any slab."""
+        # Return the modelled peak [byte]; ``lines``: per task; ``fixed``: memory without any slab.
         slabs = math.ceil(self.lines / lines)
         slab = min(lines, self.lines) * (self.scan_line + self.light)
         a_thread = min(SLABS_IN_HAND, slabs) * slab + self.encoded
@@ -184,10 +184,9 @@ _LIMIT: ContextVar[int | None] = ContextVar("memory_limit", default=None)
 
 @contextlib.contextmanager
 def memory_limit(size: str | int | None) -> Iterator[None]:
-    """Limit the memory in plans of this process; None for 80 % of the available memory.
-
-    Raises `SchemaError`: ``size`` is not a size.
-    """
+    # Limit the memory in plans of this process; None for 80 % of the available memory.
+    #
+    # Raises `SchemaError`: ``size`` is not a size.
     token = _LIMIT.set(None if size is None else parse_size(size))
     try:
         yield
@@ -197,13 +196,12 @@ def memory_limit(size: str | int | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def planned(subject: str, *, a_thread: int, fixed: int = LOADED, min_bytes: int = 0) -> Iterator[None]:
-    """Limit the number of threads to the memory limit; on a cluster, change nothing.
-
-    ``a_thread``: memory of a thread; ``fixed``: memory without any thread; ``min_bytes``: memory of another
-    step, which does not depend on threads; all in bytes.
-
-    Raises `StoreError`: One thread exceeds the limit.
-    """
+    # Limit the number of threads to the memory limit; on a cluster, change nothing.
+    #
+    # ``a_thread``: memory of a thread; ``fixed``: memory without any thread; ``min_bytes``: memory of another
+    # step, which does not depend on threads; all in bytes.
+    #
+    # Raises `StoreError`: One thread exceeds the limit.
     from dask.base import get_scheduler
 
     # without an import of distributed there is no client
@@ -258,11 +256,10 @@ def parse_size(size: str | int) -> int:
 
 
 def available_memory(system: Path = Path("/")) -> int:
-    """Return the memory that can still be allocated [byte]; ``system``: root of ``proc`` and ``sys``.
-
-    That is the minimum of the free memory of the machine, of its container, of the user's limit, and of the
-    address space limit of this process, without the address space of helper threads.
-    """
+    # Return the memory that can still be allocated [byte]; ``system``: root of ``proc`` and ``sys``.
+    #
+    # That is the minimum of the free memory of the machine, of its container, of the user's limit, and of the
+    # address space limit of this process, without the address space of helper threads.
     space, limit = _address_space(), _LIMIT.get()
     shared = _shared_memory(system)
     allowed = shared if limit is None else limit - resident_memory()
@@ -278,11 +275,10 @@ def _shared_memory(system: Path) -> int:
 
 
 def process_limit(resident: int, limit: int | None = None) -> int:
-    """Return the maximum memory of this process, which has ``resident`` bytes [byte].
-
-    ``limit``: of the user; by default `USABLE` of the available memory is added to ``resident``. A limit of
-    the address space applies as well.
-    """
+    # Return the maximum memory of this process, which has ``resident`` bytes [byte].
+    #
+    # ``limit``: of the user; by default `USABLE` of the available memory is added to ``resident``. A limit of
+    # the address space applies as well.
     limit = _LIMIT.get() if limit is None else limit
     if limit is None:
         limit = resident + int(USABLE * max(0, _shared_memory(Path("/"))))
@@ -291,7 +287,7 @@ def process_limit(resident: int, limit: int | None = None) -> int:
 
 
 def thread_space() -> int:
-    """Return the address space of a computing thread besides its slabs [byte]; 0 without a limit."""
+    # Return the address space of a computing thread besides its slabs [byte]; 0 without a limit.
     return 0 if _address_limit() is None else THREAD_SPACE
 
 
@@ -347,7 +343,7 @@ def _container_memory(system: Path) -> Iterator[int]:
 
 
 def resident_memory() -> int:
-    """Return the resident memory of this process [byte]."""
+    # Return the resident memory of this process [byte].
     import psutil
 
     return int(psutil.Process().memory_info().rss)
@@ -357,7 +353,7 @@ def resident_memory() -> int:
 
 
 def thread_count() -> int:
-    """Return the number of threads that dask would use."""
+    # Return the number of threads that dask would use.
     import dask
     from dask.system import CPU_COUNT
 
@@ -369,7 +365,7 @@ def thread_count() -> int:
 
 @contextlib.contextmanager
 def limited_threads(count: int | None) -> Iterator[None]:
-    """Limit the number of dask threads; None leaves it unchanged."""
+    # Limit the number of dask threads; None leaves it unchanged.
     import dask
 
     saved = count is not None and count < thread_count()
@@ -378,13 +374,12 @@ def limited_threads(count: int | None) -> Iterator[None]:
 
 
 def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
-    """Return the number of threads with which a dataset can be stored, None for any number.
-
-    No value is read, and dask chunks are not changed. Cubes along the flight are computed together, block by
-    block of lines, other dask arrays one after the other. ``subject``: the dataset in errors.
-
-    Raises `StoreError`: One block is larger than the available memory.
-    """
+    # Return the number of threads with which a dataset can be stored, None for any number.
+    #
+    # No value is read, and dask chunks are not changed. Cubes along the flight are computed together, block
+    # by block of lines, other dask arrays one after the other. ``subject``: the dataset in errors.
+    #
+    # Raises `StoreError`: One block is larger than the available memory.
     available, fixed = available_memory(), thread_space()
     problems = Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError)
     cubes = []
@@ -450,5 +445,5 @@ def size_text(size: int) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the singular or plural."""
+    # Return a number with its noun, in the singular or plural.
     return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -62,11 +62,10 @@ class Target:
         return "/".join(("c", *map(str, position)))
 
     def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
-        """Write a block of chunks, whose first has the position ``offset`` in the grid of chunks.
-
-        Chunks at the far edges of the array may be incomplete. Return the crc32c of the encoded chunks
-        (uint32), in the shape of the block's grid.
-        """
+        # Write a block of chunks, whose first has the position ``offset`` in the grid of chunks.
+        #
+        # Chunks at the far edges of the array may be incomplete. Return the crc32c of the encoded chunks
+        # (uint32), in the shape of the block's grid.
         # times are stored as int64 nanoseconds
         if block.dtype.kind in "mM":
             block = block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
@@ -97,7 +96,7 @@ def write_chunk(folder: Path, key: str, parts: Sequence[bytes]) -> None:
 
 
 def is_streamed(variable: xr.Variable) -> bool:
-    """Return whether a variable is written block by block; xarray writes small variables."""
+    # Return whether a variable is written block by block; xarray writes small variables.
     import dask
 
     if variable.dtype.kind not in "biufcmM" or not variable.ndim or not variable.size:
@@ -106,7 +105,7 @@ def is_streamed(variable: xr.Variable) -> bool:
 
 
 def placeholder(variable: xr.Variable) -> xr.Variable:
-    """Return a variable of the same shape and dtype, for xarray to write metadata; it is never computed."""
+    # Return a variable of the same shape and dtype, for xarray to write metadata; it is never computed.
     import dask.array as da
 
     chunks = tuple((size,) for size in variable.shape)
@@ -116,11 +115,10 @@ def placeholder(variable: xr.Variable) -> xr.Variable:
 def lazy_checksums(
     variable: xr.Variable, target: Target, finished: Mapping[tuple[int, ...], int] | None = None
 ) -> da.Array:
-    """Return the lazy checksums of a variable's chunks; computing them stores the variable in ``target``.
-
-    ``finished``: checksums of chunks in the store, by position in the grid; blocks of such chunks are not
-    computed.
-    """
+    # Return the lazy checksums of a variable's chunks; computing them stores the variable in ``target``.
+    #
+    # ``finished``: checksums of chunks in the store, by position in the grid; blocks of such chunks are not
+    # computed.
     import dask
     import dask.array as da
     from dask.highlevelgraph import HighLevelGraph
@@ -171,11 +169,10 @@ def _write_block(
 
 
 def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
-    """Move the chunks of an earlier run with a valid checksum into the array's folder.
-
-    ``leftover``: folder of the array in the earlier run, which may be missing; ``finished``: gets the
-    checksums of moved chunks, by position in the grid.
-    """
+    # Move the chunks of an earlier run with a valid checksum into the array's folder.
+    #
+    # ``leftover``: folder of the array in the earlier run, which may be missing; ``finished``: gets the
+    # checksums of moved chunks, by position in the grid.
     if target.place.local is None or leftover.is_symlink() or not leftover.is_dir():
         return
     folder = target.place.local / target.name
@@ -222,11 +219,10 @@ def whole_chunk(encoded: bytes, decoded_bytes: int | None = None) -> int | None:
 
 
 def is_mendable(error: BaseException) -> bool:
-    """Return whether the same run may succeed later, so that its finished chunks are kept.
-
-    That is so after an interruption, a full disk or memory, or lost workers. An error in the data would
-    occur again.
-    """
+    # Return whether the same run may succeed later, so that its finished chunks are kept.
+    #
+    # That is so after an interruption, a full disk or memory, or lost workers. An error in the data would
+    # occur again.
     if isinstance(error, PaintError):
         return error.__cause__ is not None and is_mendable(error.__cause__)
     is_of_cluster = type(error).__module__.partition(".")[0] == "distributed"

@@ -97,17 +97,16 @@ def compute(
 
 
 def client_in_force() -> Client | None:
-    """Return the current client of dask.distributed, None without a cluster."""
+    # Return the current client of dask.distributed, None without a cluster.
     client = getattr(scheduler_in_force(), "__self__", None)
     return client if hasattr(client, "scheduler_info") else None
 
 
 def scheduler_in_force() -> Any:
-    """Return the scheduler with which dask computes arrays.
-
-    Without an import of distributed there is no client. dask would import it to look for one, which takes a
-    quarter of a second.
-    """
+    # Return the scheduler with which dask computes arrays.
+    #
+    # Without an import of distributed there is no client. dask would import it to look for one, which takes a
+    # quarter of a second.
     import dask
     import dask.threaded
     from dask.base import get_scheduler
@@ -119,7 +118,7 @@ def scheduler_in_force() -> Any:
 
 @contextlib.contextmanager
 def errors_of_the_cluster(subject: str) -> Iterator[None]:
-    """Raise a StoreError for lost workers or a lost scheduler; ``subject`` begins the message."""
+    # Raise a StoreError for lost workers or a lost scheduler; ``subject`` begins the message.
     try:
         yield
     except (Exception, *_CANCELLED) as error:
@@ -297,7 +296,7 @@ class BlockBar:
         sys.stdout.flush()
 
     def advance(self, blocks: int = 1) -> None:
-        """Count finished blocks, and draw."""
+        # Count finished blocks, and draw.
         from dask.utils import format_time
 
         self._done += blocks

@@ -73,11 +73,10 @@ def disk_needed(dataset: xr.Dataset, codec: Codec = DEFAULT_CODEC) -> int:
 
 
 def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
-    """Raise StoreError if the disk of a store has less free space than ``needed`` bytes.
-
-    The store and its parent folders may be missing. ``begun``: folders of an interrupted run that this run
-    resumes; their size is subtracted.
-    """
+    # Raise StoreError if the disk of a store has less free space than ``needed`` bytes.
+    #
+    # The store and its parent folders may be missing. ``begun``: folders of an interrupted run that this run
+    # resumes; their size is subtracted.
     free, missing = _free(store), needed
     for file in (file for folder in begun for file in folder.rglob("*")):
         with contextlib.suppress(OSError):  # another run may remove it
@@ -101,8 +100,7 @@ def _free(store: Path) -> int | None:
 
 @contextlib.contextmanager
 def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -> Iterator[None]:
-    """Raise a StoreError with a remedy for a full disk, exhausted memory and unusable files."""
-
+    # Raise a StoreError with a remedy for a full disk, exhausted memory and unusable files.
     def needs() -> str:
         needed = size_text(sum(map(disk_needed, groups.values())))
         free = None if location.local is None else _free(location.local)
@@ -154,10 +152,9 @@ _AT_ONCE = 8
 
 
 def flush_group(folder: Path, expected: Iterable[Path]) -> None:
-    """Flush all files of a folder, then all its folders, to the disk.
-
-    FileNotFoundError if a file of ``expected`` is missing, since another process may have removed it.
-    """
+    # Flush all files of a folder, then all its folders, to the disk.
+    #
+    # FileNotFoundError if a file of ``expected`` is missing, since another process may have removed it.
     walked = list(os.walk(folder, topdown=False))
     files = {os.path.join(parent, name) for parent, _, names in walked for name in names}
     for path in expected:
@@ -168,11 +165,10 @@ def flush_group(folder: Path, expected: Iterable[Path]) -> None:
 
 
 def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], max_parallel: int) -> list[_Result]:
-    """Return the results of a function that waits for the disk, ``max_parallel`` items in parallel.
-
-    The items are processed one after the other if the address space is limited: a thread would reserve some
-    70 MiB of it, which the memory plan of a run has assigned to its computing threads.
-    """
+    # Return the results of a function that waits for the disk, ``max_parallel`` items in parallel.
+    #
+    # The items are processed one after the other if the address space is limited: a thread would reserve some
+    # 70 MiB of it, which the memory plan of a run has assigned to its computing threads.
     if thread_space():
         return [function(item) for item in items]
     with ThreadPoolExecutor(max_parallel) as pool:
@@ -186,7 +182,7 @@ _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
 
 
 def exchange(path: Path, target: Path) -> bool:
-    """Exchange two existing paths in one step, as Linux can on most local disks; else return False."""
+    # Exchange two existing paths in one step, as Linux can on most local disks; else return False.
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError, TypeError):  # not Linux

@@ -24,13 +24,13 @@ LISTED = {"kind": "inline", "must_understand": False}
 
 
 def groups_above(group: str) -> list[str]:
-    """Return the ancestors of a group, the root first."""
+    # Return the ancestors of a group, the root first.
     names = group.split("/") if group else []
     return ["/".join(names[:depth]) for depth in range(len(names))]
 
 
 def stamped(attrs: Mapping[Any, Any], action: str) -> dict[str, Any]:
-    """Return attributes with format, version, time and a new line of history."""
+    # Return attributes with format, version, time and a new line of history.
     import datetime
 
     time = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
@@ -61,7 +61,7 @@ def group_document(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def ensure_groups(groups: Iterable[str], location: Location) -> None:
-    """Write the missing or damaged metadata of groups; their contents stay."""
+    # Write the missing or damaged metadata of groups; their contents stay.
     for group in groups:
         try:
             if location.metadata(group) is not None:
@@ -79,7 +79,7 @@ def set_attributes(group: str, attributes_to_set: Mapping[str, Any], location: L
 
 
 def has_attributes(group: str, expected: Mapping[str, Any], location: Location) -> bool:
-    """Return whether a group exists with the expected attributes, except `VOLATILE_ATTRS`."""
+    # Return whether a group exists with the expected attributes, except `VOLATILE_ATTRS`.
     if not location.has(group, METADATA):
         return False
     stored, plain = location.attributes(group), group_document(expected)["attributes"]
@@ -88,7 +88,7 @@ def has_attributes(group: str, expected: Mapping[str, Any], location: Location) 
 
 
 def listed_documents(location: Location) -> dict[str, Any]:
-    """Return the consolidated metadata of the root by path, empty if it has none."""
+    # Return the consolidated metadata of the root by path, empty if it has none.
     try:
         root = location.read_json("", METADATA) or {}
     except IncompleteStoreError:
@@ -99,7 +99,7 @@ def listed_documents(location: Location) -> dict[str, Any]:
 
 
 def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the root's metadata with those of all nodes, as consolidated by zarr."""
+    # Return the root's metadata with those of all nodes, as consolidated by zarr.
     listed = {}
     for path in sorted(documents, key=lambda path: (path.count("/"), path)):
         document = {key: value for key, value in documents[path].items() if key != "consolidated_metadata"}
@@ -113,10 +113,9 @@ def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[s
 
 
 def check_above(groups: Iterable[str], location: Location, problems: Problems, *, overwrite: bool) -> None:
-    """Add the reasons why no group can be written below ``groups`` to the problems.
-
-    ``overwrite``: whether damaged metadata may be replaced.
-    """
+    # Add the reasons why no group can be written below ``groups`` to the problems.
+    #
+    # ``overwrite``: whether damaged metadata may be replaced.
     entries = location.entries("")
     file = location.local is not None and location.local.is_file()
     # a store without the root's metadata has a manifest
@@ -147,12 +146,11 @@ def check_above(groups: Iterable[str], location: Location, problems: Problems, *
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
-    """Return the state of the path where a group with some content is to be written.
-
-    ``""``: nothing. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
-    ``"parent"``: other groups or files of other programs. ``"array"``: an array, there or at a parent. Any
-    other text describes a group that only ``overwrite`` replaces.
-    """
+    # Return the state of the path where a group with some content is to be written.
+    #
+    # ``""``: nothing. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
+    # ``"parent"``: other groups or files of other programs. ``"array"``: an array, there or at a parent. Any
+    # other text describes a group that only ``overwrite`` replaces.
     kinds = [location.kind(node) for node in (*groups_above(group)[1:], group)]
     if "array" in kinds:
         return "array"
@@ -193,7 +191,7 @@ _INNER = ("array", "_array", "variable", "_data")
 
 
 def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
-    """Return the names of variables that read lazily from a group of a store or store object of zarr."""
+    # Return the names of variables that read lazily from a group of a store or store object of zarr.
     return [
         str(name)
         for name, variable in dataset.variables.items()
@@ -202,10 +200,9 @@ def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
 
 
 def is_named_by_content(variable: xr.Variable) -> bool:
-    """Return whether dask's name for a variable changes with the content of the Zarr arrays it reads.
-
-    Usual names depend on the URL and the time of the root folder, names of `named_stores` on the content.
-    """
+    # Return whether dask's name for a variable changes with the content of the Zarr arrays it reads.
+    #
+    # Usual names depend on the URL and the time of the root folder, names of `named_stores` on the content.
     return all(getattr(array.store_path.store, "content", "") for array in _zarr_arrays(variable))
 
 

@@ -91,7 +91,7 @@ def storage_chunks(
 
 
 def chunks_of(variable: xr.Variable) -> tuple[int, ...]:
-    """Return the storage chunk of a variable in its layout (see `with_layout`)."""
+    # Return the storage chunk of a variable in its layout (see `with_layout`).
     itemsize = variable.dtype.itemsize if variable.dtype.kind in "biufcmM" else 1
     return storage_chunks(variable.dims, variable.shape, itemsize, variable.encoding.get(_LAYOUT, "cube"))
 
@@ -100,12 +100,12 @@ _LAYOUT = "hyperpaint_layout"
 
 
 def layouts_of(dataset: xr.Dataset) -> dict[Hashable, Layout]:
-    """Return the layouts of variables that are marked with one (see `with_layout`)."""
+    # Return the layouts of variables that are marked with one (see `with_layout`).
     return {name: v.encoding[_LAYOUT] for name, v in dataset.variables.items() if _LAYOUT in v.encoding}
 
 
 def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
-    """Return a dataset whose variables are marked with a layout; `SchemaError` for an unknown layout."""
+    # Return a dataset whose variables are marked with a layout; `SchemaError` for an unknown layout.
     one_of(layout, get_args(Layout), "layout")
     marked = dataset.copy(deep=False)
     for variable in marked.variables.values():
@@ -135,11 +135,10 @@ def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
 
 
 def fill_value(dtype: np.dtype[Any]) -> Any:
-    """Return the value that readers get for samples of a missing chunk; if possible, no valid data has it.
-
-    NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers. Booleans and
-    strings have no such value: only `hyperpaint.verify` detects their loss.
-    """
+    # Return the value that readers get for samples of a missing chunk; if possible, no valid data has it.
+    #
+    # NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers. Booleans
+    # and strings have no such value: only `hyperpaint.verify` detects their loss.
     if dtype.kind in "fc":
         return dtype.type(np.nan)
     if dtype.kind in "mM":
@@ -179,7 +178,7 @@ def encoding(dataset: xr.Dataset, codec: Codec = DEFAULT_CODEC) -> dict[Hashable
 
 
 def encoding_of(variable: xr.Variable, codec: Codec = DEFAULT_CODEC) -> dict[str, Any]:
-    """Return the xarray encoding of a variable: chunks, codec, fill value, and units of time."""
+    # Return the xarray encoding of a variable: chunks, codec, fill value, and units of time.
     from zarr.codecs import BloscCodec, Crc32cCodec
 
     dtype = variable.dtype
@@ -205,10 +204,9 @@ def encoding_of(variable: xr.Variable, codec: Codec = DEFAULT_CODEC) -> dict[str
 
 
 def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
-    """Return a dataset without old encodings, with strings as objects and aligned dask chunks.
-
-    StoreError if names, dtypes or attributes cannot be stored; all are listed.
-    """
+    # Return a dataset without old encodings, with strings as objects and aligned dask chunks.
+    #
+    # StoreError if names, dtypes or attributes cannot be stored; all are listed.
     import dask.array as da
 
     problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
@@ -276,13 +274,13 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
 def with_variables(
     dataset: xr.Dataset, variables: Mapping[Any, xr.Variable], coords: Collection[Hashable]
 ) -> xr.Dataset:
-    """Return a dataset with variables added or replaced; names in ``coords`` become coordinates."""
+    # Return a dataset with variables added or replaced; names in ``coords`` become coordinates.
     inner = {name: variable for name, variable in variables.items() if name not in coords}
     return dataset.assign_coords({n: v for n, v in variables.items() if n in coords}).assign(inner)
 
 
 def is_at_hand(variable: xr.Variable) -> bool:
-    """Return whether access to ``variable.data`` reads no file."""
+    # Return whether access to ``variable.data`` reads no file.
     import dask
 
     return dask.is_dask_collection(variable) or bool(variable._in_memory)
@@ -324,12 +322,11 @@ def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], byte
 def encode_chunk(
     block: np.ndarray[Any, Any], chunk: tuple[int, ...], fill: Any, codec: Codec = DEFAULT_CODEC
 ) -> tuple[bytes, bytes]:
-    """Return the bytes of a storage chunk on disk: the blosc frame, and the crc32c after it.
-
-    The bytes equal those of zarr-python with the codecs of `encoding_of`, whose copies and event loop take as
-    much time as the compression. ``block`` is C-contiguous and little-endian; at the far edge of an array,
-    where it is smaller than ``chunk``, it is padded with ``fill``.
-    """
+    # Return the bytes of a storage chunk on disk: the blosc frame, and the crc32c after it.
+    #
+    # The bytes equal those of zarr-python with the codecs of `encoding_of`, whose copies and event loop take
+    # as much time as the compression. ``block`` is C-contiguous and little-endian; at the far edge of an
+    # array, where it is smaller than ``chunk``, it is padded with ``fill``.
     import google_crc32c
 
     if block.shape != chunk:

@@ -33,7 +33,7 @@ MAX_NODES = 50_000
 
 
 def clean_group(group: str | None) -> str:
-    """Return a group's path without outer slashes (``""`` for the root); StoreError for invalid names."""
+    # Return a group's path without outer slashes (``""`` for the root); StoreError for invalid names.
     names = [name for name in (group or "").split("/") if name]
     is_reserved = any(name.startswith((".", "__")) or name == METADATA or "\\" in name for name in names)
     if is_reserved or names[:1] == [MANIFEST_NODE]:
@@ -47,7 +47,7 @@ def clean_group(group: str | None) -> str:
 
 
 def joined(*parts: str) -> str:
-    """Return the parts that are not empty, separated by slashes."""
+    # Return the parts that are not empty, separated by slashes.
     return "/".join(part for part in parts if part)
 
 
@@ -62,11 +62,10 @@ class Location:
 
     @classmethod
     def of(cls, path: str | os.PathLike[str]) -> Location:
-        """Return the location for a path or a URL.
-
-        Raises `MissingExtraError`: The package for this kind of URL is not installed.
-        Raises `StoreError`: The kind of URL is unknown, or it cannot be opened.
-        """
+        # Return the location for a path or a URL.
+        #
+        # Raises `MissingExtraError`: The package for this kind of URL is not installed.
+        # Raises `StoreError`: The kind of URL is unknown, or it cannot be opened.
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
         try:
@@ -115,7 +114,7 @@ class Location:
         return bool(self.fs.exists(self.key(*parts)))
 
     def read(self, *parts: str, limit: int | None = MAX_METADATA_BYTES) -> bytes | None:
-        """Return a file's bytes, None if there is no file. `StoreError` above ``limit`` bytes."""
+        # Return a file's bytes, None if there is no file. `StoreError` above ``limit`` bytes.
         key = self.key(*parts)
         try:
             if self.local is not None:
@@ -138,7 +137,7 @@ class Location:
             ) from error
 
     def end_of(self, *parts: str) -> bytes:
-        """Return the last 4 bytes of a chunk, its crc32c; IncompleteStoreError if the chunk is missing."""
+        # Return the last 4 bytes of a chunk, its crc32c; IncompleteStoreError if the chunk is missing.
         key = self.key(*parts)
         try:
             if self.local is None:
@@ -152,7 +151,7 @@ class Location:
             ) from error
 
     def read_json(self, *parts: str) -> dict[str, Any] | None:
-        """Return a JSON object, None if there is no file; IncompleteStoreError for a damaged one."""
+        # Return a JSON object, None if there is no file; IncompleteStoreError for a damaged one.
         raw = self.read(*parts)
         if raw is None:
             return None
@@ -173,7 +172,7 @@ class Location:
         return document
 
     def metadata(self, path: str) -> dict[str, Any] | None:
-        """Return the ``zarr.json`` of a node without consolidated metadata, None if there is no node."""
+        # Return the ``zarr.json`` of a node without consolidated metadata, None if there is no node.
         document = self.read_json(path, METADATA)
         if document is not None:
             document.pop("consolidated_metadata", None)
@@ -185,7 +184,7 @@ class Location:
         return document
 
     def kind(self, path: str) -> str:
-        """Return ``group``, ``array``, ``unreadable``, or an empty text if there is no node."""
+        # Return ``group``, ``array``, ``unreadable``, or an empty text if there is no node.
         try:
             document = self.metadata(path)
         except StoreError:
@@ -193,14 +192,14 @@ class Location:
         return "" if document is None else str(document.get("node_type"))
 
     def attributes(self, group: str) -> dict[str, Any]:
-        """Return the attributes of a group; empty if its metadata are missing or damaged."""
+        # Return the attributes of a group; empty if its metadata are missing or damaged.
         try:
             return dict((self.metadata(group) or {}).get("attributes", {}))
         except StoreError:
             return {}
 
     def write_json(self, document: Mapping[str, Any], *parts: str) -> None:
-        """Write a JSON object; on a local disk atomically and flushed."""
+        # Write a JSON object; on a local disk atomically and flushed.
         content = json.dumps(document).encode()
         if self.local is None:
             self.fs.pipe_file(self.key(*parts), content)
@@ -219,7 +218,7 @@ class Location:
             sync(path.parent.parent)
 
     def write_files(self, files: Mapping[str, bytes]) -> None:
-        """Write small files by their paths, without flushing them."""
+        # Write small files by their paths, without flushing them.
         if self.local is None:
             self.fs.pipe({self.key(path): content for path, content in files.items()})
             return
@@ -229,10 +228,9 @@ class Location:
             replace_file(self.local / path, [content], durable=False)
 
     def nodes(self) -> dict[str, str]:
-        """Return ``group``, ``array`` or ``unreadable`` by the path of every node below the root.
-
-        `StoreError` for more than `MAX_NODES`, or groups more than `MAX_DEPTH` deep.
-        """
+        # Return ``group``, ``array`` or ``unreadable`` by the path of every node below the root.
+        #
+        # `StoreError` for more than `MAX_NODES`, or groups more than `MAX_DEPTH` deep.
         kinds: dict[str, str] = {}
         pending = [""]
         while pending:
@@ -253,11 +251,11 @@ class Location:
         return kinds
 
     def groups(self) -> list[str]:
-        """Return the groups with arrays, sorted."""
+        # Return the groups with arrays, sorted.
         return sorted({path.rpartition("/")[0] for path, kind in self.nodes().items() if kind == "array"})
 
     def entries(self, group: str) -> dict[str, bool]:
-        """Return the visible names in a group's folder, and whether they are folders."""
+        # Return the visible names in a group's folder, and whether they are folders.
         try:
             if self.local is not None:
                 with os.scandir(self.key(group)) as entries:
@@ -284,7 +282,7 @@ class Location:
         return sorted(name for name, folder in self.entries(group).items() if folder)
 
     def strays(self, group: str) -> list[str]:
-        """Return the entries of a group's folder that are not nodes of the store."""
+        # Return the entries of a group's folder that are not nodes of the store.
         return [
             name
             for name, folder in sorted(self.entries(group).items())
@@ -292,7 +290,7 @@ class Location:
         ]
 
     def files(self, path: str) -> set[str]:
-        """Return the relative paths of all files below a node."""
+        # Return the relative paths of all files below a node.
         if self.local is None:
             prefix = self.key(path).rstrip("/") + "/"
             return {file.removeprefix(prefix) for file in self.fs.find(self.key(path))}
@@ -305,10 +303,9 @@ TEMPORARY = re.compile(r"\..+\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
 
 
 def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
-    """Write a file atomically; ``durable``: flush it, so that it survives a power failure.
-
-    Without ``durable`` the disk begins to write at once, and the function does not wait for it.
-    """
+    # Write a file atomically; ``durable``: flush it, so that it survives a power failure.
+    #
+    # Without ``durable`` the disk begins to write at once, and the function does not wait for it.
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}")
     try:
         with open(temporary, "wb") as file:
@@ -329,7 +326,7 @@ def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
 
 
 def sync(path: str | Path) -> None:
-    """Flush a file, or renames in a folder, to the disk."""
+    # Flush a file, or renames in a folder, to the disk.
     if os.name != "posix" and os.path.isdir(path):
         return
     descriptor = os.open(path, os.O_RDONLY)

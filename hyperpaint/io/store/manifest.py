@@ -96,7 +96,7 @@ class Write(NamedTuple):
 
     @property
     def source(self) -> list[str]:
-        """First three words of the command: program, subcommand and input of the store."""
+        # First three words of the command: program, subcommand and input of the store.
         try:
             return split(self.command)[:3]
         except ValueError:  # unbalanced quotes: not of hyperpaint
@@ -124,7 +124,7 @@ class Manifest:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> Manifest:
-        """Return the manifest in a ``zarr.json``; `IncompleteStoreError` if it is damaged or newer."""
+        # Return the manifest in a ``zarr.json``; `IncompleteStoreError` if it is damaged or newer.
         try:
             attributes = document["attributes"]
             version, content = attributes["hyperpaint_format"], attributes["manifest"]
@@ -161,7 +161,7 @@ class Manifest:
 
     @classmethod
     def read(cls, location: Location, *, ignore_damage: bool = False) -> Manifest | None:
-        """Return the manifest of a store, None if it has none, or a damaged one with ``ignore_damage``."""
+        # Return the manifest of a store, None if it has none, or a damaged one with ``ignore_damage``.
         where = location.key(MANIFEST_NODE, METADATA)
         try:
             document = location.read_json(MANIFEST_NODE, METADATA)
@@ -175,16 +175,15 @@ class Manifest:
         location.write_json(self.document(), MANIFEST_NODE, METADATA)
 
     def allowed(self, group: str) -> set[str]:
-        """Return the valid contents of a group: that of its entry, and those of unfinished writes."""
+        # Return the valid contents of a group: that of its entry, and those of unfinished writes.
         contents = {write.contents[group] for write in self.writes if group in write.contents}
         return (contents | ({self.groups[group].content} if group in self.groups else set())) - {""}
 
     def lacking(self, write: Write, contents: Callable[[str], str]) -> list[str]:
-        """Return the groups that an unfinished write has not published.
-
-        ``contents``: function that returns the stored content of a group. Empty if all groups are published
-        or unchanged, and for a write of one group.
-        """
+        # Return the groups that an unfinished write has not published.
+        #
+        # ``contents``: function that returns the stored content of a group. Empty if all groups are published
+        # or unchanged, and for a write of one group.
         lacking = [name for name, content in write.contents.items() if contents(name) != content]
         is_unchanged = all(
             name in self.groups and contents(name) == self.groups[name].content for name in write.contents
@@ -192,10 +191,9 @@ class Manifest:
         return [] if is_unchanged or len(write.contents) == 1 else lacking
 
     def settled(self, location: Location) -> Manifest:
-        """Return the manifest without the writes that are finished or changed nothing.
-
-        Entries of groups that such a write has published are computed from the files.
-        """
+        # Return the manifest without the writes that are finished or changed nothing.
+        #
+        # Entries of groups that such a write has published are computed from the files.
         contents = functools.cache(lambda name: content_of(location, name, self))
         groups, writes = dict(self.groups), []
         for write in self.writes:
@@ -219,12 +217,12 @@ class StoreState:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """The faults as lines of text."""
+        # The faults as lines of text.
         return tuple(map(str, self.faults))
 
 
 def store_state(location: Location, groups: Iterable[str] | None = None) -> StoreState:
-    """Compare the manifest of a store with its groups; ``groups``: groups with arrays, by default listed."""
+    # Compare the manifest of a store with its groups; ``groups``: groups with arrays, by default listed.
     present = list(location.groups() if groups is None else groups)
     try:
         manifest = Manifest.read(location)
@@ -311,7 +309,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
 
 
 def check_state(location: Location) -> None:
-    """Raise IncompleteStoreError if a store is unfinished, or its groups differ from its manifest."""
+    # Raise IncompleteStoreError if a store is unfinished, or its groups differ from its manifest.
     if faults := store_state(location).faults:
         raise IncompleteStoreError(
             f"{location.url} is incomplete; hyperpaint.io.store.open_group(path, group) opens other groups",
@@ -327,10 +325,9 @@ def content_text(group: str, identity: str, settings: str = "") -> str:
 
 
 def content_of(location: Location, group: str, manifest: Manifest | None = None) -> str:
-    """Return the content of a group as in its attribute, empty if it has none.
-
-    ``manifest``: gives the content of a group whose attributes another program replaced.
-    """
+    # Return the content of a group as in its attribute, empty if it has none.
+    #
+    # ``manifest``: gives the content of a group whose attributes another program replaced.
     entry = manifest.groups.get(group) if manifest is not None else None
     if entry is not None and attributes_replaced(location, group, entry):
         return entry.content
@@ -338,10 +335,9 @@ def content_of(location: Location, group: str, manifest: Manifest | None = None)
 
 
 def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bool:
-    """Return whether another program replaced all attributes of a group, as ``to_zarr(mode="a")`` does.
-
-    In a damaged file `CONTENT` or its value would remain.
-    """
+    # Return whether another program replaced all attributes of a group, as ``to_zarr(mode="a")`` does.
+    #
+    # In a damaged file `CONTENT` or its value would remain.
     try:
         attributes = (location.metadata(group) or {}).get("attributes")
         if attributes is None or CONTENT in attributes or entry.content in attributes.values():
@@ -356,7 +352,7 @@ def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bo
 
 
 def changed_attributes(location: Location, group: str, entry: GroupEntry) -> list[str]:
-    """Return the attributes of a group that changed since it was written; new attributes are ignored."""
+    # Return the attributes of a group that changed since it was written; new attributes are ignored.
     document = location.metadata(group) or {}
     attributes = document.get("attributes", {})
     changed = [key for key, value in entry.attributes.items() if attributes.get(key) != value]
@@ -365,20 +361,20 @@ def changed_attributes(location: Location, group: str, entry: GroupEntry) -> lis
 
 
 def numerics_of(content: str) -> int | None:
-    """Return the version of the numerics in a content or settings text, None if it has none."""
+    # Return the version of the numerics in a content or settings text, None if it has none.
     match = _NUMERICS.search(content)
     return None if match is None else int(match[1])
 
 
 def document_checksum(document: Any) -> int:
-    """Return the crc32c of a JSON value, independent of spacing and of the order of keys."""
+    # Return the crc32c of a JSON value, independent of spacing and of the order of keys.
     import google_crc32c
 
     return int(google_crc32c.value(json.dumps(document, sort_keys=True).encode()))
 
 
 def chunk_digest(group: str, name: str, chunks: Iterable[tuple[str, bytes]]) -> str:
-    """Return the digest over the keys of an array's chunks and their last 4 bytes, the crc32c."""
+    # Return the digest over the keys of an array's chunks and their last 4 bytes, the crc32c.
     digest = hashlib.blake2b(f"/{group}/{name}".encode(), digest_size=16)
     for key, checksum in chunks:
         digest.update(key.encode() + b"\0" + checksum)
@@ -386,10 +382,9 @@ def chunk_digest(group: str, name: str, chunks: Iterable[tuple[str, bytes]]) -> 
 
 
 def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
-    """Return the keys of an array's chunks, in C order, from its ``zarr.json``.
-
-    Raises `IncompleteStoreError`: The grid is missing, or has more than `MAX_CHUNKS` chunks.
-    """
+    # Return the keys of an array's chunks, in C order, from its ``zarr.json``.
+    #
+    # Raises `IncompleteStoreError`: The grid is missing, or has more than `MAX_CHUNKS` chunks.
     try:
         chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
         grid = [-(-int(size) // int(step)) for size, step in zip(document["shape"], chunk, strict=True)]
@@ -406,16 +401,15 @@ def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
 
 
 def seal_of(arrays: Mapping[str, ArrayEntry]) -> str:
-    """Return the number of a group's arrays, and the digest over their entries."""
+    # Return the number of a group's arrays, and the digest over their entries.
     text = json.dumps(sorted(arrays.items()))
     return f"{len(arrays)} {hashlib.blake2b(text.encode(), digest_size=16).hexdigest()}"
 
 
 def entry_of(location: Location, group: str) -> GroupEntry:
-    """Return the entry of a group from its files, without arrays whose chunks have no crc32c.
-
-    Raises `IncompleteStoreError`: Chunks are missing, or the digest over the arrays differs from `SEAL`.
-    """
+    # Return the entry of a group from its files, without arrays whose chunks have no crc32c.
+    #
+    # Raises `IncompleteStoreError`: Chunks are missing, or the digest over the arrays differs from `SEAL`.
     entries = {}
     for name in location.folders(group):
         document = location.metadata(joined(group, name)) or {}

@@ -74,10 +74,9 @@ class RawFile:
 
     @classmethod
     def of(cls, url: str) -> RawFile:
-        """Return the present state of a file, read with the credentials of the environment.
-
-        Raises `StoreError`: The file cannot be reached, or icechunk cannot read such URLs.
-        """
+        # Return the present state of a file, read with the credentials of the environment.
+        #
+        # Raises `StoreError`: The file cannot be reached, or icechunk cannot read such URLs.
         check_url(url)
         if url.startswith("file:"):
             try:
@@ -107,7 +106,7 @@ class RawFile:
             ) from error
 
     def difference(self) -> str:
-        """Return a description of how the present file differs from this state, empty if equal."""
+        # Return a description of how the present file differs from this state, empty if equal.
         try:
             present = RawFile.of(self.url)
         except StoreError as error:
@@ -142,7 +141,7 @@ class VirtualCube:
 
     @property
     def chunk(self) -> tuple[int, ...]:
-        """Shape of a slab."""
+        # Shape of a slab.
         return (self.lines, *self.shape[1:])
 
 
@@ -150,7 +149,7 @@ Groups = Mapping[str, tuple["xr.Dataset", VirtualCube]]
 
 
 def summary_of(groups: Groups) -> dict[str, dict[str, Any]]:
-    """Return the inputs digest of every group, and its raw files, in the form of `virtual_groups`."""
+    # Return the inputs digest of every group, and its raw files, in the form of `virtual_groups`.
     return {
         name: {INPUTS: dataset.attrs.get(INPUTS), RAW_FILES: list(cube.files)}
         for name, (dataset, cube) in groups.items()
@@ -158,11 +157,10 @@ def summary_of(groups: Groups) -> dict[str, dict[str, Any]]:
 
 
 def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> None:
-    """Write groups into a new repository of icechunk: the cube as references, other variables as values.
-
-    Raises `MissingExtraError`: icechunk is not installed; `StoreError`: it cannot read the raw files'
-    locations.
-    """
+    # Write groups into a new repository of icechunk: the cube as references, other variables as values.
+    #
+    # Raises `MissingExtraError`: icechunk is not installed; `StoreError`: it cannot read the raw files'
+    # locations.
     import zarr
     from zarr.codecs import BytesCodec
 
@@ -218,7 +216,7 @@ def _icechunk() -> Any:
 
 
 def check_url(url: str) -> None:
-    """Raise for a URL that icechunk cannot read, or that icechunk and fsspec parse differently."""
+    # Raise for a URL that icechunk cannot read, or that icechunk and fsspec parse differently.
     if url.startswith("file:///"):
         is_readable = posixpath.normpath(_local_path(url)) == _local_path(url)
     else:
@@ -273,12 +271,11 @@ def is_virtual(path: str | os.PathLike[str]) -> bool:
 
 
 def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> None:
-    """Raise for references of kerchunk, a JSON file or a folder of parquet; their content is not used.
-
-    ``write``: whether the path will be written, so that only its suffix is checked.
-
-    Raises `StoreError`: The path has kerchunk references; keys that programs execute are listed.
-    """
+    # Raise for references of kerchunk, a JSON file or a folder of parquet; their content is not used.
+    #
+    # ``write``: whether the path will be written, so that only its suffix is checked.
+    #
+    # Raises `StoreError`: The path has kerchunk references; keys that programs execute are listed.
     path = Path(path)
     file = path / ".zmetadata" if path.is_dir() else path
     keys: set[str] = set()
@@ -354,10 +351,9 @@ def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[An
 
 
 def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the inputs digest and the raw files of every group, without reading the raw files.
-
-    Raises `StoreError`: There is no such store, it is damaged, or its list of raw files is invalid.
-    """
+    # Return the inputs digest and the raw files of every group, without reading the raw files.
+    #
+    # Raises `StoreError`: There is no such store, it is damaged, or its list of raw files is invalid.
     import zarr
 
     with _own_errors(path):
@@ -396,10 +392,10 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
 def outside(
     path: str | os.PathLike[str], groups: Mapping[str, Any], allow: Allow = ()
 ) -> tuple[list[str], list[str]]:
-    """Return the raw files that may not be read, and the folders and URLs that ``allow`` lacks for them.
-
-    Files may be read below the parent folder of the repository and below ``allow``, after links are resolved.
-    """
+    # Return the raw files that may not be read, and the folders and URLs that ``allow`` lacks for them.
+    #
+    # Files may be read below the parent folder of the repository and below ``allow``, after links are
+    # resolved.
     home = os.path.dirname(os.path.realpath(path))
     prefixes = [] if home == os.path.dirname(home) else [f"file://{home}/"]  # not the root of the file system
     for folder_or_url in [allow] if isinstance(allow, str | os.PathLike) else allow:

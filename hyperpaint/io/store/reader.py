@@ -112,15 +112,14 @@ def list_groups(path: Any) -> list[str]:
 
 
 def is_format_3(location: Location) -> bool:
-    """Return whether a location is a Zarr 3 store, also a hyperpaint store without its root's metadata."""
+    # Return whether a location is a Zarr 3 store, also a hyperpaint store without its root's metadata.
     return location.has(METADATA) or location.has(MANIFEST_NODE, METADATA)
 
 
 def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
-    """Return whether a group is in its store's manifest, with unchanged metadata and all chunk files.
-
-    Chunks are not read; `hyperpaint.verify` reads them.
-    """
+    # Return whether a group is in its store's manifest, with unchanged metadata and all chunk files.
+    #
+    # Chunks are not read; `hyperpaint.verify` reads them.
     try:
         location, name = place_of(path)[0] or Location.of(path), clean_group(group)
         manifest = Manifest.read(location)
@@ -252,10 +251,9 @@ def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
 
 
 def check_entry(location: Location, group: str, manifest: Manifest) -> None:
-    """Refuse a group whose metadata differ from the manifest, or whose chunk files are incomplete.
-
-    Warns `PaintWarning`: Another program replaced the group's attributes; its arrays are unchanged.
-    """
+    # Refuse a group whose metadata differ from the manifest, or whose chunk files are incomplete.
+    #
+    # Warns `PaintWarning`: Another program replaced the group's attributes; its arrays are unchanged.
     where, mend = f"group {'/' + group!r} of {location.url}", "write the group again"
     content, entry = content_of(location, group, manifest), manifest.groups.get(group)
     if content not in manifest.allowed(group):
@@ -384,7 +382,7 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
 
 
 def place_of(path: Any) -> tuple[Location | None, Any]:
-    """Return the location of a path or URL (None for a store object of zarr), and the argument for zarr."""
+    # Return the location of a path or URL (None for a store object of zarr), and the argument for zarr.
     import zarr
 
     if isinstance(path, zarr.abc.store.Store | zarr.storage.StorePath):
@@ -400,7 +398,7 @@ def place_of(path: Any) -> tuple[Location | None, Any]:
 
 
 def is_zarr(path: Any) -> bool:
-    """Return whether a path is a URL, store object, ``.zarr``, or a folder or zip file with Zarr metadata."""
+    # Return whether a path is a URL, store object, ``.zarr``, or a folder or zip file with Zarr metadata.
     if not isinstance(path, str | os.PathLike):
         return not isinstance(path, Sequence) and place_of(path)[0] is None
     text = os.fsdecode(path)
@@ -427,10 +425,9 @@ def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
 
 
 def check_metadata(location: Location | None, group: str) -> None:
-    """Raise for metadata documents of a group and its arrays that would fill the memory when parsed.
-
-    At a URL only the document of the group is checked; for a store object none.
-    """
+    # Raise for metadata documents of a group and its arrays that would fill the memory when parsed.
+    #
+    # At a URL only the document of the group is checked; for a store object none.
     if location is None:
         return
     total = values = 0
@@ -476,10 +473,9 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
 
 
 def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
-    """Check zarr arrays by name, without reading a value.
-
-    Raises `StoreError`: Codecs run code, or sizes exceed memory; all problems are listed.
-    """
+    # Check zarr arrays by name, without reading a value.
+    #
+    # Raises `StoreError`: Codecs run code, or sizes exceed memory; all problems are listed.
     problems = Problems(f"{subject} cannot be read safely", StoreError)
     chunks = index_bytes = 0
     for name, array in arrays.items():

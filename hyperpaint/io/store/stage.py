@@ -65,11 +65,11 @@ class Staging:
         self.folder = store.parent / f".partial-{store.name}"
 
     def build(self, group: str, content: str) -> Path:
-        """Return a new folder for building a group, which no other attempt uses."""
+        # Return a new folder for building a group, which no other attempt uses.
         return self.folder / f"build-{_quoted(group)}-{content}-{uuid.uuid4().hex[:12]}"
 
     def leftovers(self, group: str, content: str) -> list[Path]:
-        """Return the builds of a group with a content from earlier attempts."""
+        # Return the builds of a group with a content from earlier attempts.
         return [entry.path for entry in self._entries() if entry[1:] == ("build", group, content)]
 
     def discard_others(self, group: str, content: str) -> None:
@@ -78,17 +78,16 @@ class Staging:
                 discard(entry.path)
 
     def close(self, build: Path, group: str, content: str) -> Path:
-        """Rename a build, and return its new name.
-
-        A cluster may repeat the task of a worker that died after the run has ended. With the new name such a
-        task does not find the folder.
-        """
+        # Rename a build, and return its new name.
+        #
+        # A cluster may repeat the task of a worker that died after the run has ended. With the new name such
+        # a task does not find the folder.
         closed = self.build(group, content)
         os.rename(build, closed)
         return closed
 
     def publish(self, build: Path, group: str) -> None:
-        """Move a finished group to its path; if that fails, the old group stays there."""
+        # Move a finished group to its path; if that fails, the old group stays there.
         target = self._path(group)
         target.parent.mkdir(parents=True, exist_ok=True)
         old = None
@@ -123,10 +122,9 @@ class Staging:
             discard(old)
 
     def recover(self, kept_groups: Collection[str] = ()) -> None:
-        """Repair the state that a killed writer left, and keep builds of ``kept_groups``.
-
-        Raises `StoreError`: The folder contains links, or names of paths outside the store.
-        """
+        # Repair the state that a killed writer left, and keep builds of ``kept_groups``.
+        #
+        # Raises `StoreError`: The folder contains links, or names of paths outside the store.
         for entry in self._entries():
             if entry.kind == "replaced":  # the writer was killed between two renames
                 target = self._path(entry.group)
@@ -191,11 +189,10 @@ class Staging:
 
 
 def discard(build: Path) -> None:
-    """Remove a build, or a replaced group.
-
-    The folder is renamed first, so that tasks that dask still runs after an error do not find it, and that a
-    folder which is partly removed does not have the name of a build.
-    """
+    # Remove a build, or a replaced group.
+    #
+    # The folder is renamed first, so that tasks that dask still runs after an error do not find it, and that
+    # a folder which is partly removed does not have the name of a build.
     discarded = _to_discard(build.parent)
     with contextlib.suppress(OSError):
         os.rename(build, discarded)
@@ -215,14 +212,13 @@ def _quoted(group: str) -> str:
 
 @contextlib.contextmanager
 def locked(lock: Path, store: Path) -> Iterator[None]:
-    """Lock a store; the folder of the lock is created, and removed at the end if empty.
-
-    `filelock.SoftFileLock` writes the process, its start and its host into the file, and replaces the lock of
-    a process that has died, or a lock without such a record that did not change for 2 s.
-
-    Raises `StoreError`: Another writer has the lock, on this host or on another, whose processes cannot be
-    checked; or the lock or its folder belong to another program.
-    """
+    # Lock a store; the folder of the lock is created, and removed at the end if empty.
+    #
+    # `filelock.SoftFileLock` writes the process, its start and its host into the file, and replaces the lock
+    # of a process that has died, or a lock without such a record that did not change for 2 s.
+    #
+    # Raises `StoreError`: Another writer has the lock, on this host or on another, whose processes cannot be
+    # checked; or the lock or its folder belong to another program.
     import filelock
 
     # not a singleton, so that two threads of this process exclude each other
@@ -302,12 +298,11 @@ def _check_folder(lock: Path, store: Path) -> None:
 
 @contextlib.contextmanager
 def staging(store: Path, kept_groups: Collection[str] = ()) -> Iterator[Staging]:
-    """Open the staging folder of a store, as its only writer.
-
-    ``kept_groups``: groups that will be written, whose builds are kept.
-
-    Raises `StoreError`: see `locked` and `Staging.recover`.
-    """
+    # Open the staging folder of a store, as its only writer.
+    #
+    # ``kept_groups``: groups that will be written, whose builds are kept.
+    #
+    # Raises `StoreError`: see `locked` and `Staging.recover`.
     stage = Staging(store)
     with locked(stage.folder / "lock", store):
         stage.recover(kept_groups)
@@ -315,10 +310,9 @@ def staging(store: Path, kept_groups: Collection[str] = ()) -> Iterator[Staging]
 
 
 def clear_up(store: Path) -> None:
-    """Remove the staging folder that a writer left which was killed after its last group.
-
-    The folder stays if another writer is active, or if a build can be resumed.
-    """
+    # Remove the staging folder that a writer left which was killed after its last group.
+    #
+    # The folder stays if another writer is active, or if a build can be resumed.
     folder = Staging(store).folder
     with contextlib.suppress(StoreError, OSError):
         if not any(entry.name.startswith("build-") for entry in folder.iterdir()):

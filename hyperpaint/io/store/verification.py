@@ -69,7 +69,7 @@ class StoreReport:
 
     @property
     def ok(self) -> bool:
-        """Whether there are no problems."""
+        # Whether there are no problems.
         return not self.problems
 
     def __str__(self) -> str:

@@ -199,12 +199,12 @@ class Job:
 
     @property
     def content(self) -> str:
-        """Content in the manifest: group's path, digest of its inputs or values, and the run's settings."""
+        # Content in the manifest: group's path, digest of its inputs or values, and the run's settings.
         return content_text(self.group, str(self.dataset.attrs.get(INPUTS) or self.token), self.settings)
 
     @property
     def build(self) -> str:
-        """Name of the build, which depends on the version of the program, codec and layout too."""
+        # Name of the build, which depends on the version of the program, codec and layout too.
         from dask.base import tokenize
 
         layouts = sorted(set(layout.layouts_of(self.dataset).values()))
@@ -233,11 +233,10 @@ class _StoreWriter:
         self._announced = False
 
     def begin(self, job: Job, *, progress: bool = False) -> Callable[[], None]:
-        """Write a group's arrays; return the function that publishes the group.
-
-        Another thread may call that while the next group begins, for one group at a time. Nothing is done
-        where the group exists.
-        """
+        # Write a group's arrays; return the function that publishes the group.
+        #
+        # Another thread may call that while the next group begins, for one group at a time. Nothing is done
+        # where the group exists.
         if job.group not in self._pending:
             return lambda: None
         with limited_threads(_check_room([job], self._location)):
@@ -393,13 +392,12 @@ def _writer(
     command: str = "",
     overwrite: bool = False,
 ) -> Iterator[_StoreWriter]:
-    """Open a store as its only writer.
-
-    ``contents``: contents of all groups of this write; ``pending``: groups that must be written, whose
-    finished blocks are kept; ``attrs``: attributes of groups without arrays; ``command``: command of a run,
-    which removes earlier unfinished writes of the same command from the manifest, and with ``overwrite`` the
-    entries of deleted groups.
-    """
+    # Open a store as its only writer.
+    #
+    # ``contents``: contents of all groups of this write; ``pending``: groups that must be written, whose
+    # finished blocks are kept; ``attrs``: attributes of groups without arrays; ``command``: command of a run,
+    # which removes earlier unfinished writes of the same command from the manifest, and with ``overwrite``
+    # the entries of deleted groups.
     with contextlib.ExitStack() as stack:
         stage = None
         if location.local is not None:
@@ -473,10 +471,9 @@ class WholeRun:
         self._placed: dict[str, xr.Dataset] = {}
 
     def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
-        """Write a group; it is published while the next is written, see `settle`.
-
-        Progress bars go to stderr, so that stdout holds results only.
-        """
+        # Write a group; it is published while the next is written, see `settle`.
+        #
+        # Progress bars go to stderr, so that stdout holds results only.
         assert self._writer is not None  # without pending groups this method is not called
         if (
             self._placing is None or self._placing.done()
@@ -497,14 +494,14 @@ class WholeRun:
             self._placing = self._pool.submit(place)
 
     def settle(self) -> None:
-        """Wait until every group is published; raise the error of a failed group."""
+        # Wait until every group is published; raise the error of a failed group.
         with errors_of_the_system(self._location, self._placed):
             if self._placing is not None:
                 self._placing.result()
                 self._placing = None
 
     def close(self) -> None:
-        """Wait for the group that is being published, then stop the thread; also after Ctrl-C."""
+        # Wait for the group that is being published, then stop the thread; also after Ctrl-C.
         ending, interruption = sys.exc_info()[1], None
         while self._placing is not None and not self._placing.done():
             try:
@@ -530,15 +527,14 @@ def whole_run(
     overwrite: bool,
     codec: layout.Codec = DEFAULT_CODEC,
 ) -> Iterator[WholeRun]:
-    """Lock a store for a run, and write its manifest if the run succeeds; a complete store stays unchanged.
-
-    ``contents``: contents of all groups of the run, see `run_contents`; ``pending``: groups that it will
-    write; ``attrs``: of the root; ``command``: finishes an interrupted run, with ``{store}`` for the path;
-    ``codec``: of `to_store`.
-
-    Raises `StoreError`: Another writer is active, or the store cannot be written. `IncompleteStoreError`:
-    Groups of this run, or of another unfinished run, are missing at the end.
-    """
+    # Lock a store for a run, and write its manifest if the run succeeds; a complete store stays unchanged.
+    #
+    # ``contents``: contents of all groups of the run, see `run_contents`; ``pending``: groups that it will
+    # write; ``attrs``: of the root; ``command``: finishes an interrupted run, with ``{store}`` for the path;
+    # ``codec``: of `to_store`.
+    #
+    # Raises `StoreError`: Another writer is active, or the store cannot be written. `IncompleteStoreError`:
+    # Groups of this run, or of another unfinished run, are missing at the end.
     location = Location.of(path)
     root = {"": dict(attrs)}
     with contextlib.ExitStack() as stack:
@@ -562,7 +558,7 @@ def whole_run(
 
 
 def run_contents(groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
-    """Return the contents of the groups of a run, from their `INPUTS` and, if they have any, `SETTINGS`."""
+    # Return the contents of the groups of a run, from their `INPUTS` and, if they have any, `SETTINGS`.
     return {
         name: content_text(name, str(group.attrs[INPUTS]), str(group.attrs.get(SETTINGS, "")))
         for name, group in groups.items()
@@ -575,11 +571,10 @@ def run_contents(groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
 def _write_arrays(
     job: Job, place: Location, leftovers: list[Path], *, progress: bool
 ) -> tuple[dict[str, bytes], dict[str, dict[str, bytes]]]:
-    """Write the arrays of a group, and take finished chunks from builds of earlier runs (``leftovers``).
-
-    Return the files from xarray, of which the metadata of the group are not yet written; and by array the
-    crc32c of every chunk, by key.
-    """
+    # Write the arrays of a group, and take finished chunks from builds of earlier runs (``leftovers``).
+    #
+    # Return the files from xarray, of which the metadata of the group are not yet written; and by array the
+    # crc32c of every chunk, by key.
     from zarr.storage import MemoryStore
 
     dataset = job.dataset.copy(deep=False)
@@ -671,7 +666,7 @@ def _write_to_store_object(
 
 
 def real_folder(local: Path) -> Path:
-    """Return a folder after links are resolved, since renames must stay on one disk."""
+    # Return a folder after links are resolved, since renames must stay on one disk.
     return Path(os.path.realpath(local))
 
 
@@ -736,10 +731,9 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 def pending_groups(
     contents: Mapping[str, str], location: Location, *, overwrite: bool, around: Iterable[str] = ()
 ) -> list[str]:
-    """Return the groups of ``contents`` that must be written; raise if other groups or files would be lost.
-
-    ``around``: groups without arrays that are written, too.
-    """
+    # Return the groups of ``contents`` that must be written; raise if other groups or files would be lost.
+    #
+    # ``around``: groups without arrays that are written, too.
     problems = Problems(f"cannot write {location.url}", StoreError)
     parents = dict.fromkeys(parent for name in (*contents, *around) for parent in groups_above(name))
     check_above(parents, location, problems, overwrite=overwrite)
@@ -792,10 +786,9 @@ def check_room(
     tokens: Mapping[str, str],
     codec: layout.Codec = DEFAULT_CODEC,
 ) -> None:
-    """Raise if groups, datasets by name, together need more than the free space of a store's disk.
-
-    ``tokens``: their source tokens.
-    """
+    # Raise if groups, datasets by name, together need more than the free space of a store's disk.
+    #
+    # ``tokens``: their source tokens.
     jobs = [
         Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()
     ]
