@@ -186,7 +186,7 @@ def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, fl
 
 
 def without_products(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a line without products that depend on wavelengths: reflectance and panel results."""
+    # Return a line without products that depend on wavelengths: reflectance and panel results.
     uncertainties = ("reflectance_u_random", "reflectance_u_systematic")
     names = ("reflectance", "coarse_reflectance", *uncertainties, "irradiance_misfit")
     return dataset.drop_vars(
@@ -197,10 +197,9 @@ def without_products(dataset: xr.Dataset) -> xr.Dataset:
 def restated(
     line: xr.Dataset, sentence: str, *, numbers: Mapping[str, float] | None = None, state: str | None = None
 ) -> xr.Dataset:
-    """Return a line whose attribute ``alignment`` ends with ``sentence``.
-
-    ``numbers`` and ``state`` replace those of an earlier comparison.
-    """
+    # Return a line whose attribute ``alignment`` ends with ``sentence``.
+    #
+    # ``numbers`` and ``state`` replace those of an earlier comparison.
     earlier = line.attrs.get("alignment")
     attrs = {name: value for name, value in line.attrs.items() if not str(name).startswith("alignment_")}
     attrs |= numbers or {}

@@ -147,21 +147,21 @@ class Comparison(NamedTuple):
 
     @property
     def u(self) -> Floats:
-        """Standard uncertainties of shift [nm], tilt [nm] and width [1]."""
+        # Standard uncertainties of shift [nm], tilt [nm] and width [1].
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def departure(self) -> float:
-        """Departure from the declared values over its uncertainty [1]."""
+        # Departure from the declared values over its uncertainty [1].
         deviation = np.array([self.shift, self.tilt, self.width - 1.0])
         return float(np.sqrt(deviation @ np.linalg.solve(self.covariance, deviation)))
 
     def shift_at(self, wavelength: Floats) -> Floats:
-        """Return the shift at wavelengths [nm]."""
+        # Return the shift at wavelengths [nm].
         return np.asarray(self.shift + self.tilt * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
     def is_significant(self, rules: ComparisonRules = COMPARISON) -> bool:
-        """Return whether camera and record differ beyond chance and beyond `ComparisonRules.least_effect`."""
+        # Return whether camera and record differ beyond chance and beyond `ComparisonRules.least_effect`.
         return bool(
             not self.at_limit
             and self.departure > rules.significance
@@ -450,12 +450,12 @@ def _covariance(
     prior: Floats,
     rules: ComparisonRules,
 ) -> Floats:
-    """Return the covariance (3, 3) of shift, tilt, width: scatter between groups (surfaces) and bands.
-
-    Errors that all groups share (noise of the record, gains) scatter between bands only; errors of a
-    surface scatter between groups. Both are sandwich estimates with sums over clusters, and are added. Noise
-    of a channel is propagated through the operator: it spreads over bands, most where the camera is sharper.
-    """
+    # Return the covariance (3, 3) of shift, tilt, width: scatter between groups (surfaces) and bands.
+    #
+    # Errors that all groups share (noise of the record, gains) scatter between bands only; errors of a
+    # surface scatter between groups. Both are sandwich estimates with sums over clusters, and are added.
+    # Noise of a channel is propagated through the operator: it spreads over bands, most where the camera is
+    # sharper.
     weights = _weights(fits, departures)
     groups = departures[0].shape[1]
     matrix = prior.copy()
@@ -733,18 +733,18 @@ def divided(
     declared_fwhm: tuple[float, float],
     rules: SunLineRules = SUN_LINES,
 ) -> dict[str, float]:
-    """Return the shares of both instruments in their difference, each with its standard uncertainty (``_u``).
-
-    ``record_shift`` and ``camera_shift``: true minus declared wavelength [nm]; ``record_fwhm`` [nm];
-    ``camera_width``: over the declared one [1].
-
-    ``shift``: camera minus record [nm] and its uncertainty; ``width``: width of the record over the declared
-    one, if the camera is as declared, and its uncertainty; ``declared_fwhm``: of record and camera [nm].
-
-    Least squares of two unknowns for shifts, and two for widths: record and camera. Their difference is
-    measured, the record is measured by the sun, and both have priors. Widths add as squares: :math:`w^2 -
-    (W^2 - W_0^2)` is measured.
-    """
+    # Return the shares of both instruments in their difference, each with its standard uncertainty (``_u``).
+    #
+    # ``record_shift`` and ``camera_shift``: true minus declared wavelength [nm]; ``record_fwhm`` [nm];
+    # ``camera_width``: over the declared one [1].
+    #
+    # ``shift``: camera minus record [nm] and its uncertainty; ``width``: width of the record over the
+    # declared one, if the camera is as declared, and its uncertainty; ``declared_fwhm``: of record and camera
+    # [nm].
+    #
+    # Least squares of two unknowns for shifts, and two for widths: record and camera. Their difference is
+    # measured, the record is measured by the sun, and both have priors. Widths add as squares: :math:`w^2 -
+    # (W^2 - W_0^2)` is measured.
     record, camera = declared_fwhm
     rows = [
         (-1.0, 1.0, *shift),
@@ -784,13 +784,12 @@ def _least_squares(rows: list[tuple[float, float, float, float]]) -> tuple[list[
 def record_against_sun(
     channels: Floats, spectrum: Floats, rules: SunLineRules = SUN_LINES
 ) -> RecordAgainstSun | None:
-    """Return shift and width of a record (channel,) of daylight; None where it has too few channels.
-
-    In every window the logarithm of the table at a shift and a width, with free strengths of oxygen and water
-    and plus a polynomial, is fitted to the logarithm of the record. Windows are weighted by the inverse of
-    their variance; where they disagree by more than their uncertainty, the uncertainty of the result is
-    increased.
-    """
+    # Return shift and width of a record (channel,) of daylight; None where it has too few channels.
+    #
+    # In every window the logarithm of the table at a shift and a width, with free strengths of oxygen and
+    # water and plus a polynomial, is fitted to the logarithm of the record. Windows are weighted by the
+    # inverse of their variance; where they disagree by more than their uncertainty, the uncertainty of the
+    # result is increased.
     windows = [_window(channels, spectrum, low, high, rules) for low, high in rules.windows]
     fits = np.array([fit for fit in windows if fit is not None])
     if not len(fits):

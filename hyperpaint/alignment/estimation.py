@@ -93,7 +93,7 @@ class Estimate:
 
 
 def fewest_bands(degree: int) -> int:
-    """Return the number of bands that a fit needs: polynomial, shift, width, and `MIN_FREEDOM` more."""
+    # Return the number of bands that a fit needs: polynomial, shift, width, and `MIN_FREEDOM` more.
     return degree + 1 + 2 + MIN_FREEDOM
 
 
@@ -215,7 +215,7 @@ _MAX_VARIANCE_RATIO = 3.0
 
 
 def default_windows(declared: Declared, degree: int) -> list[Window]:
-    """Return the `WINDOWS` that camera and record cover; the first where they cover none."""
+    # Return the `WINDOWS` that camera and record cover; the first where they cover none.
     channels = declared.light.wavelength
     covered = [
         (low, high)
@@ -233,7 +233,7 @@ def _is_inside(declared: Declared, low: float, high: float) -> Array:
 
 
 def checked_windows(window: Any) -> list[Window]:
-    """Return the windows in the order passed; SchemaError for invalid ones."""
+    # Return the windows in the order passed; SchemaError for invalid ones.
     problems = Problems(f"window={window!r} cannot be used", SchemaError)
     try:
         limits = np.asarray(window, np.float64)
@@ -261,7 +261,7 @@ def checked_windows(window: Any) -> list[Window]:
 
 
 def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Array]:
-    """Return which bands are good and inside each window (band,); SchemaError for too few."""
+    # Return which bands are good and inside each window (band,); SchemaError for too few.
     inside_windows = [_is_inside(declared, low, high) for low, high in windows]
     fewest = fewest_bands(degree)
     problems = Problems("the line cannot be aligned", SchemaError)
@@ -278,12 +278,12 @@ def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Arr
 
 
 def stacked(estimates: list[Estimate], name: str) -> Array:
-    """Return a field of several estimates as one array (estimate, ...)."""
+    # Return a field of several estimates as one array (estimate, ...).
     return np.stack([getattr(estimate, name) for estimate in estimates])
 
 
 def combined(windows: list[Estimate]) -> Estimate:
-    """Return the mean of the reliable windows, weighted with the inverse of their covariances."""
+    # Return the mean of the reliable windows, weighted with the inverse of their covariances.
     value, covariance, flag = (stacked(windows, name) for name in ("value", "covariance", "flag"))
     is_reliable = (flag == 0) & np.isfinite(covariance).all(axis=(2, 3))
     residual = _pooled(windows, is_reliable, "residual")

@@ -73,7 +73,7 @@ class Declared:
 
     @classmethod
     def by(cls, dataset: xr.Dataset) -> Declared:
-        """Return the declarations of a dataset; SchemaError if any are missing."""
+        # Return the declarations of a dataset; SchemaError if any are missing.
         names = [*_NEEDED, *(name for name in _OPTIONAL if name in dataset.variables)]
         arrays = schema.require(dataset, names, "the alignment")
         values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
@@ -108,7 +108,7 @@ class Declared:
         )
 
     def shift(self, columns: int) -> Floats:
-        """Return the declared shift of every element (band, column) [nm]."""
+        # Return the declared shift of every element (band, column) [nm].
         shift = self.wavelength_shift
         SchemaError.raise_if(
             not (np.isfinite(shift).all() and np.abs(shift).max() <= MAX_SHIFT_NM),
@@ -147,7 +147,7 @@ class IrradianceTable:
 
     @cached_property
     def splines(self) -> list[Any]:
-        """Splines of the bands; None for bands that are not covered."""
+        # Splines of the bands; None for bands that are not covered.
         from scipy.interpolate import RectBivariateSpline
 
         return [
@@ -156,7 +156,7 @@ class IrradianceTable:
         ]
 
     def at(self, shift: Floats, factor: Floats, *, dx: int = 0, dy: int = 0) -> Floats:
-        """Return the logarithm, or a derivative of it, (band, column), at (band, column) and (column,)."""
+        # Return the logarithm, or a derivative of it, (band, column), at (band, column) and (column,).
         log = np.full(shift.shape, np.nan)
         for band, spline in enumerate(self.splines):
             if spline is not None:
@@ -164,7 +164,7 @@ class IrradianceTable:
         return log
 
     def variance_at(self, factor: Floats) -> Floats:
-        """Return the variance of the responses (band, column) at widths (column,) [nm2]."""
+        # Return the variance of the responses (band, column) at widths (column,) [nm2].
         position = np.interp(factor, self.factors, np.arange(self.factors.size))
         lower = np.minimum(position.astype(np.int64), self.factors.size - 2)
         return np.asarray(
@@ -175,7 +175,7 @@ class IrradianceTable:
 def mean_light(
     declared: Declared, windows: list[tuple[float, float]], lines: slice | None
 ) -> tuple[Floats, Floats]:
-    """Return the record's mean spectrum in units of its level (channel,), and the level of every line."""
+    # Return the record's mean spectrum in units of its level (channel,), and the level of every line.
     share, level_of_line = shares_of_samples(declared, windows, lines)
     is_used = share > 0.0
     return share[is_used] @ declared.light.spectra[is_used], level_of_line
@@ -184,7 +184,7 @@ def mean_light(
 def shares_of_samples(
     declared: Declared, windows: list[tuple[float, float]], lines: slice | None
 ) -> tuple[Floats, Floats]:
-    """Return the weights of the record's samples (sample,) in the mean light, and the level of lines."""
+    # Return the weights of the record's samples (sample,) in the mean light, and the level of lines.
     light = declared.light
     low, high = min(low for low, _ in windows), max(high for _, high in windows)
     is_inside = (light.wavelength >= low) & (light.wavelength <= high)
@@ -223,11 +223,10 @@ def shares_of_samples(
 def table_of_bands(
     light: Light, spectrum: Floats, bands: Responses, limits: tuple[float, float], fewest: int
 ) -> IrradianceTable:
-    """Return the light matched to some bands; SchemaError where the record covers too few of them.
-
-    ``light``: the record; ``spectrum`` (channel,): its mean; ``bands``: as declared; ``limits``: lowest and
-    highest shift [nm]; ``fewest``: number of bands that must be covered.
-    """
+    # Return the light matched to some bands; SchemaError where the record covers too few of them.
+    #
+    # ``light``: the record; ``spectrum`` (channel,): its mean; ``bands``: as declared; ``limits``: lowest and
+    # highest shift [nm]; ``fewest``: number of bands that must be covered.
     nearby, spectrometer = channels_near(light, bands, limits, widths=4.0)
     imagers = [_widened(bands, float(factor)) for factor in FACTORS]
     shifts = _shift_nodes(limits)
@@ -252,10 +251,9 @@ def table_of_bands(
 def channels_near(
     light: Light, bands: Responses, limits: tuple[float, float], widths: float
 ) -> tuple[Ints, Responses]:
-    """Return the channels of a record near a window, in order of wavelength, and their responses.
-
-    ``limits``: lowest and highest shift of the bands [nm]; ``widths``: margin in widths of the channels.
-    """
+    # Return the channels of a record near a window, in order of wavelength, and their responses.
+    #
+    # ``limits``: lowest and highest shift of the bands [nm]; ``widths``: margin in widths of the channels.
     channels, width = light.wavelength, np.broadcast_to(light.fwhm, light.wavelength.shape)
     order = np.argsort(channels, kind="stable")
     reach = np.abs(limits).max() + 2.0 * bands.reach().max() + widths * width.max()
@@ -275,11 +273,10 @@ def _log_matched(matching: Matching, spectrum: Floats) -> Floats:
 def responses_table(
     spectrometer: Responses, imager: Responses, spectrum: Floats, limits: tuple[float, float], widths: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum matched to bands.
-
-    Widths are relative to the declared ones of the spectrometer; otherwise as `table_of_bands`. The third
-    result are the weights (band, channel) of the channels at the middle shift and the declared width.
-    """
+    # Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum matched to bands.
+    #
+    # Widths are relative to the declared ones of the spectrometer; otherwise as `table_of_bands`. The third
+    # result are the weights (band, channel) of the channels at the middle shift and the declared width.
     shifts = _shift_nodes(limits)
     spectrometers = [replace(spectrometer, fwhm=spectrometer.fwhm * width) for width in widths]
     operators = [_operator(widened, imager, shifts) for widened in spectrometers]
@@ -308,10 +305,9 @@ def _widened(imager: Responses, factor: float) -> Responses:
 
 
 def smooth_basis(wavelength: Floats, used: Bools, degree: int) -> tuple[Floats, Floats]:
-    """Return polynomials (column, band, power), orthonormal over the used bands, and derivatives [nm-1].
-
-    ``wavelength`` (band,) [nm]; ``used`` (band, column).
-    """
+    # Return polynomials (column, band, power), orthonormal over the used bands, and derivatives [nm-1].
+    #
+    # ``wavelength`` (band,) [nm]; ``used`` (band, column).
     scale = np.ptp(wavelength) / 2.0
     position = (wavelength - wavelength.min()) / scale - 1.0
     polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
@@ -322,7 +318,7 @@ def smooth_basis(wavelength: Floats, used: Bools, degree: int) -> tuple[Floats, 
 
 
 def variance_of_responses(bands: Responses) -> Floats:
-    """Return the variance of every band's line shape [nm2]."""
+    # Return the variance of every band's line shape [nm2].
     if bands.shape == "slit":
         return np.asarray((bands.fwhm**2 + np.asarray(bands.spacing) ** 2) / 12.0)
     if bands.shape == "tabulated":

@@ -21,7 +21,7 @@ _FIRST_LINES = 64
 
 
 def radiance_of_bands(dataset: xr.Dataset, used: npt.NDArray[np.intp]) -> xr.DataArray:
-    """Return radiance of some bands on any scale, lazily; stray light is subtracted with all bands."""
+    # Return radiance of some bands on any scale, lazily; stray light is subtracted with all bands.
     dataset = dataset.assign_attrs(absolute_scale="not needed")  # wavelengths do not depend on the scale
     if described(dataset.variables) is None:
         return radiance(dataset.isel({BAND: used}))["radiance"]
@@ -31,12 +31,11 @@ def radiance_of_bands(dataset: xr.Dataset, used: npt.NDArray[np.intp]) -> xr.Dat
 def mean_over_lines(
     cube: xr.DataArray, level: Floats, progress: Progress | None = None
 ) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """Return the mean over lines of a cube over its light's level (band, column), and its number of pixels.
-
-    One slab is in memory at a time. Lines are added in order, so that the result does not depend
-    on chunks. A pixel counts if all bands are valid, apart from bands without values in all of the first
-    lines, whose mean is NaN.
-    """
+    # Return the mean over lines of a cube over its light's level (band, column), and its number of pixels.
+    #
+    # One slab is in memory at a time. Lines are added in order, so that the result does not depend
+    # on chunks. A pixel counts if all bands are valid, apart from bands without values in all of the first
+    # lines, whose mean is NaN.
     cube = line_chunked(cube)
     count = cube.sizes[ALONG_TRACK]
     first_lines = cube[:_FIRST_LINES].values

@@ -292,12 +292,11 @@ def _linearity_curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: La
 
 
 def _refuse_undersampled(lab: LabSweep, wavelength_map: WavelengthMap, fwhm: Floats) -> None:
-    """Refuse bands farther apart than lamp lines are wide: light between such bands is not counted.
-
-    The area of a lamp line, counts summed over bands, then depends on its position between bands: for
-    Gaussian lamp lines the sum ripples by 2 exp(-2 pi^2 s^2), s the standard deviation in bands: by 6 % at a
-    full width of one band, some 1 % in the mean of steps, and by 20 % at 0.8.
-    """
+    # Refuse bands farther apart than lamp lines are wide: light between such bands is not counted.
+    #
+    # The area of a lamp line, counts summed over bands, then depends on its position between bands: for
+    # Gaussian lamp lines the sum ripples by 2 exp(-2 pi^2 s^2), s the standard deviation in bands: by 6 % at
+    # a full width of one band, some 1 % in the mean of steps, and by 20 % at 0.8.
     spacing = wavelength_map.spacing(np.arange(lab.shape[1]), lab.shape[2] // 2)
     monochromator = float(np.median(lab.width))
     if float(np.median(np.hypot(fwhm, monochromator) / spacing)) >= 1.0:
@@ -392,12 +391,10 @@ MAX_CHANGE_SHARE = 1.0 / 3.0
 
 
 def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | None:
-    """Return a description of the fault if a beam lights the columns unevenly; None for an even beam.
-
-    ``areas`` (step, cross_track) of the fitted lamp lines [count], without dead elements,
-    NaN without a lamp line; ``wavelength`` (step,) [nm]; ``tolerance`` is the allowed relative decrease over
-    the columns.
-    """
+    # Return a description of the fault if a beam lights the columns unevenly; None for an even beam.
+    #
+    # ``areas`` (step, cross_track) of the fitted lamp lines [count], without dead elements, NaN without a
+    # lamp line; ``wavelength`` (step,) [nm]; ``tolerance`` is the allowed relative decrease over the columns.
     count = np.isfinite(areas).sum(axis=1)
     steps = np.flatnonzero(count >= max(4.0, 0.5 * count.max()))
     if steps.size < 4:

@@ -74,11 +74,10 @@ def measured_shape(
     camera_width: Floats,
     shape: str,
 ) -> MeasuredShape | None:
-    """Return the response measured from the lamp lines; None where they are too few.
-
-    ``is_placed`` (step, cross_track): lamp lines that are used; ``camera_width`` (step,) [nm];
-    ``shape``: the best line model.
-    """
+    # Return the response measured from the lamp lines; None where they are too few.
+    #
+    # ``is_placed`` (step, cross_track): lamp lines that are used; ``camera_width`` (step,) [nm];
+    # ``shape``: the best line model.
     from scipy.optimize import nnls
 
     edges = np.arange(-_TABLE_REACH - _TABLE_STEP / 2, _TABLE_REACH + _TABLE_STEP, _TABLE_STEP)
@@ -178,13 +177,12 @@ def light_off_lines(
     rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats,
     dark_check: dict[str, float],
 ) -> OffLines:  # fmt: skip
-    """Return the light off the lamp lines, of which all steps have some.
-
-    ``rows`` (step, band) are counts outside the lines relative to the lines' areas, 0 inside their windows;
-    ``centre`` (step,) are the bands of the lamp lines, ``step_wavelength`` (step,) and ``wavelength`` (band,)
-    in nm; ``width`` (step,) is the measured full width at half maximum of the line [nm]; ``dark_check`` as of
-    `dark_off_lines`.
-    """
+    # Return the light off the lamp lines, of which all steps have some.
+    #
+    # ``rows`` (step, band) are counts outside the lines relative to the lines' areas, 0 inside their windows;
+    # ``centre`` (step,) are the bands of the lamp lines, ``step_wavelength`` (step,) and ``wavelength``
+    # (band,) in nm; ``width`` (step,) is the measured full width at half maximum of the line [nm];
+    # ``dark_check`` as of `dark_off_lines`.
     second_order = _second_order_share(rows, step_wavelength, wavelength, width)
     matrix = _stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second_order)
     source = np.clip(np.round(centre), 0, len(matrix) - 1).astype(np.int64)
@@ -215,12 +213,11 @@ def light_off_lines(
 def dark_off_lines(
     windows: Sequence[Window | None], area: Floats, is_placed: Bools, rows: Floats
 ) -> dict[str, float]:
-    """Return the offset of the dark, and the effect of one count of it on the light off the lamp lines.
-
-    The offset are counts off the lamp lines that are independent of their light. ``windows`` (step,);
-    ``area`` of the lines [count] and whether they are in place (step, column); ``rows`` (step, band) as of
-    `light_off_lines`. Empty where no step has a background.
-    """
+    # Return the offset of the dark, and the effect of one count of it on the light off the lamp lines.
+    #
+    # The offset are counts off the lamp lines that are independent of their light. ``windows`` (step,);
+    # ``area`` of the lines [count] and whether they are in place (step, column); ``rows`` (step, band) as of
+    # `light_off_lines`. Empty where no step has a background.
     # medians of the lit columns: counts of a band off the line, and area of the line
     level, areas, bands = np.full(len(rows), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows))
     for step, window in enumerate(windows):
@@ -360,10 +357,9 @@ def error_between_lines(
 
 
 def level_scatter(nodes: Floats) -> float:
-    """Return the relative uncertainty of the columns' median, from differences of columns (step, column) [1].
-
-    Differences that a column has at all steps are subtracted; NaN marks unknown values.
-    """
+    # Return the relative uncertainty of the columns' median, from differences of columns (step, column) [1].
+    #
+    # Differences that a column has at all steps are subtracted; NaN marks unknown values.
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of columns and steps that are all NaN
         deviation = np.log(nodes)
@@ -390,10 +386,9 @@ ELECTRONS_RANGE = (0.05, 2000.0)
 
 
 def responses_of_lines(lamp_lines: LampLines, lab: LabSweep, spacing: Floats) -> Floats:
-    """Return the integrated response at the lamp lines (step, cross_track) [count nm J-1].
-
-    ``spacing`` (step, cross_track): spacing of the bands there [nm].
-    """
+    # Return the integrated response at the lamp lines (step, cross_track) [count nm J-1].
+    #
+    # ``spacing`` (step, cross_track): spacing of the bands there [nm].
     with np.errstate(over="ignore"):  # of fits that are not trusted
         return np.asarray(lamp_lines.area * spacing / (lab.exposure[:, None] * lab.power))
 
@@ -483,7 +478,7 @@ class Result:
                 self.error_between = self.between[0]
 
     def dataset(self, flat: Floats | None) -> xr.Dataset:
-        """Return the calibration."""
+        # Return the calibration.
         gain = self.gain
         if self.lab.absolute:
             self._check_plausible(gain)

@@ -37,11 +37,11 @@ class DarkModel:
 
     @property
     def has_rate(self) -> bool:
-        """Whether the rate follows from darks at two exposures or more."""
+        # Whether the rate follows from darks at two exposures or more.
         return len(self.exposures) > 1
 
     def is_valid_at(self, exposure: float) -> bool:
-        """Return whether the model is valid at an exposure [s]: near those of the darks, to one count."""
+        # Return whether the model is valid at an exposure [s]: near those of the darks, to one count.
         if not self.has_rate:
             return abs(exposure - self.exposures[0]) <= SAME_EXPOSURE * exposure
         is_near = self.exposures[0] / MAX_EXTRAPOLATION <= exposure <= self.exposures[-1] * MAX_EXTRAPOLATION
@@ -49,12 +49,12 @@ class DarkModel:
 
     @property
     def spread(self) -> float:
-        """Standard deviation of one dark about the model [count]; 0 where there are too few."""
+        # Standard deviation of one dark about the model [count]; 0 where there are too few.
         freedom = len(self.taken) - (2 if self.has_rate else 1)
         return self.residual * float(np.sqrt(len(self.taken) / freedom)) if freedom > 0 else 0.0
 
     def leverage(self, exposure: float) -> float:
-        """Return the variance of the dark at an exposure [s] relative to the variance of one dark."""
+        # Return the variance of the dark at an exposure [s] relative to the variance of one dark.
         count = len(self.taken)
         if not self.has_rate:
             return 1.0 / count
@@ -62,12 +62,12 @@ class DarkModel:
         return float(1.0 / count + (exposure - self.taken.mean()) ** 2 / (offset**2).sum())
 
     def at(self, exposure: float) -> Floats:
-        """Return the dark counts at an exposure [s]; of a single exposure, the mean dark."""
+        # Return the dark counts at an exposure [s]; of a single exposure, the mean dark.
         return self.bias + exposure * self.rate if self.has_rate else self.bias
 
 
 def fit_dark_model(dark: Floats, exposure: Floats) -> DarkModel:
-    """Return the least-squares model of darks (dark, band, cross_track) at exposures (dark,) [s]."""
+    # Return the least-squares model of darks (dark, band, cross_track) at exposures (dark,) [s].
     different = [float(exposure.min())]
     for value in np.sort(exposure):
         if value > different[-1] * (1.0 + SAME_EXPOSURE):
@@ -222,7 +222,7 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
 
 
 def element_values(array: xr.DataArray, shape: tuple[int, ...], name: str) -> Array:
-    """Return the values of an argument; SchemaError unless its ``shape`` (band, cross_track) fits."""
+    # Return the values of an argument; SchemaError unless its ``shape`` (band, cross_track) fits.
     SchemaError.raise_if(
         set(array.dims) != set(_ELEMENT) or array.transpose(*_ELEMENT).shape != shape,
         f"{name} has sizes {dict(array.sizes)}",
@@ -281,7 +281,7 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
 
 
 def row_medians(values: Floats, used: Bools | None = None) -> Floats:
-    """Return the median of every row over used values that are not NaN; NaN without any."""
+    # Return the median of every row over used values that are not NaN; NaN without any.
     values_used = values if used is None else np.where(used, values, np.nan)
     medians, rows = np.full(len(values_used), np.nan), ~np.isnan(values_used).all(axis=1)
     medians[rows] = np.nanmedian(values_used[rows], axis=1)
@@ -289,7 +289,7 @@ def row_medians(values: Floats, used: Bools | None = None) -> Floats:
 
 
 def deviant_darks(dark: Floats, saturation: Floats | None) -> Bools:
-    """Return whether the dark of elements (band, cross_track) is not finite, saturated or an outlier."""
+    # Return whether the dark of elements (band, cross_track) is not finite, saturated or an outlier.
     is_finite = np.isfinite(dark)
     levels = np.where(is_finite, dark, np.nan)
     median = np.nanmedian(levels)

@@ -77,11 +77,11 @@ def _unit_lines(
 def deviant_elements(
     lab: LabSweep, sweep_data: SweepData, lamp_lines: LampLines, wavelength_map: WavelengthMap, shape: int
 ) -> Bools:
-    """Return the elements (band, cross_track) whose counts do not fit the lamp lines that cover them.
-
-    Centre and width of a lamp line follow from all other lamp lines, which one dead element does not affect;
-    its height is the median over its bands. One side suffices for lamp lines at the edge of the array.
-    """
+    # Return the elements (band, cross_track) whose counts do not fit the lamp lines that cover them.
+    #
+    # Centre and width of a lamp line follow from all other lamp lines, which one dead element does not
+    # affect; its height is the median over its bands. One side suffices for lamp lines at the edge of the
+    # array.
     _, bands, columns = lab.shape
     suspect, tested = np.zeros((bands, columns), np.int64), np.zeros((bands, columns), np.int64)
     widths = _camera_widths(lab, lamp_lines, wavelength_map)
@@ -125,13 +125,12 @@ def element_differences(
     *,
     has_noise: bool,
 ) -> tuple[float, float]:
-    """Return the standard deviation of the factors of elements [1], beyond noise, and a slope of noise.
-
-    The slope is that of the variance of a step's mean over the signal [count], 0 with ``has_noise``.
-    A fit of four parameters hides most of them, since a lamp line is a few bands wide. So centre and width
-    are taken from the map, and only height and a small shift are fitted. Without ``has_noise``,
-    ``sweep_data.noise`` is not valid for bright samples, and their noise is determined too.
-    """
+    # Return the standard deviation of the factors of elements [1], beyond noise, and a slope of noise.
+    #
+    # The slope is that of the variance of a step's mean over the signal [count], 0 with ``has_noise``.
+    # A fit of four parameters hides most of them, since a lamp line is a few bands wide. So centre and width
+    # are taken from the map, and only height and a small shift are fitted. Without ``has_noise``,
+    # ``sweep_data.noise`` is not valid for bright samples, and their noise is determined too.
     from scipy.optimize import nnls
 
     widths = _camera_widths(lab, lamp_lines, wavelength_map)
@@ -192,7 +191,7 @@ MAX_WIDTH_DEVIATION = 0.3
 
 
 def line_wavelengths(lamp_lines: LampLines, wavelength_map: WavelengthMap, slope_shift: Floats) -> Floats:
-    """Return mapped wavelengths of lamp line centres (step, cross_track) [nm], less the slope shift."""
+    # Return mapped wavelengths of lamp line centres (step, cross_track) [nm], less the slope shift.
     wavelength = (
         wavelength_map.at(np.nan_to_num(lamp_lines.centre), np.arange(lamp_lines.centre.shape[1]))
         - slope_shift[:, None]
@@ -203,7 +202,7 @@ def line_wavelengths(lamp_lines: LampLines, wavelength_map: WavelengthMap, slope
 def placed_lines(
     lab: LabSweep, lamp_lines: LampLines, wavelength_map: WavelengthMap, slope_shift: Floats
 ) -> Bools:
-    """Return the valid fits (step, cross_track) with typical width and chi2 that agree with the map."""
+    # Return the valid fits (step, cross_track) with typical width and chi2 that agree with the map.
     distance = np.abs(line_wavelengths(lamp_lines, wavelength_map, slope_shift) - lab.wavelength[:, None])
     misfit = np.where(lamp_lines.trusted, lamp_lines.chi2 / lamp_lines.degrees, np.nan)
     width = np.where(lamp_lines.trusted, lamp_lines.camera_width, np.nan)
@@ -217,7 +216,7 @@ def placed_lines(
 def band_widths(
     lab: LabSweep, lamp_lines: LampLines, wavelength_map: WavelengthMap, is_placed: Bools
 ) -> Floats:
-    """Return the camera's width of every band (band,) [nm] from the placed lamp lines."""
+    # Return the camera's width of every band (band,) [nm] from the placed lamp lines.
     steps = np.flatnonzero(is_placed.any(axis=1))
     spacing = wavelength_map.spacing(np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2]))
     widths = np.where(is_placed, lamp_lines.camera_width * spacing, np.nan)[steps]
@@ -231,7 +230,7 @@ def band_widths(
 
 
 def at_steps(lab: LabSweep, wavelength_map: WavelengthMap, values: Floats) -> Floats:
-    """Return a property of the bands (band,) at the wavelengths of the steps (step,)."""
+    # Return a property of the bands (band,) at the wavelengths of the steps (step,).
     centre = wavelength_map.at(np.arange(lab.shape[1]), lab.shape[2] // 2)
     order = np.argsort(centre)
     return np.interp(lab.wavelength, centre[order], values[order])
@@ -252,11 +251,10 @@ def complete_edge_lines(
     fwhm: Floats,
     shape: str,
 ) -> None:
-    """Fit the heights of lamp lines that are cut off by the edge of the array, and mark them as completed.
-
-    ``lamp_lines`` is changed. ``light`` (step,) are the wavelengths of the lamp lines in the camera [nm],
-    ``fwhm`` (step,) the width of the camera [nm], ``shape`` its line shape.
-    """
+    # Fit the heights of lamp lines that are cut off by the edge of the array, and mark them as completed.
+    #
+    # ``lamp_lines`` is changed. ``light`` (step,) are the wavelengths of the lamp lines in the camera [nm],
+    # ``fwhm`` (step,) the width of the camera [nm], ``shape`` its line shape.
     for step, window in enumerate(sweep_data.windows):
         if window is None:
             continue
@@ -339,7 +337,7 @@ _MAX_GAP_STEPS = 3.0  # median steps; wider gaps are not interpolated
 
 
 def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> Floats:
-    """Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit"."""
+    # Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit".
     if shape == "gaussian":
         return np.asarray(fwhm**2 / (8.0 * np.log(2.0)))
     return np.asarray(fwhm**2 / 6.0 if shape == "triangle" else (fwhm**2 + np.square(spacing)) / 12.0)
@@ -348,12 +346,11 @@ def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> F
 def second_order_factor(
     wavelength: Floats, level: Floats, camera_variance: Floats, source_variance: Floats
 ) -> Floats:
-    """Return the factor from the responsivity in a lamp line to that of a band at the same wavelength.
-
-    ``wavelength`` (step,) [nm]; ``level`` (step,) is the responsivity from the lamp lines' areas at any
-    scale, median of the columns, NaN where unknown; ``camera_variance`` and ``source_variance`` (step,) are
-    those of the camera's line shape and of the monochromator's [nm2].
-    """
+    # Return the factor from the responsivity in a lamp line to that of a band at the same wavelength.
+    #
+    # ``wavelength`` (step,) [nm]; ``level`` (step,) is the responsivity from the lamp lines' areas at any
+    # scale, median of the columns, NaN where unknown; ``camera_variance`` and ``source_variance`` (step,) are
+    # those of the camera's line shape and of the monochromator's [nm2].
     factor = np.ones_like(level)
     positive = np.flatnonzero(np.isfinite(level) & (level > 0))
     if positive.size < 5:
@@ -375,11 +372,10 @@ def second_order_factor(
 
 
 def monotone_slopes(x: Floats, y: Floats) -> Floats:
-    """Return slopes at nodes ``x`` (node,) for interpolation of ``y`` (node, column) without ringing.
-
-    Slopes of a cubic spline, of fourth order. Where curvature changes sign, they are limited
-    as by Fritsch and Carlson (Hyman 1983), which keeps monotone pieces monotone.
-    """
+    # Return slopes at nodes ``x`` (node,) for interpolation of ``y`` (node, column) without ringing.
+    #
+    # Slopes of a cubic spline, of fourth order. Where curvature changes sign, they are limited
+    # as by Fritsch and Carlson (Hyman 1983), which keeps monotone pieces monotone.
     from scipy.interpolate import CubicSpline
 
     if len(x) < 3:
@@ -400,12 +396,11 @@ def monotone_slopes(x: Floats, y: Floats) -> Floats:
 def interpolate_nodes(
     x: Floats, y: Floats, used: Bools, at: Floats, tolerance: float = 0.0
 ) -> tuple[Floats, Bools]:
-    """Return each column's values (place, column) between its used nodes, and where they are finite.
-
-    ``x`` (node,) increases; ``y`` and ``used`` (node, column): columns with fewer than four used nodes get
-    nothing; ``at`` (place, column) may lie ``tolerance`` beyond the outer nodes. NaN beyond them and in gaps
-    of over three steps.
-    """
+    # Return each column's values (place, column) between its used nodes, and where they are finite.
+    #
+    # ``x`` (node,) increases; ``y`` and ``used`` (node, column): columns with fewer than four used nodes get
+    # nothing; ``at`` (place, column) may lie ``tolerance`` beyond the outer nodes. NaN beyond them and in
+    # gaps of over three steps.
     values = np.full(at.shape, np.nan)
     patterns, member = np.unique(used, axis=1, return_inverse=True)
     max_gap = _MAX_GAP_STEPS * float(np.median(np.diff(x)))
@@ -438,13 +433,13 @@ def element_gain(
     etendue: Floats,
     tolerance: float = 0.0,
 ) -> tuple[Floats, Bools]:
-    """Return the gain of every element [W m-2 sr-1 nm-1 s count-1], and whether it is known.
-
-    NaN where it would be extrapolated. ``node`` (step, cross_track) is the responsivity of a band times
-    spacing, the integral of its response [count nm J-1], of the steps ``used`` there; ``step_wavelength``
-    (step,) and ``wavelength`` (band, cross_track) of the elements [nm]; ``etendue`` (cross_track,) [m2 sr].
-    Within the ``tolerance``, the uncertainty of the wavelengths [nm], an element counts as on the outer step.
-    """
+    # Return the gain of every element [W m-2 sr-1 nm-1 s count-1], and whether it is known.
+    #
+    # NaN where it would be extrapolated. ``node`` (step, cross_track) is the responsivity of a band times
+    # spacing, the integral of its response [count nm J-1], of the steps ``used`` there; ``step_wavelength``
+    # (step,) and ``wavelength`` (band, cross_track) of the elements [nm]; ``etendue`` (cross_track,) [m2 sr].
+    # Within the ``tolerance``, the uncertainty of the wavelengths [nm], an element counts as on the outer
+    # step.
     log = np.log(np.where(used & (node > 0), node, 1.0))
     log_gain, finite = interpolate_nodes(step_wavelength, log, used & (node > 0), wavelength, tolerance)
     return np.asarray(np.exp(-log_gain) / etendue), finite
@@ -463,12 +458,11 @@ def slope_shift_of_lines(
     amplitude: Floats,
     shape: str,
 ) -> Floats:
-    """Return by how much a sloping responsivity shifts the centres of the lamp lines (step,) [nm].
-
-    ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``camera_width``, ``spacing`` and
-    ``amplitude`` (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the
-    height of the line [count]; ``shape`` is the camera's line shape, ``noise`` weights the fits.
-    """
+    # Return by how much a sloping responsivity shifts the centres of the lamp lines (step,) [nm].
+    #
+    # ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``camera_width``, ``spacing`` and
+    # ``amplitude`` (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the
+    # height of the line [count]; ``shape`` is the camera's line shape, ``noise`` weights the fits.
     curvature = np.gradient(slope, lab.wavelength)
     shifts = np.zeros(len(slope))
     for step, source in enumerate(lab.width):
@@ -543,14 +537,14 @@ class LampLines:
 
     @classmethod
     def empty(cls, steps: int, columns: int) -> LampLines:
-        """Return lines without any fit."""
+        # Return lines without any fit.
         lamp_lines = cls(*(np.full((steps, columns), np.nan) for _ in fields(cls)))
         lamp_lines.covariance = np.full((steps, columns, 4, 4), np.nan)
         lamp_lines.trusted, lamp_lines.completed = np.zeros((2, steps, columns), np.bool_)
         return lamp_lines
 
     def store(self, step: int, window: Window, fits: Fits, bands: int) -> None:
-        """Store the fits of one step."""
+        # Store the fits of one step.
         index = (step, window.columns)
         self.centre[index] = fits.parameters[:, CENTRE]
         self.camera_width[index] = fits.parameters[:, WIDTH]
@@ -570,11 +564,10 @@ class LampLines:
 
 
 def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None, tick: Tick) -> SweepData:
-    """Read every step once and keep the windows around its lamp lines.
-
-    SchemaError if the lamp lines do not move along the array with the wavelengths, or columns without flux
-    are lit; a warning if lamp lines look clipped and ``saturation_count`` is missing.
-    """
+    # Read every step once and keep the windows around its lamp lines.
+    #
+    # SchemaError if the lamp lines do not move along the array with the wavelengths, or columns without flux
+    # are lit; a warning if lamp lines look clipped and ``saturation_count`` is missing.
     steps, bands, _ = lab.shape
     windows: list[Window | None] = []
     rows = np.zeros((steps, bands))
@@ -634,7 +627,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
 
 
 def binned(signal: Floats, *values: Floats) -> Floats:
-    """Return, for bins of the signal [count], the number of samples and the sums of values (row, bin)."""
+    # Return, for bins of the signal [count], the number of samples and the sums of values (row, bin).
     bins = np.searchsorted(_SIGNAL_EDGES, signal, side="right") - 1
     return np.stack([np.bincount(bins, weight, SIGNAL_BINS) for weight in (None, *values)])
 
@@ -693,11 +686,10 @@ def fit_steps(
     tick: Tick,
     first: tuple[WavelengthMap, list[Fits | None]] | None = None,
 ) -> tuple[LampLines, list[Fits | None]]:
-    """Return the lamp lines of all steps, and the fits of every step (None for a step without a line).
-
-    Without ``first``, the monochromator's line is not deconvolved: such fits give the centres. With a
-    wavelength map and first fits, they are fits of the camera's response convolved with that line.
-    """
+    # Return the lamp lines of all steps, and the fits of every step (None for a step without a line).
+    #
+    # Without ``first``, the monochromator's line is not deconvolved: such fits give the centres. With a
+    # wavelength map and first fits, they are fits of the camera's response convolved with that line.
     lamp_lines = LampLines.empty(lab.shape[0], lab.shape[2])
     fits_of_steps: list[Fits | None] = [None] * lab.shape[0]
     for step, window in enumerate(sweep_data.windows):

@@ -72,17 +72,17 @@ class LabSweep:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Steps, bands and columns."""
+        # Steps, bands and columns.
         steps, bands, columns = self.counts.shape
         return steps, bands, columns
 
     def frame(self, step: int) -> Floats:
-        """Return the mean counts of one step, dark not subtracted (band, cross_track)."""
+        # Return the mean counts of one step, dark not subtracted (band, cross_track).
         return np.asarray(self.counts.isel({STEP: step}).to_numpy(), np.float64)
 
 
 def listed(values: Any, unit: str = "", limit: int = 6) -> str:
-    """Return some values as text, and the number of further ones."""
+    # Return some values as text, and the number of further ones.
     values = list(values)
     text = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values[:limit])
     more = f" and {len(values) - limit} more" if len(values) > limit else ""
@@ -90,7 +90,7 @@ def listed(values: Any, unit: str = "", limit: int = 6) -> str:
 
 
 def refused(found: str, *, expected: str = "", mend: str = "", code: str) -> SchemaError:
-    """Return the error for one problem of a sweep."""
+    # Return the error for one problem of a sweep.
     return SchemaError(_REFUSAL, problems=[Problem(found, expected, mend, code=code)])
 
 

@@ -52,7 +52,7 @@ class NoiseModel:
     dark: float = 0.0
 
     def variance(self, signal: Floats, frames: float) -> Floats:
-        """Return the variance of the mean of some frames less the dark."""
+        # Return the variance of the mean of some frames less the dark.
         return np.asarray((self.constant + self.slope * np.maximum(signal, 0.0)) / frames + self.dark)
 
 
@@ -86,11 +86,11 @@ class Window:
 
     @property
     def places(self) -> Floats:
-        """Band of every sample (line, sample)."""
+        # Band of every sample (line, sample).
         return np.asarray(self.first[:, None] + np.arange(self.values.shape[1]), np.float64)
 
     def leave_out(self, bad: Bools) -> None:
-        """Blank the samples of bad elements (band, cross_track)."""
+        # Blank the samples of bad elements (band, cross_track).
         band_numbers = self.first[:, None] + np.arange(self.values.shape[1])
         self.values[bad[np.clip(band_numbers, 0, len(bad) - 1), self.columns[:, None]]] = np.nan
 
@@ -116,11 +116,10 @@ class Fits:
 
 
 def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -> Window | None:
-    """Return the window around the lamp line of one step; None without a line.
-
-    ``net`` (band, cross_track) are counts less dark, ``raw`` counts as read; ``bad`` elements are left
-    out; ``saturation`` is the count at which the converter is full, or None.
-    """
+    # Return the window around the lamp line of one step; None without a line.
+    #
+    # ``net`` (band, cross_track) are counts less dark, ``raw`` counts as read; ``bad`` elements are left
+    # out; ``saturation`` is the count at which the converter is full, or None.
     bands, columns = net.shape
     valid_net = np.where(bad | ~np.isfinite(net), np.nan, net)
     spectrum = _mean(valid_net, axis=1)
@@ -213,7 +212,7 @@ def _rough_width(spectrum: Floats, peak: int) -> float:
 
 
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
-    """Improve ``parameters`` (line, 4) in place, and return them with the statistics of the fits."""
+    # Improve ``parameters`` (line, 4) in place, and return them with the statistics of the fits.
     lamp_lines = len(parameters)
     fits = LineFits(
         parameters, np.empty((lamp_lines, 4, 4)), np.empty(lamp_lines), np.zeros(lamp_lines, np.bool_)
@@ -223,7 +222,7 @@ def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Float
 
 
 def fit_beam(beam: Floats) -> tuple[float, float]:
-    """Return centre and full width at half maximum of the beam over columns; NaN without a peak."""
+    # Return centre and full width at half maximum of the beam over columns; NaN without a peak.
     is_finite = np.isfinite(beam)
     columns = np.arange(beam.size, dtype=np.float64)
     weights = np.where(is_finite, 1.0, 0.0)[None]
@@ -246,11 +245,10 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
 def fit_window(
     window: Window, noise: NoiseModel, frames: float, shape: int, light: Light, start: Fits | None = None
 ) -> Fits:
-    """Return the fits of all lamp lines of a window, weighted by ``noise`` of ``frames`` frames.
-
-    ``shape`` is a value of `SHAPES`. ``light`` is the light of the step, of zero width in the first fit,
-    which is a fit without deconvolution. ``start`` are fits with start values.
-    """
+    # Return the fits of all lamp lines of a window, weighted by ``noise`` of ``frames`` frames.
+    #
+    # ``shape`` is a value of `SHAPES`. ``light`` is the light of the step, of zero width in the first fit,
+    # which is a fit without deconvolution. ``start`` are fits with start values.
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
     if start is None:
@@ -357,18 +355,18 @@ class WavelengthMap:
     residual: float  #: Robust standard deviation of the lines about the surface [nm]
 
     def at(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Floats:
-        """Return the wavelength at fractional bands and columns [nm]."""
+        # Return the wavelength at fractional bands and columns [nm].
         u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
         return np.asarray(chebyshev.chebval2d(u, v, self.coefficients))
 
     def spacing(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Floats:
-        """Return ``|d wavelength / d band|`` [nm]."""
+        # Return ``|d wavelength / d band|`` [nm].
         u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
         slope = chebyshev.chebder(self.coefficients, axis=0) * (2.0 / max(self.bands - 1, 1))
         return np.asarray(np.abs(chebyshev.chebval2d(u, v, slope)))
 
     def band_of(self, wavelength: float | Floats, column: npt.NDArray[np.int64]) -> Floats:
-        """Return the fractional bands of wavelengths [nm] in some columns, to a little beyond the array."""
+        # Return the fractional bands of wavelengths [nm] in some columns, to a little beyond the array.
         shape = np.broadcast_shapes(np.shape(wavelength), column.shape)
         low, high = np.full(shape, -0.05 * self.bands - 2.0), np.full(shape, 1.05 * self.bands + 1.0)
         is_rising = self.at(self.bands - 1.0, column) > self.at(0.0, column)
@@ -379,7 +377,7 @@ class WavelengthMap:
         return np.asarray(0.5 * (low + high))
 
     def grid(self) -> tuple[Floats, Floats]:
-        """Return wavelength and spacing of every element (band, cross_track) [nm]."""
+        # Return wavelength and spacing of every element (band, cross_track) [nm].
         band, column = np.meshgrid(np.arange(self.bands), np.arange(self.columns), indexing="ij")
         return self.at(band, column), self.spacing(band, column)
 
@@ -392,13 +390,12 @@ def fit_wavelength_map(
     band: Floats, column: Floats, wavelength: Floats, sizes: tuple[int, int], *,
     column_degree: int | None = None, uncertainty: Floats | None = None,
 ) -> WavelengthMap:  # fmt: skip
-    """Return the robust low-order surface through centres of lamp lines; SchemaError if they are too few.
-
-    ``band`` and ``column`` (line,) are the position of each lamp line, in fractional bands, ``wavelength``
-    (line,) the wavelength of its light [nm], ``uncertainty`` (line,) the standard deviation of its centre
-    [band]; ``sizes`` are bands and columns of the array. ``column_degree`` is the degree of the smile; None
-    for the lowest of 0 to 4 that suffices.
-    """
+    # Return the robust low-order surface through centres of lamp lines; SchemaError if they are too few.
+    #
+    # ``band`` and ``column`` (line,) are the position of each lamp line, in fractional bands, ``wavelength``
+    # (line,) the wavelength of its light [nm], ``uncertainty`` (line,) the standard deviation of its centre
+    # [band]; ``sizes`` are bands and columns of the array. ``column_degree`` is the degree of the smile; None
+    # for the lowest of 0 to 4 that suffices.
     n_wavelengths = len(np.unique(np.round(wavelength, 6)))
     n_columns = len(np.unique(column))
     degree = min(BAND_DEGREE, n_wavelengths - 2)
@@ -451,11 +448,10 @@ def _robust_fit(terms: Floats, values: Floats, prior: Floats, tolerance: float) 
 
 
 def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:
-    """Return the width of every band [nm] by a robust fit to widths of steps, constant beyond them.
-
-    ``wavelength``, ``width`` and ``uncertainty`` (step,) are of the lamp lines, medians over the columns;
-    ``at`` (band,) are the wavelengths of the result; all in nm.
-    """
+    # Return the width of every band [nm] by a robust fit to widths of steps, constant beyond them.
+    #
+    # ``wavelength``, ``width`` and ``uncertainty`` (step,) are of the lamp lines, medians over the columns;
+    # ``at`` (band,) are the wavelengths of the result; all in nm.
     low, high = float(wavelength.min()), float(wavelength.max())
     scale = max(high - low, 1.0)
     degree = max(min(degree, len(wavelength) - 2), 0)

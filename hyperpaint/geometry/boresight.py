@@ -105,21 +105,21 @@ class BoresightSolution:
 
     @property
     def solved(self) -> tuple[str, ...]:
-        """Names of the parameters solved for."""
+        # Names of the parameters solved for.
         return tuple(str(name) for name in self.covariance["parameter"].values)
 
     @property
     def sd(self) -> dict[str, float]:
-        """Standard uncertainty of the parameters solved for, in their units."""
+        # Standard uncertainty of the parameters solved for, in their units.
         variance = np.diag(self.covariance.values)
         return {name: float(np.sqrt(v)) for name, v in zip(self.solved, variance, strict=True)}
 
     def value(self, name: str) -> float:
-        """Return one parameter: roll, pitch, heading [degree], height [m] or clock [s]."""
+        # Return one parameter: roll, pitch, heading [degree], height [m] or clock [s].
         return (*self.boresight, self.height_offset_m, self.clock_offset_s)[PARAMETERS.index(name)]
 
     def table(self) -> str:
-        """Return the solution as text."""
+        # Return the solution as text.
         sd = self.sd
         uncertainties = {n: f"+- {sd[n]:.5f}" if n in sd else "as given" for n in PARAMETERS}
         rows = [f"{n:8} {self.value(n):+12.5f} {uncertainties[n]:12} {_PARAMETERS[n][0]}" for n in PARAMETERS]
@@ -350,21 +350,20 @@ class Sightings:
     _cache: dict[tuple[float, float], tuple[Floats, ...]] = field(default_factory=dict, repr=False)
 
     def misses(self, mounting: Floats, lines: float = 0.0) -> Floats:
-        """Return computed minus observed directions of points (point, 2): forward, right [tangent].
-
-        ``mounting`` is roll, pitch, heading of the camera in the body [degree], offset added to the altitude
-        of the record [m], and offset added to the time of the line [s]; ``lines`` is the number of lines by
-        which the observation is shifted to later times.
-        """
+        # Return computed minus observed directions of points (point, 2): forward, right [tangent].
+        #
+        # ``mounting`` is roll, pitch, heading of the camera in the body [degree], offset added to the
+        # altitude of the record [m], and offset added to the time of the line [s]; ``lines`` is the number of
+        # lines by which the observation is shifted to later times.
         vector = self._vectors(mounting, lines)
         return np.asarray(vector[:, :2] / vector[:, 2:] - np.stack([self.forward, self.right], axis=-1))
 
     def behind(self, mounting: Floats) -> Bools:
-        """Return the points behind the camera (point,), whose residuals have no meaning."""
+        # Return the points behind the camera (point,), whose residuals have no meaning.
         return np.asarray(self._vectors(mounting, 0.0)[:, 2] <= 0.0)
 
     def hits(self, mounting: Floats, height: Floats) -> Floats:
-        """Return geocentric positions (point, 3) where the lines of sight reach a height [m]."""
+        # Return geocentric positions (point, 3) where the lines of sight reach a height [m].
         *boresight, height_offset, clock = mounting.tolist()
         centre, axes, body, _, altitude = self._frames(clock, 0.0)
         look = np.stack([self.forward, self.right, np.ones_like(self.right)], axis=-1)
@@ -382,11 +381,10 @@ class Sightings:
         return np.asarray(centre + np.einsum("nji,nj->ni", axes, offset))
 
     def whitening(self, mounting: Floats) -> Floats:
-        """Return the matrix that converts residuals to pixels of picking (point, 2, 2).
-
-        A pixel along the track and a pixel across move a point in two directions of the camera's frame. With
-        equal uncertainty of picking in both, the converted residuals have unit covariance.
-        """
+        # Return the matrix that converts residuals to pixels of picking (point, 2, 2).
+        #
+        # A pixel along the track and a pixel across move a point in two directions of the camera's frame.
+        # With equal uncertainty of picking in both, the converted residuals have unit covariance.
         per_line = self.misses(mounting, 0.5) - self.misses(mounting, -0.5)
         floor = _MIN_PICKING_PX**2 * (self.step**2).sum(axis=-1)[:, None, None] * np.eye(2)
         covariance = (
@@ -540,13 +538,13 @@ class Misses:
     height: Floats | None  #: (point,): of tie points, height of the ground above the ellipsoid [m]
 
     def parameters(self, free: Floats) -> Floats:
-        """Return all five parameters."""
+        # Return all five parameters.
         parameters = self.start.copy()
         parameters[self.free] = free
         return parameters
 
     def misses(self, free: Floats) -> Floats:
-        """Return misses of all points (point, 2) [pixel of picking]; of ties from their mean position."""
+        # Return misses of all points (point, 2) [pixel of picking]; of ties from their mean position.
         parameters, misses = self.parameters(free), np.zeros((self.count, 2))
         sights = self.sights
         if self.height is not None:
@@ -560,22 +558,22 @@ class Misses:
         return misses
 
     def distances(self, free: Floats) -> Floats:
-        """Return the length of the misses (point,) [pixel of picking]; of ties the larger one for both."""
+        # Return the length of the misses (point,) [pixel of picking]; of ties the larger one for both.
         distances = np.linalg.norm(self.misses(free), axis=1)
         return distances if self.height is None else np.tile(distances.reshape(2, -1).max(axis=0), 2)
 
     def whitened(self, free: Floats) -> Misses:
-        """Return the misses with whitening computed at these parameters."""
+        # Return the misses with whitening computed at these parameters.
         parameters = self.parameters(free)
         return replace(self, white=[sight.whitening(parameters) for sight in self.sights])
 
     def slopes(self, free: Floats, used: Bools) -> Floats:
-        """Return derivatives of the misses of points that are used (2 point, parameter)."""
+        # Return derivatives of the misses of points that are used (2 point, parameter).
         changes = [self.misses(free + step) - self.misses(free - step) for step in np.diag(_STEPS[self.free])]
         return np.stack([c[used].ravel() for c in changes], axis=1) / (2.0 * _STEPS[self.free])
 
     def lengths(self, free: Floats, used: Bools) -> Floats:
-        """Return the length of the misses per unit of a parameter, for fixed ground points (parameter,)."""
+        # Return the length of the misses per unit of a parameter, for fixed ground points (parameter,).
         return np.asarray(np.linalg.norm(replace(self, height=None).slopes(free, used), axis=0))
 
 

@@ -194,20 +194,20 @@ class ConventionCheck:
 
     @property
     def wrong(self) -> tuple[str, ...]:
-        """Fields that look wrong."""
+        # Fields that look wrong.
         return tuple(finding.field for finding in self.findings if finding.verdict == "wrong")
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """Fields that could not be decided."""
+        # Fields that could not be decided.
         return tuple(finding.field for finding in self.findings if finding.verdict == "undecided")
 
     def __getitem__(self, field: str) -> Finding:
-        """Return the finding on a field."""
+        # Return the finding on a field.
         return next(finding for finding in self.findings if finding.field == field)
 
     def table(self) -> str:
-        """Return the findings as text."""
+        # Return the findings as text.
         rows = [("", "declared", "verdict", "looks like", "evidence")]
         rows += [(f.field, f.declared, f.verdict, f.likely, f.evidence) for f in self.findings]
         widths = [max(len(row[k]) for row in rows) for k in range(4)]
@@ -313,17 +313,15 @@ def check_conventions(
 
 
 def navigation_findings(lines: Mapping[str, xr.Dataset]) -> list[tuple[str, Finding]]:
-    """Return declarations and clocks that the picture of a flight line contradicts, with its name (eager).
-
-    All lines of a flight share the navigation and the spectrometer, so that only the line with the largest
-    range of roll is checked. A check that is impossible or undecided (a short or calm line, no poses, no look
-    angles, constant light) gives no finding. The field ``"irradiance clock"`` is the offset of the irradiance
-    record.
-
-    ``lines``: opened flight lines with their cubes, by name; their attributes ``ground``, ``boresight`` and
-    ``lever_arm`` are used if present.
-    """
-
+    # Return declarations and clocks that the picture of a flight line contradicts, with its name (eager).
+    #
+    # All lines of a flight share the navigation and the spectrometer, so that only the line with the largest
+    # range of roll is checked. A check that is impossible or undecided (a short or calm line, no poses, no
+    # look angles, constant light) gives no finding. The field ``"irradiance clock"`` is the offset of the
+    # irradiance record.
+    #
+    # ``lines``: opened flight lines with their cubes, by name; their attributes ``ground``, ``boresight`` and
+    # ``lever_arm`` are used if present.
     def usefulness(name: str) -> tuple[float, int]:
         rolls = lines[name]["roll"].values if "roll" in lines[name].variables else np.zeros(0)
         rolls = rolls[np.isfinite(rolls)]
@@ -512,7 +510,7 @@ class View:
     ground: float  #: Height of the ground above the ellipsoid [m]
 
     def motion(self, poses: Floats, *, boresight: tuple[float, ...] | None = None) -> Motion:
-        """Return the motion that follows from poses (6, line); NaN without a pose."""
+        # Return the motion that follows from poses (6, line); NaN without a pose.
         body = matrices(quaternions(*poses[3:]))
         rotation = body @ matrices(quaternions(*(boresight or self.boresight)))
         lever_arm = body @ np.array(self.lever_arm)
@@ -536,7 +534,7 @@ class View:
 
 
 def local_metres(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
-    """Return metres to the north and to the east of the first located line; valid within a flight line."""
+    # Return metres to the north and to the east of the first located line; valid within a flight line.
     located = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not located.size:
         return np.full(latitude.shape, np.nan), np.full(latitude.shape, np.nan)
@@ -556,7 +554,7 @@ class Hypothesis(NamedTuple):
     positions: Positions = "as declared"  #: Meaning of latitude and longitude
 
     def fields(self) -> dict[str, str]:
-        """Return the tested fields by name."""
+        # Return the tested fields by name.
         return {**{name: getattr(self.convention, name) for name in _CHOICES}, "positions": self.positions}
 
 
@@ -577,7 +575,7 @@ class Setting:
     lines: slice  #: Lines of the check
 
     def poses(self, hypothesis: Hypothesis, clock_offset_s: float = 0.0) -> Floats:
-        """Return canonical poses (6, line) under a hypothesis."""
+        # Return canonical poses (6, line) under a hypothesis.
         columns = dict(self.columns)
         if hypothesis.positions == POSITIONS[1]:
             columns |= {"latitude": columns["longitude"], "longitude": columns["latitude"]}
@@ -589,14 +587,14 @@ class Setting:
         return poses_at(self.times, values, self.line_times, clock_offset_s=clock_offset_s)
 
     def view_of(self, hypothesis: Hypothesis) -> View:
-        """Return the look directions of the zones for an order of columns."""
+        # Return the look directions of the zones for an order of columns.
         if hypothesis.convention.column_order != "right_to_left":
             return self.view
         return replace(self.view, right=-self.view.right, step=-self.view.step)
 
     @property
     def is_steady(self) -> Bools:
-        """Return the lines after which no frame is missing (line - 1,)."""
+        # Return the lines after which no frame is missing (line - 1,).
         steps = np.diff(self.line_times.astype(np.int64).astype(np.float64)) / 1e9
         return np.asarray((steps > 0) & (steps < RULES.max_steady_intervals * self.interval))
 
@@ -1158,7 +1156,7 @@ class ClockOffset:
     curve: xr.DataArray
 
     def table(self) -> str:
-        """Return the estimate as text."""
+        # Return the estimate as text.
         return f"{self.method}: {self.offset_s:+.4f} +- {self.uncertainty_s:.4f} s ({self.evidence})"
 
 

@@ -508,7 +508,7 @@ class Haze:
         return molecules, (_CONTRAST / self.visibility - _MOLECULES) * relative**-self.angstrom
 
     def extinction(self, wavelength: Floats) -> Floats:
-        """Return the extinction coefficient at ``wavelength`` [nm], same shape [m-1]."""
+        # Return the extinction coefficient at ``wavelength`` [nm], same shape [m-1].
         return np.add(*self._coefficients(wavelength))
 
     def path_radiance(self, wavelength: Floats, sun: Floats, sky: Floats, sun_zenith: float) -> Floats:

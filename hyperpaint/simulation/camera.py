@@ -196,7 +196,7 @@ class BandSet:
 
     @classmethod
     def nano_hyperspec(cls) -> BandSet:
-        """Return the 272 bands of the simulator's Headwall Nano-Hyperspec, without smile."""
+        # Return the 272 bands of the simulator's Headwall Nano-Hyperspec, without smile.
         camera = SimulationSettings()
         wavelength = np.linspace(camera.first_wavelength, camera.last_wavelength, camera.bands)
         return cls(wavelength, np.full(camera.bands, camera.fwhm_nm), camera.srf_shape)
@@ -239,12 +239,12 @@ class BandSet:
 
     @cached_property
     def spacing(self) -> Floats:
-        """Distance between neighbouring bands, shape (band,) [nm]."""
+        # Distance between neighbouring bands, shape (band,) [nm].
         return np.gradient(self.wavelength) if self.wavelength.size > 1 else self.fwhm
 
     @cached_property
     def reach(self) -> float:
-        """Distance from the centre of a band beyond which it does not respond [nm]."""
+        # Distance from the centre of a band beyond which it does not respond [nm].
         return (
             _GAUSSIAN_REACH * float(self.fwhm.max())
             if self.shape == "gaussian"
@@ -260,7 +260,7 @@ class BandSet:
 
     @cached_property
     def nodes(self) -> Floats:
-        """Shifts at which products are computed, shape (node,) [nm]: 0 without smile, else at least four."""
+        # Shifts at which products are computed, shape (node,) [nm]: 0 without smile, else at least four.
         if self.wavelength_shift is None:
             return np.zeros(1)
         min_shift, max_shift = float(self.wavelength_shift.min()), float(self.wavelength_shift.max())
@@ -294,7 +294,7 @@ class BandSet:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Lowest and highest wavelength at which any element responds [nm]."""
+        # Lowest and highest wavelength at which any element responds [nm].
         lowest = self.wavelength[0] + self.nodes.min() - self.reach
         return float(lowest), float(self.wavelength[-1] + self.nodes.max() + self.reach)
 

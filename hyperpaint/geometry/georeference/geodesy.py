@@ -149,13 +149,13 @@ def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs:
 
 
 def grid_mapping_attrs(crs: str) -> dict[str, Any]:
-    """Return the CF attributes of a ``spatial_ref`` coordinate."""
+    # Return the CF attributes of a ``spatial_ref`` coordinate.
     system = _crs(crs)
     return {**system.to_cf(), "spatial_ref": system.to_wkt()}
 
 
 def between_maps(positions: Floats, source: str, target: str) -> Floats:
-    """Return positions (n, 2) converted between reference systems, x or longitude first."""
+    # Return positions (n, 2) converted between reference systems, x or longitude first.
     if source == target:
         return positions
     x, y = _transformer(source, target).transform(positions[:, 0], positions[:, 1])
@@ -163,10 +163,9 @@ def between_maps(positions: Floats, source: str, target: str) -> Floats:
 
 
 def is_in_metres(crs: str) -> bool:
-    """Return whether a reference system is a map with coordinates in metres to the east and north.
-
-    Axes to the west or south (EPSG:2053) would mirror every map.
-    """
+    # Return whether a reference system is a map with coordinates in metres to the east and north.
+    #
+    # Axes to the west or south (EPSG:2053) would mirror every map.
     system = _crs(crs)
     directions = {axis.direction.lower() for axis in system.axis_info}
     # both axes of a map of the north pole may point south
@@ -176,10 +175,9 @@ def is_in_metres(crs: str) -> bool:
 
 
 def near_turns(x: Floats, middle: float, crs: str) -> Floats:
-    """Return the shift in full turns that brings x nearest to ``middle``.
-
-    Multiples of 360 where x is a longitude [degree]; 0 on a map.
-    """
+    # Return the shift in full turns that brings x nearest to ``middle``.
+    #
+    # Multiples of 360 where x is a longitude [degree]; 0 on a map.
     if not _crs(crs).is_geographic:
         return np.zeros_like(x)
     return np.asarray(360.0 * np.round((middle - x) / 360.0))
@@ -270,7 +268,7 @@ def _coefficients(value: Floats, reach: Floats) -> Floats:
 
 
 def turn_of_north(latitude: Floats) -> Floats:
-    """Return the rotation of true north per metre to the east [rad m-1]."""
+    # Return the rotation of true north per metre to the east [rad m-1].
     phi = np.radians(latitude)
     radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
     return np.asarray(np.tan(phi) / radius)

@@ -66,7 +66,7 @@ class Swath:
 
 
 def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
-    """Return x, y, height [m], zenith and azimuth [degree] of the pixels of a slab (part, line, column)."""
+    # Return x, y, height [m], zenith and azimuth [degree] of the pixels of a slab (part, line, column).
     from hyperpaint.kernels.rays import PLACES, level_places, raster_places
 
     poses = swath.poses[:, swath.starts[block_id[1]] : swath.starts[block_id[1] + 1]]
@@ -401,13 +401,13 @@ def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
 
 
 def line_slabs(lines: int, slab: int) -> tuple[int, ...]:
-    """Return the number of lines of every slab; the last slab has the remainder."""
+    # Return the number of lines of every slab; the last slab has the remainder.
     full_slabs, remainder = divmod(lines, slab)
     return (slab,) * full_slabs + ((remainder,) if remainder else ())
 
 
 def is_located(line: xr.Dataset) -> bool:
-    """Return whether every pixel of a line has ``east`` and ``north``."""
+    # Return whether every pixel of a line has ``east`` and ``north``.
     return all(
         axis in line.variables and set(line[axis].dims) == {ALONG_TRACK, CROSS_TRACK}
         for axis in ("east", "north")

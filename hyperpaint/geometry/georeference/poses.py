@@ -93,7 +93,7 @@ def canonical_navigation(
 
 
 def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[Any, Any]:
-    """Return attributes that declare this convention and no other."""
+    # Return attributes that declare this convention and no other.
     rest = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
     return {**rest, **convention.to_attrs()}
 
@@ -123,7 +123,7 @@ def convention_of_line(
 def convention_of(
     dataset: xr.Dataset, convention: Convention | None, subject: str = "this navigation record"
 ) -> Convention:
-    """Return the given convention, else the one of the attributes; SchemaError where there is neither."""
+    # Return the given convention, else the one of the attributes; SchemaError where there is neither.
     declared = convention or Convention.from_attrs(dataset.attrs)
     if declared is None:
         raise SchemaError(
@@ -186,7 +186,7 @@ def canonical_values(
     convention: Convention,
     crs: Any = None,
 ) -> Floats:
-    """Return canonical poses (6, row), float64, from columns in the given convention."""
+    # Return canonical poses (6, row), float64, from columns in the given convention.
     latitude, longitude = np.asarray(latitude, np.float64), np.asarray(longitude, np.float64)
     convergence = None
     if convention.heading_reference == "grid" and (convention.grid_crs or crs) is not None:
@@ -276,7 +276,7 @@ def poses_at(
     max_gap_s: float | None = None,
     interpolation: Interpolation = "linear",
 ) -> Floats:
-    """Return poses (6, line) at given times from canonical ones (6, row); see `interpolate_pose`."""
+    # Return poses (6, line) at given times from canonical ones (6, row); see `interpolate_pose`.
     check_interpolation(interpolation, max_gap_s)
     knot_ns = _nanoseconds(recorded)
     wanted_ns = _nanoseconds(time)
@@ -314,7 +314,7 @@ def poses_at(
 
 
 def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
-    """Refuse an unknown interpolation and a gap of 0 or less, as SchemaError."""
+    # Refuse an unknown interpolation and a gap of 0 or less, as SchemaError.
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
     one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
     if max_gap_s is not None and not max_gap_s > 0.0:
@@ -384,7 +384,7 @@ _MIN_ARC_RAD = 1e-8  # half angle between rotations below which the arc is repla
 
 
 def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLike) -> Floats:
-    """Return Rz(heading) Ry(pitch) Rx(roll) of angles [degree] (..., 4)."""
+    # Return Rz(heading) Ry(pitch) Rx(roll) of angles [degree] (..., 4).
     halves = [np.radians(np.asarray(angle, np.float64)) / 2 for angle in (roll, pitch, heading)]
     (cr, cp, ch), (sr, sp, sh) = ([f(half) for half in halves] for f in (np.cos, np.sin))
     return np.stack(
@@ -399,7 +399,7 @@ def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLik
 
 
 def matrices(rotation: Floats) -> Floats:
-    """Return quaternions as matrices (..., 3, 3) from the body's frame to north, east, down."""
+    # Return quaternions as matrices (..., 3, 3) from the body's frame to north, east, down.
     w, x, y, z = np.moveaxis(rotation, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -410,7 +410,7 @@ def matrices(rotation: Floats) -> Floats:
 
 
 def angles_of(rotation: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return roll (-180 to 180), pitch (-90 to 90) and heading (0 to 360) [degree] of quaternions."""
+    # Return roll (-180 to 180), pitch (-90 to 90) and heading (0 to 360) [degree] of quaternions.
     w, x, y, z = np.moveaxis(rotation, -1, 0)
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))

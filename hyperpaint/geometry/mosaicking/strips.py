@@ -47,14 +47,14 @@ class Strip:
     touched: Array  #: (tile row, tile column) bool: whether the line covers any cell of a tile
 
     def covers(self, place: tuple[int, int]) -> bool:
-        """Return whether the map has a tile at an index (row, column) of the mosaic."""
+        # Return whether the map has a tile at an index (row, column) of the mosaic.
         return all(
             0 <= k - first < size
             for k, first, size in zip(place, self.corner, self.touched.shape, strict=True)
         )
 
     def reaches(self, place: tuple[int, int]) -> bool:
-        """Return whether the line may cover a cell of a tile."""
+        # Return whether the line may cover a cell of a tile.
         return self.covers(place) and bool(self.touched[place[0] - self.corner[0], place[1] - self.corner[1]])
 
     def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
@@ -71,7 +71,7 @@ class Strip:
 
 
 def named_lines(lines: Any) -> dict[str, xr.Dataset]:
-    """Return lines by name, sorted; lines of a sequence are numbered."""
+    # Return lines by name, sorted; lines of a sequence are numbered.
     if isinstance(lines, xr.DataTree):
         lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
     SchemaError.raise_if(
@@ -87,12 +87,12 @@ def named_lines(lines: Any) -> dict[str, xr.Dataset]:
 
 
 def is_map(line: xr.Dataset) -> bool:
-    """Return whether a dataset is a map."""
+    # Return whether a dataset is a map.
     return {"y", "x"} <= set(line.dims)
 
 
 def located_lines(lines: Mapping[str, xr.Dataset], location: Mapping[str, Any]) -> dict[str, xr.Dataset]:
-    """Return the lines with ground positions; maps and located lines are returned unchanged."""
+    # Return the lines with ground positions; maps and located lines are returned unchanged.
     return {
         name: line if is_map(line) or is_located(line) else locate(line, **location)
         for name, line in lines.items()
@@ -288,7 +288,7 @@ def _cut_map(
 
 
 def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
-    """Return the value of a cell of a mosaic that no line shows."""
+    # Return the value of a cell of a mosaic that no line shows.
     return dtype.type(0) if name == "hits" else empty_value(name, dtype)
 
 

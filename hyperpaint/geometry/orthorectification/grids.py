@@ -41,13 +41,13 @@ class Axes:
         return self.right[1], -self.right[0]
 
     def along(self, east: Floats, north: Floats) -> tuple[Floats, Floats]:
-        """Return distances of points to the right of, and down from, the anchor [m]."""
+        # Return distances of points to the right of, and down from, the anchor [m].
         e, n = east - self.anchor[0], north - self.anchor[1]
         (a, b), (c, d) = self.right, self.down
         return a * e + b * n, c * e + d * n
 
     def point(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return east and north of points to the right of, and down from, the anchor [m]."""
+        # Return east and north of points to the right of, and down from, the anchor [m].
         (a, b), (c, d) = self.right, self.down
         return self.anchor[0] + x * a + y * c, self.anchor[1] + x * b + y * d
 
@@ -106,7 +106,7 @@ class MapGrid:
 
 
 def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
-    """Return the grid over a box of the axes; cells cover it if ``whole``, else their centres do."""
+    # Return the grid over a box of the axes; cells cover it if ``whole``, else their centres do.
     left, right, upper, lower = (edge / gsd for edge in box)
     if whole:
         first = math.floor(upper + _ROUNDING_CELLS), math.floor(left + _ROUNDING_CELLS)
@@ -118,7 +118,7 @@ def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
 
 
 def check_cells(problems: Problems, gsd: Any, tile: Any) -> None:
-    """Add the faults of the edge of a cell [m], None for the default, and of the cells of a tile's side."""
+    # Add the faults of the edge of a cell [m], None for the default, and of the cells of a tile's side.
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
         problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not (isinstance(tile, int | np.integer) and tile > 0):
@@ -139,7 +139,7 @@ def tile_array(
     options: Any = None,
     shared: Mapping[str, Any] | None = None,
 ) -> da.Array:
-    """Return tasks by the place of their chunk as an array; its name is a hash of sources and options."""
+    # Return tasks by the place of their chunk as an array; its name is a hash of sources and options.
     name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
     layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
     graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))

@@ -260,7 +260,7 @@ def orthorectify(
 
 
 def line_chunks(line: xr.Dataset, names: Sequence[str] = ()) -> tuple[int, ...]:
-    """Return the chunks of the cube among variables, else of the positions, along the track."""
+    # Return the chunks of the cube among variables, else of the positions, along the track.
     cubes = [name for name in names if BAND in line[name].dims]
     for name in (*cubes, "east"):
         if line[name].chunks is not None:
@@ -412,11 +412,10 @@ WHOLE_CAMERA_COLUMNS = 200  # narrower lines are crops or examples, whose swath 
 
 
 def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, float]:
-    """Return attributes of a map: ``swath``, ``height_above_ground`` [m] and ``pixel_aspect``, if known.
-
-    Takes a located line and the median distances of its columns and lines [m]. Warns (`PaintWarning`) about
-    implausible values.
-    """
+    # Return attributes of a map: ``swath``, ``height_above_ground`` [m] and ``pixel_aspect``, if known.
+    #
+    # Takes a located line and the median distances of its columns and lines [m]. Warns (`PaintWarning`) about
+    # implausible values.
     attrs = {"swath": across * line.sizes[CROSS_TRACK], "pixel_aspect": along / across}
     ground = line.attrs.get("ground")
     if isinstance(ground, float | int) and "altitude" in line.variables:
@@ -446,7 +445,7 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
 
 
 def describe_swath(attrs: dict[Any, Any]) -> str:
-    """Return the attributes of `swath_attrs` as one line of text."""
+    # Return the attributes of `swath_attrs` as one line of text.
     units = {"height_above_ground": "{:.1f} m above the ground", "swath": "swath {:.1f} m"}
     units["pixel_aspect"] = "pixels {:.2f} times as long as wide"
     return ", ".join(text.format(attrs[name]) for name, text in units.items() if name in attrs)

@@ -77,7 +77,7 @@ class Reading:
 def needed_slabs(
     survey: Survey, grid: MapGrid, chunks: Sequence[int], windows: Sequence[Sequence[Window]]
 ) -> dict[tuple[int, int], list[int]]:
-    """Return the slabs of lines that cover each tile; ``chunks`` are the lines of every slab."""
+    # Return the slabs of lines that cover each tile; ``chunks`` are the lines of every slab.
     ends = np.cumsum(chunks)
     cells = survey.boxes / grid.gsd - np.repeat([grid.first[1], grid.first[0]], 2) - 0.5
     low, high = np.fmin(cells[:-1], cells[1:]), np.fmax(cells[:-1], cells[1:])
@@ -107,12 +107,11 @@ def index_tile(
     north: Sequence[Floats],
     *relief: Sequence[Floats],
 ) -> TileIndex:
-    """Return the positions in the line at the cells of a tile.
-
-    ``starts`` are the first lines of the slabs, whose pixels lie at ``east`` and ``north`` (line, column);
-    ``relief``, if available, are the height of the ground [m] and the tangent of the view zenith angle:
-    between pixels of very different height lies ground that neither shows.
-    """
+    # Return the positions in the line at the cells of a tile.
+    #
+    # ``starts`` are the first lines of the slabs, whose pixels lie at ``east`` and ``north`` (line, column);
+    # ``relief``, if available, are the height of the ground [m] and the tangent of the view zenith angle:
+    # between pixels of very different height lies ground that neither shows.
     shape = rows.stop - rows.start, cols.stop - cols.start
     position, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
     rank, hits = np.full(shape, np.inf), np.zeros(shape, np.uint16)
@@ -136,14 +135,13 @@ def index_tile(
 
 
 def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], parallax: float) -> Bools:
-    """Return where ground is hidden between pixels and those of the line before (line, column - 1).
-
-    ``height`` [m] and ``tangent`` of the zenith angle (line, column) belong to consecutive lines, ``before``
-    (column,) to the line before. For four pixels that span a patch, the difference of heights times the
-    tangent is their shift on the map against the line of sight of their neighbours. It exceeds the pixel
-    spacing only where the surface falls away steeper than the line of sight; on a visible wall it equals the
-    spacing.
-    """
+    # Return where ground is hidden between pixels and those of the line before (line, column - 1).
+    #
+    # ``height`` [m] and ``tangent`` of the zenith angle (line, column) belong to consecutive lines,
+    # ``before`` (column,) to the line before. For four pixels that span a patch, the difference of heights
+    # times the tangent is their shift on the map against the line of sight of their neighbours. It exceeds
+    # the pixel spacing only where the surface falls away steeper than the line of sight; on a visible wall it
+    # equals the spacing.
     heights, tangents = (
         np.concatenate([first[None], lines]) for first, lines in zip(before, (height, tangent), strict=True)
     )
@@ -157,7 +155,7 @@ def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], pa
 
 
 def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
-    """Return the uncovered cells between the ends of lines (row, col)."""
+    # Return the uncovered cells between the ends of lines (row, col).
     frame = plan.grid.frame
     is_between: Bools = np.zeros(index.hits.shape, bool)
     offset = plan.between - frame[:2]
@@ -170,7 +168,7 @@ def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
 
 
 def reading_of(index: TileIndex, bilinear: bool) -> Reading:
-    """Return the reading order of the pixels of a tile: the nearest pixels, or those before each place."""
+    # Return the reading order of the pixels of a tile: the nearest pixels, or those before each place.
     positions = (index.line, index.sample) if bilinear else (index.nearest_line, index.nearest_sample)
     cells = np.flatnonzero(index.hits)
     line, sample = (part.ravel()[cells] for part in positions)
@@ -188,10 +186,9 @@ def reading_of(index: TileIndex, bilinear: bool) -> Reading:
 
 
 def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array], empty: Any) -> Array:
-    """Return spectra (row, col, band) from slabs (line, band, column) that begin at the lines ``starts``.
-
-    Uncovered cells get ``empty``, whose type the result has.
-    """
+    # Return spectra (row, col, band) from slabs (line, band, column) that begin at the lines ``starts``.
+    #
+    # Uncovered cells get ``empty``, whose type the result has.
     bands, columns = slabs[0].shape[1:]
     bilinear = reading.along.size > 0
     dtype = np.asarray(empty).dtype
@@ -217,10 +214,9 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
 def plane_values(
     reading: Reading, starts: Sequence[int], slabs: Sequence[Array], flags: bool, empty: Any
 ) -> Array:
-    """Return values (row, col) of slabs (line, column), see `map_spectra`.
-
-    With ``flags`` the bits of the four pixels of an interpolation are combined by OR.
-    """
+    # Return values (row, col) of slabs (line, column), see `map_spectra`.
+    #
+    # With ``flags`` the bits of the four pixels of an interpolation are combined by OR.
     out = np.full(reading.shape[0] * reading.shape[1], empty, slabs[0].dtype)
     for slab, start, is_slab in _by_slab(reading, starts, slabs):
         line, column, cells = reading.lines[is_slab] - start, reading.columns[is_slab], reading.cells[is_slab]
@@ -242,7 +238,7 @@ def plane_values(
 
 
 def nearest_values(index: TileIndex, values: Array, of_lines: bool, empty: Any) -> Array:
-    """Return values (row, col) of the nearest line or column, from one value per line or column."""
+    # Return values (row, col) of the nearest line or column, from one value per line or column.
     pixel = index.nearest_line if of_lines else index.nearest_sample
     return np.where(pixel >= 0, values[np.maximum(pixel, 0)], np.asarray(empty, values.dtype))
 
@@ -295,7 +291,7 @@ class Tiles:
         *,
         bilinear: bool,
     ) -> Tiles:
-        """Return tiles whose index follows from the places of pixels: see `index_tile`."""
+        # Return tiles whose index follows from the places of pixels: see `index_tile`.
         starts = tuple(np.cumsum((0, *places[0].chunks[0][:-1])).tolist())
         shared = {f"orthorectification-plan-{tokenize(plan)}": plan}
         key = next(iter(shared))
@@ -348,11 +344,10 @@ class Tiles:
         options: tuple[Any, ...],
         bands: tuple[int, ...] = (),
     ) -> da.Array:
-        """Return tiles (row, col[, band]) that ``function`` computes from an index or readings, and a source.
-
-        The source is a cube (line, band, column) or plane (line, column) in chunks of the slabs, or one value
-        per line or column in one chunk; the result has the type of the last option.
-        """
+        # Return tiles (row, col[, band]) that ``function`` computes from an index or readings, and a source.
+        #
+        # The source is a cube (line, band, column) or plane (line, column) in chunks of the slabs, or one
+        # value per line or column in one chunk; the result has the type of the last option.
         tasks: dict[tuple[int, ...], Any] = {}
         dtype = np.asarray(options[-1]).dtype
         for place, (rows, cols) in _tiles_of(self.windows):
@@ -456,10 +451,9 @@ def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
 
 
 def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
-    """Return the value of an uncovered cell.
-
-    NaN or NaT; ``off_swath`` for ``quality``; for integers -1, or the largest of an unsigned type.
-    """
+    # Return the value of an uncovered cell.
+    #
+    # NaN or NaT; ``off_swath`` for ``quality``; for integers -1, or the largest of an unsigned type.
     if name == "quality":
         return np.uint16(Quality.OFF_SWATH)
     if dtype.kind == "M":
@@ -472,7 +466,7 @@ def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
 
 
 def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[int, ...]) -> dict[str, Any]:
-    """Return the variables of a `prepared` line on a map, by new name; ``lines`` is the number per slab."""
+    # Return the variables of a `prepared` line on a map, by new name; ``lines`` is the number per slab.
     variables = {}
     for name in names:
         source = line[name]
@@ -529,6 +523,6 @@ def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
 
 
 def in_memory(values: Array, name: str, chunks: tuple[Any, ...]) -> da.Array:
-    """Return an array in memory as a dask array, whose chunks are views of it."""
+    # Return an array in memory as a dask array, whose chunks are views of it.
     meta = np.empty((0,) * values.ndim, values.dtype)
     return da.from_array(_InMemory(values), chunks, name, asarray=False, meta=meta)

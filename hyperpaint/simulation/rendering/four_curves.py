@@ -152,17 +152,17 @@ class Atmosphere:
 
     @property
     def uniform(self) -> Floats:
-        """Share of the diffuse irradiance that is uniform, shape (wavelength,) [1]."""
+        # Share of the diffuse irradiance that is uniform, shape (wavelength,) [1].
         return np.asarray(1.0 - self.overcast_share - self.molecular - self.aureole)
 
     @property
     def sun_cosine(self) -> float:
-        """Cosine of the sun's zenith angle."""
+        # Cosine of the sun's zenith angle.
         return float(np.cos(np.radians(self.sun_zenith)))
 
     @property
     def irradiance(self) -> Floats:
-        """Total irradiance of a level surface, shape (wavelength,) [W m-2 nm-1]."""
+        # Total irradiance of a level surface, shape (wavelength,) [W m-2 nm-1].
         return np.asarray(self.sun * self.sun_cosine + self.sky)
 
     @classmethod
@@ -482,7 +482,7 @@ class Atmosphere:
         )
 
     def to_dataset(self) -> xr.Dataset:
-        """Return the curves as labelled variables on ``wavelength``, with CF units."""
+        # Return the curves as labelled variables on ``wavelength``, with CF units.
         variables = {
             name: (
                 () if name in _NUMBERS else "wavelength",

@@ -201,12 +201,12 @@ class Platform:
 
     @property
     def position(self) -> Floats:
-        """East, north and up of the camera at mid exposure, shape (line, 3) [m]."""
+        # East, north and up of the camera at mid exposure, shape (line, 3) [m].
         return np.asarray(self.origin.mean(axis=1))
 
     @property
     def attitude(self) -> Floats:
-        """Roll, pitch and heading at mid exposure, shape (line, 3) [degree]; heading from 0 to 360."""
+        # Roll, pitch and heading at mid exposure, shape (line, 3) [degree]; heading from 0 to 360.
         # the mean of both rotations is the rotation nearest to their sum (Moakher 2002)
         u, _, v_transposed = np.linalg.svd(_SCENE @ self.rotation.sum(axis=1))
         mean = u @ v_transposed
@@ -218,7 +218,7 @@ class Platform:
 
     @property
     def utc(self) -> NDArray[np.datetime64]:
-        """UTC at mid exposure, shape (line,), datetime64[ns]."""
+        # UTC at mid exposure, shape (line,), datetime64[ns].
         return np.asarray(self.start + self.time.astype("timedelta64[ns]"))
 
 

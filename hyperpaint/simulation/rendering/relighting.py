@@ -659,7 +659,7 @@ class FactorSpectra:
     clip: bool = False  # limit reflectances to 0 to 1
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the factors ``rho'`` at wavelengths [nm], shape (factor, wavelength)."""
+        # Return the factors ``rho'`` at wavelengths [nm], shape (factor, wavelength).
         limits = (0.0, 1.0) if self.clip else (-np.inf, np.inf)
         keys = list(zip(self.names, self.coats, strict=True))
         rows = {

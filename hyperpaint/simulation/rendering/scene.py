@@ -312,7 +312,7 @@ class Scene:
 
     @property
     def bounds(self) -> Floats:
-        """Minimum and maximum coordinates of the triangles, shape (2, 3) [m]; NaN without triangles."""
+        # Minimum and maximum coordinates of the triangles, shape (2, 3) [m]; NaN without triangles.
         if not len(self.faces):
             return np.full((2, 3), np.nan)
         corners = self.vertices[self.faces.reshape(-1)]
@@ -320,7 +320,7 @@ class Scene:
 
     @property
     def area(self) -> Floats:
-        """Area of every triangle, shape (face,) [m2]."""
+        # Area of every triangle, shape (face,) [m2].
         return np.asarray(0.5 * np.linalg.norm(_double_area_vectors(self.vertices, self.faces), axis=1))
 
     @property
@@ -465,11 +465,11 @@ class Mesh:
             object.__setattr__(self, "normals", np.zeros_like(self.vertices))
 
     def shifted(self, offset: Sequence[float]) -> Mesh:
-        """Return the mesh moved by ``offset``: east, north and up [m]."""
+        # Return the mesh moved by ``offset``: east, north and up [m].
         return replace(self, vertices=self.vertices + np.asarray(offset, np.float64))
 
     def scene(self, materials: dict[str, Material], instance: Instance) -> Scene:
-        """Return the mesh as a scene of one instance; ``materials``: material by name of the surface."""
+        # Return the mesh as a scene of one instance; ``materials``: material by name of the surface.
         return Scene(
             instance.name,
             self.vertices,

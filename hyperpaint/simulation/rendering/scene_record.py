@@ -105,7 +105,7 @@ class TraceSettings:
 
     @property
     def slot_count(self) -> int:
-        """Slots of a pixel: 24 for each source, times the square root of samples / 64, unless given."""
+        # Slots of a pixel: 24 for each source, times the square root of samples / 64, unless given.
         if self.slots is not None:
             return self.slots
         sources = (

@@ -234,7 +234,7 @@ class Weathered:
         return np.clip(self.members(np.atleast_1d(np.asarray(wavelength, np.float64))), 0.0, 1.0)
 
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return the reflectance at ``wavelength`` [nm], the mean of the members."""
+        # Return the reflectance at ``wavelength`` [nm], the mean of the members.
         grid = np.asarray(wavelength, np.float64)
         return np.asarray(self.population(grid.ravel()).mean(axis=0).reshape(grid.shape))
 
@@ -638,11 +638,10 @@ class PaintSpec:
     pigments: Pigments | None = None
 
     def reflectance(self, wavelength: Floats) -> Floats:
-        """Return the near-normal reflectance, specular component excluded, at ``wavelength`` [nm].
-
-        Reflectance of the pigment only: in a metallic or pearl paint it applies to the light that does not
-        meet flakes; flakes add another lobe, mostly near the mirror direction.
-        """
+        # Return the near-normal reflectance, specular component excluded, at ``wavelength`` [nm].
+        #
+        # Reflectance of the pigment only: in a metallic or pearl paint it applies to the light that does not
+        # meet flakes; flakes add another lobe, mostly near the mirror direction.
         return spectrum_of(self.name)(wavelength)
 
     def material(self, name: str = "") -> Material:
