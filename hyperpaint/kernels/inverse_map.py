@@ -103,11 +103,10 @@ def _to_cells(
 
 @kernel
 def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCells, out: InverseTile) -> None:
-    """Write line and column at every cell of a tile, as far as the given lines cover it.
-
-    ``first`` is the number of the first line in ``positions``, ``last`` of the last line of the flight. Lines
-    may overlap earlier ones: patches of all orientations are visited.
-    """
+    # Write line and column at every cell of a tile, as far as the given lines cover it.
+    #
+    # ``first`` is the number of the first line in ``positions``, ``last`` of the last line of the flight.
+    # Lines may overlap earlier ones: patches of all orientations are visited.
     east, north, hidden = positions.east, positions.north, positions.hidden
     pixel_position, nearest, rank, hits = out
     frame, (first_row, first_col), rule = cells.frame, cells.corner, cells.rule
@@ -185,11 +184,10 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
 
 @kernel
 def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Array) -> None:
-    """Mark the cells whose centres lie between the ends of successive lines: ``inside`` (row, col).
-
-    ``ends`` (pair, 4, 2) are east and north of the corners of the area between two lines, in the order around
-    it [m]; ``frame`` and ``corner`` those of `hyperpaint.kernels.arguments.MapCells`.
-    """
+    # Mark the cells whose centres lie between the ends of successive lines: ``inside`` (row, col).
+    #
+    # ``ends`` (pair, 4, 2) are east and north of the corners of the area between two lines, in the order
+    # around it [m]; ``frame`` and ``corner`` those of `hyperpaint.kernels.arguments.MapCells`.
     first_row, first_col = corner
     last_row, last_col = first_row + inside.shape[0] - 1.0, first_col + inside.shape[1] - 1.0
     x, y, crossing = np.empty(4), np.empty(4), np.empty(4)
@@ -225,12 +223,11 @@ def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Arr
 
 @kernel
 def look_at_lines(east: Array, north: Array, frame: Array, out: Array) -> None:
-    """Write bounding box and ends of the located pixels of lines; lines without located pixels keep NaN.
-
-    ``frame`` (6,) are east and north of an anchor, then the factors that turn offsets from it into distances
-    to the right and down. ``out`` (line, 8 or more): least and largest distance to the right and down [m],
-    then east and north of the first and the last pixel.
-    """
+    # Write bounding box and ends of the located pixels of lines; lines without located pixels keep NaN.
+    #
+    # ``frame`` (6,) are east and north of an anchor, then the factors that turn offsets from it into
+    # distances to the right and down. ``out`` (line, 8 or more): least and largest distance to the right and
+    # down [m], then east and north of the first and the last pixel.
     for line in range(east.shape[0]):
         left, right, upper, lower = math.inf, -math.inf, math.inf, -math.inf
         for column in range(east.shape[1]):
@@ -268,11 +265,10 @@ def _transpose(source: Array, start: int, stop: int, out: Array) -> None:
 def gather_nearest(
     slab: Array, lines: Array, columns: Array, cells: Array, spectra: Array, out: Array
 ) -> None:
-    """Copy the spectra of pixels of a slab (line, band, column) to ``out`` (cell, band).
-
-    ``lines`` and ``columns`` (pixel,) are the pixels in the order of their lines, ``cells`` (pixel,) their
-    targets; ``spectra`` (column, band) is a buffer of the dtype of ``out``.
-    """
+    # Copy the spectra of pixels of a slab (line, band, column) to ``out`` (cell, band).
+    #
+    # ``lines`` and ``columns`` (pixel,) are the pixels in the order of their lines, ``cells`` (pixel,) their
+    # targets; ``spectra`` (column, band) is a buffer of the dtype of ``out``.
     k = 0
     while k < lines.size:
         stop, low, high = k, columns[k], columns[k]
@@ -291,11 +287,10 @@ def gather_nearest(
 def gather_bilinear(
     slab: Array, after: Array, places: Places, spectra: Array, next_spectra: Array, out: Array
 ) -> None:
-    """Write spectra (cell, band), interpolated between four pixels of a slab (line, band, column).
-
-    A value is NaN where a pixel that has weight is NaN. ``after`` (band, column) is the line that follows the
-    slab; ``spectra`` and ``next_spectra`` (column, band) are buffers of the dtype of ``out``.
-    """
+    # Write spectra (cell, band), interpolated between four pixels of a slab (line, band, column).
+    #
+    # A value is NaN where a pixel that has weight is NaN. ``after`` (band, column) is the line that follows
+    # the slab; ``spectra`` and ``next_spectra`` (column, band) are buffers of the dtype of ``out``.
     lines, columns, along, across, cells = places
     last = slab.shape[2] - 1
     k = 0

@@ -65,12 +65,12 @@ def _four_boxes(x: float, a: float, b: float, c: float) -> float:
 
 @kernel
 def line_profile(x: float, width: float, source: float, shape: int, triangular: bool) -> float:
-    """Return the profile of a lamp line, of unit area, at a distance from its centre [samples].
-
-    ``width`` is the full width at half maximum of the instrument's own response, whose ``shape`` is
-    `GAUSSIAN`, or `SLIT`: a box ``width`` wide, the slit's image, convolved with a sample of width 1.
-    ``source`` is the full width at half maximum of the light, whose spectrum is triangular or else Gaussian.
-    """
+    # Return the profile of a lamp line, of unit area, at a distance from its centre [samples].
+    #
+    # ``width`` is the full width at half maximum of the instrument's own response, whose ``shape`` is
+    # `GAUSSIAN`, or `SLIT`: a box ``width`` wide, the slit's image, convolved with a sample of width 1.
+    # ``source`` is the full width at half maximum of the light, whose spectrum is triangular or else
+    # Gaussian.
     if shape == GAUSSIAN:
         if triangular and source > _MIN_BOX_SAMPLES:
             return _two_boxes(x, source, source, _SIGMA * width)
@@ -207,10 +207,9 @@ def _fit_line(
 
 @kernel
 def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits) -> None:
-    """Fit offset + area x profile (see `line_profile`) to every row by the Levenberg-Marquardt method.
-
-    ``fits`` hold the start values, and receive the results.
-    """
+    # Fit offset + area x profile (see `line_profile`) to every row by the Levenberg-Marquardt method.
+    #
+    # ``fits`` hold the start values, and receive the results.
     parameters, covariance, chi2, converged = fits
     for line in range(samples.values.shape[0]):
         if not (np.isfinite(parameters[line]).all() and parameters[line, WIDTH] > 0.0):

@@ -60,11 +60,10 @@ def polynomial_row(polynomial: Array | None, counts: Array) -> None:
 
 @borrowing_kernel
 def table_row(detector: DetectorModel, table: Array | None, memory: LinearMemory, counts: Array) -> None:
-    """Linearise counts (column,) in place by a table of corrections.
-
-    The table is linear between nodes, and extrapolated from the two outermost nodes. Node numbers are
-    computed in a separate loop, because look-ups do not vectorise.
-    """
+    # Linearise counts (column,) in place by a table of corrections.
+    #
+    # The table is linear between nodes, and extrapolated from the two outermost nodes. Node numbers are
+    # computed in a separate loop, because look-ups do not vectorise.
     if table is not None:
         node, part = memory.node, memory.part
         last = np.float32(table.size - 2)
@@ -140,10 +139,9 @@ def slope_row(
 
 @inlined_kernel
 def rounded(value: Any, rounding: Rounding | None) -> Any:
-    """Return a float32 rounded to nearest-even.
-
-    Masks are used instead of shifts, which numba would do in 64 bits.
-    """
+    # Return a float32 rounded to nearest-even.
+    #
+    # Masks are used instead of shifts, which numba would do in 64 bits.
     if rounding is None:
         return value
     bits = np.float32(value).view(np.uint32)

@@ -12,11 +12,10 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 @kernel
 def average_blocks(values: Array, side: int, out: Array) -> None:
-    """Write the means of ``side`` x ``side`` blocks of values (line, band, column), float32.
-
-    ``out`` is (row, band, block), float32. NaN samples are left out; blocks at the far edges may be smaller.
-    Sums run over lines, then over columns, so that they vectorise.
-    """
+    # Write the means of ``side`` x ``side`` blocks of values (line, band, column), float32.
+    #
+    # ``out`` is (row, band, block), float32. NaN samples are left out; blocks at the far edges may be
+    # smaller. Sums run over lines, then over columns, so that they vectorise.
     lines, bands, columns = values.shape
     sums, counts = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for row in range(out.shape[0]):
@@ -39,11 +38,10 @@ def average_blocks(values: Array, side: int, out: Array) -> None:
 
 @kernel
 def mix_bands(values: Array, weights: Array, out: Array) -> None:
-    """Write linear sRGB (line, column, 3) of values (line, band, column), all float32.
-
-    ``weights`` are (3, band, column). A NaN band of a pixel with other valid bands is saturated and counts as
-    1; a pixel without valid bands is black.
-    """
+    # Write linear sRGB (line, column, 3) of values (line, band, column), all float32.
+    #
+    # ``weights`` are (3, band, column). A NaN band of a pixel with other valid bands is saturated and counts
+    # as 1; a pixel without valid bands is black.
     lines, bands, columns = values.shape
     filled, fallback = np.empty(columns, np.float32), np.empty(columns, np.float32)
     sums = np.empty((3, columns), np.float32)

@@ -51,10 +51,9 @@ def dark_of_line(
     line: Any,
     blended: Array,
 ) -> Array:
-    """Return the dark of a line of counts (band, column), computed in ``blended`` where it is not stored.
-
-    The other arguments are members of `Calibration` and its `DetectorModel`.
-    """
+    # Return the dark of a line of counts (band, column), computed in ``blended`` where it is not stored.
+    #
+    # The other arguments are members of `Calibration` and its `DetectorModel`.
     line_dark: Array = dark[0]
     if index is not None and weight is not None:
         blend(dark[index[line]], dark[index[line] + 1], weight[line], blended)
@@ -77,11 +76,10 @@ def value_row(
     line_and_band: tuple[Any, Any],
     out: Array,
 ) -> None:
-    """Write the values of ``line_and_band`` from counts, or from the linear ``signal`` above dark.
-
-    ``signal`` is (column,); ``shift`` is ``light.shift``. Arrays are indexed by line and band: four row views
-    would cost a quarter of the loop's time.
-    """
+    # Write the values of ``line_and_band`` from counts, or from the linear ``signal`` above dark.
+    #
+    # ``signal`` is (column,); ``shift`` is ``light.shift``. Arrays are indexed by line and band: four row
+    # views would cost a quarter of the loop's time.
     line, band = line_and_band
     counts, dark, gain = samples.counts, samples.dark, samples.gain
     if shift is None:
@@ -155,11 +153,11 @@ def calibrate_slab(
     rounding: Rounding | None,
     out: SlabOutputs,
 ) -> None:
-    """Calibrate whole lines of counts (line, band, column), uint16 or float32, with flags and uncertainties.
-
-    The cube is always written; the quality only with ``flags``, the uncertainties only with ``terms``. Absent
-    members of detector and terms are None (`without_empty_arrays`), so that their branches are not compiled.
-    """
+    # Calibrate whole lines of counts (line, band, column), uint16 or float32, with flags and uncertainties.
+    #
+    # The cube is always written; the quality only with ``flags``, the uncertainties only with ``terms``.
+    # Absent members of detector and terms are None (`without_empty_arrays`), so that their branches are not
+    # compiled.
     n_line, n_band, n_column = counts.shape
     detector = calibration.detector
     is_dark_by_line = calibration.dark_index is not None or detector.masked is not None
@@ -226,11 +224,10 @@ _FAR_SD = 5.0
 
 @borrowing_kernel
 def pedestal_of(counts: Array, dark: Array, masked: Array) -> Any:
-    """Return the mean of counts less dark (band, column) over ``masked`` elements (n, 2) [count], float32.
-
-    Computed twice; the second time without elements over `_FAR_SD` standard deviations from the first mean. 0
-    where no count is finite.
-    """
+    # Return the mean of counts less dark (band, column) over ``masked`` elements (n, 2) [count], float32.
+    #
+    # Computed twice; the second time without elements over `_FAR_SD` standard deviations from the first mean.
+    # 0 where no count is finite.
     mean, limit = 0.0, np.inf
     for _ in range(2):
         count, total, squares = 0, 0.0, 0.0
@@ -278,11 +275,10 @@ class Tally(NamedTuple):
 
 @borrowing_kernel
 def count_levels(dark: Array, margin: Array, is_integer: Any, level: Array, floor: Array) -> None:
-    """Write the dark level, and the dark less its noise margin, as counts (band, column).
-
-    A sample is below a level exactly when its integer count is below the level rounded up. Levels of an
-    element without a margin are set so that no count is below them.
-    """
+    # Write the dark level, and the dark less its noise margin, as counts (band, column).
+    #
+    # A sample is below a level exactly when its integer count is below the level rounded up. Levels of an
+    # element without a margin are set so that no count is below them.
     lowest = np.float32(0.0 if is_integer else -np.inf)
     for band in range(dark.shape[0]):
         for x in range(dark.shape[1]):
@@ -330,12 +326,11 @@ def flag_line(
     line_flags: Any,
     quality: Array,
 ) -> None:
-    """Write the quality (column,) of a line of counts (band, column) from the tally of `gather_row`.
-
-    Bands are visited again only where single elements decide: in columns that reach the lowest saturation
-    count, or have counts below the dark. A few such columns are visited one by one, many row by row. A line
-    without data gets the flags of the line alone.
-    """
+    # Write the quality (column,) of a line of counts (band, column) from the tally of `gather_row`.
+    #
+    # Bands are visited again only where single elements decide: in columns that reach the lowest saturation
+    # count, or have counts below the dark. A few such columns are visited one by one, many row by row. A line
+    # without data gets the flags of the line alone.
     bands, columns = counts.shape
     if (line_flags & flags.no_data) != 0:
         for x in range(columns):

@@ -118,10 +118,9 @@ def _direction(rays: LineRays, line: int, column: int) -> Vector:
 
 @kernel
 def level_places(rays: LineRays, frames: LineFrames, ground: float, out: Array) -> None:
-    """Intersect the rays of lines with the surface at ``ground`` [m] above the ellipsoid.
-
-    ``out`` (`PLACES`, line, column) is written; NaN where a ray meets no ground.
-    """
+    # Intersect the rays of lines with the surface at ``ground`` [m] above the ellipsoid.
+    #
+    # ``out`` (`PLACES`, line, column) is written; NaN where a ray meets no ground.
     for line in range(rays.origin.shape[0]):
         e, n, u = rays.origin[line, 0], rays.origin[line, 1], rays.origin[line, 2]
         for column in range(rays.look.shape[0]):
@@ -277,11 +276,10 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
 
 @kernel
 def raster_places(rays: LineRays, frames: LineFrames, raster: Raster, out: Array) -> None:
-    """Intersect the rays of lines with the bilinear surface through a raster; see `level_places`.
-
-    The first intersection counts. A ray that is below the surface where it leaves a hole or enters the raster
-    has met the ground at an unknown position: its results are NaN.
-    """
+    # Intersect the rays of lines with the bilinear surface through a raster; see `level_places`.
+    #
+    # The first intersection counts. A ray that is below the surface where it leaves a hole or enters the
+    # raster has met the ground at an unknown position: its results are NaN.
     for line in range(rays.origin.shape[0]):
         e, n, u = rays.origin[line, 0], rays.origin[line, 1], rays.origin[line, 2]
         for column in range(rays.look.shape[0]):

@@ -40,10 +40,9 @@ def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
 def light_row(
     light: LightCells, shift: Array | None, line_and_band: tuple[Any, Any], irradiance: Array, inverse: Array
 ) -> None:
-    """Write the irradiance E of ``line_and_band``, and 1 / E (column,).
-
-    Values are gain x (counts - dark) / E. ``shift`` is ``light.shift``.
-    """
+    # Write the irradiance E of ``line_and_band``, and 1 / E (column,).
+    #
+    # Values are gain x (counts - dark) / E. ``shift`` is ``light.shift``.
     line, band = line_and_band
     if shift is None:
         scale = light.coefficients[line, band, 0, 0]
@@ -71,10 +70,9 @@ def random_row(
     line_and_band: tuple[Any, Any],
     out: SlabOutputs,
 ) -> None:
-    """Write u = m sqrt(signal / k + floor), m: reflectance per count, k: counts per electron.
-
-    A negative signal adds no variance.
-    """
+    # Write u = m sqrt(signal / k + floor), m: reflectance per count, k: counts per electron.
+    #
+    # A negative signal adds no variance.
     line, band = line_and_band
     inverse, gain = memory.inverse[band % 3], samples.gain[band]
     per_electron = terms.per_electron[band if terms.per_electron.shape[0] > 1 else 0]
@@ -110,11 +108,10 @@ def systematic_row(
     band: Any,
     u_systematic: Array,
 ) -> None:
-    """Write the systematic uncertainty (column,) of a band from the values of its line (band, column).
-
-    It is the root of the sum of squares of three terms: relative, dark offset, and wavelength. ``slope`` and
-    ``offset`` are members of ``terms``.
-    """
+    # Write the systematic uncertainty (column,) of a band from the values of its line (band, column).
+    #
+    # It is the root of the sum of squares of three terms: relative, dark offset, and wavelength. ``slope``
+    # and ``offset`` are members of ``terms``.
     relative = terms.relative[band if terms.relative.shape[0] > 1 else 0]
     rounding = memory.rounding
     if offset is None:
@@ -165,11 +162,10 @@ def propagate_band(
     line_and_band: tuple[Any, Any],
     out: SlabOutputs,
 ) -> None:
-    """Write the random uncertainty of ``line_and_band``, and round finished bands.
-
-    The systematic uncertainty of a band needs irradiance and unrounded values of the next band, and is
-    therefore computed one band later.
-    """
+    # Write the random uncertainty of ``line_and_band``, and round finished bands.
+    #
+    # The systematic uncertainty of a band needs irradiance and unrounded values of the next band, and is
+    # therefore computed one band later.
     line, band = line_and_band
     values = out.cube[line]
     last = values.shape[0] - 1

@@ -12,12 +12,11 @@ from hyperpaint.base.jit import kernel
 
 @kernel
 def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None:
-    """Write the relative step from every pixel to the next one across and along the track (line, column).
-
-    A step is the root mean square over ``channels`` (line, column, channel), reflectances [1], of differences
-    over their mean plus ``floor`` [1]; infinite where there is no next pixel, or half the channels lack data.
-    The outputs may have fewer lines than ``channels``.
-    """
+    # Write the relative step from every pixel to the next one across and along the track (line, column).
+    #
+    # A step is the root mean square over ``channels`` (line, column, channel), reflectances [1], of
+    # differences over their mean plus ``floor`` [1]; infinite where there is no next pixel, or half the
+    # channels lack data. The outputs may have fewer lines than ``channels``.
     lines, columns, count = channels.shape
     for line in range(across.shape[0]):
         for x in range(columns):
@@ -48,10 +47,9 @@ def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None
 
 @kernel
 def count_steps(steps: Array, bits: Array, counts: Array) -> None:
-    """Count finite ``steps``, float32 >= 0, in buckets (32768,) by the upper 16 of their ``bits``.
-
-    ``bits`` are the steps viewed as uint32, whose order is that of the steps.
-    """
+    # Count finite ``steps``, float32 >= 0, in buckets (32768,) by the upper 16 of their ``bits``.
+    #
+    # ``bits`` are the steps viewed as uint32, whose order is that of the steps.
     for k in range(steps.size):
         if steps[k] < np.inf:
             counts[bits[k] >> 16] += 1
@@ -67,10 +65,9 @@ def pick_steps(
     values: Array,
     start: Any,
 ) -> Any:
-    """Write places and bits of the steps in a range of buckets; return the number written so far.
-
-    ``first_place`` is the place of the first given step, ``start`` the number written before.
-    """
+    # Write places and bits of the steps in a range of buckets; return the number written so far.
+    #
+    # ``first_place`` is the place of the first given step, ``start`` the number written before.
     count = start
     for k in range(bits.size):
         bucket = bits[k] >> 16
@@ -82,11 +79,10 @@ def pick_steps(
 
 @kernel
 def sort_steps(places: Array, values: Array, other_places: Array, other_values: Array) -> None:
-    """Sort places by their values (uint32), keeping the order of equal ones: a radix sort in three passes.
-
-    Each pass sorts into 2048 buckets by 11 bits, lowest bits first. The result is in ``other_places`` and
-    ``other_values``.
-    """
+    # Sort places by their values (uint32), keeping the order of equal ones: a radix sort in three passes.
+    #
+    # Each pass sorts into 2048 buckets by 11 bits, lowest bits first. The result is in ``other_places`` and
+    # ``other_values``.
     starts = np.empty(2049, np.int64)
     for digit in range(3):
         if digit % 2 == 0:
@@ -117,16 +113,15 @@ def root_of(parent: Array, pixel: Any) -> Any:
 def join_segments(
     order: Array, steps: Array, columns: Any, scale: Any, parent: Array, size: Array, within: Array
 ) -> None:
-    """Join pixels over the steps between them, smallest first (Felzenszwalb & Huttenlocher 2004).
-
-    Two segments are joined where the step between them is at most the largest step inside
-    the segment plus ``scale`` over its size, for both segments.
-
-    ``order`` (step,) are the places of ``steps`` (step,), both by ascending steps: 2 x pixel for the step
-    across, 2 x pixel + 1 for the step along; ``columns``: pixels of a line. Outputs are the tree of every
-    pixel, ``parent`` (pixel,), and at its root the ``size`` of the segment [pixel] and ``within``, the
-    largest step inside it. A later call may continue with larger steps.
-    """
+    # Join pixels over the steps between them, smallest first (Felzenszwalb & Huttenlocher 2004).
+    #
+    # Two segments are joined where the step between them is at most the largest step inside
+    # the segment plus ``scale`` over its size, for both segments.
+    #
+    # ``order`` (step,) are the places of ``steps`` (step,), both by ascending steps: 2 x pixel for the step
+    # across, 2 x pixel + 1 for the step along; ``columns``: pixels of a line. Outputs are the tree of every
+    # pixel, ``parent`` (pixel,), and at its root the ``size`` of the segment [pixel] and ``within``, the
+    # largest step inside it. A later call may continue with larger steps.
     for k in range(order.size):
         edge, step = order[k], steps[k]
         root = edge // 2
@@ -172,10 +167,9 @@ def mark_large(parent: Array, size: Array, columns: Any, min_size: Any, min_core
 
 @kernel
 def absorb(order: Array, columns: Any, large: Array, parent: Array, size: Array) -> None:
-    """Join every segment that is not ``large`` (pixel,), at its root, to a neighbour, by ascending steps.
-
-    A later call may continue with larger steps.
-    """
+    # Join every segment that is not ``large`` (pixel,), at its root, to a neighbour, by ascending steps.
+    #
+    # A later call may continue with larger steps.
     for edge in order:
         root = edge // 2
         other_root = root + 1 if edge % 2 == 0 else root + columns
@@ -190,10 +184,9 @@ def absorb(order: Array, columns: Any, large: Array, parent: Array, size: Array)
 
 @kernel
 def number_segments(parent: Array, valid: Array, number: Array) -> Any:
-    """Write the segment of every pixel, numbered by first pixel; return the number of segments.
-
-    Pixels that are not ``valid`` get -1.
-    """
+    # Write the segment of every pixel, numbered by first pixel; return the number of segments.
+    #
+    # Pixels that are not ``valid`` get -1.
     count = 0
     numbers = np.full(parent.size, -1, np.int32)
     for pixel in range(parent.size):
@@ -221,11 +214,10 @@ def count_pixels(number: Array, chosen: Array, counts: Array) -> None:
 def sample_places(
     number: Array, chosen: Array, wanted: Array, step: Array, start: Array, counts: Array, out: Array
 ) -> None:
-    """Write the places (line by line) of every ``step``-th pixel of each segment.
-
-    Only pixels whose ``chosen`` equals the segment's ``wanted`` are sampled. ``start`` (segment,) is the
-    place in ``out`` of a segment's first sample; ``counts`` (segment,) starts at 0.
-    """
+    # Write the places (line by line) of every ``step``-th pixel of each segment.
+    #
+    # Only pixels whose ``chosen`` equals the segment's ``wanted`` are sampled. ``start`` (segment,) is the
+    # place in ``out`` of a segment's first sample; ``counts`` (segment,) starts at 0.
     columns = number.shape[1]
     for line in range(number.shape[0]):
         for x in range(columns):
@@ -245,12 +237,12 @@ def to_pixels(parent: Array, root_values: Array, pixel_values: Array) -> None:
 
 @kernel
 def boundary_distance(body: Array, reliable: Array, max_distance: Any, distance: Array) -> None:
-    """Write the distance of every pixel (in steps to eight neighbours) from a mixed or unknown pixel.
-
-    ``body`` (line, column) is the body a pixel shows, -1 where unknown. The ``distance`` is 0 in a mixed
-    pixel, 1 beside another body, and so on up to ``max_distance`` (<= 255). A pixel that is not ``reliable``,
-    because its body was taken from its neighbours, has 0 where another body is within 2 pixels.
-    """
+    # Write the distance of every pixel (in steps to eight neighbours) from a mixed or unknown pixel.
+    #
+    # ``body`` (line, column) is the body a pixel shows, -1 where unknown. The ``distance`` is 0 in a mixed
+    # pixel, 1 beside another body, and so on up to ``max_distance`` (<= 255). A pixel that is not
+    # ``reliable``, because its body was taken from its neighbours, has 0 where another body is within 2
+    # pixels.
     lines, columns = body.shape
     for line in range(lines):
         for x in range(columns):
@@ -298,12 +290,11 @@ def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
 
 @kernel
 def nearest_sources(labels: Array, distances: Array, reach: Any) -> None:
-    """Spread labels from labelled cells to all cells within reach, keeping the nearest ones.
-
-    ``labels`` (line, column, place) hold a cell's label at the first place, -1 without one, and receive the
-    nearest labels; ``distances`` hold 0 at a label, else infinity, and receive their distances [cell]; labels
-    spread no farther than ``reach`` [cell].
-    """
+    # Spread labels from labelled cells to all cells within reach, keeping the nearest ones.
+    #
+    # ``labels`` (line, column, place) hold a cell's label at the first place, -1 without one, and receive the
+    # nearest labels; ``distances`` hold 0 at a label, else infinity, and receive their distances [cell];
+    # labels spread no farther than ``reach`` [cell].
     lines, columns, slots = labels.shape
     for _ in range(2):
         for sweep in range(2):

@@ -65,11 +65,10 @@ def has_gap(values: Array) -> Any:
 
 @borrowing_kernel
 def average_line(values: Array, width: int, ends: Array, beginning: Array, out: Array) -> None:
-    """Write the means of a line (band, column) without NaN.
-
-    ``ends`` (width + 1, column): sums from a band of the block to its end; ``beginning`` (column,): sum from
-    the beginning of the next block.
-    """
+    # Write the means of a line (band, column) without NaN.
+    #
+    # ``ends`` (width + 1, column): sums from a band of the block to its end; ``beginning`` (column,): sum
+    # from the beginning of the next block.
     bands, columns = values.shape
     half = width // 2
     for first in range(0, bands, width):
@@ -157,10 +156,9 @@ def filter_slab(values: Array, weights: Array, first: Array, fallback: Array, ou
 
 @inlined_kernel
 def weigh_rows(values: Array, weights: Array, first: Any, k: Any, out: Array) -> None:
-    """Add the weighted values (band, column) of `_BANDS_PER_LOOP` bands of a window, from its ``k``-th on.
-
-    Beyond the window, its first band is read with weight 0; where that is NaN, the sum is NaN already.
-    """
+    # Add the weighted values (band, column) of `_BANDS_PER_LOOP` bands of a window, from its ``k``-th on.
+    #
+    # Beyond the window, its first band is read with weight 0; where that is NaN, the sum is NaN already.
     w0, r0 = weight_and_row(values, weights, first, k)
     w1, r1 = weight_and_row(values, weights, first, k + 1)
     w2, r2 = weight_and_row(values, weights, first, k + 2)
@@ -204,11 +202,10 @@ def without_missing(values: Array, fallback: Array, line: Any, band: Any, x: Any
 
 @kernel
 def resample_slab(values: Array, first: Array, weights: Array, out: Array) -> None:
-    """Write sum_k weights[band, column, k] values[first + k]; NaN where a sample with weight is NaN.
-
-    ``first`` (band, column) is the first of four bands; ``weights`` are NaN where interpolation is
-    impossible. Values are (line, band, column), float32.
-    """
+    # Write sum_k weights[band, column, k] values[first + k]; NaN where a sample with weight is NaN.
+    #
+    # ``first`` (band, column) is the first of four bands; ``weights`` are NaN where interpolation is
+    # impossible. Values are (line, band, column), float32.
     for line in range(values.shape[0]):
         for band in range(out.shape[1]):
             for x in range(out.shape[2]):

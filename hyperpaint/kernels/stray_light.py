@@ -37,10 +37,9 @@ class StrayWork(NamedTuple):
 def net_line(
     counts: Array, line: Any, dark: Array, detector: DetectorModel, linear: LinearMemory | None, net: Array
 ) -> None:
-    """Write linear counts above the ``dark`` of a line (band, column), 0 where they are not finite.
-
-    Saturated counts are used as read, as a lower bound.
-    """
+    # Write linear counts above the ``dark`` of a line (band, column), 0 where they are not finite.
+    #
+    # Saturated counts are used as read, as a lower bound.
     for band in range(counts.shape[1]):
         row = net[band]
         if linear is None:
@@ -64,12 +63,11 @@ def replace_bad(net: Array, replacements: Array) -> None:
 
 @borrowing_kernel
 def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Array) -> None:
-    """Write the counts of a line (band, column) that come from other bands [count].
-
-    First the smear, a share of the sum over the bands; then, from the counts without smear, the product of
-    two narrow matrices. Terms are summed four at a time in the order of the bands, so the bits do not depend
-    on the number of columns.
-    """
+    # Write the counts of a line (band, column) that come from other bands [count].
+    #
+    # First the smear, a share of the sum over the bands; then, from the counts without smear, the product of
+    # two narrow matrices. Terms are summed four at a time in the order of the bands, so the bits do not
+    # depend on the number of columns.
     bands, columns = out.shape
     total, block, sums = work.total, work.block, work.sums
     total[:] = _NOTHING
@@ -131,10 +129,9 @@ def subtract_stray_light(
     rounding: Rounding | None,
     out: SlabOutputs,
 ) -> None:
-    """Subtract stray light from calibrated lines, not yet rounded, of counts (line, band, column).
-
-    Then round the outputs that are not empty.
-    """
+    # Subtract stray light from calibrated lines, not yet rounded, of counts (line, band, column).
+    #
+    # Then round the outputs that are not empty.
     n_line, n_band, n_column = counts.shape
     detector = calibration.detector
     blended_dark = np.empty((n_band, n_column), np.float32)

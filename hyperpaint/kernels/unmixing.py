@@ -28,10 +28,9 @@ _INDEPENDENT_SHARE = 0.25
 
 @kernel
 def average_bands(cube: Array, channel: Array, out: Array) -> None:
-    """Write means (line, column, group) of a cube (line, band, column) over groups of bands.
-
-    ``channel`` (band,) is the group of every band, -1 for none. NaN where at most half of a group is valid.
-    """
+    # Write means (line, column, group) of a cube (line, band, column) over groups of bands.
+    #
+    # ``channel`` (band,) is the group of every band, -1 for none. NaN where at most half of a group is valid.
     lines, bands, columns = cube.shape
     groups = out.shape[2]
     members = np.zeros(groups, np.int64)
@@ -108,16 +107,15 @@ def _solve_free(gram: Array, right: Array, is_free: Array, amount: Array, factor
 
 @kernel
 def minimise(gram: Array, right: Array, most: Array, fixed: Array, amount: Array) -> Any:
-    """Write the minimum of x' gram x / 2 - right' x over 0 <= x <= most, by an active-set method.
-
-    Exact except for rounding: the parts inside their bounds are solved for together (Cholesky); a part that
-    would pass a bound is fixed there, and the part whose gradient points inside most steeply is freed. Each
-    iteration lowers the value, so no set of free parts recurs.
-
-    ``gram`` (part, part) is positive definite; ``most`` (part,) are upper bounds; parts that are ``fixed``
-    stay unchanged; ``amount`` (part,) is the start, within the bounds, and receives the minimum. Return
-    whether it was found; False if more iterations than there are sets of free parts were needed.
-    """
+    # Write the minimum of x' gram x / 2 - right' x over 0 <= x <= most, by an active-set method.
+    #
+    # Exact except for rounding: the parts inside their bounds are solved for together (Cholesky); a part that
+    # would pass a bound is fixed there, and the part whose gradient points inside most steeply is freed. Each
+    # iteration lowers the value, so no set of free parts recurs.
+    #
+    # ``gram`` (part, part) is positive definite; ``most`` (part,) are upper bounds; parts that are ``fixed``
+    # stay unchanged; ``amount`` (part,) is the start, within the bounds, and receives the minimum. Return
+    # whether it was found; False if more iterations than there are sets of free parts were needed.
     count = right.size
     is_free = np.empty(count, np.bool_)
     for i in range(count):
@@ -244,13 +242,12 @@ def _solve(
     direct_weight: Any,
     amount: Array,
 ) -> None:
-    """Write the amounts, starting from the prior.
-
-    ``equations`` and ``zero_cost`` (the cost of zero amounts) include the prior; ``direct_weight`` is the
-    prior weight of the direct light. Neighbours and glint are kept only where omitting them raises the cost
-    by ``evidence``, in units of the reduced residual where that exceeds noise. With glint, ``additions`` are
-    added to the prior mean, and the direct light must be at least `_MIN_SUNLIT_DIRECT`.
-    """
+    # Write the amounts, starting from the prior.
+    #
+    # ``equations`` and ``zero_cost`` (the cost of zero amounts) include the prior; ``direct_weight`` is the
+    # prior weight of the direct light. Neighbours and glint are kept only where omitting them raises the cost
+    # by ``evidence``, in units of the reduced residual where that exceeds noise. With glint, ``additions``
+    # are added to the prior mean, and the direct light must be at least `_MIN_SUNLIT_DIRECT`.
     right, most = equations.right, prior.most
     is_fixed = np.zeros(PARTS, np.bool_)
     start = amount.copy()
@@ -284,16 +281,16 @@ def unmix_lines(
     glinting: Glinting,
     out: Unmixed,
 ) -> None:
-    """Unmix every pixel of a block of lines.
-
-    Minimises sum(((spectrum - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2) with sigma =
-    noise x spectrum + floor and amounts from 0 to the upper bound. NaN where fewer than half the channels are
-    valid.
-
-    ``spectrum`` (line, column, channel) is reflectance [1]. ``evidence`` is the increase of the sum by which
-    an omission of glint or neighbours is rejected, 9 for three standard deviations; with 0 all are kept.
-    ``glinting`` is added to the prior mean where there is glint, direct light by at most the body's tilt.
-    """
+    # Unmix every pixel of a block of lines.
+    #
+    # Minimises sum(((spectrum - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2) with sigma
+    # = noise x spectrum + floor and amounts from 0 to the upper bound. NaN where fewer than half the channels
+    # are valid.
+    #
+    # ``spectrum`` (line, column, channel) is reflectance [1]. ``evidence`` is the increase of the sum by
+    # which an omission of glint or neighbours is rejected, 9 for three standard deviations; with 0 all are
+    # kept. ``glinting`` is added to the prior mean where there is glint, direct light by at most the body's
+    # tilt.
     lines, columns, channels = spectrum.shape
     parts, nothing = np.empty((PARTS, channels)), np.zeros(channels)
     gram, right, amount = np.empty((PARTS, PARTS)), np.empty(PARTS), np.empty(PARTS)

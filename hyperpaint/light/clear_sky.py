@@ -146,14 +146,13 @@ class ClearSky:
 
     @property
     def mass(self) -> float:
-        """Relative optical air mass of the direct path [1]."""
+        # Relative optical air mass of the direct path [1].
         return float(air_mass(self.sun_zenith)) if self.airmass is None else self.airmass
 
     def irradiance(self, wavelength: Floats) -> tuple[Floats, Floats]:
-        """Return direct and diffuse irradiance of level ground [W m-2 nm-1], at the resolution of the table.
-
-        Takes ``wavelength`` (point,), 300 to 2500 [nm]; `SchemaError` beyond.
-        """
+        # Return direct and diffuse irradiance of level ground [W m-2 nm-1], at the resolution of the table.
+        #
+        # Takes ``wavelength`` (point,), 300 to 2500 [nm]; `SchemaError` beyond.
         if wavelength.size and not 300.0 <= wavelength.min() <= wavelength.max() <= 2500.0:
             raise SchemaError(
                 f"wavelength goes from {wavelength.min():g} to {wavelength.max():g} nm",
@@ -168,11 +167,10 @@ class ClearSky:
         return self.below(wavelength, above, mixed + self.water * water)
 
     def below(self, wavelength: Floats, above: Floats, depth: Floats) -> tuple[Floats, Floats]:
-        """Return direct and diffuse irradiance of level ground for other sunlight and other bands of gases.
-
-        Takes ``above``, sunlight above the air [W m-2 nm-1], and ``depth``, the optical depth of mixed gases
-        and water for one air mass [1], both (point,) at ``wavelength`` [nm].
-        """
+        # Return direct and diffuse irradiance of level ground for other sunlight and other bands of gases.
+        #
+        # Takes ``above``, sunlight above the air [W m-2 nm-1], and ``depth``, the optical depth of mixed
+        # gases and water for one air mass [1], both (point,) at ``wavelength`` [nm].
         table = sunlight_table()
         ozone = self.ozone * np.interp(wavelength, table.wavelength, table.ozone)
         gases = above * np.exp(-ozone * ozone_mass(self.sun_zenith) - depth * self.mass)

@@ -158,11 +158,10 @@ def diffuse_from_record(
 def split_of_arrays(
     spectra: Array, stamps: Array, channels: Array, place: tuple[float, float], wavelength: Floats
 ) -> tuple[Floats, Array]:
-    """Return diffuse fraction (sample, band) and number of the sky state (sample,) of a record as arrays.
-
-    ``spectra`` (sample, channel) [W m-2 nm-1], ``channels`` and ``wavelength`` [nm]; see
-    `diffuse_from_record`.
-    """
+    # Return diffuse fraction (sample, band) and number of the sky state (sample,) of a record as arrays.
+    #
+    # ``spectra`` (sample, channel) [W m-2 nm-1], ``channels`` and ``wavelength`` [nm]; see
+    # `diffuse_from_record`.
     axis = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
     axes = {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: axis}
     record = schema.label(xr.DataArray(spectra, axes, tuple(axes)), "irradiance")
@@ -171,18 +170,18 @@ def split_of_arrays(
 
 
 def labelled(array: xr.DataArray) -> xr.DataArray:
-    """Return a variable of `SPLIT` with its attributes of the table."""
+    # Return a variable of `SPLIT` with its attributes of the table.
     return schema.label(array, str(array.name), **sky_state_attrs() if array.name == "sky_state" else {})
 
 
 def sky_state_attrs() -> dict[str, Any]:
-    """Return the CF attributes that name the numbers of ``sky_state``."""
+    # Return the CF attributes that name the numbers of ``sky_state``.
     numbers = np.arange(len(SKY_STATES), dtype=np.int8)
     return {"flag_values": numbers, "flag_meanings": " ".join(SKY_STATES)}
 
 
 def states_of(probability: Floats) -> npt.NDArray[np.int8]:
-    """Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`."""
+    # Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`.
     state = probability.argmax(axis=1)
     return np.where(probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, state).astype(np.int8)
 
@@ -233,13 +232,12 @@ def _split(
 def split_of_lines(
     line: xr.Dataset, *, calibration_uncertainty: float = 0.05, sun_zenith: float | None = None
 ) -> xr.Dataset | None:
-    """Return `SPLIT` for the lines of a flight line, from its own record; None without a record or a place.
-
-    ``line`` has ``irradiance``, ``time``, ``latitude``, ``longitude`` and ``wavelength``. A line has the
-    fraction interpolated between both samples around it, and the state of the nearer one; NaN, and
-    contradictory, where it has no time. ``sun_zenith`` [degree] replaces the zenith angle from the clock.
-    Lazy where the record or ``wavelength`` come from a file.
-    """
+    # Return `SPLIT` for the lines of a flight line, from its own record; None without a record or a place.
+    #
+    # ``line`` has ``irradiance``, ``time``, ``latitude``, ``longitude`` and ``wavelength``. A line has the
+    # fraction interpolated between both samples around it, and the state of the nearer one; NaN, and
+    # contradictory, where it has no time. ``sun_zenith`` [degree] replaces the zenith angle from the clock.
+    # Lazy where the record or ``wavelength`` come from a file.
     import dask
     import dask.array as da
 
@@ -472,7 +470,7 @@ class Windows(NamedTuple):
 
 
 def windows_in(wavelength: Floats) -> Windows:
-    """Return the intervals that channels (channel,) [nm], in any order, cover."""
+    # Return the intervals that channels (channel,) [nm], in any order, cover.
     rows, centres = [], []
     for centre in RULES.window_nm:
         is_inside = np.abs(wavelength - centre) <= RULES.half_width_nm

@@ -160,11 +160,10 @@ class Smile:
     cells: Array
 
     def cubics(self, series: Floats) -> Floats:
-        """Return the coefficients (..., band, cell, 4) of cubics through values (..., node, band).
-
-        One node gives (..., band, 1, 1), the values themselves. With several nodes it is Lagrange's
-        polynomial through the four nodes around a cell, in powers of the position in the cell.
-        """
+        # Return the coefficients (..., band, cell, 4) of cubics through values (..., node, band).
+        #
+        # One node gives (..., band, 1, 1), the values themselves. With several nodes it is Lagrange's
+        # polynomial through the four nodes around a cell, in powers of the position in the cell.
         if self.nodes.size == 1:
             return np.swapaxes(series, -1, -2)[..., None]
         c_before, c_low, c_high, c_after = (series[..., k : self.nodes.size - 3 + k, :] for k in range(4))
@@ -393,12 +392,12 @@ class RecordDeparture(NamedTuple):
     width: float  #: Width of the record over the declared one [1]
 
     def shift_at(self, wavelength: Floats) -> Floats:
-        """Return the shift at wavelengths [nm]."""
+        # Return the shift at wavelengths [nm].
         return np.asarray(self.shift_nm + self.slope_nm * (wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
 def imager_of(arrays: Mapping[str, Any], srf_shape: str) -> dict[str, Any]:
-    """Return the imager's responses as `matched_series` takes them, from a flight line's small variables."""
+    # Return the imager's responses as `matched_series` takes them, from a flight line's small variables.
     gain = arrays.get("radiance_gain")
     return {
         "wavelength": np.asarray(arrays["wavelength"], np.float64),
@@ -420,11 +419,11 @@ def matched_series(
     nodes: Floats,
     departure: RecordDeparture | None = None,
 ) -> tuple[Floats, Floats]:
-    """Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
-
-    The array side of `match_irradiance`. ``departure``: difference of the record from its declaration that a
-    comparison in flight measured and that was not corrected (`departure_of_record`); it enters the misfit.
-    """
+    # Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
+    #
+    # The array side of `match_irradiance`. ``departure``: difference of the record from its declaration that
+    # a comparison in flight measured and that was not corrected (`departure_of_record`); it enters the
+    # misfit.
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
     spectrometer, bands = _responses(channels[order], width, irradiance_shape, imager)
@@ -441,10 +440,9 @@ def matched_series(
 
 
 def departure_of_record(attrs: Mapping[Any, Any]) -> RecordDeparture | None:
-    """Return the measured departure of a flight line's record that was not corrected; None without one.
-
-    `hyperpaint.alignment.align` stores it in attributes.
-    """
+    # Return the measured departure of a flight line's record that was not corrected; None without one.
+    #
+    # `hyperpaint.alignment.align` stores it in attributes.
     names = ("alignment_shift", "alignment_shift_slope", "alignment_width")
     if attrs.get("alignment_state") != "not applied" or not set(names) <= set(attrs):
         return None
@@ -471,11 +469,10 @@ SD_PER_MEDIAN_DEVIATION = 1.4826
 
 
 def matched_noise(arrays: Mapping[str, Any]) -> tuple[Floats, Floats]:
-    """Return the irradiance of the bands and the noise of one sample of it, from a line's small variables.
-
-    The first is the mean of the record (band,) [W m-2 nm-1], the second a covariance (band, band) relative to
-    it [1]. Zero without ``irradiance_u_random``.
-    """
+    # Return the irradiance of the bands and the noise of one sample of it, from a line's small variables.
+    #
+    # The first is the mean of the record (band,) [W m-2 nm-1], the second a covariance (band, band) relative
+    # to it [1]. Zero without ``irradiance_u_random``.
     record = arrays["irradiance"]
     sample_numbers = np.linspace(0, len(record) - 1, min(len(record), MAX_MEAN_SPECTRA)).astype(np.intp)
     spectra = np.asarray(record[sample_numbers], np.float64)
@@ -501,7 +498,7 @@ def matched_noise(arrays: Mapping[str, Any]) -> tuple[Floats, Floats]:
 
 
 def at_bands(values: Any, channels: Any, wavelength: Any) -> Floats:
-    """Return values of channels, interpolated to the wavelengths of bands (band,)."""
+    # Return values of channels, interpolated to the wavelengths of bands (band,).
     channels = np.asarray(channels, np.float64)
     order = np.argsort(channels, kind="stable")
     channel_values = np.broadcast_to(np.asarray(values, np.float64), channels.shape)
@@ -509,14 +506,13 @@ def at_bands(values: Any, channels: Any, wavelength: Any) -> Floats:
 
 
 def noise_of_record(spectra: Array, times: Array, *, fewest: int = MIN_TRIPLES) -> Floats | None:
-    """Return the relative noise of single irradiance samples (channel,) [1]; None for too few samples.
-
-    ``spectra`` (sample, channel), any scale; ``times`` (sample,) datetime64. The noise is the departure of a
-    sample from the straight line between its neighbours in time, minus the departure of neighbouring
-    channels, since light changes smoothly over wavelength; median over samples and 21 channels. Noise common
-    to channels is not measured; samples without light or values are left out. ``fewest``: minimum number of
-    triples of successive samples.
-    """
+    # Return the relative noise of single irradiance samples (channel,) [1]; None for too few samples.
+    #
+    # ``spectra`` (sample, channel), any scale; ``times`` (sample,) datetime64. The noise is the departure of
+    # a sample from the straight line between its neighbours in time, minus the departure of neighbouring
+    # channels, since light changes smoothly over wavelength; median over samples and 21 channels. Noise
+    # common to channels is not measured; samples without light or values are left out. ``fewest``: minimum
+    # number of triples of successive samples.
     from scipy import ndimage
 
     seconds = np.asarray(times).astype("datetime64[ns]").astype(np.int64) / 1e9

@@ -119,11 +119,11 @@ class Responses:
         return hash(self._content())
 
     def shifted(self, shift: float) -> Responses:
-        """Return the same responses with every centre moved by ``shift`` [nm]."""
+        # Return the same responses with every centre moved by ``shift`` [nm].
         return replace(self, wavelength=self.wavelength + shift)
 
     def reach(self) -> Floats:
-        """Half support of each band [nm], beyond which a response is negligible."""
+        # Half support of each band [nm], beyond which a response is negligible.
         if self.shape == "gaussian":
             return np.asarray(_REACH * self.fwhm)
         if self.shape == "slit":
@@ -131,10 +131,9 @@ class Responses:
         return np.full(self.wavelength.shape, float(np.max(np.abs(np.asarray(self.offset)))))
 
     def on(self, grid: Floats, band: int | Ints) -> Floats:
-        """Return responses on an even grid [nm], (point,) of one band or (band, point) of several.
-
-        Each row times the grid step sums to 1.
-        """
+        # Return responses on an even grid [nm], (point,) of one band or (band, point) of several.
+        #
+        # Each row times the grid step sums to 1.
         bands = np.atleast_1d(band)
         distance = grid - self.wavelength[bands, None]
         width = self.fwhm[bands, None]
@@ -171,10 +170,9 @@ def band_spacing(wavelength: npt.ArrayLike) -> Floats:
 
 
 def mean_responsivity(gain: npt.ArrayLike) -> Floats:
-    """Return the mean responsivity of every band, any scale, from gains (band, column).
-
-    Gains that are not positive and finite are left out; NaN for a band without a usable gain.
-    """
+    # Return the mean responsivity of every band, any scale, from gains (band, column).
+    #
+    # Gains that are not positive and finite are left out; NaN for a band without a usable gain.
     gain = np.asarray(gain, np.float64)
     usable = np.isfinite(gain) & (gain > 0)
     total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
@@ -183,14 +181,13 @@ def mean_responsivity(gain: npt.ArrayLike) -> Floats:
 
 
 def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats:
-    """Return d ln R / d wavelength at every band [nm-1].
-
-    It is the slope of a parabola through the neighbours of a band. At the ends of the array, where they lie
-    on one side, the slope of a straight line would include curvature.
-
-    ``responsivity`` (band,) is of any scale; values that are not positive and finite are left out. ``width``
-    (band,) is the half width of the window of the fit [nm].
-    """
+    # Return d ln R / d wavelength at every band [nm-1].
+    #
+    # It is the slope of a parabola through the neighbours of a band. At the ends of the array, where they lie
+    # on one side, the slope of a straight line would include curvature.
+    #
+    # ``responsivity`` (band,) is of any scale; values that are not positive and finite are left out.
+    # ``width`` (band,) is the half width of the window of the fit [nm].
     usable = np.isfinite(responsivity) & (responsivity > 0)
     log = np.log(np.where(usable, responsivity, 1.0))
     distance = (wavelength - wavelength[:, None]) / width[:, None]
@@ -226,7 +223,7 @@ class Matching:
 
     @functools.cached_property
     def used(self) -> Ints:
-        """Channels that any band weighs."""
+        # Channels that any band weighs.
         return np.flatnonzero((np.nan_to_num(self.weights) != 0.0).any(axis=(0, 1)))
 
 
@@ -333,12 +330,11 @@ def _cached_operator(
 def misfit_through(
     declared: Responses, spectrometer: Responses, imager: Responses, nodes: tuple[float, ...]
 ) -> Floats:
-    """Return the misfit (node, band) of an operator for spectrometer ``declared`` applied to another one [1].
-
-    ``declared``: responses that define the operator; ``spectrometer``: true responses of the channels.
-    NaN where the operator is NaN. Cached, since a flight line is planned twice: to inspect it, and to write
-    it.
-    """
+    # Return the misfit (node, band) of an operator for spectrometer ``declared`` applied to another one [1].
+    #
+    # ``declared``: responses that define the operator; ``spectrometer``: true responses of the channels.
+    # NaN where the operator is NaN. Cached, since a flight line is planned twice: to inspect it, and to write
+    # it.
     matching = matching_operator(declared, imager, nodes)
     reach = spectrometer.reach()
     step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / STEPS_PER_FWHM

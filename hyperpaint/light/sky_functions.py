@@ -40,7 +40,7 @@ class _Tables(NamedTuple):
 
 
 def table_rows(name: str) -> Floats:
-    """Return the rows of a table of numbers beside this file, below its headings."""
+    # Return the rows of a table of numbers beside this file, below its headings.
     text = Path(__file__).with_name(name).read_text(encoding="utf-8").splitlines()
     return np.array([line.split(",") for line in text if not line.startswith("#")][1:], np.float64)
 
@@ -64,22 +64,20 @@ def _between(nodes: Floats, values: Floats, x: float) -> Floats:
 
 
 def scattering_cosine(cosine: Floats, azimuth: Floats, sun_zenith: float) -> Floats:
-    """Return the cosine of the angle from the sun.
-
-    Takes the ``cosine`` of the zenith angle and the ``azimuth`` from the sun [rad], any shape, and the sun's
-    zenith angle [degree].
-    """
+    # Return the cosine of the angle from the sun.
+    #
+    # Takes the ``cosine`` of the zenith angle and the ``azimuth`` from the sun [rad], any shape, and the
+    # sun's zenith angle [degree].
     sun = np.radians(sun_zenith)
     across = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
     return np.asarray(cosine * np.cos(sun) + across * np.sin(sun) * np.cos(azimuth))
 
 
 def relative_radiance(shape: Floats, cosine: Floats, from_sun: Floats) -> Floats:
-    """Return a sky function relative to a uniform sky of the same level irradiance [1].
-
-    Takes one of `function_shapes` (8,), and the cosines of the zenith angle, above 0, and of the angle from
-    the sun, any shape.
-    """
+    # Return a sky function relative to a uniform sky of the same level irradiance [1].
+    #
+    # Takes one of `function_shapes` (8,), and the cosines of the zenith angle, above 0, and of the angle from
+    # the sun, any shape.
     u, t = np.log(cosine + HORIZON_SHIFT), np.arccos(np.clip(from_sun, -1.0, 1.0))
     c = shape
     power = c[0] * u + c[1] * u**2 + c[2] * u**3 + c[3] * t + c[4] * t**2 + c[5] * t**3 + c[6] * u * t + c[7]
@@ -96,7 +94,7 @@ class Dome(NamedTuple):
 
 @functools.cache
 def dome() -> Dome:
-    """Return the directions at which integrals over the sky are evaluated."""
+    # Return the directions at which integrals over the sky are evaluated.
     nodes, weights = np.polynomial.legendre.leggauss(32)
     cosine, azimuth = np.meshgrid(0.5 * (nodes + 1.0), (np.arange(48) + 0.5) / 48 * np.pi, indexing="ij")
     return Dome(cosine, azimuth, cosine * weights[:, None] / 48)

@@ -188,7 +188,7 @@ def _log_level_at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
 
 
 def channels_of(record: xr.DataArray) -> Floats:
-    """Return the wavelengths of a record's channels [nm]; SchemaError where it has no such coordinate."""
+    # Return the wavelengths of a record's channels [nm]; SchemaError where it has no such coordinate.
     SchemaError.raise_if(
         IRRADIANCE_WAVELENGTH not in record.coords,
         "'irradiance' has no coordinate 'irradiance_wavelength' [nm]",
@@ -199,7 +199,7 @@ def channels_of(record: xr.DataArray) -> Floats:
 
 
 def check_irradiance_times(samples: Array) -> None:
-    """Raise TimeError unless all stamps are present and increase."""
+    # Raise TimeError unless all stamps are present and increase.
     problems = Problems("irradiance times cannot be used", TimeError)
     problems.add_if(not samples.size, "irradiance_time has size 0: no sample is selected", code="empty-input")
     problems.add_if(

@@ -116,13 +116,13 @@ def paint_colours(paints: xr.Dataset) -> Floats32:
 
 
 def encode_srgb(linear: Array) -> Array:
-    """Return linear values 0 to 1 in the encoding of the sRGB standard."""
+    # Return linear values 0 to 1 in the encoding of the sRGB standard.
     curved = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved), np.float32)
 
 
 def srgb_weights(wavelength: Array, shift: Array | None) -> Array:
-    """Return the weights of bands in linear sRGB (rgb, band, 1), or (rgb, band, column) with smile."""
+    # Return the weights of bands in linear sRGB (rgb, band, 1), or (rgb, band, column) with smile.
     centres = wavelength[:, None]
     if shift is not None:
         centres = centres + np.atleast_2d(shift)

@@ -84,11 +84,10 @@ def projection(
 
 
 def scores(spectra: Floats, project: Projection, method: str) -> Floats:
-    """Return the scores (spectrum, signature) of spectra (spectrum, band), by one of `METHODS`.
-
-    With z and t the projected spectrum and paint: ACE is (z't)^2 / (z'z t't) with the sign of z't, the
-    matched filter z't / t't, the spectral angle's cosine z't / sqrt(z'z t't); 0 where z is zero.
-    """
+    # Return the scores (spectrum, signature) of spectra (spectrum, band), by one of `METHODS`.
+    #
+    # With z and t the projected spectrum and paint: ACE is (z't)^2 / (z'z t't) with the sign of z't, the
+    # matched filter z't / t't, the spectral angle's cosine z't / sqrt(z'z t't); 0 where z is zero.
     z = (spectra - project.offset) @ project.matrix
     product = z @ project.targets.T
     target_square = np.einsum("kb,kb->k", project.targets, project.targets)
@@ -165,11 +164,10 @@ class Background(NamedTuple):
 
 
 def block_background(cube: Array, mask: Bools, bands: Ints, number: int, size: int) -> Background:
-    """Return the background of a block (line, band, column), on some bands, in a mask (line, column).
-
-    Pixels with values in all these bands are valid. The sample consists of the valid ones of ``size`` pixels
-    drawn at random; the seed is the block's number.
-    """
+    # Return the background of a block (line, band, column), on some bands, in a mask (line, column).
+    #
+    # Pixels with values in all these bands are valid. The sample consists of the valid ones of ``size``
+    # pixels drawn at random; the seed is the block's number.
     cube = cube[:, bands]
     is_valid = mask & np.isfinite(cube).all(axis=1)
     lines, _, columns = cube.shape
@@ -186,7 +184,7 @@ def block_background(cube: Array, mask: Bools, bands: Ints, number: int, size: i
 
 
 def joined_backgrounds(backgrounds: Sequence[Background]) -> Background:
-    """Return the background of several groups of blocks, summed in their order."""
+    # Return the background of several groups of blocks, summed in their order.
     pixels, total, products, *samples = zip(*backgrounds, strict=True)
     # sums from 0.0 on, in order: the same bits in any grouping of blocks
     sums = (functools.reduce(np.add, arrays, np.zeros_like(arrays[0])) for arrays in (total, products))
@@ -227,14 +225,13 @@ def make_detector(
     shrinkage: float,
     has_targets: bool,
 ) -> Detector:
-    """Return the detector for a line, from the background of the complete line.
-
-    Takes ``bands``: indices of the compared bands in the cube; on these bands, ``paints`` (signature, band),
-    ``sky`` (band,) and ``other_paints`` (spectrum, band), spectra of paints that are not searched for;
-    ``rate``: rate of false alarms; ``has_targets``: whether the paints may be among the background pixels;
-    further settings as of `detect`. Raises `SchemaError`: too few pixels. Warns where paints explain many
-    pixels, which are excluded from the background.
-    """
+    # Return the detector for a line, from the background of the complete line.
+    #
+    # Takes ``bands``: indices of the compared bands in the cube; on these bands, ``paints`` (signature,
+    # band), ``sky`` (band,) and ``other_paints`` (spectrum, band), spectra of paints that are not searched
+    # for; ``rate``: rate of false alarms; ``has_targets``: whether the paints may be among the background
+    # pixels; further settings as of `detect`. Raises `SchemaError`: too few pixels. Warns where paints
+    # explain many pixels, which are excluded from the background.
     if not background.pixels:
         raise SchemaError(
             f"the line has no background pixel without flags and with values in all {bands.size} bands",
@@ -339,12 +336,11 @@ def _score_thresholds(values: Floats, rate: float) -> Floats:
 
 
 def _distance_limits(other_distances: tuple[Array, Array], rate: float) -> Floats:
-    """Return distance limits (signature,) such that a share ``rate`` of other paints is within any limit.
-
-    The limit is 0 for a paint with other paints so near that noise covers the difference; such a paint does
-    not count in the rate. Below the distance of the nearest other paint the share is assumed to be
-    proportional to the distance. As paints differ in several dimensions, the true share is smaller.
-    """
+    # Return distance limits (signature,) such that a share ``rate`` of other paints is within any limit.
+    #
+    # The limit is 0 for a paint with other paints so near that noise covers the difference; such a paint does
+    # not count in the rate. Below the distance of the nearest other paint the share is assumed to be
+    # proportional to the distance. As paints differ in several dimensions, the true share is smaller.
     distance, level = other_distances
     distance = np.where(level > 0.0, distance, np.inf)
     if rate >= 1.0:
@@ -672,11 +668,10 @@ def _lazy_detector(
 
 
 def _after(predecessor: Any, array: Any) -> Any:
-    """Return a copy of a dask array with other keys that is computed only after a delayed object.
-
-    With the same keys, all blocks of the first pass would stay in memory until the second pass.
-    `dask.graph_manipulation.bind` does the same, but loses the keys of rechunks.
-    """
+    # Return a copy of a dask array with other keys that is computed only after a delayed object.
+    #
+    # With the same keys, all blocks of the first pass would stay in memory until the second pass.
+    # `dask.graph_manipulation.bind` does the same, but loses the keys of rechunks.
     graph = convert_legacy_graph(dict(array.dask))
     keys = {key: ("again-" + key[0], *key[1:]) if isinstance(key, tuple) else f"again-{key}" for key in graph}
     copy, first = {}, TaskRef(predecessor.key)
@@ -751,11 +746,10 @@ def _search(
 
 
 def search_block(cube: Array, unflagged: Bools, detector: Detector) -> tuple[Array, ...]:
-    """Return the layers of a block (line, band, column), each (line, column), in the order of `_LAYERS`.
-
-    The best paint of a pixel is the one with the highest score relative to its threshold, of the detected
-    paints if there are any.
-    """
+    # Return the layers of a block (line, band, column), each (line, column), in the order of `_LAYERS`.
+    #
+    # The best paint of a pixel is the one with the highest score relative to its threshold, of the detected
+    # paints if there are any.
     shape = unflagged.shape
     score, distance, level = (np.full(shape, np.nan, np.float32) for _ in range(3))
     best, detected = np.full(shape, -1, np.int16), np.zeros(shape, bool)

@@ -242,7 +242,7 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
 
 
 def interpolated(nm: Floats, wavelength: Floats, values: Floats) -> Floats:
-    """Return a spectrum at the wavelengths ``nm``; NaN outside its range and within its gaps."""
+    # Return a spectrum at the wavelengths ``nm``; NaN outside its range and within its gaps.
     order = np.argsort(wavelength, kind="stable")
     wavelength, values = wavelength[order], values[order]
     is_finite = np.isfinite(wavelength) & np.isfinite(values)

@@ -189,7 +189,7 @@ class Finding:
         return str(self.problem())
 
     def problem(self, *, acceptable: bool = False) -> Problem:
-        """Return the finding as a `Problem`; ``acceptable`` adds the option that accepts it."""
+        # Return the finding as a `Problem`; ``acceptable`` adds the option that accepts it.
         name, mend = self.kind.name, self.kind.mend
         option = mend
         if acceptable:
@@ -220,10 +220,9 @@ class CubeSample:
 
 
 def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
-    """Return a sample of lazy counts (along_track, band, cross_track); None where no line is recorded.
-
-    recorded: (along_track,), False where a frame was lost and the line is blank.
-    """
+    # Return a sample of lazy counts (along_track, band, cross_track); None where no line is recorded.
+    #
+    # recorded: (along_track,), False where a frame was lost and the line is blank.
     total = int(counts.shape[0])
     size = min(max(2, lines_a_task(4 * int(np.prod(counts.shape[1:])), SAMPLE_RULES.lines)), total)
     starts = np.unique(
@@ -298,11 +297,10 @@ def judge_bands(
     fwhm: float,
     record: tuple[Floats, Floats] | None,
 ) -> Iterator[Finding]:
-    """Judge the order of bands by their mean counts above the dark, ``light`` [count].
-
-    light, gain, wavelength [nm]: (band,); fwhm: of the camera [nm]; record: wavelengths [nm] and irradiance.
-    Without a record (None) the source may be a lamp, and only the roughness is judged.
-    """
+    # Judge the order of bands by their mean counts above the dark, ``light`` [count].
+    #
+    # light, gain, wavelength [nm]: (band,); fwhm: of the camera [nm]; record: wavelengths [nm] and
+    # irradiance. Without a record (None) the source may be a lamp, and only the roughness is judged.
     spacing = float(np.median(np.abs(np.diff(wavelength)))) if wavelength.size > 1 else np.inf
     if (
         wavelength.size < BAND_RULES.bands
@@ -455,7 +453,7 @@ _ANGLES = ("roll", "pitch", "heading")
 
 
 def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
-    """Judge the irradiance record of a line."""
+    # Judge the irradiance record of a line.
     if "irradiance" not in line:
         return
     spectra = line["irradiance"].transpose(IRRADIANCE_TIME, ...).values
@@ -507,7 +505,7 @@ def _judge_changes(name: str, spectra: Array, times: Array, line_times: Array) -
 
 
 def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
-    """Judge positions and angles of the lines."""
+    # Judge positions and angles of the lines.
     if "latitude" not in line.coords:
         return
     timed = ~np.isnat(line["time"].values)
@@ -575,7 +573,7 @@ FRAME_RULES = SimpleNamespace(
 
 
 def judge_index(inputs: FlightlineInputs, lines: int) -> tuple[Bools, list[Finding]]:
-    """Return which lines of a cube were recorded, (along_track,), and the findings about its frame index."""
+    # Return which lines of a cube were recorded, (along_track,), and the findings about its frame index.
     timing, name = inputs.timing, str(inputs.name)
     if not isinstance(timing, Timing) or timing.frame_index is None:
         return np.ones(lines, bool), []
@@ -620,10 +618,9 @@ def _jumps(name: str, frame: Ints, stamp: Ints) -> Iterator[Finding]:
 
 
 def judge_doubles(name: str, counts: xr.DataArray, by_pixel: bool, recorded: Bools) -> Iterator[Finding]:
-    """Find lines of lazy counts (along_track, band, cross_track) that are equal to the line before.
-
-    by_pixel: whether the file is interleaved by pixel (BIP); recorded: (along_track,).
-    """
+    # Find lines of lazy counts (along_track, band, cross_track) that are equal to the line before.
+    #
+    # by_pixel: whether the file is interleaved by pixel (BIP); recorded: (along_track,).
     lines, bands, columns = counts.shape
     # compare the central pixels of all bands, or the central bands of all columns
     axis, width = (2, bands) if by_pixel else (1, columns)
@@ -704,7 +701,7 @@ class _View(NamedTuple):
 
 
 def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
-    """Judge interleave and byte order of the file of a cube with this number of lines."""
+    # Judge interleave and byte order of the file of a cube with this number of lines.
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
     if header.bands < 4 or header.dtype.kind not in "iu" or lines * header.samples < LAYOUT_RULES.pixels:
@@ -821,11 +818,10 @@ DARK_RULES = SimpleNamespace(
 def judge_dark(
     name: str, dark: Floats, uncertainty: Floats | None, gain: Floats, sample: CubeSample, full: float
 ) -> Iterator[Finding]:
-    """Judge dark counts, all (band, cross_track), against a sample of the scene.
-
-    uncertainty: standard uncertainty of the mean dark [count], None where unknown; gain: of radiance, in any
-    unit; full: count from which an element is saturated.
-    """
+    # Judge dark counts, all (band, cross_track), against a sample of the scene.
+    #
+    # uncertainty: standard uncertainty of the mean dark [count], None where unknown; gain: of radiance, in
+    # any unit; full: count from which an element is saturated.
     zero_share = float(np.mean((dark == 0.0) & (sample.mean > DARK_RULES.zero_counts)))
     nonzero = dark[dark > 0.0]
     if zero_share > DARK_RULES.zero_share and (nonzero.size == 0 or nonzero.mean() > DARK_RULES.zero_counts):
@@ -855,7 +851,7 @@ def judge_dark(
 
 
 def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
-    """Find frames of a dark cube (along_track, band, cross_track), read lazily, that are blank or lit."""
+    # Find frames of a dark cube (along_track, band, cross_track), read lazily, that are blank or lit.
     bands = np.unique(np.linspace(0, counts.shape[1] - 1, DARK_RULES.frame_bands).astype(int))
     frames = np.unique(np.linspace(0, counts.shape[0] - 1, DARK_RULES.frames).astype(int))
     sample = counts.isel({counts.dims[0]: frames, counts.dims[1]: bands})
@@ -964,7 +960,7 @@ STRAY_SHARE = 2e-3
 
 
 def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count: float) -> Iterator[Finding]:
-    """Find counts above the converter's maximum, or above a larger ``saturation_count``."""
+    # Find counts above the converter's maximum, or above a larger ``saturation_count``.
     limit = max(2**bit_depth - 1, int(saturation_count))
     max_count = int(sample.maximum.max())
     if max_count <= limit:
@@ -983,10 +979,9 @@ def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count:
 def judge_line(
     line: xr.Dataset, cubes: tuple[FlightlineInputs, ...], *, lit: bool = True
 ) -> Iterator[Finding]:
-    """Judge a flight line by its records and samples of its cubes.
-
-    ``lit``: whether reflectance is computed, which needs the irradiance record.
-    """
+    # Judge a flight line by its records and samples of its cubes.
+    #
+    # ``lit``: whether reflectance is computed, which needs the irradiance record.
     name = str(line.attrs["name"])
     if lit:
         yield from judge_irradiance(name, line)
@@ -996,7 +991,7 @@ def judge_line(
 
 
 def judge_dark_cube(path: Path) -> Iterator[Finding]:
-    """Judge the frames of a dark cube."""
+    # Judge the frames of a dark cube.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)  # already given when the dark was opened
         counts = open_envi(path, unsaid="counts")["counts"]

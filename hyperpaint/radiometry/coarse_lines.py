@@ -91,10 +91,9 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
 
 
 def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArray:
-    """Return the means of blocks of reflectance as they are stored beside a line, lazily.
-
-    One small task per written slab; the same bits for all chunks.
-    """
+    # Return the means of blocks of reflectance as they are stored beside a line, lazily.
+    #
+    # One small task per written slab; the same bits for all chunks.
     import dask.array as da
 
     cube = line_chunked(schema.require(line, ["reflectance"], "means of blocks")["reflectance"])

@@ -360,7 +360,7 @@ def _require_one_of(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -
 
 
 def applied(values: dict[str, Any]) -> dict[str, str | None]:
-    """Return the attributes that name the applied detector corrections; None for corrections not applied."""
+    # Return the attributes that name the applied detector corrections; None for corrections not applied.
     linearity: Linearity | None = values.get("linearity")
     attributes: dict[str, str | None] = {}
     if linearity is not None:
@@ -385,10 +385,9 @@ def _with_product(
 
 
 def merged_quality(name: str, quality: Any, before: xr.Variable | None, *, anew: bool) -> xr.DataArray:
-    """Return the flags of a product, merged with flags that were set before.
-
-    ``anew``: flags derived from counts replace earlier ones.
-    """
+    # Return the flags of a product, merged with flags that were set before.
+    #
+    # ``anew``: flags derived from counts replace earlier ones.
     flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
     attrs: dict[str, Any] = {}
     if before is not None:

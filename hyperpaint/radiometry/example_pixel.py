@@ -10,11 +10,10 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TI
 
 
 def worked_example() -> xr.Dataset:
-    """Return one pixel whose reflectance is 0.4 by construction (three equal columns, three bands).
-
-    E 1.3 W m-2 nm-1 on a surface of reflectance 0.4; etendue 1.8598e-11 m2 sr, 5 ms, bands 6 nm wide of
-    peak response 2e16 counts per joule: 1966.09 counts above the dark.
-    """
+    # Return one pixel whose reflectance is 0.4 by construction (three equal columns, three bands).
+    #
+    # E 1.3 W m-2 nm-1 on a surface of reflectance 0.4; etendue 1.8598e-11 m2 sr, 5 ms, bands 6 nm wide of
+    # peak response 2e16 counts per joule: 1966.09 counts above the dark.
     gaussian_area = np.sqrt(np.pi / (4 * np.log(2)))
     etendue, exposure, peak, fwhm = 1.8598e-11, 5e-3, 2.0e16, 6.0
     gain = 1.0 / (etendue * peak * gaussian_area * fwhm)

@@ -47,12 +47,12 @@ class Linearity:
         return bool(self.coefficients) or self.measured is not None
 
     def described(self, as_table: bool) -> str:
-        """Return a description for an attribute; ``as_table``: the curve is a table that is not read yet."""
+        # Return a description for an attribute; ``as_table``: the curve is a table that is not read yet.
         form = "table" if as_table else f"polynomial of degree {len(self.coefficients) + 1}"
         return f"{form} on {RAW if self.on_raw else DARK_SUBTRACTED} counts"
 
     def correction(self, counts: Any) -> Any:
-        """Return the counts to add to counts of any shape to make them proportional to light [count]."""
+        # Return the counts to add to counts of any shape to make them proportional to light [count].
         if self.measured is not None and self.linear is not None:
             nodes, corrections = self.measured, self.linear - self.measured
             lower = np.clip(np.searchsorted(nodes, counts) - 1, 0, nodes.size - 2)
@@ -65,7 +65,7 @@ class Linearity:
         return counts * relative
 
     def net(self, raw: Any, dark: Any) -> Any:
-        """Return counts above dark, proportional to light; without a curve their difference, bit for bit."""
+        # Return counts above dark, proportional to light; without a curve their difference, bit for bit.
         if not self:
             return raw - dark
         if self.on_raw:
@@ -74,7 +74,7 @@ class Linearity:
         return net + self.correction(net)
 
     def detector_model(self, highest_count: float) -> DetectorModel:
-        """Return the curve for the kernel: a short polynomial unchanged, any other curve as a fine table."""
+        # Return the curve for the kernel: a short polynomial unchanged, any other curve as a fine table.
         polynomial = table = np.empty(0, np.float32)
         first, per_count = 0.0, 1.0
         if 0 < len(self.coefficients) <= MAX_KERNEL_TERMS:
@@ -91,7 +91,7 @@ class Linearity:
         )
 
     def check(self, problems: Problems, highest_count: float) -> None:
-        """Add problems of a curve that is not finite, or does not increase up to the highest count."""
+        # Add problems of a curve that is not finite, or does not increase up to the highest count.
         if not self:
             return
         if self.measured is not None and self.linear is not None:
@@ -137,7 +137,7 @@ def linearity_of(dataset: xr.Dataset) -> Linearity:
 
 
 def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
-    """Return the curve that attributes alone declare; see `linearity_of`."""
+    # Return the curve that attributes alone declare; see `linearity_of`.
     kind = attrs.get("linearity_on", DARK_SUBTRACTED)
     one_of(kind, (DARK_SUBTRACTED, RAW), "attribute linearity_on")
     declared = attrs.get("linearity", ())

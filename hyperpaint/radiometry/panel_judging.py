@@ -115,22 +115,21 @@ class PanelClosure(NamedTuple):
     reasons: tuple[str, ...]  # Reason of the refusal of a panel; empty if not refused
 
     def at(self, indices: NDArray[np.int64]) -> PanelClosure:
-        """Return the results of the panels at indices."""
+        # Return the results of the panels at indices.
         arrays: list[Any] = [*self[:-1]]
         reasons = tuple(self.reasons[k] for k in indices)
         return PanelClosure._make([*(values[indices] for values in arrays), reasons])
 
 
 def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -> PanelClosure:
-    """Return the ratio of measured to expected reflectance of panels.
-
-    Each has ``observed`` and ``ceiling`` (line, band, column), the reflectance through irradiance and the
-    reflectance from which samples are saturated, or None; ``reflectance`` (band,), ``uncertainty``, ``name``,
-    ``time`` and ``direct_share`` (sky, band), the relative change of its light with direct light under some
-    skies, or None.
-
-    Warns PaintWarning: A panel shows a fault; one warning a panel.
-    """
+    # Return the ratio of measured to expected reflectance of panels.
+    #
+    # Each has ``observed`` and ``ceiling`` (line, band, column), the reflectance through irradiance and the
+    # reflectance from which samples are saturated, or None; ``reflectance`` (band,), ``uncertainty``,
+    # ``name``, ``time`` and ``direct_share`` (sky, band), the relative change of its light with direct light
+    # under some skies, or None.
+    #
+    # Warns PaintWarning: A panel shows a fault; one warning a panel.
     rows = []
     for panel in panels:
         notes, *row = _judge(panel, context)

@@ -97,10 +97,9 @@ class Panel:
 
 
 def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
-    """Return the panels that a flight line declares (attribute ``panels``), as a ``collect.toml`` names them.
-
-    Raises SchemaError: The attribute does not declare panels.
-    """
+    # Return the panels that a flight line declares (attribute ``panels``), as a ``collect.toml`` names them.
+    #
+    # Raises SchemaError: The attribute does not declare panels.
     try:
         panels = []
         for row in json.loads(str(dataset.attrs.get("panels", "[]"))):
@@ -120,13 +119,12 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
 
 
 def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] | None:
-    """Return the stored scale from the panels that a line declares; None without one.
-
-    Panels are declared by position in the whole line; their stored scale is valid in any crop, but only with
-    the line's own irradiance record.
-
-    Warns PaintWarning: A scale is stored, but ``other_light`` replaces its irradiance record.
-    """
+    # Return the stored scale from the panels that a line declares; None without one.
+    #
+    # Panels are declared by position in the whole line; their stored scale is valid in any crop, but only
+    # with the line's own irradiance record.
+    #
+    # Warns PaintWarning: A scale is stored, but ``other_light`` replaces its irradiance record.
     if "panels" not in dataset.attrs or not set(_SCALE) <= set(dataset.variables):
         return None
     if other_light:
@@ -140,12 +138,12 @@ def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] 
 
 
 def without_panels(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a line without the results of panels."""
+    # Return a line without the results of panels.
     return dataset.drop_vars([name for name in dataset.variables if str(name).startswith("panel_")])
 
 
 def several_panels(panel: Panel | Sequence[Panel] | None) -> tuple[Panel, ...]:
-    """Return panels as a tuple; empty only for None."""
+    # Return panels as a tuple; empty only for None.
     panels = () if panel is None else (panel,) if isinstance(panel, Panel) else tuple(panel)
     if (panel is not None and not panels) or not all(isinstance(item, Panel) for item in panels):
         raise SchemaError(
@@ -157,10 +155,9 @@ def several_panels(panel: Panel | Sequence[Panel] | None) -> tuple[Panel, ...]:
 def panel_inputs(
     dataset: xr.Dataset, panels: Sequence[Panel], reflectance: Callable[..., xr.Dataset]
 ) -> dict[str, Any]:
-    """Return the inputs of panels for a plan, with their reflectance through the irradiance record.
-
-    ``reflectance`` is `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
-    """
+    # Return the inputs of panels for a plan, with their reflectance through the irradiance record.
+    #
+    # ``reflectance`` is `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
     problems = Problems("the panel cannot be used", SchemaError)
     for panel in panels:
         for dim in (ALONG_TRACK, CROSS_TRACK):
@@ -217,7 +214,7 @@ def _inputs_of_panel(
 
 
 def closure_variables(plan: Any, panels: int, bands: int, lines: int) -> dict[str, xr.DataArray]:
-    """Return the results of a plan's panels as variables, lazily."""
+    # Return the results of a plan's panels as variables, lazily.
     masks = 1 << np.arange(len(PANEL_STATES), dtype=np.uint8)
     attrs = {"panel_state": {"flag_masks": masks, "flag_meanings": " ".join(PANEL_STATES)}}
     variables = {}

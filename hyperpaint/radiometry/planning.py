@@ -78,17 +78,16 @@ MAX_PANEL_DISTANCE = np.timedelta64(120, "s")
 def tilt_factors(
     tilt: Tilt, light: Mapping[str, Any], used: Array, wavelength: Floats, position: tuple[float, float]
 ) -> Floats:
-    """Return irradiance on the surface relative to level ground (sample, band) [1], for the ``used`` samples.
-
-    A diffuse fraction of the tilt is used first. Otherwise the fraction of the lines, if they have one;
-    otherwise the split by `hyperpaint.light.diffuse_from_record`, which leaves a clear sky to the model of
-    `Tilt`. Diffuse light is uniform except under a clear or hazy sky.
-
-    light: ``irradiance``, its time and wavelengths, and of lines ``time``, ``diffuse_fraction`` and
-        ``sky_state``; position: latitude and longitude [degree].
-
-    Warns PaintWarning: The record fits no sky, and a clear sky is assumed.
-    """
+    # Return irradiance on the surface relative to level ground (sample, band) [1], for the ``used`` samples.
+    #
+    # A diffuse fraction of the tilt is used first. Otherwise the fraction of the lines, if they have one;
+    # otherwise the split by `hyperpaint.light.diffuse_from_record`, which leaves a clear sky to the model of
+    # `Tilt`. Diffuse light is uniform except under a clear or hazy sky.
+    #
+    # light: ``irradiance``, its time and wavelengths, and of lines ``time``, ``diffuse_fraction`` and
+    #     ``sky_state``; position: latitude and longitude [degree].
+    #
+    # Warns PaintWarning: The record fits no sky, and a clear sky is assumed.
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
 
     def factor(sky: Tilt, samples: Array) -> Floats:
@@ -122,11 +121,10 @@ def tilt_factors(
 def direct_share(
     light: Mapping[str, Any], time: np.datetime64, wavelength: Floats, position: tuple[float, float]
 ) -> Floats | None:
-    """Return the relative change of a panel's light with its direct part (sky, band) [1].
-
-    1 - f for a uniform diffuse fraction f; under a clear sky a second row includes the bright side of the sky
-    around the sun. None where the split is unknown. Arguments as of `tilt_factors`.
-    """
+    # Return the relative change of a panel's light with its direct part (sky, band) [1].
+    #
+    # 1 - f for a uniform diffuse fraction f; under a clear sky a second row includes the bright side of the
+    # sky around the sun. None where the split is unknown. Arguments as of `tilt_factors`.
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
     distance = np.abs(stamps - time)
     nearby_samples = np.flatnonzero(distance <= max(MAX_PANEL_DISTANCE, distance.min()))
@@ -385,10 +383,9 @@ def _highest_count(cube: Mapping[str, Any]) -> float:
 
 
 def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Floats:
-    """Return the weight of each of ``count`` darks in every line (line, dark).
-
-    ``cube`` holds times and exposures of the darks, as of `make_plan`; ``exposure`` (line,) [s].
-    """
+    # Return the weight of each of ``count`` darks in every line (line, dark).
+    #
+    # ``cube`` holds times and exposures of the darks, as of `make_plan`; ``exposure`` (line,) [s].
     if count == 1:
         return np.ones((exposure.size, 1))
     # the subtracted dark is linear in the darks: unit darks give their weights
@@ -404,12 +401,11 @@ def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Float
 
 
 def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Array]:
-    """Return darks (n, band, column), and for every line its earlier dark and the weight of the later.
-
-    Darks at the line's exposure are interpolated in time. Without such darks, or if lines differ in exposure,
-    bias and rate are fitted to the darks, and every line is interpolated between two fitted darks; the bias
-    is never scaled.
-    """
+    # Return darks (n, band, column), and for every line its earlier dark and the weight of the later.
+    #
+    # Darks at the line's exposure are interpolated in time. Without such darks, or if lines differ in
+    # exposure, bias and rate are fitted to the darks, and every line is interpolated between two fitted
+    # darks; the bias is never scaled.
     dark = np.asarray(cube["dark_counts"], np.float32)
     dark = dark[None] if dark.ndim == 2 else dark
     times = cube.get("dark_time")
@@ -673,12 +669,12 @@ class Entry:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the copies of small variables, of the coordinates, and of the plan where it is made."""
+        # Bytes of the copies of small variables, of the coordinates, and of the plan where it is made.
         copies = (state.values for state in self._states.values() if state.values is not None)
         return sum(v.nbytes for v in copies) + self.labels.nbytes + bytes_of(getattr(self, "plan", None))
 
     def is_of(self, line: xr.Dataset, options: tuple[Any, ...]) -> bool:
-        """Return whether a line with these options gives the same plan."""
+        # Return whether a line with these options gives the same plan.
         small = _small(line)
         return (
             self._options == (*options, "counts" in line.variables)
@@ -705,7 +701,7 @@ class PlanCache:
         self._pending: dict[str, Entry] = {}
 
     def entry(self, line: xr.Dataset, options: tuple[Any, ...]) -> Entry | None:
-        """Return the plan of a line; None where it is not cached."""
+        # Return the plan of a line; None where it is not cached.
         with self._lock:
             entries = self._entries[::-1]
         for entry in entries:
@@ -715,7 +711,7 @@ class PlanCache:
         return None
 
     def expect(self, line: xr.Dataset, options: tuple[Any, ...]) -> str:
-        """Return the name with which a task will `fulfil` the plan of a line."""
+        # Return the name with which a task will `fulfil` the plan of a line.
         entry, name = Entry(line, options), uuid.uuid4().hex
         with self._lock:
             if entry.nbytes <= MAX_BYTES // 2:
@@ -725,7 +721,7 @@ class PlanCache:
         return name
 
     def fulfil(self, name: str, plan: Plan) -> None:
-        """Add an expected plan; does nothing in a process that did not call `expect`."""
+        # Add an expected plan; does nothing in a process that did not call `expect`.
         with self._lock:
             entry = self._pending.pop(name, None)
         if entry is not None:
@@ -733,7 +729,7 @@ class PlanCache:
             self.add(entry)
 
     def add(self, entry: Entry) -> None:
-        """Add a plan or mark it as used; the least recently used plans are dropped."""
+        # Add a plan or mark it as used; the least recently used plans are dropped.
         with self._lock:
             self._entries = [*(other for other in self._entries if other is not entry), entry]
             while len(self._entries) > MAX_PLANS or sum(e.nbytes for e in self._entries) > MAX_BYTES:
@@ -744,7 +740,7 @@ PLANS = PlanCache()
 
 
 def bytes_of(value: Any) -> int:
-    """Return the bytes of all arrays of a plan."""
+    # Return the bytes of all arrays of a plan.
     if isinstance(value, np.ndarray):
         return int(value.nbytes)
     if dataclasses.is_dataclass(value):
@@ -755,11 +751,9 @@ def bytes_of(value: Any) -> int:
 def lazy_plan(
     line: xr.Dataset, options: tuple[Any, ...] | None, planner: Callable[..., Plan], **inputs: Any
 ) -> Callable[..., Delayed]:
-    """Return a function from a cube's shape, dtype and slabs to its lazy plan, named by a hash of the inputs.
-
-    With ``options`` None no cache is used; else a cached plan is embedded in the graph.
-    """
-
+    # Return a function from a cube's shape, dtype and slabs to its lazy plan, named by a hash of the inputs.
+    #
+    # With ``options`` None no cache is used; else a cached plan is embedded in the graph.
     def of_cube(shape: tuple[int, int, int], dtype: str, starts: Array) -> Delayed:
         name = f"make_plan-{dask.base.tokenize(planner, shape, dtype, starts, inputs)}"
         expected = ""
@@ -813,10 +807,9 @@ def plan_inputs(
     keep_bits: int | None = None,
     uncertainty: bool = False,
 ) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return the cube from which reflectance is computed, and the inputs of `make_plan` besides its shape.
-
-    ``scale_panels``: panels that give the scale; ``stored``: their scale, if measured before.
-    """
+    # Return the cube from which reflectance is computed, and the inputs of `make_plan` besides its shape.
+    #
+    # ``scale_panels``: panels that give the scale; ``stored``: their scale, if measured before.
     if "counts" in dataset.variables:
         refuse_calibration(dataset, needs_scale=not scale_panels)
     cube, values = cube_inputs(dataset, "reflectance")
@@ -833,7 +826,7 @@ def plan_inputs(
 
 
 def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
-    """Raise SchemaError for gains without an absolute scale, where one is needed."""
+    # Raise SchemaError for gains without an absolute scale, where one is needed.
     SchemaError.raise_if(
         needs_scale and dataset.attrs.get("absolute_scale") == "unknown",
         "the gain of this line has no absolute scale (attribute absolute_scale 'unknown')",
@@ -843,7 +836,7 @@ def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
 
 
 def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
-    """Return the counts or the radiance of a line, and the small variables that calibrate it."""
+    # Return the counts or the radiance of a line, and the small variables that calibrate it.
     schema.warn_of_lost_calibration(dataset, purpose)
     is_from_counts = "counts" in dataset.variables
     required = [*COUNTED] if is_from_counts else ["radiance"]
@@ -927,12 +920,12 @@ class LightLevel(NamedTuple):
 
     @property
     def slip(self) -> str:
-        """Mistaken unit that explains the level, as "A taken for B"; empty without one."""
+        # Mistaken unit that explains the level, as "A taken for B"; empty without one.
         return unit_slip(self.median / (self.clear if math.isfinite(self.clear) else 1.0))
 
 
 def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> LightLevel:
-    """Return the brightness of the spectra (sample, channel) that light a line, at its place and time."""
+    # Return the brightness of the spectra (sample, channel) that light a line, at its place and time.
     # smallest zenith angle of the sun; NaN where the position is unknown
     zenith = clear = math.nan
     coordinates = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
@@ -946,11 +939,10 @@ def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
 
 
 def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> None:
-    """Check the level of the spectra (sample, channel) that light a line [W m-2 nm-1].
-
-    Raises SchemaError: The level is impossible for daylight. Warns PaintWarning: It does not fit position and
-    time.
-    """
+    # Check the level of the spectra (sample, channel) that light a line [W m-2 nm-1].
+    #
+    # Raises SchemaError: The level is impossible for daylight. Warns PaintWarning: It does not fit position
+    # and time.
     light = light_level(cube, spectra, channels, stamps)
     level, zenith, clear = light
     if not math.isfinite(level):
@@ -980,10 +972,9 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
 
 
 def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:
-    """Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are missing.
-
-    spectra: (sample, channel); matched: (sample, node, band). A sample without any channel is a gap.
-    """
+    # Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are missing.
+    #
+    # spectra: (sample, channel); matched: (sample, node, band). A sample without any channel is a gap.
     has_values = np.isfinite(spectra).any(axis=1)
     is_lost = (
         np.isnan(matched[has_values]).any(axis=(0, 1))

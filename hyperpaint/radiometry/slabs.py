@@ -43,10 +43,9 @@ from .panel_judging import RULES, PanelClosure
 
 
 def usable_panels(closure: PanelClosure) -> Array:
-    """Return the indices of panels that are not refused.
-
-    Raises SchemaError: All are refused. Warns PaintWarning: Some are refused and left out.
-    """
+    # Return the indices of panels that are not refused.
+    #
+    # Raises SchemaError: All are refused. Warns PaintWarning: Some are refused and left out.
     refused = [reason for reason in closure.reasons if reason]
     if len(refused) == len(closure.reasons):
         raise SchemaError(
@@ -105,11 +104,11 @@ def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats
 
 
 def scale_of_factors(factor: Floats, weight: Floats, refused: Array) -> tuple[Floats, Floats | None]:
-    """Return the scale of a line from the stored factors of its panels, in the form of a `Plan`.
-
-    ``factor`` (panel, band), ``weight`` (line, panel), ``refused`` (panel,). One usable panel gives its scale
-    (band,) and None; several give logarithms of their scales (panel, band) and their weights (line, panel).
-    """
+    # Return the scale of a line from the stored factors of its panels, in the form of a `Plan`.
+    #
+    # ``factor`` (panel, band), ``weight`` (line, panel), ``refused`` (panel,). One usable panel gives its
+    # scale (band,) and None; several give logarithms of their scales (panel, band) and their weights (line,
+    # panel).
     scale = 1.0 / np.asarray(factor, np.float64)[~refused]
     if len(scale) == 1:
         return scale[0], None
@@ -132,7 +131,7 @@ def _filled(scale: Floats) -> Floats:
 
 
 def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
-    """Return the scale of lines (line, band) from logarithms of panels' scales and weights of the lines."""
+    # Return the scale of lines (line, band) from logarithms of panels' scales and weights of the lines.
     # panel by panel, so that the bits do not depend on the grouping of lines
     total = np.zeros((len(weights), scale.shape[1]))
     for panel, weight in zip(scale, weights.T, strict=True):
@@ -185,7 +184,7 @@ class Plan:
 
     @functools.cached_property
     def warning_of_means(self) -> str:
-        """Warn, once per line, of counts that are means; return the text."""
+        # Warn, once per line, of counts that are means; return the text.
         text = (
             "counts are not whole numbers: means of several readings may hide a saturated one; pixels "
             "above half of the range are flagged 'saturated'; average reflectance instead of counts"
@@ -194,7 +193,7 @@ class Plan:
         return text
 
     def light(self, start: int, stop: int) -> Array:
-        """Return the kernel's factors or divisors of lines, (line, band, cell, 1 or 4), float32."""
+        # Return the kernel's factors or divisors of lines, (line, band, cell, 1 or 4), float32.
         rate = self.rate[start:stop, None, None, None]
         scale = (
             self.scale[None, :, None, None]
@@ -219,12 +218,12 @@ class Plan:
 
 
 def small(array: xr.DataArray) -> Any:
-    """Return a small variable's values, or its dask array where it is lazy."""
+    # Return a small variable's values, or its dask array where it is lazy.
     return array.data if array.chunks is not None else array.values
 
 
 def line_chunked(cube: xr.DataArray) -> xr.DataArray:
-    """Return a cube as (along_track, band, cross_track) whose dask chunks are whole lines."""
+    # Return a cube as (along_track, band, cross_track) whose dask chunks are whole lines.
     cube = cube.transpose(*CUBE)
     if cube.chunks is None:
         line_bytes = cube.sizes[CUBE[1]] * cube.sizes[CUBE[2]] * np.dtype(np.float32).itemsize
@@ -246,10 +245,9 @@ NO_CUBE = np.empty((0, 0, 0), np.float32)
 
 
 def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> None:
-    """Calibrate contiguous counts (line, band, column), uint16 or float32, from line ``start`` on.
-
-    Writes the arrays of ``out`` that are not empty; uncertainties need the plan's ``error_terms``.
-    """
+    # Calibrate contiguous counts (line, band, column), uint16 or float32, from line ``start`` on.
+    #
+    # Writes the arrays of ``out`` that are not empty; uncertainties need the plan's ``error_terms``.
     from hyperpaint.kernels.radiometry import calibrate_slab
 
     lines = slice(start, start + len(counts))
@@ -306,10 +304,9 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
 
 
 def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, ...]:
-    """Return the calibrated slab (line, band, column), float32, and its quality (line, column), uint16.
-
-    With the plan's `ErrorTerms`, the random and the systematic uncertainty follow, shaped as the slab.
-    """
+    # Return the calibrated slab (line, band, column), float32, and its quality (line, column), uint16.
+    #
+    # With the plan's `ErrorTerms`, the random and the systematic uncertainty follow, shaped as the slab.
     is_certain = plan.error_terms is None
     cube = np.empty(counts.shape, np.float32)
     quality = np.empty((counts.shape[0], counts.shape[2]), np.uint16)
@@ -320,15 +317,14 @@ def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Arra
 
 
 def light_of_lines(plan: Plan, name: str) -> Array:
-    """Return ``age`` or ``sensitivity`` of the `LineLight` of every line (line,); NaN without light."""
+    # Return ``age`` or ``sensitivity`` of the `LineLight` of every line (line,); NaN without light.
     return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else getattr(plan.lines, name)
 
 
 def panel_result(plan: Plan, name: str) -> Array:
-    """Return a result of panels by its name, ``weight`` (line, panel), or ``scale_u`` (line,).
-
-    Results have the dtypes of the table of variables.
-    """
+    # Return a result of panels by its name, ``weight`` (line, panel), or ``scale_u`` (line,).
+    #
+    # Results have the dtypes of the table of variables.
     if plan.closure is None or plan.panel_u is None:
         raise SchemaError("reflectance without panels", mend="pass panel=", code="argument-missing")
     if name == "weight":

@@ -316,7 +316,7 @@ def smooth(
 
 
 def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
-    """Return the matrix of `smooth` for spectra without gaps (band, band), for its ``options``."""
+    # Return the matrix of `smooth` for spectra without gaps (band, band), for its ``options``.
     single = xr.DataArray(np.eye(good.size, dtype=np.float32), dims=("of", schema.BAND), attrs={"units": "1"})
     filtered = smooth(xr.Dataset({"reflectance": single, "good": (schema.BAND, good)}), **options)
     return np.asarray(filtered["reflectance"].values.T)

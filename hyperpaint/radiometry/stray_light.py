@@ -57,7 +57,7 @@ def inverse_of(matrix: Floats, name: str) -> Floats:
 
 
 def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, problems: Problems) -> None:
-    """Add problems of stray light that does not fit the bands of a cube, or is too large to subtract."""
+    # Add problems of stray light that does not fit the bands of a cube, or is too large to subtract.
     shape = np.shape(cube[STRAY]) if STRAY in cube else (bands, bands)
     shifted_bands = cube.get("shifted_bands") or bands
     for is_valid, found in (
@@ -85,11 +85,10 @@ def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, pro
 
 
 def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, masked: Ints) -> StrayLight | None:
-    """Return the terms of stray light to subtract from lines; None where the line declares none.
-
-    ``exposure`` (line,) [s]; ``gain`` (band, column), NaN for bad elements, which are replaced by the nearest
-    good band of their column; ``masked`` (n, 2): band and column of elements that receive no light.
-    """
+    # Return the terms of stray light to subtract from lines; None where the line declares none.
+    #
+    # ``exposure`` (line,) [s]; ``gain`` (band, column), NaN for bad elements, which are replaced by the
+    # nearest good band of their column; ``masked`` (n, 2): band and column of elements that receive no light.
     if STRAY not in cube and SHIFT_TIME not in cube:
         return None
     bands = len(gain)
@@ -142,7 +141,7 @@ def smear_of(shift_time: float, exposure: Any, bands: int) -> Any:
 
 
 def described(cube: Mapping[Any, Any]) -> str | None:
-    """Return the description of the subtracted light for an attribute; None for nothing."""
+    # Return the description of the subtracted light for an attribute; None for nothing.
     descriptions = {
         STRAY: "scattered light by the matrix of the calibration",
         SHIFT_TIME: "smear by the time in which a frame is shifted",

@@ -622,13 +622,12 @@ MAX_VECTOR_FILE_BYTES = 256 * 2**20
 
 
 def features_of(path: Path, max_features: int) -> dict[str, Any]:
-    """Return the polygons of a vector file as a FeatureCollection in coordinates of a map.
-
-    At most ``max_features`` + 1 features are read, so that the caller can tell that there are too many.
-
-    Raises `FormatError`: the file is damaged, of another format, without a crs, or has several layers of
-    polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
-    """
+    # Return the polygons of a vector file as a FeatureCollection in coordinates of a map.
+    #
+    # At most ``max_features`` + 1 features are read, so that the caller can tell that there are too many.
+    #
+    # Raises `FormatError`: the file is damaged, of another format, without a crs, or has several layers of
+    # polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
     magic = VECTOR_FILES[path.suffix.lower()]
     with open_input(path, "regions", MAX_VECTOR_FILE_BYTES) as file:
         if file.read(len(magic)) != magic:

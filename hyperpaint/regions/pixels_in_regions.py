@@ -213,7 +213,7 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
 
 
 def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
-    """Return the numbers of the flight lines in a map by name; empty for a map of one line."""
+    # Return the numbers of the flight lines in a map by name; empty for a map of one line.
     if _SOURCE_LINE not in line.variables or set(line[_SOURCE_LINE].dims) != {ALONG_TRACK, CROSS_TRACK}:
         return {}
     attrs = line[_SOURCE_LINE].attrs
@@ -223,10 +223,9 @@ def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
 
 
 def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line with ground coordinates for regions on a map; it is located if it has only poses.
-
-    Raises `SchemaError`: the height of the ground is unknown; or as `hyperpaint.geometry.locate`.
-    """
+    # Return a flight line with ground coordinates for regions on a map; it is located if it has only poses.
+    #
+    # Raises `SchemaError`: the height of the ground is unknown; or as `hyperpaint.geometry.locate`.
     renamed = schema.rename_to_roles(line)
     is_placed = any(_has_pair(renamed, pair) for pair in _GROUND)
     if regions.coordinates != "map" or is_placed or not set(POSE) <= set(renamed.variables):
@@ -243,7 +242,7 @@ def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
 
 
 def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> RegionsT:
-    """Return regions with array positions changed to index coordinates of the line; ``back`` reverses it."""
+    # Return regions with array positions changed to index coordinates of the line; ``back`` reverses it.
     numbers = [numbers_of(line, dim) for dim in (CROSS_TRACK, ALONG_TRACK)]
     first = np.array([values[0] for values in numbers])
     step = np.array([(values[-1] - values[0]) / max(values.size - 1, 1) or 1.0 for values in numbers])

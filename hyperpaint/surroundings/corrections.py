@@ -259,7 +259,7 @@ def _checked(
 
 
 def sky_above(split: LightSplit) -> Any:
-    """Return the radiance of the zenith over the mean of the sky [1], on the dims of the split."""
+    # Return the radiance of the zenith over the mean of the sky [1], on the dims of the split.
     if split.sky == "uniform":
         return 1.0
     clear = 0.0 if split.sky == "overcast" else _on_bands(zenith_radiance(split.wavelength, split.zenith))

@@ -298,10 +298,9 @@ class Flagged:
 
 
 def is_flagged(line: xr.Dataset) -> bool:
-    """Return whether a line was searched for glint, shadow, adjacency or mixed edges.
-
-    Reads the values of ``quality`` where its attributes do not record the search.
-    """
+    # Return whether a line was searched for glint, shadow, adjacency or mixed edges.
+    #
+    # Reads the values of ``quality`` where its attributes do not record the search.
     if "quality" not in line.variables:
         return False
     quality = line["quality"]
@@ -311,11 +310,10 @@ def is_flagged(line: xr.Dataset) -> bool:
 def flag_line(
     line: xr.Dataset, *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> Flagged:
-    """Survey a line with ``reflectance``, and flag it; a line with smile above 1 nm at nominal wavelengths.
-
-    ``options`` are thresholds of `flag` and options of `survey`; ``progress`` is called with the numbers of
-    surveyed lines and of all lines; flags are lazy. Raises as `flag` and `survey`.
-    """
+    # Survey a line with ``reflectance``, and flag it; a line with smile above 1 nm at nominal wavelengths.
+    #
+    # ``options`` are thresholds of `flag` and options of `survey`; ``progress`` is called with the numbers of
+    # surveyed lines and of all lines; flags are lazy. Raises as `flag` and `survey`.
     has_smile = (
         "wavelength_shift" in line.variables
         and (np.abs(line["wavelength_shift"].values) > FLAGS.max_smile_nm).any()

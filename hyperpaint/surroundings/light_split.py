@@ -96,7 +96,7 @@ class LightSplit:
     states: tuple[str, ...] = ()  #: Frequent states of the sky; only of a mean over lines.
 
     def mean(self) -> LightSplit:
-        """Return the mean over lines; eager."""
+        # Return the mean over lines; eager.
         line_dims = [dim for dim in self.fraction.dims if dim != BAND]
         if not line_dims:
             return self
@@ -133,7 +133,7 @@ class LightSplit:
         )
 
     def mirrored(self) -> tuple[Floats, Floats]:
-        """Return `mirrored_radiances` of a mean (band,) [1]."""
+        # Return `mirrored_radiances` of a mean (band,) [1].
         if not np.isfinite(self.zenith) and self.sky not in ("uniform", "overcast"):
             raise SchemaError(
                 "the mirrored sky depends on the position of the sun, which is unknown",
@@ -218,12 +218,12 @@ def split_of(
 
 
 def has_split(line: xr.Dataset) -> bool:
-    """Return whether a line declares its diffuse fraction, or has a record from which it follows."""
+    # Return whether a line declares its diffuse fraction, or has a record from which it follows.
     return _line_split(line, None) is not None
 
 
 def warn_of_contradiction(states: Any, zenith: float) -> None:
-    """Warn where most of the lines' states, numbers in `SKY_STATES`, are "contradictory"."""
+    # Warn where most of the lines' states, numbers in `SKY_STATES`, are "contradictory".
     if np.mean(np.asarray(states) == CONTRADICTORY) > 0.5:
         warn_user(CONTRADICTION.format(zenith=zenith), "sky-contradictory")
 
@@ -292,7 +292,7 @@ def _from_line_split(
 
 
 def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
-    """Return the zenith angle of the sun [degree]: the argument, or from time and place of the line."""
+    # Return the zenith angle of the sun [degree]: the argument, or from time and place of the line.
     if sun_zenith is not None:
         if not 0.0 <= sun_zenith <= 90.0:
             raise SchemaError(
@@ -318,10 +318,9 @@ def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
 
 
 def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Floats | None:
-    """Return the direction (along, across) in the image in which shadows fall; None where it is unknown.
-
-    The right-hand column is to the right of the flight.
-    """
+    # Return the direction (along, across) in the image in which shadows fall; None where it is unknown.
+    #
+    # The right-hand column is to the right of the flight.
     if heading is None and "heading" in line.variables:
         heading = _mean_angle(line["heading"].values)
     if sun_azimuth is None and set(SUN_FROM) <= set(line.variables):
@@ -342,11 +341,10 @@ def _mean_angle(degrees: Any) -> float | None:
 
 
 def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Floats:
-    """Return the diffuse fraction (band,) [1] of a clear sky, by `hyperpaint.light.sun` or by pvlib.
-
-    ``source`` "pvlib" runs SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) for sea level,
-    1.5 cm of water vapour, 0.31 atm-cm of ozone and a turbidity of 0.1 at 500 nm.
-    """
+    # Return the diffuse fraction (band,) [1] of a clear sky, by `hyperpaint.light.sun` or by pvlib.
+    #
+    # ``source`` "pvlib" runs SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) for sea level,
+    # 1.5 cm of water vapour, 0.31 atm-cm of ozone and a turbidity of 0.1 at 500 nm.
     if source != "pvlib":
         return diffuse_fraction(wavelength, zenith)
     with needs_extra("pvlib", "sim", "the direct/diffuse split of SPECTRL2"):
@@ -369,12 +367,11 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
 
 
 def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
-    """Return a measured diffuse fraction at the wavelengths of the bands.
-
-    Takes ``fraction``, an array (band,) or a DataArray with a coordinate ``wavelength``: reading in the shade
-    of a small disc over the reading in full light [1]; ``wavelength`` (band,) [nm]. Raises `SchemaError`: it
-    does not cover the bands, or values are missing or outside 0 to 1.
-    """
+    # Return a measured diffuse fraction at the wavelengths of the bands.
+    #
+    # Takes ``fraction``, an array (band,) or a DataArray with a coordinate ``wavelength``: reading in the
+    # shade of a small disc over the reading in full light [1]; ``wavelength`` (band,) [nm]. Raises
+    # `SchemaError`: it does not cover the bands, or values are missing or outside 0 to 1.
     if hasattr(fraction, "coords") and "wavelength" in fraction.coords:
         nm = np.asarray(fraction["wavelength"].values, np.float64)
         order = np.argsort(nm, kind="stable")
@@ -400,11 +397,10 @@ def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
 
 
 def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple[Floats, Floats]:
-    """Return the radiance of the zenith, and the excess of the sky around the sun over it (band,) [1].
-
-    Both are relative to the mean of the sky. Only a clear sky is brighter around the sun. Takes ``sky``, one
-    of `SKIES`, ``wavelength`` (band,) [nm] and the sun's zenith angle [degree].
-    """
+    # Return the radiance of the zenith, and the excess of the sky around the sun over it (band,) [1].
+    #
+    # Both are relative to the mean of the sky. Only a clear sky is brighter around the sun. Takes ``sky``,
+    # one of `SKIES`, ``wavelength`` (band,) [nm] and the sun's zenith angle [degree].
     zero = np.zeros(wavelength.shape)
     if sky != "clear":
         return zero + (OVERCAST_ZENITH if sky == "overcast" else 1.0), zero

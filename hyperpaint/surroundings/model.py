@@ -21,12 +21,11 @@ CELL = 4
 
 
 def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, pixels: Ints) -> Index:
-    """Return the two coloured bodies nearest to pixels (pixel,), of other paints than the pixel's.
-
-    (pixel, 2), int32: numbers of segments, -1 for none. Takes ``neighbour`` (cell_along, cell_cross, rank):
-    segments nearest to a cell, -1 for none; ``body``, ``paint`` (segment,): the paint is equal for all bodies
-    of one paint; ``number`` (line, column): segment of every pixel; ``pixels``: their flat indices.
-    """
+    # Return the two coloured bodies nearest to pixels (pixel,), of other paints than the pixel's.
+    #
+    # (pixel, 2), int32: numbers of segments, -1 for none. Takes ``neighbour`` (cell_along, cell_cross, rank):
+    # segments nearest to a cell, -1 for none; ``body``, ``paint`` (segment,): the paint is equal for all
+    # bodies of one paint; ``number`` (line, column): segment of every pixel; ``pixels``: their flat indices.
     line, column = np.divmod(pixels, number.shape[1])
     return _first_two(neighbour[line // CELL, column // CELL], body, paint, number[line, column])
 

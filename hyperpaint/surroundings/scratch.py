@@ -36,7 +36,7 @@ _LINES = 128
 
 
 def survey_planned(line: xr.Dataset, subject: str) -> AbstractContextManager[None]:
-    """Return a context to survey a line within the memory limit (`hyperpaint.io.store.budget.planned`)."""
+    # Return a context to survey a line within the memory limit (`hyperpaint.io.store.budget.planned`).
     from hyperpaint.io.store import budget
 
     pixels = math.prod(line.sizes.get(dim, 1) for dim in (ALONG_TRACK, CROSS_TRACK))
@@ -45,10 +45,9 @@ def survey_planned(line: xr.Dataset, subject: str) -> AbstractContextManager[Non
 
 
 def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:
-    """Return an array of zeros; a large one is mapped to a temporary file.
-
-    Raises `StoreError`: the disk is full.
-    """
+    # Return an array of zeros; a large one is mapped to a temporary file.
+    #
+    # Raises `StoreError`: the disk is full.
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if size <= MAX_ARRAY_BYTES_IN_MEMORY:
         return np.zeros(shape, dtype)
@@ -70,7 +69,7 @@ def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:
 
 
 def release(array: Array) -> None:
-    """Release the memory-mapped pages of an array or of its base; values stay on disk."""
+    # Release the memory-mapped pages of an array or of its base; values stay on disk.
     base: Any = array
     while base is not None and not isinstance(base, mmap.mmap):
         base = base.obj if isinstance(base, memoryview) else getattr(base, "base", None)
@@ -79,7 +78,7 @@ def release(array: Array) -> None:
 
 
 def gather(array: Array, indices: Array) -> Array:
-    """Return rows of a mapped array; its pages are released after every `_ROWS` rows."""
+    # Return rows of a mapped array; its pages are released after every `_ROWS` rows.
     rows = np.empty((indices.size, *array.shape[1:]), array.dtype)
     for start in range(0, indices.size, _ROWS):
         rows[start : start + _ROWS] = array[indices[start : start + _ROWS]]
@@ -88,16 +87,15 @@ def gather(array: Array, indices: Array) -> Array:
 
 
 def trim_memory() -> None:
-    """Return freed memory of the allocator to the system, where the C library supports this."""
+    # Return freed memory of the allocator to the system, where the C library supports this.
     with contextlib.suppress(OSError, AttributeError, TypeError):  # another C library than glibc
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def line_blocks(array: Array, overlap: int = 0) -> Iterator[tuple[slice, Array]]:
-    """Yield blocks of lines of a mapped array, each with ``overlap`` lines of the next block.
-
-    The pages of the array are released after every block.
-    """
+    # Yield blocks of lines of a mapped array, each with ``overlap`` lines of the next block.
+    #
+    # The pages of the array are released after every block.
     for start in range(0, len(array), _LINES):
         lines = slice(start, min(start + _LINES, len(array)))
         yield lines, array[start : lines.stop + overlap]
@@ -105,7 +103,7 @@ def line_blocks(array: Array, overlap: int = 0) -> Iterator[tuple[slice, Array]]
 
 
 def compute_into(lazy: Sequence[da.Array], outs: Sequence[Array], progress: Progress | None = None) -> None:
-    """Compute lazy arrays with equal chunks along their lines into ``outs``, some chunks at a time."""
+    # Compute lazy arrays with equal chunks along their lines into ``outs``, some chunks at a time.
     import dask
 
     edges = [0, *np.cumsum(lazy[0].chunks[0]).tolist()]

@@ -38,12 +38,11 @@ class Touching(NamedTuple):
 
 
 def divide(channels: Floats32) -> Segments:
-    """Return the segments of a line (line, column, channel).
-
-    The steps between neighbouring pixels are visited in ascending order. A step joins its two segments unless
-    it is larger than the steps inside them allow (Felzenszwalb & Huttenlocher, Int. J. Comput. Vis. 59,
-    2004). The result does not depend on chunks.
-    """
+    # Return the segments of a line (line, column, channel).
+    #
+    # The steps between neighbouring pixels are visited in ascending order. A step joins its two segments
+    # unless it is larger than the steps inside them allow (Felzenszwalb & Huttenlocher, Int. J. Comput. Vis.
+    # 59, 2004). The result does not depend on chunks.
     from hyperpaint.kernels import segmentation as kernels
 
     lines, columns, _ = channels.shape
@@ -111,10 +110,9 @@ def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]
 
 
 def sample_pixels(number: npt.NDArray[np.int32], inside: Bools, count: int) -> list[Ints]:
-    """Return flat indices of at most `max_sample_px` pixels of every segment, evenly spread in line order.
-
-    Pixels of the mask ``inside`` are sampled; all pixels of segments without such a pixel.
-    """
+    # Return flat indices of at most `max_sample_px` pixels of every segment, evenly spread in line order.
+    #
+    # Pixels of the mask ``inside`` are sampled; all pixels of segments without such a pixel.
     from hyperpaint.kernels.segmentation import count_pixels, sample_places
 
     counts = np.zeros((2, count), np.int64)
@@ -130,7 +128,7 @@ def sample_pixels(number: npt.NDArray[np.int32], inside: Bools, count: int) -> l
 
 
 def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
-    """Return the touching segments, with the number and direction of their common sides."""
+    # Return the touching segments, with the number and direction of their common sides.
     # a pair of segments is coded as one number
     codes, directions = [], []
     for axis, (before, after) in enumerate(_NEIGHBOURS):
@@ -148,10 +146,9 @@ def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
 
 
 def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
-    """Return pairs of segments that touch, or have a small segment between them that touches both.
-
-    Large segments do not link others: everything in a car park touches the asphalt.
-    """
+    # Return pairs of segments that touch, or have a small segment between them that touches both.
+    #
+    # Large segments do not link others: everything in a car park touches the asphalt.
     count = size.size
     near = pairs.length >= SEGMENTS.min_border_sides
     one, other = pairs.one[near], pairs.other[near]
@@ -165,13 +162,13 @@ def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
 
 
 def distinct_pairs(one: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:
-    """Return the distinct pairs of numbers below ``count``, sorted."""
+    # Return the distinct pairs of numbers below ``count``, sorted.
     first, second = np.divmod(np.unique(one * count + other), max(count, 1))
     return first, second
 
 
 def border_steps(channels: Floats32, number: npt.NDArray[np.int32], pairs: Touching) -> Array:
-    """Return the mean difference in brightness of neighbouring pixels across a border (pair,) [1]."""
+    # Return the mean difference in brightness of neighbouring pixels across a border (pair,) [1].
     count = int(number.max()) + 1
     codes = pairs.one * count + pairs.other
     # sums by axis and by order of the pair
@@ -196,11 +193,11 @@ _NEIGHBOURS: tuple[Any, Any] = (np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:,
 def edge_distance(
     segments: Segments, body: npt.NDArray[np.int32], surface: npt.NDArray[np.int32]
 ) -> npt.NDArray[np.uint8]:
-    """Return the distance of every pixel from another surface (line, column) [pixel]; 0 in mixed pixels.
-
-    Takes ``body``, ``surface`` (segment,): body and surface of every segment. Bodies of one surface differ by
-    light and tilt only, so that pixels between them are not mixed; small or thin segments there still are.
-    """
+    # Return the distance of every pixel from another surface (line, column) [pixel]; 0 in mixed pixels.
+    #
+    # Takes ``body``, ``surface`` (segment,): body and surface of every segment. Bodies of one surface differ
+    # by light and tilt only, so that pixels between them are not mixed; small or thin segments there still
+    # are.
     from hyperpaint.kernels.segmentation import boundary_distance
 
     to_surface = np.empty(segments.number.shape, np.uint8)
@@ -213,7 +210,7 @@ def edge_distance(
 
 
 def distance_to(mask: Bools) -> npt.NDArray[np.uint8]:
-    """Return the distance of every pixel from a mask (line, column) [pixel], 0 inside; at most 255."""
+    # Return the distance of every pixel from a mask (line, column) [pixel], 0 inside; at most 255.
     from hyperpaint.kernels.segmentation import boundary_distance
 
     distance = np.empty(mask.shape, np.uint8)
@@ -243,7 +240,7 @@ class Light(NamedTuple):
 
     @classmethod
     def under(cls, diffuse: Floats, zenith: Floats | float = 1.0, sunward: Floats | float = 0.0) -> Light:
-        """Return the light of a diffuse fraction (channel,) and a sky's radiances over its mean [1]."""
+        # Return the light of a diffuse fraction (channel,) and a sky's radiances over its mean [1].
         return cls(1.0 - diffuse, diffuse, diffuse * zenith, diffuse * sunward)
 
 
@@ -255,7 +252,7 @@ class Matches(NamedTuple):
 
 
 def median_spectra(channels: Floats32, samples: list[Ints]) -> Floats:
-    """Return medians (segment, channel) of the pixels with flat indices ``samples``; NaN without values."""
+    # Return medians (segment, channel) of the pixels with flat indices ``samples``; NaN without values.
     flat = channels.reshape(-1, channels.shape[2])
     medians = np.full((len(samples), channels.shape[2]), np.nan)
     for median, indices in zip(medians, samples, strict=True):
@@ -278,14 +275,13 @@ def unmix_spectra(
     priors: Array,
     neighbours: npt.NDArray[np.int32] | None = None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return amounts (n, part), misfits (n,) and light of neighbours (n, 2) in spectra (n, channel).
-
-    Takes ``spectra`` (n, channel): reflectance [1]; ``body`` (n,): row of ``bodies`` for every spectrum;
-    ``bodies`` (segment, channel): reflectance in full light [1]; ``light``: parts of the irradiance;
-    ``noise``: standard deviation relative to ``spectra`` [1], the unit of misfits; ``priors`` (2, part):
-    expected amounts and their standard deviations; ``neighbours`` (n, 2): rows of ``bodies`` that may send
-    light, -1 for none; by default no neighbour sends light.
-    """
+    # Return amounts (n, part), misfits (n,) and light of neighbours (n, 2) in spectra (n, channel).
+    #
+    # Takes ``spectra`` (n, channel): reflectance [1]; ``body`` (n,): row of ``bodies`` for every spectrum;
+    # ``bodies`` (segment, channel): reflectance in full light [1]; ``light``: parts of the irradiance;
+    # ``noise``: standard deviation relative to ``spectra`` [1], the unit of misfits; ``priors`` (2, part):
+    # expected amounts and their standard deviations; ``neighbours`` (n, 2): rows of ``bodies`` that may send
+    # light, -1 for none; by default no neighbour sends light.
     from hyperpaint.kernels import arguments
     from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
@@ -310,7 +306,7 @@ def unmix_spectra(
 
 
 def max_excesses() -> Floats:
-    """Return the maximum physical excess of amounts over the expected amounts (part,) [1]; inf for none."""
+    # Return the maximum physical excess of amounts over the expected amounts (part,) [1]; inf for none.
     from hyperpaint.kernels.unmixing import PARTS
 
     excesses = np.full(PARTS, np.inf)
@@ -430,7 +426,7 @@ class Mixtures(NamedTuple):
 
 
 def without_sun(mixtures: Mixtures) -> Bools:
-    """Return whether grey objects that hide a part of the sky may send all the direct light (n,)."""
+    # Return whether grey objects that hide a part of the sky may send all the direct light (n,).
     return np.asarray(mixtures.direct < 0.02 + 0.2 * np.clip(0.75 - mixtures.sky, 0.0, 1.0))
 
 
@@ -477,16 +473,15 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
 
 
 def in_parts(count: int, max_items: int = PAIRS_AT_ONCE) -> list[slice]:
-    """Return the slices that divide ``count`` items into parts of at most ``max_items``."""
+    # Return the slices that divide ``count`` items into parts of at most ``max_items``.
     return [slice(start, start + max_items) for start in range(0, count, max_items)]
 
 
 def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> Ints:
-    """Return the coloured neighbours that may light every segment (segment, rank); -1 for none.
-
-    Neighbours that are nearest to more pixels of the segment come first. Light of grey neighbours cannot be
-    distinguished from direct light. Takes ``number`` (line, column): segment of every pixel.
-    """
+    # Return the coloured neighbours that may light every segment (segment, rank); -1 for none.
+    #
+    # Neighbours that are nearest to more pixels of the segment come first. Light of grey neighbours cannot be
+    # distinguished from direct light. Takes ``number`` (line, column): segment of every pixel.
     from hyperpaint.kernels.segmentation import nearest_sources
 
     level = spectrum.mean(axis=1)
@@ -516,12 +511,11 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> I
 
 
 def solve(spectra: Floats, body: Floats, sender: Floats | None, light: Light) -> tuple[Floats, Floats]:
-    """Return amounts (n, 2 or 3) of sun, sky and sender, and relative misfits (n,), of spectra (n, channel).
-
-    An object that casts a shadow first hides the sky around the sun, so that the visible sky may be as blue
-    as the zenith. The sky is therefore any sum of diffuse and zenith light; its amount is that of the
-    irradiance. See `least_amounts`.
-    """
+    # Return amounts (n, 2 or 3) of sun, sky and sender, and relative misfits (n,), of spectra (n, channel).
+    #
+    # An object that casts a shadow first hides the sky around the sun, so that the visible sky may be as blue
+    # as the zenith. The sky is therefore any sum of diffuse and zenith light; its amount is that of the
+    # irradiance. See `least_amounts`.
     parts = [body * light.direct, body * light.diffuse, body * light.above]
     if sender is not None:
         parts.append(body * sender)
@@ -532,11 +526,10 @@ def solve(spectra: Floats, body: Floats, sender: Floats | None, light: Light) ->
 
 
 def least_amounts(spectra: Floats, parts: list[Floats]) -> tuple[Floats, Floats]:
-    """Return non-negative least-squares amounts (n, part) and relative misfits (n,) of spectra (n, channel).
-
-    The minimum is exact: every subset of the parts, (channel,) or (n, channel), is solved, and the solution
-    with the smallest residual and no negative amount is returned.
-    """
+    # Return non-negative least-squares amounts (n, part) and relative misfits (n,) of spectra (n, channel).
+    #
+    # The minimum is exact: every subset of the parts, (channel,) or (n, channel), is solved, and the solution
+    # with the smallest residual and no negative amount is returned.
     sigma = MIXTURES.tolerance * np.abs(spectra) + MIXTURES.floor
     design = np.stack([part / sigma for part in parts], axis=2)
     target = spectra / sigma
@@ -651,7 +644,7 @@ def _components(mask: Bools, pad: int = 2) -> Iterator[tuple[Bools, tuple[slice,
 
 
 def padded(window: tuple[slice, ...], pad: int) -> tuple[slice, slice]:
-    """Return a window that is some pixels wider on all sides."""
+    # Return a window that is some pixels wider on all sides.
     rows, columns = (slice(max(axis.start - pad, 0), axis.stop + pad) for axis in window)
     return rows, columns
 

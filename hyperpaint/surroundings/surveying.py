@@ -58,7 +58,7 @@ from .segments import (
 
 
 def is_vegetation(spectrum: Floats, wavelength: Floats) -> Bools:
-    """Return whether spectra (n, channel) [1] are of leaves (n,); ``wavelength`` (channel,) [nm]."""
+    # Return whether spectra (n, channel) [1] are of leaves (n,); ``wavelength`` (channel,) [nm].
     rules = VEGETATION
     means = []
     for span in (rules.blue_nm, rules.green_nm, rules.red_nm, rules.edge_nm, rules.infrared_nm):
@@ -316,11 +316,10 @@ def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]
 def penumbrae(
     channels: Floats32, number: npt.NDArray[np.int32], matches: Matches, ground: Bools, light: Light
 ) -> npt.NDArray[np.int32]:
-    """Return the segment of every pixel (line, column), with penumbrae on objects added to their shadows.
-
-    Light fades over some pixels at the edge of a shadow; the division into segments gave these pixels to any
-    neighbour. Takes ``matches``, ``ground``: from `match_shade`; shadows on the ground are unchanged.
-    """
+    # Return the segment of every pixel (line, column), with penumbrae on objects added to their shadows.
+    #
+    # Light fades over some pixels at the edge of a shadow; the division into segments gave these pixels to
+    # any neighbour. Takes ``matches``, ``ground``: from `match_shade`; shadows on the ground are unchanged.
     result = number
     shadows = np.flatnonzero((matches.state == SHADED) & ~ground[matches.body])
     boxes = find_objects(number + 1) if shadows.size else []
@@ -428,14 +427,13 @@ def _assign(mixtures: Mixtures, accepted: Bools, state: Array, body: Array) -> b
 def shaded_pixels(
     channels: Floats32, number: npt.NDArray[np.int32], level: Bools, reference: Floats, light: Light
 ) -> Bools:
-    """Return the pixels (line, column) of level ground that lack direct light: shadows of thin objects.
-
-    Other surfaces are not tested: they also lack direct light where they lean away from the sun.
-
-    Takes ``channels`` (line, column, channel): reflectance [1]; ``number`` (line, column): segment of every
-    pixel, -1 without data; ``level`` (segment,): true for ground in the sun; ``reference`` (segment,
-    channel): reflectance of bodies in full light [1]; ``light``: parts of the irradiance.
-    """
+    # Return the pixels (line, column) of level ground that lack direct light: shadows of thin objects.
+    #
+    # Other surfaces are not tested: they also lack direct light where they lean away from the sun.
+    #
+    # Takes ``channels`` (line, column, channel): reflectance [1]; ``number`` (line, column): segment of every
+    # pixel, -1 without data; ``level`` (segment,): true for ground in the sun; ``reference`` (segment,
+    # channel): reflectance of bodies in full light [1]; ``light``: parts of the irradiance.
     shaded = np.zeros(number.shape, bool)
     lit_brightness = np.append(reference.mean(axis=1), 0.0)
     on_ground = np.append(level, False)[number]
@@ -450,12 +448,11 @@ def shaded_pixels(
 
 
 def of_shadows(shaded: Bools, dark: Bools) -> Bools:
-    """Return the pixels without direct light (line, column) that belong to a shadow, not to ground texture.
-
-    They are connected sets that touch a segment in shadow, and long thin sets, such as the shadows of posts.
-    Takes ``shaded`` (line, column): pixels without direct light; ``dark`` (line, column): pixels of segments
-    in shadow.
-    """
+    # Return the pixels without direct light (line, column) that belong to a shadow, not to ground texture.
+    #
+    # They are connected sets that touch a segment in shadow, and long thin sets, such as the shadows of
+    # posts. Takes ``shaded`` (line, column): pixels without direct light; ``dark`` (line, column): pixels of
+    # segments in shadow.
     pieces, count = label(shaded, np.ones((3, 3)))
     belongs = np.zeros(count + 1, bool)
     belongs[np.unique(pieces[binary_dilation(dark, np.ones((3, 3))) & shaded])] = True
@@ -478,10 +475,9 @@ def of_shadows(shaded: Bools, dark: Bools) -> Bools:
 
 
 def coloured(spectrum: Floats, light: Light) -> Floats:
-    """Return the colour of spectra (segment,): rms residual of a fit of a constant and diffuse light [1].
-
-    Channels without values are excluded; the colour is 0 where too few remain.
-    """
+    # Return the colour of spectra (segment,): rms residual of a fit of a constant and diffuse light [1].
+    #
+    # Channels without values are excluded; the colour is 0 where too few remain.
     basis = np.stack([np.ones_like(light.direct), light.diffuse], axis=1)
     is_finite = np.isfinite(spectrum)
     colour = np.zeros(len(spectrum))
@@ -496,18 +492,17 @@ def coloured(spectrum: Floats, light: Light) -> Floats:
 
 
 def coloured_bodies(spectrum: Floats, light: Light) -> Bools:
-    """Return whether spectra are coloured enough to be distinguished from mirrored sunlight (segment,)."""
+    # Return whether spectra are coloured enough to be distinguished from mirrored sunlight (segment,).
     return np.asarray(_relative_colour(spectrum, light) > BODIES.min_paint_colour)
 
 
 def nearest_coloured(
     number: npt.NDArray[np.int32], size: Ints, spectrum: Floats, matches: Matches, light: Light, reach: int
 ) -> npt.NDArray[np.int32]:
-    """Return the nearest coloured segments in full light of every cell (cell_along, cell_cross, rank).
-
-    Takes ``number`` (line, column): segment of every pixel; ``size``, ``spectrum``, ``matches``: of the
-    segments; ``light``: parts of the irradiance; ``reach``: maximum distance of their light [pixel].
-    """
+    # Return the nearest coloured segments in full light of every cell (cell_along, cell_cross, rank).
+    #
+    # Takes ``number`` (line, column): segment of every pixel; ``size``, ``spectrum``, ``matches``: of the
+    # segments; ``light``: parts of the irradiance; ``reach``: maximum distance of their light [pixel].
     from hyperpaint.kernels.segmentation import nearest_sources
 
     sends = (
@@ -576,18 +571,17 @@ def clean_references(
     neighbours: Callable[[Ints], npt.NDArray[np.int32]],
     zenith: float,
 ) -> tuple[Floats, Floats]:
-    """Return the spectra of bodies (segment, channel) without glint, and the lean of their parts (segment,).
-
-    Glint and light of neighbours are added light. Where it differs from pixel to pixel by over 0.003, the
-    pixels with the least of it are averaged. On grey bodies glint cannot be separated; where brightness
-    differs by more than tilt towards the sun allows, the darkest pixels that see as much of the sky are
-    averaged. Glint that covers a whole body is estimated from another part with the same paint.
-
-    Takes ``channels`` (line, column, channel): reflectance [1]; ``samples``: flat indices of pixels of every
-    segment; ``spectrum`` (segment, channel): median reflectance [1]; ``same_paint``: see `same_paints`;
-    ``neighbours``: function that returns the coloured segments beside pixels (pixel, 2); ``zenith``: angle of
-    the sun [degree]; NaN where unknown.
-    """
+    # Return the spectra of bodies (segment, channel) without glint, and the lean of their parts (segment,).
+    #
+    # Glint and light of neighbours are added light. Where it differs from pixel to pixel by over 0.003, the
+    # pixels with the least of it are averaged. On grey bodies glint cannot be separated; where brightness
+    # differs by more than tilt towards the sun allows, the darkest pixels that see as much of the sky are
+    # averaged. Glint that covers a whole body is estimated from another part with the same paint.
+    #
+    # Takes ``channels`` (line, column, channel): reflectance [1]; ``samples``: flat indices of pixels of
+    # every segment; ``spectrum`` (segment, channel): median reflectance [1]; ``same_paint``: see
+    # `same_paints`; ``neighbours``: function that returns the coloured segments beside pixels (pixel, 2);
+    # ``zenith``: angle of the sun [degree]; NaN where unknown.
     finite_spectrum = np.nan_to_num(spectrum)
     reference, tilt = finite_spectrum.copy(), np.full(len(spectrum), BODIES.tilt)
     colour = _relative_colour(spectrum, light)
@@ -673,10 +667,9 @@ def _added_light(
 
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:
-    """Return the channel of every band; -1 for bands that are not good.
-
-    Channels are runs of equally many good bands: 24 channels of a 400-1000 nm camera are 25 nm wide.
-    """
+    # Return the channel of every band; -1 for bands that are not good.
+    #
+    # Channels are runs of equally many good bands: 24 channels of a 400-1000 nm camera are 25 nm wide.
     order = np.flatnonzero(good)[np.argsort(wavelength[good], kind="stable")]
     numbers = np.full(wavelength.size, -1, np.int64)
     numbers[order] = np.arange(order.size) * min(SURVEY.channels, order.size) // max(order.size, 1)
@@ -684,7 +677,7 @@ def channel_numbers(wavelength: Array, good: Array) -> Ints:
 
 
 def to_channels(block: Array, channel: Ints) -> Floats32:
-    """Return the means (line, column, channel) of a block (line, band, column)."""
+    # Return the means (line, column, channel) of a block (line, band, column).
     from hyperpaint.kernels.unmixing import average_bands
 
     channels = np.empty((block.shape[0], block.shape[2], int(channel.max()) + 1), np.float32)
@@ -695,11 +688,10 @@ def to_channels(block: Array, channel: Ints) -> Floats32:
 def read_channels(
     cube: xr.DataArray, channel: Ints, progress: Progress | None, quality: xr.DataArray | None = None
 ) -> tuple[Floats32, Bools]:
-    """Return a complete line in channels (line, column, channel), and whether pixels are saturated.
-
-    The line is read in blocks into a scratch array. Results have the same bits for any blocks, as every mean
-    is over the bands of one pixel.
-    """
+    # Return a complete line in channels (line, column, channel), and whether pixels are saturated.
+    #
+    # The line is read in blocks into a scratch array. Results have the same bits for any blocks, as every
+    # mean is over the bands of one pixel.
     cube = line_chunked(cube)
     lines, columns = cube.sizes[ALONG_TRACK], cube.sizes[cube.dims[2]]
     count = int(channel.max()) + 1
@@ -721,11 +713,10 @@ def read_channels(
 
 
 def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
-    """Return a line in channels, and the channel of every band, without channels that most pixels lack.
-
-    A channel that is dead in all pixels would leave no segment with a complete spectrum. If no channel
-    would remain, all are retained.
-    """
+    # Return a line in channels, and the channel of every band, without channels that most pixels lack.
+    #
+    # A channel that is dead in all pixels would leave no segment with a complete spectrum. If no channel
+    # would remain, all are retained.
     with_data, with_value = 0, np.zeros(channels.shape[2], np.int64)
     for _, block in line_blocks(channels):
         is_finite = np.isfinite(block)
@@ -744,10 +735,9 @@ def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
 
 
 def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
-    """Return true less nominal wavelength of the channels (channel, column) [nm].
-
-    0 where the line has no ``wavelength_shift``, or it is NaN.
-    """
+    # Return true less nominal wavelength of the channels (channel, column) [nm].
+    #
+    # 0 where the line has no ``wavelength_shift``, or it is NaN.
     bands = (channel == np.arange(channel.max() + 1)[:, None]).astype(np.float64)
     bands /= bands.sum(axis=1, keepdims=True)
     if "wavelength_shift" not in line.variables:
@@ -760,11 +750,10 @@ def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
 
 
 def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> None:
-    """Remove the smile from channels (line, column, channel) in place.
-
-    Subtracts the spectral slope, from the channels on both sides, times the wavelength shift, which is much
-    smaller than a channel's width. Takes ``centre`` (channel,) [nm]; ``shift`` (channel, column) [nm].
-    """
+    # Remove the smile from channels (line, column, channel) in place.
+    #
+    # Subtracts the spectral slope, from the channels on both sides, times the wavelength shift, which is much
+    # smaller than a channel's width. Takes ``centre`` (channel,) [nm]; ``shift`` (channel, column) [nm].
     if len(centre) < 2 or not shift.any():
         return
     for _, lines in line_blocks(channels):
@@ -774,15 +763,14 @@ def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> No
 
 
 def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Bools) -> Floats:
-    """Return the noise of channels (channel,), relative to the reflectance [1].
-
-    The noise follows from differences between neighbouring pixels of a segment, and their second differences
-    over the channels: true differences are small and smooth over the channels. 0 where it cannot be
-    estimated.
-
-    Takes ``channels`` (line, column, channel): reflectance [1]; ``number`` (line, column): segment of every
-    pixel; ``inside`` (line, column): whether a pixel lies away from the segment's border.
-    """
+    # Return the noise of channels (channel,), relative to the reflectance [1].
+    #
+    # The noise follows from differences between neighbouring pixels of a segment, and their second
+    # differences over the channels: true differences are small and smooth over the channels. 0 where it
+    # cannot be estimated.
+    #
+    # Takes ``channels`` (line, column, channel): reflectance [1]; ``number`` (line, column): segment of every
+    # pixel; ``inside`` (line, column): whether a pixel lies away from the segment's border.
     count = channels.shape[2]
     is_pair = (number[:, 1:] == number[:, :-1]) & (number[:, 1:] >= 0) & inside[:, 1:] & inside[:, :-1]
     total, passed = int(np.count_nonzero(is_pair)), 0

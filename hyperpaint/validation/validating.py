@@ -419,22 +419,22 @@ class Measured:
 
     @property
     def name(self) -> str:
-        """Name in results."""
+        # Name in results.
         return self.names.shown
 
     @property
     def has_uncertainty(self) -> bool:
-        """Whether any part of the uncertainty is known."""
+        # Whether any part of the uncertainty is known.
         return any(component is not None for component in (self.u_random, self.u_systematic, self.sd))
 
     def times(self, factor: Floats | float, **changes: Any) -> Measured:
-        """Return the spectrum with values and spreads multiplied by a factor, and other changed fields."""
+        # Return the spectrum with values and spreads multiplied by a factor, and other changed fields.
         spreads = {"u_random": self.u_random, "u_systematic": self.u_systematic, "sd": self.sd}
         scaled = {name: None if spread is None else spread * factor for name, spread in spreads.items()}
         return replace(self, **{"values": self.values * factor, **scaled, **changes})
 
     def gaps(self) -> list[str]:
-        """Return the unknown parts of the uncertainty, for the reader of the result."""
+        # Return the unknown parts of the uncertainty, for the reader of the result.
         if self.u_random is None and self.u_systematic is None:
             return []
         gaps, has_value = [], np.isfinite(self.values)
@@ -453,13 +453,12 @@ class Measured:
         return gaps
 
     def errors(self, rng: np.random.Generator, draws: int) -> Floats:
-        """Return random draws of the errors of the values (draw, channel).
-
-        They follow the covariance where it is known; else random errors are independent and systematic errors
-        common to all channels. Where neither is known, the standard deviation of the mean counts as
-        systematic: readings of a surface differ in level more than in shape. NaN in channels without an
-        uncertainty that other channels have.
-        """
+        # Return random draws of the errors of the values (draw, channel).
+        #
+        # They follow the covariance where it is known; else random errors are independent and systematic
+        # errors common to all channels. Where neither is known, the standard deviation of the mean counts as
+        # systematic: readings of a surface differ in level more than in shape. NaN in channels without an
+        # uncertainty that other channels have.
         if self.covariance is not None:
             missing = np.isnan(np.diagonal(self.covariance))
             # truncated correlations cause eigenvalues slightly below zero
@@ -1200,18 +1199,17 @@ class Pair:
 def paired(
     signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None
 ) -> tuple[list[Pair], tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Return the pairs of signatures and references, and the names of those without a counterpart.
-
-    Names of signatures without a reference; names of references without a signature, with their instrument;
-    and signatures whose property names an absent reference.
-
-    ``signatures``, ``references``: spectra with their names; ``pairs``: one or several names of references by
-    name of a paint. By default a signature's property ``reference`` names them, and without this property the
-    signature's name.
-
-    Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
-    datasets, share a name; or nothing can be paired. All problems of a kind are listed.
-    """
+    # Return the pairs of signatures and references, and the names of those without a counterpart.
+    #
+    # Names of signatures without a reference; names of references without a signature, with their instrument;
+    # and signatures whose property names an absent reference.
+    #
+    # ``signatures``, ``references``: spectra with their names; ``pairs``: one or several names of references
+    # by name of a paint. By default a signature's property ``reference`` names them, and without this
+    # property the signature's name.
+    #
+    # Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
+    # datasets, share a name; or nothing can be paired. All problems of a kind are listed.
     names_of_paint = _named_pairs(signatures, references, pairs) if pairs is not None else None
     problems = Problems("paints and references cannot be paired by name", SchemaError)
     counts = Counter(signature.name for signature in signatures)

@@ -102,12 +102,12 @@ class Interface:
         problems.raise_if_any()
 
     def outside(self, layer: npt.ArrayLike) -> Floats:
-        """Return the reflectance outside the interface of a layer, without mirrored light: 0 to 1 - k1."""
+        # Return the reflectance outside the interface of a layer, without mirrored light: 0 to 1 - k1.
         inside = np.asarray(layer, np.float64)
         return np.asarray((1.0 - self.k1) * (1.0 - self.k2) * inside / (1.0 - self.k2 * inside))
 
     def layer(self, outside: npt.ArrayLike) -> Floats:
-        """Return the reflectance of the layer; inverse of `outside`, above 1 for inputs above 1 - k1."""
+        # Return the reflectance of the layer; inverse of `outside`, above 1 for inputs above 1 - k1.
         body = np.asarray(outside, np.float64)
         return np.asarray(body / ((1.0 - self.k1) * (1.0 - self.k2) + self.k2 * body))
 
@@ -128,12 +128,11 @@ class Coating:
     mirrored: Floats  #: (band,) or (): Mirrored light in the reflectance [1].
 
     def ratio(self, reflectance: npt.ArrayLike, names: list[str]) -> Floats:
-        """Return K/S [1] of spectra (signature, ..., band); NaN stays NaN.
-
-        Raises `SchemaError`: more than 5 % of a paint's spectrum is darker than the light mirrored by the
-        coat; all such paints are listed. Warns of values that are impossible for such a layer; they are
-        replaced by the nearest possible value.
-        """
+        # Return K/S [1] of spectra (signature, ..., band); NaN stays NaN.
+        #
+        # Raises `SchemaError`: more than 5 % of a paint's spectrum is darker than the light mirrored by the
+        # coat; all such paints are listed. Warns of values that are impossible for such a layer; they are
+        # replaced by the nearest possible value.
         values = np.asarray(reflectance, np.float64)
         layer = self.interface.layer(values - self.mirrored)
         # values far below 0, where the denominator changes its sign, are too low as well
@@ -162,20 +161,19 @@ class Coating:
         return absorption_to_scattering(np.where(np.isfinite(values), layer, np.nan))
 
     def reflectance(self, ratio: npt.ArrayLike) -> Floats:
-        """Return the reflectance of layers from their K/S [1], clipped to 0 to 1; inverse of `ratio`."""
+        # Return the reflectance of layers from their K/S [1], clipped to 0 to 1; inverse of `ratio`.
         reflectance = self.interface.outside(thick_layer_reflectance(ratio)) + self.mirrored
         return np.asarray(np.clip(reflectance, 0.0, 1.0))
 
 
 def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coating:
-    """Return the coating between the layers of a library's paints and their reflectance.
-
-    Takes ``library``: its reflectance may have the attribute ``mirror_reflection``; ``k1``, ``k2``: see
-    `Interface`; ``mirrored``: mirrored light in the reflectance [1], one number, or one per band; by default
-    0 if the library declares mirrored light excluded, or has a ``specular_reflectance``; else k1.
-
-    Raises `SchemaError`: a value is no reflectance, or the attribute is invalid; all are listed.
-    """
+    # Return the coating between the layers of a library's paints and their reflectance.
+    #
+    # Takes ``library``: its reflectance may have the attribute ``mirror_reflection``; ``k1``, ``k2``: see
+    # `Interface`; ``mirrored``: mirrored light in the reflectance [1], one number, or one per band; by
+    # default 0 if the library declares mirrored light excluded, or has a ``specular_reflectance``; else k1.
+    #
+    # Raises `SchemaError`: a value is no reflectance, or the attribute is invalid; all are listed.
     interface = Interface(k1, k2)
     problems = Problems("the light mirrored by the coat is unknown", SchemaError)
     try:
@@ -226,14 +224,14 @@ _INHERITED_ATTRS = ("mirror_reflection", "mirrored_sky_removed", "light_correcte
 
 
 def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
-    """Return texts of any length as an object array, the form in which stores hold them."""
+    # Return texts of any length as an object array, the form in which stores hold them.
     column = np.empty(len(texts), object)
     column[:] = list(texts)
     return column
 
 
 def specular_of(library: xr.Dataset) -> Array:
-    """Return the specular reflectance of the coats of a library (signature, band) [1]."""
+    # Return the specular reflectance of the coats of a library (signature, band) [1].
     return np.asarray(convert(library[SPECULAR], "1").transpose(SIGNATURE, BAND).values)
 
 
@@ -245,12 +243,11 @@ def synthetic_library(
     method: str,
     **attrs: Any,
 ) -> xr.Dataset:
-    """Return new paints as a library.
-
-    Takes ``library``: source of the bands and attributes; ``names`` of the new paints; ``values``: spectra by
-    the name of their variable; ``parents``: shares of the parents of each paint; ``method``: name of the
-    method; ``**attrs``: attributes of the library.
-    """
+    # Return new paints as a library.
+    #
+    # Takes ``library``: source of the bands and attributes; ``names`` of the new paints; ``values``: spectra
+    # by the name of their variable; ``parents``: shares of the parents of each paint; ``method``: name of the
+    # method; ``**attrs``: attributes of the library.
     paints = xr.Dataset()
     if MEMBERS in values and values[MEMBERS].shape[1] > 1:
         # paint by paint: a copy of all members would double the memory
@@ -438,10 +435,9 @@ def sample_paints(
 def draw_variants(
     members: Floats, count: int, rng: np.random.Generator, bandwidth: float | None = None
 ) -> Floats:
-    """Return variants (count, band) of at least two spectra (member, band) [1], 0 to 1.
-
-    See `sample_paints`.
-    """
+    # Return variants (count, band) of at least two spectra (member, band) [1], 0 to 1.
+    #
+    # See `sample_paints`.
     # margins of the logit below 0 and above 1, from the robust standard deviation
     median = np.median(members, axis=0)
     deviation = 1.4826 * np.median(np.abs(members - median), axis=0)

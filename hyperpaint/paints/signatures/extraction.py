@@ -102,10 +102,9 @@ def without_coat(
     index: float,
     sun_zenith: float | None,
 ) -> xr.Dataset:
-    """Return a library corrected for a coat of the given index; see `correct_coat`.
-
-    Regions of other surfaces than paint, and metallic paint, stay unchanged.
-    """
+    # Return a library corrected for a coat of the given index; see `correct_coat`.
+    #
+    # Regions of other surfaces than paint, and metallic paint, stay unchanged.
     words = [
         {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
         for region in regions
@@ -238,12 +237,11 @@ def lean_range(contrast: npt.ArrayLike, sun_zenith: npt.ArrayLike, direct: npt.A
 
 
 def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
-    """Return a library with the angles between view and mirrored sun of its body parts, and their flop.
-
-    Adds ``aspecular_angle`` (signature) of a level body part; ``aspecular_range`` (signature), twice
-    `lean_range`, its possible variation between the ends of the body part [degree]; and ``flop`` (signature,
-    band), `flop_of` of the members [1]; NaN where members, sun or view are unknown.
-    """
+    # Return a library with the angles between view and mirrored sun of its body parts, and their flop.
+    #
+    # Adds ``aspecular_angle`` (signature) of a level body part; ``aspecular_range`` (signature), twice
+    # `lean_range`, its possible variation between the ends of the body part [degree]; and ``flop``
+    # (signature, band), `flop_of` of the members [1]; NaN where members, sun or view are unknown.
     good = library["good"].values.astype(bool)
     members = library["member_reflectance"].transpose(SIGNATURE, ..., BAND).values
     # bands that many pixels lack, such as bands without irradiance, are excluded instead of the pixels
@@ -379,12 +377,11 @@ def strength_of(
 
 
 def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> xr.Dataset:
-    """Return a library with ``coat_strength``, ``coat_strength_u`` and ``coat_strength_reason`` (signature).
-
-    The library holds ``diffuse_fraction``, ``sky_state`` and ``sun_zenith`` of every paint, without a
-    correction of the coat; a subtracted mirrored sky is added again. After a correction of the light the
-    strength cannot be measured.
-    """
+    # Return a library with ``coat_strength``, ``coat_strength_u`` and ``coat_strength_reason`` (signature).
+    #
+    # The library holds ``diffuse_fraction``, ``sky_state`` and ``sun_zenith`` of every paint, without a
+    # correction of the coat; a subtracted mirrored sky is added again. After a correction of the light the
+    # strength cannot be measured.
     attrs = library["reflectance"].attrs
     removed = NORMAL_REFLECTANCE if mirror_reflection(library) == MIRROR_EXCLUDED else 0.0
     columns: list[tuple[float, float, str]] = []
@@ -838,13 +835,12 @@ class Draft:
         max_members: int,
         seed: int,
     ) -> None:
-        """Choose the pixels that are used and the members, and compute their geometry.
-
-        Takes ``present`` (pixel,): whether a pixel has a value, others are excluded; ``planes``: variables of
-        pixels (pixel,), among them ``quality``, 0 where it is absent; ``lines``: variables of the line
-        (along_track,); ``exclude``: flags of excluded pixels; ``max_members``, ``seed``: see
-        `chosen_members`.
-        """
+        # Choose the pixels that are used and the members, and compute their geometry.
+        #
+        # Takes ``present`` (pixel,): whether a pixel has a value, others are excluded; ``planes``: variables
+        # of pixels (pixel,), among them ``quality``, 0 where it is absent; ``lines``: variables of the line
+        # (along_track,); ``exclude``: flags of excluded pixels; ``max_members``, ``seed``: see
+        # `chosen_members`.
         source = self._source
         quality = planes.get("quality", np.zeros(self.along.size, np.uint16))
         self._is_used = (quality & np.uint16(exclude) == 0) & present
@@ -883,11 +879,10 @@ class Draft:
         }
 
     def take_bands(self, cubes: Mapping[str, Array], bands: slice, centre: str) -> None:
-        """Reduce some bands of the region's pixels.
-
-        Takes ``cubes``: reflectance and its uncertainties (pixel, band), by name; ``bands``: slice of these
-        bands in the spectrum; ``centre``: see `summarise`.
-        """
+        # Reduce some bands of the region's pixels.
+        #
+        # Takes ``cubes``: reflectance and its uncertainties (pixel, band), by name; ``bands``: slice of these
+        # bands in the spectrum; ``centre``: see `summarise`.
         values = cubes["reflectance"][self._is_used]
         has_value = np.isfinite(values)
         self._value_counts[bands] = has_value.sum(axis=0)
@@ -917,7 +912,7 @@ class Draft:
                         self.values[name][bands.start + band] = (errors**power).mean()
 
     def finish(self) -> None:
-        """Compute the uncertainties of the mean, and the number of independent pixels among those used."""
+        # Compute the uncertainties of the mean, and the number of independent pixels among those used.
         spectra = np.concatenate([np.zeros((self.n, 0), np.float32), *self._correlated_values], axis=1)
         self._correlated_values = []
         along, lines = self.along[self._is_used], self._pixels.lines
@@ -970,12 +965,11 @@ def paint_library(
     sources: Mapping[str, Source],
     notes: Mapping[str, Any],
 ) -> xr.Dataset:
-    """Return finished signatures as a dataset.
-
-    Takes ``regions``, ``drafts``, ``flightlines``: regions, their signatures and the names of their flight
-    lines, in the same order; ``sources``: the flight lines, by name, with the same bands; ``notes``: settings
-    of the extraction, stored as attributes.
-    """
+    # Return finished signatures as a dataset.
+    #
+    # Takes ``regions``, ``drafts``, ``flightlines``: regions, their signatures and the names of their flight
+    # lines, in the same order; ``sources``: the flight lines, by name, with the same bands; ``notes``:
+    # settings of the extraction, stored as attributes.
     first_source = next(iter(sources.values()))
     for draft in drafts:
         draft.finish()

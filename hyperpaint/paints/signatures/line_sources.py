@@ -54,18 +54,17 @@ class RegionPixels(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of pixels."""
+        # Number of pixels.
         return int(self.cells[0].size)
 
 
 def distinct_pixels(line: xr.Dataset, regions: Sequence[Pixels]) -> list[RegionPixels]:
-    """Return the pixels in regions, each pixel once, from the cells of a map in the regions (eager).
-
-    ``line`` is a flight line or a map, its dims named by role; ``regions`` are positions in it, by region. A
-    pixel shown by several cells belongs to the region of the cell nearest to its centre, and is read there.
-    Empty cells are omitted. Positions in a flight line, or in a map without indices of its pixels, are
-    returned unchanged.
-    """
+    # Return the pixels in regions, each pixel once, from the cells of a map in the regions (eager).
+    #
+    # ``line`` is a flight line or a map, its dims named by role; ``regions`` are positions in it, by region.
+    # A pixel shown by several cells belongs to the region of the cell nearest to its centre, and is read
+    # there. Empty cells are omitted. Positions in a flight line, or in a map without indices of its pixels,
+    # are returned unchanged.
     if not set(_POSITIONS) <= set(line.variables):
         return [RegionPixels(cells, cells) for cells in regions]
     # maximum distance of the cell nearest to the centre of a pixel [cells]
@@ -119,7 +118,7 @@ def _distinct_in_window(
 
 
 def centre_of_map(line: xr.Dataset) -> tuple[float, float] | None:
-    """Return latitude and longitude of a map's centre [degree]; None for a flight line, or where unknown."""
+    # Return latitude and longitude of a map's centre [degree]; None for a flight line, or where unknown.
     mapping = line["spatial_ref"].attrs if "spatial_ref" in line.variables else {}
     axes = [line.variables[name] for name in ("x", "y") if name in line.variables]
     wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
@@ -332,7 +331,7 @@ class SplitOfLines(NamedTuple):
     state: Array  #: (along_track,): State of the sky, number in `SKY_STATES`.
 
     def mean(self, lines: Array) -> dict[str, Any]:
-        """Return the mean over some lines, with the spread in its uncertainty, and the most frequent sky."""
+        # Return the mean over some lines, with the spread in its uncertainty, and the most frequent sky.
         rows = self.fraction[lines]
         has_value = np.isfinite(rows).any(axis=1)
         if not has_value.any():
@@ -378,11 +377,10 @@ def source_of(
     sun_zenith: float | None = None,
     diffuse: Any = None,
 ) -> Source:
-    """Return the data of a flight line or map from which signatures are computed; no cube is computed.
-
-    Raises `SchemaError`, `UnitsError`: reflectance is missing and cannot be computed; it is smoothed already,
-    or its mirrored sky removed; or the position of the sun is unknown.
-    """
+    # Return the data of a flight line or map from which signatures are computed; no cube is computed.
+    #
+    # Raises `SchemaError`, `UnitsError`: reflectance is missing and cannot be computed; it is smoothed
+    # already, or its mirrored sky removed; or the position of the sun is unknown.
     line = schema.rename_to_roles(line)
     map_centre = centre_of_map(line)
     if "reflectance" not in line.variables:
@@ -482,10 +480,9 @@ def _split_of_lines(
 
 
 def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[int]]]:
-    """Return the flight lines of regions by name, located if needed, each with the numbers of its regions.
-
-    Raises `SchemaError`: a region names an unknown flight line, or no flight line where there are several.
-    """
+    # Return the flight lines of regions by name, located if needed, each with the numbers of its regions.
+    #
+    # Raises `SchemaError`: a region names an unknown flight line, or no flight line where there are several.
     problems = Problems("regions cannot be found on their flight lines", SchemaError)
     lines_by_name = _by_name(line)
     single = next(iter(lines_by_name)) if len(lines_by_name) == 1 else None

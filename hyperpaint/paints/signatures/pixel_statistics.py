@@ -87,11 +87,10 @@ def _trimmed_mean(ordered: Floats) -> float:
 
 
 def geometric_median(values: Array) -> Floats:
-    """Return the spectrum (band,) with the smallest sum of distances to all, by Weiszfeld's algorithm.
-
-    Takes ``values`` (pixel, band): values that are not finite are missing; the distance of a spectrum is the
-    root mean square over its bands with values.
-    """
+    # Return the spectrum (band,) with the smallest sum of distances to all, by Weiszfeld's algorithm.
+    #
+    # Takes ``values`` (pixel, band): values that are not finite are missing; the distance of a spectrum is
+    # the root mean square over its bands with values.
     has_value = np.isfinite(values)
     filled = np.where(has_value, values, 0.0).astype(np.float64)
     count = np.maximum(has_value.sum(axis=1), 1)
@@ -192,7 +191,7 @@ def effective_pixels(values: Array, along: Array, across: Array) -> float:
 
 
 def excluded_of(region: Region, default: int) -> int:
-    """Return the flags whose pixels a region excludes: its property ``excluded_flags``, or ``default``."""
+    # Return the flags whose pixels a region excludes: its property ``excluded_flags``, or ``default``.
     names = region.properties.get("excluded_flags")
     if names is None:
         return default
@@ -222,17 +221,16 @@ def gather(
     small: Mapping[str, xr.DataArray],
     progress: Progress | None = None,
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the spectra of pixels by cube, and values of other variables, both by name.
-
-    Spectra are (pixel, band), float32. The other values are those of ``planes`` (pixel,) and ``small``
-    (along_track,), and ``present`` (pixel,): whether a pixel has a value in any band of the first cube, also
-    outside ``bands``.
-
-    Takes ``cubes``: cubes (along_track, band, cross_track), by name; ``planes``: variables (along_track,
-    cross_track), by name; ``along``, ``across`` (pixel,): positions; ``bands``: slice of the bands;
-    ``small``: variables (along_track), read completely in the same pass; ``progress``: called with the
-    numbers of computed and of all blocks.
-    """
+    # Return the spectra of pixels by cube, and values of other variables, both by name.
+    #
+    # Spectra are (pixel, band), float32. The other values are those of ``planes`` (pixel,) and ``small``
+    # (along_track,), and ``present`` (pixel,): whether a pixel has a value in any band of the first cube,
+    # also outside ``bands``.
+    #
+    # Takes ``cubes``: cubes (along_track, band, cross_track), by name; ``planes``: variables (along_track,
+    # cross_track), by name; ``along``, ``across`` (pixel,): positions; ``bands``: slice of the bands;
+    # ``small``: variables (along_track), read completely in the same pass; ``progress``: called with the
+    # numbers of computed and of all blocks.
     first = next(iter(cubes.values()))
     # a flight line is computed in slabs of lines, a map in its tiles
     sizes = (line_chunked(first) if first.chunks is None else first).variable.chunksizes

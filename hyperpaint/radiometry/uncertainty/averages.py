@@ -169,7 +169,7 @@ def _errors_of(region: xr.Dataset, mean_dims: Sequence[str], cubes: Sequence[Flo
 
 
 def effective_number(plane: Floats) -> float:
-    """Return the number of independent values equivalent to the values of a grid; NaN is ignored."""
+    # Return the number of independent values equivalent to the values of a grid; NaN is ignored.
     is_valid = np.isfinite(plane)
     n = int(is_valid.sum())
     if n < 3:
@@ -225,7 +225,7 @@ class MeanErrors(NamedTuple):
 
     @property
     def components(self) -> tuple[str, str]:
-        """Names of the variables of the random and of the systematic uncertainty."""
+        # Names of the variables of the random and of the systematic uncertainty.
         names: list[list[str]] = [[], []]
         for source, is_shared in zip(self.sources, self.systematic, strict=True):
             names[int(is_shared)] += COMPONENTS[source]
@@ -233,19 +233,19 @@ class MeanErrors(NamedTuple):
 
     @property
     def systematic(self) -> Array:
-        """Whether all bands share the error of a source (source,)."""
+        # Whether all bands share the error of a source (source,).
         return np.array([FORMS[name].band == "systematic" for name in self.sources], bool)
 
     @property
     def u_systematic(self) -> Floats:
-        """Uncertainty by errors that all bands share (band,); NaN without known errors."""
+        # Uncertainty by errors that all bands share (band,); NaN without known errors.
         if not self.systematic.any():
             return np.full(self.sizes.shape[1], np.nan)
         return np.asarray(np.sqrt((self.sizes[self.systematic] ** 2).sum(axis=0)))
 
 
 def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArray]:
-    """Return the errors of several means of the same bands as library variables; {} without errors."""
+    # Return the errors of several means of the same bands as library variables; {} without errors.
     available = [mean for mean in errors if mean is not None]
     if not available:
         return {}
@@ -279,7 +279,7 @@ class RegionSums:
     """Sums over a region's pixels, from which the errors of its mean follow."""
 
     def __init__(self, line: LineErrors, along: Array, across: Array) -> None:
-        """Start empty; ``along`` and ``across`` (pixel,) are the pixels' lines and columns."""
+        # Start empty; ``along`` and ``across`` (pixel,) are the pixels' lines and columns.
         self._line = line
         self._rows, self._row_of_pixel = np.unique(along, return_inverse=True)
         self._columns, self._column_of_pixel = np.unique(across, return_inverse=True)
@@ -295,7 +295,7 @@ class RegionSums:
         self._light_sums = np.zeros((int(self._sample_of_line.max(initial=-1)) + 1, bands))
 
     def add(self, band: int, reflectance: Array, u_random: Array) -> None:
-        """Add a band of all pixels (pixel,): measured reflectance, and its noise."""
+        # Add a band of all pixels (pixel,): measured reflectance, and its noise.
         line, column = self._line, self._column_of_pixel
         is_valid = np.isfinite(reflectance) & np.isfinite(u_random)
         value = np.where(is_valid, reflectance, 0.0).astype(np.float64)
@@ -325,10 +325,9 @@ class RegionSums:
                 np.add.at(self._light_sums[:, band], sample_numbers, share * sums)
 
     def errors(self, axis: NominalAxis | None = None, smoothing: Array | None = None) -> MeanErrors:
-        """Return the errors of the mean, interpolated to nominal wavelengths and smoothed like its pixels.
-
-        ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
-        """
+        # Return the errors of the mean, interpolated to nominal wavelengths and smoothed like its pixels.
+        #
+        # ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
         line, columns = self._line, self._columns
         averaging = _averaging_matrix(len(self._counts_of_pixels), columns, axis)
         count = averaging @ self._counts_of_pixels.ravel()

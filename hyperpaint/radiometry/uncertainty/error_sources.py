@@ -113,12 +113,11 @@ class LineErrors:
 
 
 def line_errors(line: xr.Dataset) -> LineErrors | None:
-    """Return the errors of a line whose reflectance has uncertainties; None where they cannot be separated.
-
-    Reads the small variables. Errors can be separated if the line still holds the variables that its
-    uncertainties were computed from: reflectance from a store or a map without calibration has only their
-    sum.
-    """
+    # Return the errors of a line whose reflectance has uncertainties; None where they cannot be separated.
+    #
+    # Reads the small variables. Errors can be separated if the line still holds the variables that its
+    # uncertainties were computed from: reflectance from a store or a map without calibration has only their
+    # sum.
     if not {"reflectance", *UNCERTAINTIES} <= set(line.variables):
         return None
     attrs = [line[name].attrs for name in UNCERTAINTIES]

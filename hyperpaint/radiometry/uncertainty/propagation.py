@@ -77,12 +77,11 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
 
 
 def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict[str, Any]) -> xr.Dataset:
-    """Return the dataset with both uncertainties, in obsarray's terms.
-
-    obsarray distinguishes errors that are independent and errors that are common along a dim. The errors of
-    an element's gain and dark are common to all lines only; treated as common to all samples they are never
-    underestimated. `hyperpaint.radiometry.mean_uncertainty` treats them exactly.
-    """
+    # Return the dataset with both uncertainties, in obsarray's terms.
+    #
+    # obsarray distinguishes errors that are independent and errors that are common along a dim. The errors of
+    # an element's gain and dark are common to all lines only; treated as common to all samples they are never
+    # underestimated. `hyperpaint.radiometry.mean_uncertainty` treats them exactly.
     random = [name for name in NOISE if name in uncertain]
     systematic = [name for name in SYSTEMATIC if name in uncertain]
     of_inputs: dict[str, Any] = {}
@@ -110,7 +109,7 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
 
 
 def masked_elements(line: xr.Dataset) -> int:
-    """Return the number of elements of a line that receive no light."""
+    # Return the number of elements of a line that receive no light.
     masked = line["masked"]
     other_sizes = [line.sizes[dim] for dim in (schema.BAND, CROSS_TRACK) if dim not in masked.dims]
     return int(masked.values.sum()) * math.prod(other_sizes)
@@ -174,7 +173,7 @@ def error_terms(
 
 
 def element_rows(values: Any, shape: tuple[int, ...]) -> Floats:
-    """Return a scalar, a value per band, or a value per element as (1 or band, column)."""
+    # Return a scalar, a value per band, or a value per element as (1 or band, column).
     array = np.asarray(values, np.float64)
     if array.ndim == 1:
         array = array[:, None]
@@ -182,11 +181,10 @@ def element_rows(values: Any, shape: tuple[int, ...]) -> Floats:
 
 
 def band_steps(wavelength: Floats) -> Floats:
-    """Return weights of the differences to the band above and from the band below (band, 4) [nm-1].
-
-    With two neighbours they give the slope between them, with one neighbour the slope to it. A neighbour
-    across a join of two detectors, where wavelengths decrease, repeat or jump, is ignored.
-    """
+    # Return weights of the differences to the band above and from the band below (band, 4) [nm-1].
+    #
+    # With two neighbours they give the slope between them, with one neighbour the slope to it. A neighbour
+    # across a join of two detectors, where wavelengths decrease, repeat or jump, is ignored.
     step = np.diff(wavelength)
     median_step = np.median(step) if step.size else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):

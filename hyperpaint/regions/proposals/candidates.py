@@ -48,37 +48,37 @@ class Picture:
 
     @cached_property
     def sky(self) -> Array:
-        """Sky mirrored by a level clear coat, in reflectance (channel,), float32 [1]."""
+        # Sky mirrored by a level clear coat, in reflectance (channel,), float32 [1].
         model = self.model
         return (FOOTPRINTS.mirrored * model.diffuse_fraction * model.zenith_radiance).astype(np.float32)
 
     @cached_property
     def direct_share(self) -> float:
-        """Direct part of the light on level ground, mean over the channels [1]."""
+        # Direct part of the light on level ground, mean over the channels [1].
         return 1.0 - float(self.model.diffuse_fraction.mean())
 
     @cached_property
     def level(self) -> Array:
-        """Mean reflectance over the channels (line, column) [1]."""
+        # Mean reflectance over the channels (line, column) [1].
         return np.asarray(self.channels.mean(axis=2))
 
     @cached_property
     def ground(self) -> Floats:
-        """Reflectance of the ground, the largest body (channel,) [1]."""
+        # Reflectance of the ground, the largest body (channel,) [1].
         return np.asarray(np.nan_to_num(self.model.reference[largest_body(self.model)]))
 
     def without_sky(self, window: tuple[slice, slice]) -> Floats:
-        """Return the reflectance in a window of the picture, less the mirrored sky [1]."""
+        # Return the reflectance in a window of the picture, less the mirrored sky [1].
         return np.asarray(self.channels[window] - self.sky, np.float64)
 
 
 def largest_body(model: SceneModel) -> int:
-    """Return the number of the body with most pixels, which is assumed to be the ground."""
+    # Return the number of the body with most pixels, which is assumed to be the ground.
     return int(np.argmax(np.bincount(model.body, weights=model.size, minlength=model.segments)))
 
 
 def window_of(origin: tuple[int, int], mask: Bools) -> tuple[slice, slice]:
-    """Return the window of a mask in the picture, from the line and column of its first pixel."""
+    # Return the window of a mask in the picture, from the line and column of its first pixel.
     (y, x), (lines, columns) = origin, mask.shape
     return slice(y, y + lines), slice(x, x + columns)
 
@@ -92,12 +92,12 @@ class Piece(NamedTuple):
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Window of the piece in the picture."""
+        # Window of the piece in the picture.
         return window_of(self.origin, self.inside)
 
     @property
     def centre(self) -> Floats:
-        """Line and column of its centre, (2,)."""
+        # Line and column of its centre, (2,).
         return np.asarray(np.argwhere(self.inside).mean(axis=0) + np.array(self.origin, np.float64))
 
 
@@ -118,11 +118,10 @@ class Measures(NamedTuple):
 
 
 def pieces(model: SceneModel, erode: int, min_pixels: int) -> Iterator[tuple[Piece, bool]]:
-    """Yield connected parts of bodies that may be painted, and whether they have the spectrum of leaves.
-
-    Parts have at least ``min_pixels`` pixels, and come in the order of bodies and lines. Pixels in shade or
-    within ``erode`` pixels of an edge belong to no part; dark bodies and the ground have none.
-    """
+    # Yield connected parts of bodies that may be painted, and whether they have the spectrum of leaves.
+    #
+    # Parts have at least ``min_pixels`` pixels, and come in the order of bodies and lines. Pixels in shade or
+    # within ``erode`` pixels of an edge belong to no part; dark bodies and the ground have none.
     spectrum, reference = np.nan_to_num(model.spectrum), np.nan_to_num(model.reference)
     # ground: the largest body, and segments with its spectrum
     largest = largest_body(model)
@@ -152,11 +151,10 @@ def pieces(model: SceneModel, erode: int, min_pixels: int) -> Iterator[tuple[Pie
 
 
 def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats | None = None) -> Measures:
-    """Return the measures of a piece, with the pixels that a region can use.
-
-    ``brightness`` (line, column): brightness in the piece's window, relative to the level part [1]; by
-    default computed here, relative to its median.
-    """
+    # Return the measures of a piece, with the pixels that a region can use.
+    #
+    # ``brightness`` (line, column): brightness in the piece's window, relative to the level part [1]; by
+    # default computed here, relative to its median.
     layers = {name: layer[piece.window] for name, layer in picture.layers.items()}
     spectra = picture.channels[piece.window].astype(np.float64)
     inside = piece.inside & np.isfinite(spectra).all(axis=2)
@@ -229,10 +227,9 @@ def _smoothed(values: Array, valid: Bools) -> Floats:
 def sunny_lines(
     line: xr.Dataset, model: SceneModel, diffuse: Any, zenith: float | None
 ) -> tuple[Bools, float] | None:
-    """Return the lines with free sun by the irradiance record, and the diffuse fraction of their infrared.
-
-    (line,) and [1], NaN where no line had free sun; None where clouds were not broken.
-    """
+    # Return the lines with free sun by the irradiance record, and the diffuse fraction of their infrared.
+    #
+    # (line,) and [1], NaN where no line had free sun; None where clouds were not broken.
     if "broken" not in str(model.attrs.get("sky_states", "")).split():
         return None
     no_sun = np.zeros(line.sizes[ALONG_TRACK], bool), np.nan
@@ -268,10 +265,9 @@ def sunny_lines(
 
 
 def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
-    """Return why the sun may not have been free over a car under broken clouds; empty where it was.
-
-    Takes ``window``: the part of the picture with the car.
-    """
+    # Return why the sun may not have been free over a car under broken clouds; empty where it was.
+    #
+    # Takes ``window``: the part of the picture with the car.
     if picture.sun is None:
         return ""
     model, (sunny, sunny_fraction) = picture.model, picture.sun
@@ -308,11 +304,10 @@ def doubt_about_clouds(window: tuple[slice, slice], picture: Picture) -> str:
 
 
 def height_model_of(line: xr.Dataset) -> tuple[Array, float] | None:
-    """Return the height of the surface in every pixel, and the distance between pixels; None without heights.
-
-    (line, column) [m] and [m], from ``east``, ``north`` and ``ground_height`` of `hyperpaint.geometry.locate`
-    with a ``dem`` of surfaces.
-    """
+    # Return the height of the surface in every pixel, and the distance between pixels; None without heights.
+    #
+    # (line, column) [m] and [m], from ``east``, ``north`` and ``ground_height`` of
+    # `hyperpaint.geometry.locate` with a ``dem`` of surfaces.
     names, dims = ("east", "north", "ground_height"), (ALONG_TRACK, CROSS_TRACK)
     if not all(name in line.variables and set(line[name].dims) == set(dims) for name in names):
         return None
@@ -325,11 +320,10 @@ def height_model_of(line: xr.Dataset) -> tuple[Array, float] | None:
 
 
 def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:
-    """Return the standard deviation of the unknown lean of a roof towards the sun [degree].
-
-    Takes ``axis`` (2,): unit vector (line, column) along the car; ``shadow_side`` (2,): direction of shadows,
-    or None where it is unknown.
-    """
+    # Return the standard deviation of the unknown lean of a roof towards the sun [degree].
+    #
+    # Takes ``axis`` (2,): unit vector (line, column) along the car; ``shadow_side`` (2,): direction of
+    # shadows, or None where it is unknown.
     along = 1.0 if shadow_side is None else float(abs(axis @ shadow_side))
     return float(np.hypot(LEANS.rake_deg * along, LEANS.roll_deg * np.sqrt(max(1.0 - along**2, 0.0))))
 

@@ -65,13 +65,13 @@ class Footprint(NamedTuple):
 
     @property
     def is_one_car(self) -> bool:
-        """Whether it has the proportions of one car, and the picture shows all of it."""
+        # Whether it has the proportions of one car, and the picture shows all of it.
         low, high = FOOTPRINTS.slenderness
         return not self.cut and low < self.length / self.width < high
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Window of the masks in the picture."""
+        # Window of the masks in the picture.
         return window_of(self.origin, self.area)
 
 
@@ -82,12 +82,11 @@ def footprints_of(
     picture: Picture,
     joinings: Sequence[tuple[bool, bool, bool]],
 ) -> Iterator[Footprint]:
-    """Yield the footprint of the car around a piece of paint, for each of the rules for joining parts.
-
-    Rules with which the paint extends beyond the largest margin yield nothing. Takes ``inside`` (line,
-    column): the piece; ``origin``: line and column of its first pixel; ``colour`` (channel,): its
-    reflectance, less the mirrored sky [1]; ``joinings``: see `JOININGS`.
-    """
+    # Yield the footprint of the car around a piece of paint, for each of the rules for joining parts.
+    #
+    # Rules with which the paint extends beyond the largest margin yield nothing. Takes ``inside`` (line,
+    # column): the piece; ``origin``: line and column of its first pixel; ``colour`` (channel,): its
+    # reflectance, less the mirrored sky [1]; ``joinings``: see `JOININGS`.
     shape = np.array(picture.level.shape)
     matches: dict[tuple[int, bool], tuple[Bools, Bools, Bools, Floats]] = {}
     for wide_brightness, over_windows, cut_bridges in joinings:
@@ -192,7 +191,7 @@ def _hull_around(core: Bools, radius: float, filled: Bools) -> Bools:
 
 
 def hull_of(mask: Bools) -> Bools:
-    """Return the convex hull of a mask (line, column)."""
+    # Return the convex hull of a mask (line, column).
     points = _border(mask)
     if np.linalg.matrix_rank(points - points[0]) < 2:
         return mask
@@ -284,10 +283,9 @@ class _Tracks(NamedTuple):
 
 
 def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
-    """Return the roof of a car, or the reason why none is found.
-
-    Takes ``car``: its footprint; ``level`` (line, column): mean reflectance in its window [1].
-    """
+    # Return the roof of a car, or the reason why none is found.
+    #
+    # Takes ``car``: its footprint; ``level`` (line, column): mean reflectance in its window [1].
     # pixels as dark as windows
     paint_level = float(np.median(level[car.paint & car.area]))
     limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * paint_level), paint_level)
@@ -563,30 +561,28 @@ class Level(NamedTuple):
 
     @property
     def lean_change(self) -> float:
-        """Largest relative change over lean in any direction [1/rad]."""
+        # Largest relative change over lean in any direction [1/rad].
         return float(np.hypot(self.along_change, self.across_change))
 
 
 def change_with_lean(zenith: float) -> float:
-    """Return the relative change of the sunlight under a coat with lean towards the sun [1/rad].
-
-    Takes ``zenith``: angle t of the sun to the normal of the body part [degree]. With the reflectance F of
-    the coat's interface, the change is -d ln(cos t (1 - F(t))) / dt: tan t, and a term for the larger
-    transmission of the coat at steeper incidence.
-    """
+    # Return the relative change of the sunlight under a coat with lean towards the sun [1/rad].
+    #
+    # Takes ``zenith``: angle t of the sun to the normal of the body part [degree]. With the reflectance F of
+    # the coat's interface, the change is -d ln(cos t (1 - F(t))) / dt: tan t, and a term for the larger
+    # transmission of the coat at steeper incidence.
     angles = np.radians(min(zenith, MAX_SUN_ZENITH_DEG)) + np.array([-1e-3, 1e-3])
     light = np.log(np.cos(angles) * (1.0 - interface_reflectance(np.degrees(angles))))
     return float(light[0] - light[1]) / 2e-3
 
 
 def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level) -> None:
-    """Add the uncertainty of a part's level, and visible flakes, to its verdict; object if it is too large.
-
-    A small lean b towards the sun changes the light of a solid body by about f_dir tan(zenith) b, with the
-    direct share f_dir of the light, and the light of flakes by more. The change of brightness over the crown
-    of a roof, which leans by known angles, shows how much more. Takes ``rake``: standard deviation of the
-    part's unknown lean [degree].
-    """
+    # Add the uncertainty of a part's level, and visible flakes, to its verdict; object if it is too large.
+    #
+    # A small lean b towards the sun changes the light of a solid body by about f_dir tan(zenith) b, with the
+    # direct share f_dir of the light, and the light of flakes by more. The change of brightness over the
+    # crown of a roof, which leans by known angles, shows how much more. Takes ``rake``: standard deviation of
+    # the part's unknown lean [degree].
     measures = verdict.measures
     if not measures.pixels:
         return
@@ -626,7 +622,7 @@ def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level) -
 
 
 def judge_pixels(verdict: Verdict, limits: Limits) -> None:
-    """Add the measures and the score to a verdict; object to too few pixels, and to mixed colours."""
+    # Add the measures and the score to a verdict; object to too few pixels, and to mixed colours.
     measures = verdict.measures
     lost = ", ".join(f"{share:.0%} {reason}" for reason, share in measures.lost.items() if share >= 0.01)
     excluded = f" (excluded: {lost})" if lost else ""
@@ -666,19 +662,18 @@ class Place(NamedTuple):
 
     @property
     def crown(self) -> Floats:
-        """Lean half a width away, along and across the car (2,) [radian]."""
+        # Lean half a width away, along and across the car (2,) [radian].
         along = 2.0 * LEVELS.drop * self.half_width / self.half_length
         limits = np.radians([LEVELS.max_crown_deg, LEVELS.crown_deg])
         return np.asarray([min(along, float(limits[0])), limits[1]])
 
 
 def level_place(footprint: Footprint, roof: Roof) -> Place:
-    """Return where a roof is level: along the car from its windows, across it from the roof's edges.
-
-    A car is symmetric, so that its roof is level halfway between its edges. An edge lies where the logarithm
-    of brightness falls most steeply: shading changes brightness by factors, so that its plain difference
-    would shift the edge on the darker side inwards.
-    """
+    # Return where a roof is level: along the car from its windows, across it from the roof's edges.
+    #
+    # A car is symmetric, so that its roof is level halfway between its edges. An edge lies where the
+    # logarithm of brightness falls most steeply: shading changes brightness by factors, so that its plain
+    # difference would shift the edge on the darker side inwards.
     along, across = _to_car(roof.centre, roof.axis, *np.nonzero(roof.inside))
     half_width = max(float(np.abs(across).max()) / ROOFS.used_width, 1.0)
     tracks = np.arange(np.ceil(along.min()), np.floor(along.max()) + 1.0)
@@ -732,17 +727,16 @@ def _edge(aside: Floats, profile: Floats, half: float) -> float:
 
 
 def level_light(brightness: Floats, lit: Bools, place: Place, axis: Floats) -> Level | None:
-    """Return the brightness of a roof where it is level; None where too little of it is visible.
-
-    The lean of a crowned roof grows in proportion to the distance from its level position. The logarithm of
-    its brightness is therefore a smooth function of position: a plane for solid paint, curved by the lobe of
-    flakes. A surface of second order replaces the plane where it fits significantly better by the Bayesian
-    information criterion (Schwarz 1978). Glint lies above the surface; iterations exclude it.
-
-    Takes ``brightness`` (line, column): brightness of the roof [1]; ``lit`` (line, column): the pixels
-    fitted; ``place``: its level position in the same window; ``axis`` (2,): direction (line, column) along
-    the car.
-    """
+    # Return the brightness of a roof where it is level; None where too little of it is visible.
+    #
+    # The lean of a crowned roof grows in proportion to the distance from its level position. The logarithm of
+    # its brightness is therefore a smooth function of position: a plane for solid paint, curved by the lobe
+    # of flakes. A surface of second order replaces the plane where it fits significantly better by the
+    # Bayesian information criterion (Schwarz 1978). Glint lies above the surface; iterations exclude it.
+    #
+    # Takes ``brightness`` (line, column): brightness of the roof [1]; ``lit`` (line, column): the pixels
+    # fitted; ``place``: its level position in the same window; ``axis`` (2,): direction (line, column) along
+    # the car.
     y, x = np.nonzero(lit & (brightness > 0.0))
     along, across = _to_car((place.line, place.column), axis, y, x)
     u, v = along / place.half_width, across / place.half_width
@@ -784,15 +778,14 @@ def _fitted_surface(design: Floats, logs: Floats) -> tuple[Floats, float, float]
 
 
 def difference_of(piece: Piece, picture: Picture, relative: Floats) -> tuple[float, float] | None:
-    """Return the difference of the brightest and darkest quarters of a roof; None with too few pixels.
-
-    The share of its grey part, equal in all channels under direct light, and its contrast: the length of the
-    difference over the length of the mean spectrum [1].
-
-    A lean b changes the direct light of a solid body r by d = f_dir (r s b + g), with a grey part g: the sun
-    mirrored by the coat. Flakes add their reflection to g. Takes ``relative`` (line, column): brightness
-    relative to the level position; values over 1.6 or under 0.5 are glint or another part.
-    """
+    # Return the difference of the brightest and darkest quarters of a roof; None with too few pixels.
+    #
+    # The share of its grey part, equal in all channels under direct light, and its contrast: the length of
+    # the difference over the length of the mean spectrum [1].
+    #
+    # A lean b changes the direct light of a solid body r by d = f_dir (r s b + g), with a grey part g: the
+    # sun mirrored by the coat. Flakes add their reflection to g. Takes ``relative`` (line, column):
+    # brightness relative to the level position; values over 1.6 or under 0.5 are glint or another part.
     diffuse = picture.model.diffuse_fraction
     chosen = piece.inside & (np.abs(relative - 1.05) < 0.55)
     if chosen.sum() < FINISHES.min_px:
@@ -811,7 +804,7 @@ def difference_of(piece: Piece, picture: Picture, relative: Floats) -> tuple[flo
 def judge_finish(
     verdict: Verdict, picture: Picture, level: Level, difference: tuple[float, float] | None
 ) -> None:
-    """Add the finish of a roof and its evidence to the verdict; without evidence it stays unknown."""
+    # Add the finish of a roof and its evidence to the verdict; without evidence it stays unknown.
     spectrum, zenith = verdict.measures.spectrum, picture.zenith
     if (
         not verdict.measures.pixels
@@ -867,17 +860,17 @@ class Car(NamedTuple):
 
     @property
     def is_car(self) -> bool:
-        """Whether windows show that the footprint is a car."""
+        # Whether windows show that the footprint is a car.
         return self.roof.is_car if isinstance(self.roof, NoRoof) else True
 
     @property
     def size(self) -> int:
-        """Number of pixels."""
+        # Number of pixels.
         return 0 if self.footprint is None else int(self.footprint.area.sum())
 
     @property
     def rank(self) -> tuple[int, int]:
-        """Certainty of the roof, `_CERTAIN` at most, and the size."""
+        # Certainty of the roof, `_CERTAIN` at most, and the size.
         if self.footprint is None or isinstance(self.roof, NoRoof):
             return int(self.footprint is not None) + int(self.is_car), self.size
         if not self.footprint.is_one_car:
@@ -885,17 +878,16 @@ class Car(NamedTuple):
         return _CERTAIN - int(not (self.roof.complete or self.roof.sided)), self.size
 
     def unless_larger(self, max_size: float) -> Car:
-        """Return the car, without a roof where it has more pixels than cars have."""
+        # Return the car, without a roof where it has more pixels than cars have.
         reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
         return self if self.size <= max_size else self._replace(roof=NoRoof(reason, False))
 
 
 def find_cars(pieces: Iterable[Piece], picture: Picture) -> list[Car]:
-    """Return the cars around pieces of paint, the most certain first.
-
-    The largest pieces are examined first, those as dark as windows last. A piece with a certain roof is a
-    car. A piece with less evidence is a car only outside the certain cars.
-    """
+    # Return the cars around pieces of paint, the most certain first.
+    #
+    # The largest pieces are examined first, those as dark as windows last. A piece with a certain roof is a
+    # car. A piece with less evidence is a car only outside the certain cars.
     car_park = _CarPark(picture)
 
     def order(piece: Piece) -> tuple[bool, int, tuple[int, int], int]:
@@ -992,7 +984,7 @@ class _CarPark:
 
 
 def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Verdict]:
-    """Return the verdicts on a car's roof and on the other pieces of its paint; at most one is proposed."""
+    # Return the verdicts on a car's roof and on the other pieces of its paint; at most one is proposed.
     roof = None
     if isinstance(car.roof, Roof) and car.footprint is not None:
         roof = _judge_roof(car.footprint, car.roof, picture, limits)
