@@ -74,7 +74,7 @@ def _amount(value: Amount, unit: str) -> Any:
 
 
 def _result(amount: Any, unit: str, *arguments: Amount) -> Any:
-    """Return ``amount`` in ``unit``: a Quantity if an argument is one, else a number."""
+    # Return ``amount`` in ``unit``: a Quantity if an argument is one, else a number.
     amount = amount.to(unit)
     return amount if any(map(_is_quantity, arguments)) else amount.magnitude
 
@@ -259,25 +259,25 @@ class Setup:
 
     @property
     def _lab_counts(self) -> Any:
-        """Counts of a band that receives the complete lamp line."""
+        # Counts of a band that receives the complete lamp line.
         energy = _amount(self.flux, "W") * _amount(self.reference_exposure, "s")
         return energy * _amount(self.peak_responsivity, "count J-1")
 
     @property
     def line_amplitude(self) -> Any:
-        """A_ref, height above the dark of the Gaussian fitted to the lamp line [count]."""
+        # A_ref, height above the dark of the Gaussian fitted to the lamp line [count].
         camera_fwhm = _amount(self.flight_bandwidth, "nm")
         total_fwhm = (camera_fwhm**2 + _amount(self.reference_bandwidth, "nm") ** 2) ** 0.5
         return _result(self._lab_counts * camera_fwhm / total_fwhm, "count", *self._values())
 
     @property
     def line_area(self) -> Any:
-        """SUM_ref, sum of the lamp line over the bands, above the dark; independent of the widths [count]."""
+        # SUM_ref, sum of the lamp line over the bands, above the dark; independent of the widths [count].
         width = _GAUSSIAN_AREA * _amount(self.flight_bandwidth, "nm")
         return _result(self._lab_counts * width / _amount(self.band_spacing, "nm"), "count", *self._values())
 
     def counts(self, radiance: Amount) -> Any:
-        """Return the counts above the dark of a radiance [W m-2 sr-1 nm-1] in flight."""
+        # Return the counts above the dark of a radiance [W m-2 sr-1 nm-1] in flight.
         width = _GAUSSIAN_AREA * _amount(self.flight_bandwidth, "nm")
         power = _amount(radiance, _RADIANCE) * _amount(self.etendue, "m2 sr") * width
         amount = power * _amount(self.flight_exposure, "s") * _amount(self.peak_responsivity, "count J-1")

@@ -230,7 +230,7 @@ def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floa
 
 
 def wrapped(angle: Floats) -> Floats:
-    """Return angles within -180 and 180; angles in that range keep their bits."""
+    # Return angles within -180 and 180; angles in that range keep their bits.
     return np.where(np.abs(angle) > 180.0, (angle + 180.0) % 360.0 - 180.0, angle)
 
 

@@ -80,10 +80,9 @@ _MAX_LOG_RATIO = math.log(3.0)
 
 
 def brightest_median(wavelength: Floats, values: Floats) -> float:
-    """Return the median over 400-1000 nm of the brightest sample; NaN without samples.
-
-    wavelength: (irradiance_wavelength,) [nm]; values: (irradiance_time, irradiance_wavelength).
-    """
+    # Return the median over 400-1000 nm of the brightest sample; NaN without samples.
+    #
+    # wavelength: (irradiance_wavelength,) [nm]; values: (irradiance_time, irradiance_wavelength).
     samples = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
     samples = samples[np.isfinite(samples).any(axis=1)] if samples.shape[1] else samples[:0]
     return float(np.nanmedian(samples, axis=1).max()) if len(samples) else math.nan

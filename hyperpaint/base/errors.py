@@ -339,7 +339,7 @@ class PaintWarning(UserWarning):
 
 
 def warn_user(found: str, code: str) -> None:
-    """Warn of a condition, at the line of the first caller outside of this package."""
+    # Warn of a condition, at the line of the first caller outside of this package.
     package, frame, level = __name__.partition(".")[0], inspect.currentframe(), 1
     while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] == package:
         frame, level = frame.f_back, level + 1

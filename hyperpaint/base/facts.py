@@ -53,7 +53,7 @@ def is_number(value: object) -> TypeGuard[float]:
 
 
 def is_text(value: object) -> TypeGuard[str]:
-    """Return whether a value is text with at least one visible character."""
+    # Return whether a value is text with at least one visible character.
     return isinstance(value, str) and bool(value.strip())
 
 
@@ -204,7 +204,7 @@ class Fact:
         return f"{lower} to {'below ' if self.below else ''}{high}"
 
     def fault(self, value: Any) -> str | None:
-        """Return the code of the fault of a value, or None for an accepted one."""
+        # Return the code of the fault of a value, or None for an accepted one.
         if value is None and self.optional:
             return None
         if isinstance(value, np.ndarray) and self.kind == "numbers":
@@ -247,7 +247,7 @@ class Fact:
 
     @property
     def mend(self) -> str:
-        """Remedy for a wrong value in a file."""
+        # Remedy for a wrong value in a file.
         if self.default is not None:
             return f"leave the key out for {toml_text(self.default)}"
         if self.example is not None:
@@ -255,14 +255,14 @@ class Fact:
         return "correct it" if self.needed else "correct it, or leave the key out"
 
     def note(self, problems: Problems, found: str, value: Any, mend: str = "") -> bool:
-        """Return whether a value is accepted; otherwise note it, with ``found`` as the user wrote it."""
+        # Return whether a value is accepted; otherwise note it, with ``found`` as the user wrote it.
         code = self.fault(value)
         if code is not None:
             problems.add(found, expected=self.expected, mend=mend, code=code)
         return code is None
 
     def in_file(self) -> Fact:
-        """Return the declaration of the key: range and default in the unit of the file."""
+        # Return the declaration of the key: range and default in the unit of the file.
         if self.scale is None or self.scale == 1.0:
             return self
         ends = {name: getattr(self, name) for name in ("least", "most", "default")}
@@ -270,7 +270,7 @@ class Fact:
         return dataclasses.replace(self, **ends)
 
     def argument(self, value: Any) -> Any:
-        """Return the argument in Python for a checked value of the file; None stays."""
+        # Return the argument in Python for a checked value of the file; None stays.
         if value is None:
             return None
         if isinstance(value, list) and self.kind == "numbers":
@@ -289,7 +289,7 @@ Facts = Mapping[str, Fact]
 
 
 def toml_text(value: Any) -> str:
-    """Return a value as a TOML file spells it."""
+    # Return a value as a TOML file spells it.
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -330,12 +330,12 @@ def facts_of(owner: Any) -> dict[str, Fact]:
 
 
 def by_key(facts: Iterable[Fact]) -> dict[str, Fact]:
-    """Return declarations by the keys of a TOML table, in the units of the file."""
+    # Return declarations by the keys of a TOML table, in the units of the file.
     return {declaration.key or declaration.name: declaration.in_file() for declaration in facts}
 
 
 def argument_facts(function: Callable[..., Any], facts: Iterable[Fact]) -> dict[str, Fact]:
-    """Return declarations by argument, with the defaults of a function; they complete its docstring."""
+    # Return declarations by argument, with the defaults of a function; they complete its docstring.
     parameters = inspect.signature(function).parameters
     complete = {}
     for entry in facts:
@@ -346,12 +346,12 @@ def argument_facts(function: Callable[..., Any], facts: Iterable[Fact]) -> dict[
 
 
 def filled(facts: Facts, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the value of every key: that of a file, or the default."""
+    # Return the value of every key: that of a file, or the default.
     return {key: values.get(key, declared.default) for key, declared in facts.items()}
 
 
 def arguments_of(facts: Facts, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments in Python for checked values of a file by key."""
+    # Return the arguments in Python for checked values of a file by key.
     return {facts[key].name: facts[key].argument(value) for key, value in values.items()}
 
 
@@ -360,20 +360,20 @@ Spelling = Callable[[str, Any], str]
 
 
 def as_argument(name: str, value: Any) -> str:
-    """Return an argument as Python spells it."""
+    # Return an argument as Python spells it.
     return f"{name}={shown(value)}"
 
 
 def check_values(
     facts: Facts, values: Mapping[str, Any], problems: Problems, spelled: Spelling = as_argument
 ) -> None:
-    """Note every value that the declaration of its name does not accept."""
+    # Note every value that the declaration of its name does not accept.
     for name, value in values.items():
         facts[name].note(problems, spelled(name, value), value)
 
 
 def check_fields(settings: Any, problems: Problems, spelled: Spelling = as_argument) -> None:
-    """Note every field of a dataclass whose value its declaration does not accept."""
+    # Note every field of a dataclass whose value its declaration does not accept.
     facts = facts_of(settings)
     check_values(facts, {name: getattr(settings, name) for name in facts}, problems, spelled)
 
@@ -382,10 +382,9 @@ def check_fields(settings: Any, problems: Problems, spelled: Spelling = as_argum
 
 
 def declared(cls: _Class) -> _Class:
-    """Complete a dataclass from its facts: docstring section Attributes, and pint quantities as arguments.
-
-    Fields without a fact are described in the class's own section Attributes, which is continued.
-    """
+    # Complete a dataclass from its facts: docstring section Attributes, and pint quantities as arguments.
+    #
+    # Fields without a fact are described in the class's own section Attributes, which is continued.
     facts = facts_of(cls)
     entries = "".join(f"{name}\n    {described(fact)}\n" for name, fact in facts.items())
     doc = inspect.cleandoc(cls.__doc__ or "")
@@ -399,7 +398,7 @@ def declared(cls: _Class) -> _Class:
 
 
 def described(declaration: Fact) -> str:
-    """Return the meaning, unit and accepted values of a declaration as one line."""
+    # Return the meaning, unit and accepted values of a declaration as one line.
     unit = f" [{declaration.unit}]" if declaration.unit else ""
     accepted = (
         "" if declaration.kind in ("flag", "text") and not declaration.phrase else f"; {declaration.expected}"

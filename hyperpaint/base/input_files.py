@@ -98,7 +98,7 @@ def _kind(mode: int) -> str:
 
 
 def is_plain_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path names a plain file; False for any name that cannot exist."""
+    # Return whether a path names a plain file; False for any name that cannot exist.
     try:
         return stat.S_ISREG(os.stat(path).st_mode)
     except (OSError, ValueError):
@@ -106,13 +106,12 @@ def is_plain_file(path: str | os.PathLike[str]) -> bool:
 
 
 def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = None) -> BufferedReader:
-    """Open a plain file to read its bytes; ``expected`` names the kind of file in messages.
-
-    The checks use the open descriptor: another file may take the name in the meantime.
-
-    Raises `FormatError`: As `input_path`; the file cannot be read, is a folder, or is larger than ``limit``
-    bytes.
-    """
+    # Open a plain file to read its bytes; ``expected`` names the kind of file in messages.
+    #
+    # The checks use the open descriptor: another file may take the name in the meantime.
+    #
+    # Raises `FormatError`: As `input_path`; the file cannot be read, is a folder, or is larger than ``limit``
+    # bytes.
     file_path = input_path(path, expected)
     try:
         descriptor = os.open(file_path, _OPEN_FLAGS)
@@ -138,10 +137,9 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
 
 
 def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> bytes:
-    """Return all bytes of a file; ``expected`` names the kind of file in messages.
-
-    Raises `FormatError`: As `open_input`.
-    """
+    # Return all bytes of a file; ``expected`` names the kind of file in messages.
+    #
+    # Raises `FormatError`: As `open_input`.
     with open_input(path, expected, limit) as file:
         # read() allocates the requested size
         try:
@@ -155,7 +153,7 @@ def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> byt
 
 
 def head_of(path: str | os.PathLike[str], count: int) -> bytes:
-    """Return the first bytes of a plain file; empty where it cannot be read."""
+    # Return the first bytes of a plain file; empty where it cannot be read.
     try:
         with open_input(path, "a file") as file:
             return file.read(count)

@@ -24,33 +24,30 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Compile a loop on its first call.
-
-    The lock is released, since dask's threads run kernels side by side; ``parallel=True`` would abort the
-    process there. The numpy error model lets the compiler vectorise divisions. No fast-math: the same bits
-    must result from any chunking.
-
-    Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else beside the package,
-    else, where that is read-only, in the user's cache folder. Where none can be written (a container with a
-    read-only disk, a full disk) every process compiles its kernels, with a warning.
-    """
+    # Compile a loop on its first call.
+    #
+    # The lock is released, since dask's threads run kernels side by side; ``parallel=True`` would abort the
+    # process there. The numpy error model lets the compiler vectorise divisions. No fast-math: the same bits
+    # must result from any chunking.
+    #
+    # Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else beside the package,
+    # else, where that is read-only, in the user's cache folder. Where none can be written (a container with a
+    # read-only disk, a full disk) every process compiles its kernels, with a warning.
     return _compiled(function, {"nogil": True, "error_model": "numpy"})
 
 
 def borrowing_kernel(function: Function) -> Function:
-    """Compile, as `kernel` does, a function that makes no arrays, neither new ones nor returned views.
-
-    The caller owns all arrays, so references are not counted. In a short function that is called for every
-    ray, counting takes longer than the computation, and threads that share arrays wait for the counter.
-    """
+    # Compile, as `kernel` does, a function that makes no arrays, neither new ones nor returned views.
+    #
+    # The caller owns all arrays, so references are not counted. In a short function that is called for every
+    # ray, counting takes longer than the computation, and threads that share arrays wait for the counter.
     return _compiled(function, _borrowing_options())
 
 
 def inlined_kernel(function: Function) -> Function:
-    """Compile a loop over one row as `borrowing_kernel` does, inlined in every caller.
-
-    For a row of a few hundred samples, passing arrays takes half as long as the computation.
-    """
+    # Compile a loop over one row as `borrowing_kernel` does, inlined in every caller.
+    #
+    # For a row of a few hundred samples, passing arrays takes half as long as the computation.
     return _compiled(function, {**_borrowing_options(), "forceinline": True})
 
 

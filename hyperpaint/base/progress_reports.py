@@ -30,7 +30,7 @@ def part_of(progress: Progress | None, number: int, total: int) -> Progress | No
 
 
 def as_progress(progress: Progress | bool | None, label: str) -> Progress | None:
-    """Return a bar on stderr for True, None for False, else ``progress`` itself."""
+    # Return a bar on stderr for True, None for False, else ``progress`` itself.
     if progress is None or progress is False:
         return None
     if progress is not True:

@@ -365,11 +365,10 @@ def _constant(low: Any, high: Any, *, name_of: str, dims: list[str]) -> Any:
 
 
 def with_integer_dtypes(dataset: xr.Dataset, table: Mapping[str, Variable] = VARIABLES) -> xr.Dataset:
-    """Return flags, indices and classes as integers where `where` made them floats; lazy arrays stay lazy.
-
-    Missing values become the ``gap`` of the table: `Quality.NO_DATA` in flags, -1 or 0 in indices. Counts and
-    index coordinates stay floats: both may be fractions.
-    """
+    # Return flags, indices and classes as integers where `where` made them floats; lazy arrays stay lazy.
+    #
+    # Missing values become the ``gap`` of the table: `Quality.NO_DATA` in flags, -1 or 0 in indices. Counts
+    # and index coordinates stay floats: both may be fractions.
     changed = {}
     for name, row in table.items():
         variable = dataset.variables.get(name)
@@ -417,7 +416,7 @@ _CALIBRATION_VARIABLES = (
 
 
 def with_calibration_names(line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line whose gain lists the other calibration variables, so that a loss is noticed."""
+    # Return a flight line whose gain lists the other calibration variables, so that a loss is noticed.
     if "radiance_gain" not in line.variables:
         return line
     names = " ".join(name for name in _CALIBRATION_VARIABLES if name in line.variables)
@@ -425,7 +424,7 @@ def with_calibration_names(line: xr.Dataset) -> xr.Dataset:
 
 
 def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
-    """Warn of calibration variables that the gain names and the line lacks, as after ``drop_vars``."""
+    # Warn of calibration variables that the gain names and the line lacks, as after ``drop_vars``.
     gain = line.variables.get("radiance_gain")
     names = str(gain.attrs.get(CALIBRATION_NAMES, "")).split() if gain is not None else []
     missing_names = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
@@ -439,10 +438,9 @@ def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
 
 
 def with_numbers(line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line with index coordinates that number its lines and columns.
-
-    A crop keeps its numbers; ``band`` has no numbers, since xarray would align two cameras by them.
-    """
+    # Return a flight line with index coordinates that number its lines and columns.
+    #
+    # A crop keeps its numbers; ``band`` has no numbers, since xarray would align two cameras by them.
     numbers = {dim: np.arange(line.sizes[dim]) for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.dims}
     return line.assign_coords(
         {
@@ -454,10 +452,9 @@ def with_numbers(line: xr.Dataset) -> xr.Dataset:
 
 
 def numbers_of(line: xr.Dataset, dim: str) -> Floats:
-    """Return the numbers of a flight line's lines or columns: its index coordinate, else 0, 1, 2 ...
-
-    A crop keeps the numbers of the whole line, so that regions of the whole line fit it.
-    """
+    # Return the numbers of a flight line's lines or columns: its index coordinate, else 0, 1, 2 ...
+    #
+    # A crop keeps the numbers of the whole line, so that regions of the whole line fit it.
     return (
         np.asarray(line[dim].values, np.float64)
         if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf"
@@ -484,7 +481,7 @@ def quality_attrs() -> dict[str, Any]:
 
 
 def label(array: xr.DataArray, name: str, **extra: Any) -> xr.DataArray:
-    """Return ``array`` with the name and attributes of the table, which replace its old ones."""
+    # Return ``array`` with the name and attributes of the table, which replace its old ones.
     attrs = quality_attrs() if name == "quality" else VARIABLES[name].attrs
     labelled = array.rename(name).copy(deep=False)  # rename alone would share the attributes
     labelled.attrs = {**attrs, **extra}
@@ -523,7 +520,7 @@ def require(
 def find(
     dataset: xr.Dataset, names: Iterable[str], table: Mapping[str, Variable] = VARIABLES
 ) -> tuple[dict[str, xr.DataArray], list[Problem]]:
-    """Return the variables that the table accepts, as `require` does, and the faults of the rest."""
+    # Return the variables that the table accepts, as `require` does, and the faults of the rest.
     problems: list[Problem] = []
     arrays: dict[str, xr.DataArray] = {}
     for name in names:
@@ -559,12 +556,12 @@ _NOT_INPUTS = {"coarse_reflectance", "reflectance", "overview", "quality", ALONG
 
 
 def stamp_means(means: xr.DataArray | xr.Variable, line: xr.Dataset) -> None:
-    """Store the identities of the arrays of the line in the encoding of means computed from them."""
+    # Store the identities of the arrays of the line in the encoding of means computed from them.
     means.encoding[_MEANS_STAMP] = {str(name): _identity(line[name].variable) for name in line.variables}
 
 
 def has_own_means(line: xr.Dataset) -> bool:
-    """Return whether ``coarse_reflectance`` follows from the arrays of this line."""
+    # Return whether ``coarse_reflectance`` follows from the arrays of this line.
     stamp = line["coarse_reflectance"].encoding.get(_MEANS_STAMP)
     if stamp is None:
         return False

@@ -106,12 +106,11 @@ def _spell_for_pint(text: str) -> str:
 
 @functools.cache
 def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
-    """Return hyperpaint's private unit registry.
-
-    It reads CF spelling (``W m-2 sr-1 nm-1``), the words of ENVI headers (``Nanometers``) and units with a
-    scale (``1e-10 W cm-2 nm-1 sr-1``). It never becomes pint's application registry. Only pint-xarray needs
-    ``force_ndarray_like``, under which a float32 Quantity times a number becomes float64.
-    """
+    # Return hyperpaint's private unit registry.
+    #
+    # It reads CF spelling (``W m-2 sr-1 nm-1``), the words of ENVI headers (``Nanometers``) and units with a
+    # scale (``1e-10 W cm-2 nm-1 sr-1``). It never becomes pint's application registry. Only pint-xarray needs
+    # ``force_ndarray_like``, under which a float32 Quantity times a number becomes float64.
     import pint
 
     units: pint.UnitRegistry[Any] = pint.UnitRegistry(
@@ -189,7 +188,7 @@ def conversion_factor(found: str, wanted: str) -> float:
 
 
 def same_dimension(found: str, wanted: str) -> bool:
-    """Return whether two unit texts have the same dimension; False where one cannot be read."""
+    # Return whether two unit texts have the same dimension; False where one cannot be read.
     try:
         return bool(_quantity(found).dimensionality == _quantity(wanted).dimensionality)
     except UnitsError:
@@ -197,14 +196,14 @@ def same_dimension(found: str, wanted: str) -> bool:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether the brackets of a heading hold a unit, not a label such as ``8/h`` or ``N``."""
+    # Return whether the brackets of a heading hold a unit, not a label such as ``8/h`` or ``N``.
     # a single letter is usually a symbol, and a unit does not begin with a number
     plain_text = text if len(text) > 1 else {"s": "s", "K": "K", "m": "m", "°": "degree"}.get(text, "")
     return bool(plain_text) and not plain_text[0].isdigit() and same_dimension(plain_text, plain_text)
 
 
 def canonical(text: str) -> str:
-    """Return ``text`` if it can be read as units, else raise UnitsError."""
+    # Return ``text`` if it can be read as units, else raise UnitsError.
     _quantity(text)
     return text
 

@@ -59,11 +59,11 @@ class Variable:
 
     @property
     def allowed_dims(self) -> tuple[tuple[str, ...], ...]:
-        """Dims in storage order, then the alternatives."""
+        # Dims in storage order, then the alternatives.
         return (self.dims, *self.alternatives)
 
     def dim_problem(self, array: xr.DataArray) -> Problem | None:
-        """Return the fault of an array's dims, in any order; None for accepted dims."""
+        # Return the fault of an array's dims, in any order; None for accepted dims.
         if any(set(dims) == set(array.dims) and len(dims) == array.ndim for dims in self.allowed_dims):
             return None
         return Problem(
@@ -96,7 +96,7 @@ class Variable:
         return "rename them, or name them with dims={...}"
 
     def unit_problem(self, array: xr.DataArray) -> Problem | None:
-        """Return the fault of an array's units; None for convertible units, and for a row without units."""
+        # Return the fault of an array's units; None for convertible units, and for a row without units.
         units = array.attrs.get("units")
         if not self.units:
             return None

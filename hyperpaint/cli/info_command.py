@@ -60,7 +60,7 @@ _HEAD_BYTES = 4096
 
 
 def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]:
-    """Return the facts of `describe_path` by name; unknown facts are empty texts."""
+    # Return the facts of `describe_path` by name; unknown facts are empty texts.
     path = input_path(path, "a file, a folder or a store")
     if not path.exists():
         raise FormatError(f"{path}: no such file or folder", code="file-not-found")
@@ -71,16 +71,15 @@ def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]
 
 
 def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
-    """Describe a file, a Zarr store or a group of a store: dims, units, wavelengths, times, completeness.
-
-    Reads headers and small files, but no samples of cubes. Of a ``collect.toml`` all files are opened, and
-    the products of `process` are described. ``allow``: folders of the raw files of a virtual store, see
-    `open_virtual`.
-
-    Raises `FormatError` if the file is damaged, or has an unknown format; `CollectError` if the collect
-    cannot be processed, with all problems; `StoreError` if the folder is not a Zarr store, or the path is
-    that of kerchunk references.
-    """
+    # Describe a file, a Zarr store or a group of a store: dims, units, wavelengths, times, completeness.
+    #
+    # Reads headers and small files, but no samples of cubes. Of a ``collect.toml`` all files are opened, and
+    # the products of `process` are described. ``allow``: folders of the raw files of a virtual store, see
+    # `open_virtual`.
+    #
+    # Raises `FormatError` if the file is damaged, or has an unknown format; `CollectError` if the collect
+    # cannot be processed, with all problems; `StoreError` if the folder is not a Zarr store, or the path is
+    # that of kerchunk references.
     facts = facts_of_path(path, allow)
     width = max(map(len, facts))
     indent = "\n" + " " * (width + 4)
@@ -444,8 +443,7 @@ def _facts_text(facts: Facts) -> str:
 
 
 def facts_of_field_folder(field: FieldFolder) -> Facts:
-    """Yield the facts about the folder of a field day."""
-
+    # Yield the facts about the folder of a field day.
     def relative(path: Path | None) -> str:
         is_inside = path is not None and path.is_relative_to(field.folder)
         return "" if path is None else str(path.relative_to(field.folder) if is_inside else path)
@@ -477,10 +475,9 @@ def facts_of_field_folder(field: FieldFolder) -> Facts:
 
 
 def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
-    """Yield the groups of a virtual store, and whether its raw files are unchanged.
-
-    ``allow``: see `open_virtual`.
-    """
+    # Yield the groups of a virtual store, and whether its raw files are unchanged.
+    #
+    # ``allow``: see `open_virtual`.
     groups = virtual_groups(path)
     yield "is", f"virtual store (icechunk) of {counted(len(groups), 'flight line')}, cubes in their raw files"
     for name, about in groups.items():

@@ -54,12 +54,12 @@ class Parameter(NamedTuple):
 
     @property
     def kind(self) -> dict[str, Any]:
-        """Attributes of `click.Option` by the annotation."""
+        # Attributes of `click.Option` by the annotation.
         return _kind(self.annotation, self.module)
 
     @property
     def default(self) -> Any:
-        """Default value: ``...`` if required, None if it is computed."""
+        # Default value: ``...`` if required, None if it is computed.
         return _value(self.value, self.module)
 
 
@@ -72,7 +72,7 @@ def _module_tree(module: str) -> ast.Module:
 
 @functools.cache
 def parameters_of(qualified_name: str) -> dict[str, Parameter]:
-    """Return the parameters of a function or dataclass, such as ``"workflows.pipeline:process"``."""
+    # Return the parameters of a function or dataclass, such as ``"workflows.pipeline:process"``.
     module, _, name = qualified_name.partition(":")
     node: Any = next(node for node in _module_tree(module).body if getattr(node, "name", None) == name)
     # entries of the numpydoc section: names, and the indented text below them
@@ -139,7 +139,7 @@ def _assigned_value(module: str, name: str) -> tuple[ast.expr | None, str]:
 
 
 def keys_of(qualified_name: str) -> list[str]:
-    """Return the keys of a table at the top of a module, such as ``"workflows.field_day:STEPS"``."""
+    # Return the keys of a table at the top of a module, such as ``"workflows.field_day:STEPS"``.
     table = _assigned_value(*qualified_name.split(":"))[0]
     assert isinstance(table, ast.Dict)
     return [ast.literal_eval(key) for key in table.keys if key is not None]
@@ -185,7 +185,7 @@ def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
 
 
 def _help(text: str) -> str:
-    """Return the first sentence of a description, and the sentence about its default."""
+    # Return the first sentence of a description, and the sentence about its default.
     words = re.sub(r"`?`([^`]+)``?", lambda code: code[1].removeprefix("hyperpaint."), " ".join(text.split()))
     summary, *sentences = re.split(r"(?<=[.])\s", words)
     default = next((sentence for sentence in sentences if sentence.startswith("By default")), "")
@@ -193,7 +193,7 @@ def _help(text: str) -> str:
 
 
 def _shared_descriptions(function: ast.FunctionDef | ast.ClassDef) -> dict[str, str]:
-    """Return the descriptions that `hyperpaint.base.facts.documented` adds to a function's parameters."""
+    # Return the descriptions that `hyperpaint.base.facts.documented` adds to a function's parameters.
     calls = (node for node in function.decorator_list if isinstance(node, ast.Call))
     decorator = next((call for call in calls if ast.unparse(call.func) == "documented"), None)
     if decorator is None:
@@ -222,13 +222,11 @@ def takes(
     without: Collection[str] = (),
     **overrides: Mapping[str, Any],
 ) -> Callable[[Any], Any]:
-    """Return a decorator that adds the parameters of a function to a command as options.
-
-    The first parameter of the function is the argument of the command, not an option. ``only`` and
-    ``without``: names of parameters; ``overrides``: differences from `OVERRIDES` and the function, by
-    parameter.
-    """
-
+    # Return a decorator that adds the parameters of a function to a command as options.
+    #
+    # The first parameter of the function is the argument of the command, not an option. ``only`` and
+    # ``without``: names of parameters; ``overrides``: differences from `OVERRIDES` and the function, by
+    # parameter.
     def options() -> list[click.Option]:
         parameters = parameters_of(qualified_name)
         names = only or [name for name in list(parameters)[1:] if name not in (*_HIDDEN, *without)]
@@ -268,7 +266,7 @@ class Settings(click.Option):
         )
 
     def parsed(self, ctx: click.Context, _: click.Parameter, values: tuple[str, ...]) -> dict[str, Any]:
-        """Return the values by name, converted to the types of their parameters."""
+        # Return the values by name, converted to the types of their parameters.
         settings: dict[str, Any] = {}
         for value in values:
             name, equals, text = value.partition("=")
@@ -297,8 +295,7 @@ class Settings(click.Option):
 def settable(
     names_by_function: Mapping[str, Collection[str]], *, without: Collection[str] = ()
 ) -> Callable[[Any], Any]:
-    """Return a decorator that adds ``--set`` for parameters of functions: the named ones, or all."""
-
+    # Return a decorator that adds ``--set`` for parameters of functions: the named ones, or all.
     def options() -> list[click.Option]:
         parameters = {
             name: parameter
@@ -322,7 +319,7 @@ class Command(click.Command):
 
     @property
     def params(self) -> list[click.Parameter]:
-        """Arguments and options; deferred options are created here."""
+        # Arguments and options; deferred options are created here.
         groups = [[entry] if isinstance(entry, click.Parameter) else entry() for entry in self._params]
         self._params = [parameter for group in groups for parameter in group]
         return self._params
@@ -332,7 +329,7 @@ class Command(click.Command):
         self._params = params
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; an error on an old spelling names the new spelling."""
+        # Parse the arguments; an error on an old spelling names the new spelling.
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -353,7 +350,7 @@ class Command(click.Command):
             ) from error
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the examples, and the options that all commands take."""
+        # Write the examples, and the options that all commands take.
         super().format_epilog(ctx, formatter)
         with formatter.indentation():
             formatter.write("\n  Every command also takes --quiet and --memory-limit SIZE.\n")
@@ -377,19 +374,19 @@ SIGNALLED = 128
 
 
 def program_option(name: str) -> Any:
-    """Return the value of an option of the program, such as ``--memory-limit``."""
+    # Return the value of an option of the program, such as ``--memory-limit``.
     context = click.get_current_context(silent=True)
     return None if context is None else context.find_root().params.get(name)
 
 
 def is_watched() -> bool:
-    """Return whether progress is shown: on a terminal, without ``--quiet``."""
+    # Return whether progress is shown: on a terminal, without ``--quiet``.
     return sys.stderr.isatty() and not program_option("quiet")
 
 
 @contextlib.contextmanager
 def progress_bar(label: str) -> Iterator[Any]:
-    """Yield a function of (done, total) that draws a bar on stderr; None if progress is not shown."""
+    # Yield a function of (done, total) that draws a bar on stderr; None if progress is not shown.
     if not is_watched():
         yield None
         return
@@ -408,30 +405,30 @@ def progress_bar(label: str) -> Iterator[Any]:
 
 
 def beside(source: Path, name: str) -> Path:
-    """Return the default path of a product: ``name`` in the folder of its source."""
+    # Return the default path of a product: ``name`` in the folder of its source.
     return source.absolute().parent / name if source.name in ("", ".", "..") else source.with_name(name)
 
 
 def refuse_in_store(store: Path, *products: Path | None) -> None:
-    """Refuse a product inside the store from which it is made (`click.UsageError`)."""
+    # Refuse a product inside the store from which it is made (`click.UsageError`).
     for path in products:
         if path is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
             raise click.UsageError(f"{path} is in the store itself; choose another path [output-in-store]")
 
 
 def without_none(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that are not None; the function has defaults for other options."""
+    # Return the options that are not None; the function has defaults for other options.
     return {name: value for name, value in options.items() if value is not None}
 
 
 def say_picture(picture: Path | None, what: str = "it") -> None:
-    """Print where a picture was drawn, if one was."""
+    # Print where a picture was drawn, if one was.
     if picture is not None:
         click.echo(f"look at {what} in {picture}")
 
 
 def end_with_problems(ctx: click.Context, problems: Iterable[str], text: str) -> None:
-    """Print problems of a check on stderr, each after ``text``; if there are any, exit with status 1."""
+    # Print problems of a check on stderr, each after ``text``; if there are any, exit with status 1.
     lines = [f"{text}: {problem}" for problem in problems]
     if lines:
         click.echo("\n".join(lines), err=True)
@@ -439,7 +436,7 @@ def end_with_problems(ctx: click.Context, problems: Iterable[str], text: str) ->
 
 
 def say_outcome(outcome: Outcome) -> None:
-    """Print which groups of a store were written, and which were complete."""
+    # Print which groups of a store were written, and which were complete.
     written, unchanged = (
         ", ".join(f"/{group}" for group in groups) for groups in (outcome.written, outcome.unchanged)
     )

@@ -88,11 +88,11 @@ class Program(click.Group):
     """
 
     def list_commands(self, _ctx: click.Context) -> list[str]:
-        """Return the names of all commands, group by group."""
+        # Return the names of all commands, group by group.
         return [name for commands in GROUPS.values() for name in commands]
 
     def get_command(self, _ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command, imported from the file of its group."""
+        # Return a command, imported from the file of its group.
         for group, commands in GROUPS.items():
             if cmd_name in commands:
                 name = "info_command" if cmd_name == "info" else f"{_FILES[group]}_commands"
@@ -105,7 +105,7 @@ class Program(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command that the arguments name; for an unknown name, suggest the most similar."""
+        # Return the command that the arguments name; for an unknown name, suggest the most similar.
         if args and args[0] not in self.list_commands(ctx) and not args[0].startswith("-"):
             matches = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
             mend = f"did you mean {matches[0]}?" if matches else "hyperpaint --help lists the commands"
@@ -113,7 +113,7 @@ class Program(click.Group):
         return super().resolve_command(ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments, with the options of the program moved to the front."""
+        # Parse the arguments, with the options of the program moved to the front.
         program_options: list[str] = []
         command_arguments = list(args)
         end = command_arguments.index("--") if "--" in command_arguments else len(command_arguments)
@@ -127,14 +127,14 @@ class Program(click.Group):
         return super().parse_args(ctx, [*program_options, *command_arguments])
 
     def format_commands(self, _ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write one line for every command, group by group."""
+        # Write one line for every command, group by group.
         with formatter.section("Commands"):
             for group, commands in GROUPS.items():
                 for number, (name, text) in enumerate(commands.items()):
                     formatter.write(f"  {'' if number else group:<8}{name:<15}{text}\n")
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command that the context names."""
+        # Run the command that the context names.
         with _short_warnings(), _stopped_by_signals():
             try:
                 return super().invoke(ctx)

@@ -139,7 +139,7 @@ class Explored:
 
     @property
     def regions(self) -> Regions:
-        """Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels."""
+        # Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels.
         return renumbered(self.drawn, self._numbered)
 
     @property
@@ -152,7 +152,7 @@ class Explored:
         return self._all_regions.digest == self._saved_digest
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the regions of this and of other lines as GeoJSON; see `hyperpaint.write_regions`."""
+        # Write the regions of this and of other lines as GeoJSON; see `hyperpaint.write_regions`.
         file = write_regions(self._all_regions, path, overwrite=overwrite)
         self._digests[os.path.realpath(file)] = _digest(file)
         self._saved_digest = self._all_regions.digest
@@ -632,11 +632,11 @@ class Explorer:
 
     @property
     def regions(self) -> Regions:
-        """Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels."""
+        # Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels.
         return self._state.regions
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the regions as GeoJSON; see `hyperpaint.write_regions`."""
+        # Write the regions as GeoJSON; see `hyperpaint.write_regions`.
         return self._state.save(path, overwrite=overwrite)
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
@@ -879,7 +879,7 @@ class Explorer:
     # --- events of the mouse -------------------------------------------------------------------------------
 
     def tap(self, along: float, across: float) -> None:
-        """Handle a click on the picture: select a pixel, add a corner, or select a region to edit."""
+        # Handle a click on the picture: select a pixel, add a corner, or select a region to edit.
         pixel = int(np.floor(along + 0.5)), int(np.floor(across + 0.5))
         mode = self._widgets.mode.value
         if mode == "draw":
@@ -892,7 +892,7 @@ class Explorer:
             self._select_place(pixel)
 
     def drag(self, geometry: dict[str, Any]) -> None:
-        """Show the median spectrum of a box dragged over the picture."""
+        # Show the median spectrum of a box dragged over the picture.
         if self._widgets.mode.value != "spectrum" or geometry.get("type") != "rect":
             return
         ranges = []
@@ -907,7 +907,7 @@ class Explorer:
         self._select_place(Region("box", np.array(corners)))
 
     def close(self, along: float, across: float) -> None:
-        """Add the last corner of the polygon in progress, and make it a region."""
+        # Add the last corner of the polygon in progress, and make it a region.
         if self._widgets.mode.value == "draw":
             self.tap(along, across)
             draft = self._sources["draft"].data
@@ -916,7 +916,7 @@ class Explorer:
                 self._change_draft(0)
 
     def take_band(self, wavelength: float) -> None:
-        """Show the band nearest to a wavelength [nm]."""
+        # Show the band nearest to a wavelength [nm].
         self._is_updating = True
         self._widgets.band.value = _nearest_option(self._widgets.band.options, wavelength)
         self._widgets.recipe.value = _ONE_BAND

@@ -270,11 +270,10 @@ def _percentiles(picture: Array, *, stretch: tuple[float, float]) -> Array:
 
 
 def overview(dataset: xr.Dataset) -> xr.DataArray | None:
-    """Return a small true-colour picture of a flight line to be stored, (overview_y, overview_x, rgb).
-
-    Lazy, computed from the slabs being written, so that a cube is read once. uint8, at most `OVERVIEW_SHAPE`;
-    None with fewer than three visible bands.
-    """
+    # Return a small true-colour picture of a flight line to be stored, (overview_y, overview_x, rgb).
+    #
+    # Lazy, computed from the slabs being written, so that a cube is read once. uint8, at most
+    # `OVERVIEW_SHAPE`; None with fewer than three visible bands.
     dims = ALONG_TRACK, CROSS_TRACK
     steps = {dim: -(-dataset.sizes[dim] // size) for dim, size in zip(dims, OVERVIEW_SHAPE, strict=True)}
     names = [name for name in ("reflectance", "quality") if name in dataset.variables]
@@ -544,7 +543,7 @@ def flag_overlay(
 
 
 def background(dataset: xr.Dataset, step: int) -> Array:
-    """Return a picture (line, column, rgb) of every ``step``-th line, 0 to 1, stored or computed."""
+    # Return a picture (line, column, rgb) of every ``step``-th line, 0 to 1, stored or computed.
     overview = stored_picture(dataset, step)
     if overview is None:
         overview = rgb(dataset.isel({ALONG_TRACK: slice(None, None, step)}))

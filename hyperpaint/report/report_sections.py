@@ -55,11 +55,10 @@ LAYERS = ("glint_fraction", "blocked_direct", "adjacency")  # continuous layers 
 def line_section(
     line: xr.Dataset, lines: int, regions: Sequence[Region] = (), note: str = ""
 ) -> Iterator[Part]:
-    """Yield the parts of a flight line's section; draw a part before taking the next.
-
-    ``lines``: maximum height of a picture; ``regions``: drawn as outlines, in sensor coordinates; ``note``:
-    remark about the flags.
-    """
+    # Yield the parts of a flight line's section; draw a part before taking the next.
+    #
+    # ``lines``: maximum height of a picture; ``regions``: drawn as outlines, in sensor coordinates; ``note``:
+    # remark about the flags.
     names, pictures = set(map(str, line.variables)), list[bool]()
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_line(line)))
     yield "true colour", partial(_true_colour, line, lines, pictures)
@@ -89,10 +88,9 @@ def line_section(
 
 
 def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: int) -> Iterator[Part]:
-    """Yield the cards of the paints measured on a flight line, at most ``most`` of them.
-
-    ``cards`` are pairs of a library and the name of one of its paints.
-    """
+    # Yield the cards of the paints measured on a flight line, at most ``most`` of them.
+    #
+    # ``cards`` are pairs of a library and the name of one of its paints.
     for number, (library, paint) in enumerate(cards[:most]):
         heading = "" if number else "Paint by paint"
         caption = f"{paint}: its region, the pixels used, and its signature."
@@ -103,7 +101,7 @@ def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: 
 
 
 def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
-    """Yield the parts of a map's section; its picture has at most ``rows`` rows."""
+    # Yield the parts of a map's section; its picture has at most ``rows`` rows.
     step = max(1, -(-orthomap.sizes["y"] // rows))
     group = rename_to_roles(orthomap)
 
@@ -180,7 +178,7 @@ def _table_of_flags(quality: Array, heading: str) -> Markup:
 
 
 def library_section(library: xr.Dataset) -> Iterator[Part]:
-    """Yield the parts of a paint library's section; variables that break the schema are left out."""
+    # Yield the parts of a paint library's section; variables that break the schema are left out.
     usable, problems = find_usable(library)
     yield (
         "facts",
@@ -235,10 +233,9 @@ def _table_of_paints(library: xr.Dataset) -> Markup:
 
 
 def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
-    """Yield flight line, name and region of the paints of a library.
-
-    Regions on a map, and invalid regions in libraries of other programs, are left out.
-    """
+    # Yield flight line, name and region of the paints of a library.
+    #
+    # Regions on a map, and invalid regions in libraries of other programs, are left out.
     if not {"region", "flightline"} <= set(library.variables):
         return
     if library.attrs.get("coordinates_of_regions", "sensor") != "sensor":
@@ -250,7 +247,7 @@ def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
 
 
 def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
-    """Yield the parts of the calibration's section; a calibration from a lab sweep has its report."""
+    # Yield the parts of the calibration's section; a calibration from a lab sweep has its report.
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_bands(calibration)))
     # a calibration from files has no lamp lines of a lab sweep
     if "line_centre" in calibration.variables:
@@ -382,13 +379,13 @@ def _map(line: xr.Dataset) -> Markup:
 
 
 def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide") -> Markup:
-    """Return a figure for a page; a figure of kind ``chart`` may be inverted in dark themes."""
+    # Return a figure for a page; a figure of kind ``chart`` may be inverted in dark themes.
     src = data_uri(png_of(figure, dpi=_DPI))
     return page_part("picture", src=src, caption=caption, heading=heading, kind=kind)
 
 
 def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return a picture from 0 to 1 as bytes; pixels without a value are black."""
+    # Return a picture from 0 to 1 as bytes; pixels without a value are black.
     values = np.nan_to_num(np.asarray(picture)).clip(0.0, 1.0)
     return np.ascontiguousarray((values * 255.0 + 0.5).astype(np.uint8))
 
@@ -408,7 +405,7 @@ def _alignment(attrs: Mapping[Any, Any]) -> Markup:
 def validation_section(
     libraries: Mapping[str, xr.Dataset], references: Sequence[xr.Dataset]
 ) -> Iterator[Part]:
-    """Yield the agreement of each library with the field spectra in the store."""
+    # Yield the agreement of each library with the field spectra in the store.
     for name, library in libraries.items():
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", PaintWarning)

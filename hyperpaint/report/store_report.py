@@ -242,11 +242,10 @@ def groups_to_show(
     flightlines: Sequence[str] | None,
     signatures: str | os.PathLike[str] | None,
 ) -> ShownGroups:
-    """Return the chosen flight lines, all maps and libraries of a store, and a library beside it.
-
-    Raises `SchemaError` for an unknown flight line, or if ``signatures`` is not a paint library; `StoreError`
-    if the store has nothing to show.
-    """
+    # Return the chosen flight lines, all maps and libraries of a store, and a library beside it.
+    #
+    # Raises `SchemaError` for an unknown flight line, or if ``signatures`` is not a paint library;
+    # `StoreError` if the store has nothing to show.
     listed, groups = list_groups(store), {}
     # an unfinished store is a problem, but its finished groups are shown
     problems = list(store_state(place_of(store)[0] or Location.of(store), listed).problems)
@@ -303,7 +302,7 @@ def _is_library(group: xr.Dataset) -> bool:
 
 
 def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> tuple[xr.Dataset, str]:
-    """Return a line with scene flags, detected if it has none, and a note for the page about their origin."""
+    # Return a line with scene flags, detected if it has none, and a note for the page about their origin.
     if not {"reflectance", "irradiance"} & set(line.variables):
         return line, ""
     names = ("quality", *LAYERS)
@@ -328,6 +327,6 @@ def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | Non
 
 
 def message_of(error: Exception) -> str:
-    """Return the message of an error for the page; errors of other packages with their class."""
+    # Return the message of an error for the page; errors of other packages with their class.
     kind = "" if isinstance(error, PaintError) else f"{type(error).__name__}: "
     return f"{kind}{error!s:.1000}"

@@ -26,7 +26,7 @@ Facts = Iterator[tuple[str, str]]  # names and texts
 
 
 def facts_of_line(line: xr.Dataset) -> Facts:
-    """Yield the facts of a flight line, opened or stored."""
+    # Yield the facts of a flight line, opened or stored.
     exposure = ""
     if "exposure_time" in line.variables:
         source = line.attrs.get("exposure_source", "")
@@ -45,7 +45,7 @@ def facts_of_line(line: xr.Dataset) -> Facts:
 
 
 def facts_of_map(dataset: xr.Dataset) -> Facts:
-    """Yield the facts of a map (y, x): cells, extent, cubes, other variables."""
+    # Yield the facts of a map (y, x): cells, extent, cubes, other variables.
     grid, shape = grid_of(dataset), (dataset.sizes["y"], dataset.sizes["x"])
     arrays = dataset.data_vars.items()
     yield from (
@@ -60,7 +60,7 @@ def facts_of_map(dataset: xr.Dataset) -> Facts:
 
 
 def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
-    """Yield cell size, bounds and CRS of a grid (row, col)."""
+    # Yield cell size, bounds and CRS of a grid (row, col).
     a, b, c, d, e, f = grid.transform
     rows, cols = shape
     x, y = ([p + q * j + r * i for i in (0, rows) for j in (0, cols)] for p, q, r in ((a, b, c), (d, e, f)))
@@ -74,7 +74,7 @@ def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
 
 
 def facts_of_irradiance(dataset: xr.Dataset) -> Facts:
-    """Yield the facts of a series of irradiance."""
+    # Yield the facts of a series of irradiance.
     yield from (
         ("irradiance", form_of(dataset["irradiance"])),
         ("wavelength", range_of(dataset[IRRADIANCE_WAVELENGTH].values, "nm")),
@@ -83,14 +83,14 @@ def facts_of_irradiance(dataset: xr.Dataset) -> Facts:
 
 
 def form_of(array: xr.DataArray) -> str:
-    """Return dims, dtype and units of an array as text."""
+    # Return dims, dtype and units of an array as text.
     shape = " x ".join(f"{size} {dim}" for dim, size in array.sizes.items()) or "scalar"
     units = array.attrs.get("units")
     return f"{shape}, {array.dtype}" + (f" [{units}]" if units else "")
 
 
 def facts_of_bands(dataset: xr.Dataset) -> Facts:
-    """Yield the wavelengths of the bands, and the number of bad ones."""
+    # Yield the wavelengths of the bands, and the number of bad ones.
     if "wavelength" not in dataset.coords:
         yield "wavelength", "unknown" if BAND in dataset.dims else ""
         return
@@ -103,12 +103,12 @@ def facts_of_bands(dataset: xr.Dataset) -> Facts:
 
 
 def counted(number: int, thing: str) -> str:
-    """Return a number with its noun, in the singular or plural."""
+    # Return a number with its noun, in the singular or plural.
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 def range_of(values: Any, units: str, digits: int = 3) -> str:
-    """Return the smallest and the largest of numbers, with their unit."""
+    # Return the smallest and the largest of numbers, with their unit.
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
     if not finite.size:
@@ -120,7 +120,7 @@ def range_of(values: Any, units: str, digits: int = 3) -> str:
 
 
 def times_of(times: Any) -> str:
-    """Return the first and the last of times."""
+    # Return the first and the last of times.
     if times.dtype.kind != "M":
         return f"no times ({times.dtype})"
     dated = times[~np.isnat(times)]
@@ -132,11 +132,10 @@ def times_of(times: Any) -> str:
 
 
 def with_times(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a dataset opened with ``decode_times=False`` with decoded times.
-
-    Stores of hyperpaint hold times as 64-bit counts of nanoseconds. Times of other programs are decoded by
-    xarray, which imports dask and pint and takes longer than the rest of a summary.
-    """
+    # Return a dataset opened with ``decode_times=False`` with decoded times.
+    #
+    # Stores of hyperpaint hold times as 64-bit counts of nanoseconds. Times of other programs are decoded by
+    # xarray, which imports dask and pint and takes longer than the rest of a summary.
     coded = {name: var for name, var in dataset.variables.items() if " since " in str(var.attrs.get("units"))}
     if any(var.attrs["units"] != _STORED_TIMES or var.dtype != np.int64 for var in coded.values()):
         return xr.decode_cf(dataset, mask_and_scale=False)
@@ -149,7 +148,7 @@ def with_times(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def size_of(count: int) -> str:
-    """Return a number of bytes as text."""
+    # Return a number of bytes as text.
     units = {1000**3: "GB", 1000**2: "MB", 1000: "kB"}
     size = next((size for size in units if count >= size), None)
     return f"{count} bytes" if size is None else f"{count / size:.1f} {units[size]}"
@@ -187,11 +186,10 @@ def summary_text(dataset: xr.Dataset) -> str:
 
 
 def summary_html(dataset: xr.Dataset) -> str:
-    """Return a summary of a dataset as HTML for a notebook, with its stored picture.
-
-    Nothing is computed; only small variables of a store, such as its wavelengths and its overview, are read.
-    Texts of the dataset are escaped.
-    """
+    # Return a summary of a dataset as HTML for a notebook, with its stored picture.
+    #
+    # Nothing is computed; only small variables of a store, such as its wavelengths and its overview, are
+    # read. Texts of the dataset are escaped.
     title, facts = _summary(dataset)
     src = _attempt(lambda: _picture_of(dataset), "")  # empty for a dataset without lines or columns
     content = {"title": title, "pairs": facts, "src": src, "style": _STYLE, "cell_style": _CELL}
@@ -227,7 +225,7 @@ def _is_small_and_stored(array: xr.DataArray) -> bool:
 
 
 def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
-    """Return the picture stored beside a flight line (line, column, 3); None where it would be computed."""
+    # Return the picture stored beside a flight line (line, column, 3); None where it would be computed.
     if "overview" not in dataset.variables:
         return None
     overview = dataset["overview"]

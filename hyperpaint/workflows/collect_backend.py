@@ -31,7 +31,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
     )
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Return whether this is a TOML file with a table of flight lines."""
+        # Return whether this is a TOML file with a table of flight lines.
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         path = Path(os.fsdecode(filename_or_obj))
@@ -46,7 +46,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
     def open_datatree(
         self, filename_or_obj: Any, *, drop_variables: Any = None, need_irradiance: bool = True
     ) -> xr.DataTree:
-        """Open all files of the collect; see `hyperpaint.open_collect` for the options and the errors."""
+        # Open all files of the collect; see `hyperpaint.open_collect` for the options and the errors.
         from .laboratory import open_collect
 
         tree = open_collect(filename_or_obj, need_irradiance=need_irradiance)
@@ -56,7 +56,7 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         )
 
     def open_groups_as_dict(self, filename_or_obj: Any, **options: Any) -> dict[str, xr.Dataset]:
-        """Open all files of the collect, as datasets by group."""
+        # Open all files of the collect, as datasets by group.
         tree = self.open_datatree(filename_or_obj, **options)
         return {path: node.to_dataset() for path, node in tree.to_dict().items()}
 

@@ -53,13 +53,12 @@ class PaintAgreement:
 
 
 def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tuple[PaintAgreement, ...]:
-    """Return the signatures of the paints of a rendered collect compared with their truth, sorted by name.
-
-    ``store``: written by `process`; ``truth``: the ``truth.zarr`` of the collect, with the spectrometer's
-    files beside it (``asd_reflectance``); ``bands``: first and last wavelength compared [nm].
-
-    Raises `FormatError` if the spectrometer's files are missing or cannot be read.
-    """
+    # Return the signatures of the paints of a rendered collect compared with their truth, sorted by name.
+    #
+    # ``store``: written by `process`; ``truth``: the ``truth.zarr`` of the collect, with the spectrometer's
+    # files beside it (``asd_reflectance``); ``bands``: first and last wavelength compared [nm].
+    #
+    # Raises `FormatError` if the spectrometer's files are missing or cannot be read.
     true_scene = xr.open_zarr(truth)
     attrs = true_scene["paint_id"].attrs
     names = dict(zip(attrs["flag_values"], str(attrs["flag_meanings"]).split(), strict=True))
@@ -107,10 +106,9 @@ def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tupl
 def blocks_with_truth(
     store: Path, truth: xr.Dataset, names: list[str], bands: tuple[float, float]
 ) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
-    """Yield blocks of `CHUNK_LINES` lines of all flight lines, with the variables ``names`` of their truth.
-
-    Bands come last: the good ones from the first to the last wavelength ``bands`` [nm].
-    """
+    # Yield blocks of `CHUNK_LINES` lines of all flight lines, with the variables ``names`` of their truth.
+    #
+    # Bands come last: the good ones from the first to the last wavelength ``bands`` [nm].
     for name in lines_of_store(store):
         line = xr.open_zarr(store, group=f"{LINES}{name}")
         wavelength, frames = line["wavelength"].values, line["frame"].values
@@ -124,7 +122,7 @@ def blocks_with_truth(
 
 
 def signature_problems(paints: Sequence[PaintAgreement]) -> list[str]:
-    """Return texts about signatures outside the tolerance; signatures of few pixels are not judged."""
+    # Return texts about signatures outside the tolerance; signatures of few pixels are not judged.
     return [
         f"signature of {paint.paint}: error {paint.error:.2%}, tolerance {MAX_ERROR:.0%}"
         for paint in paints
@@ -133,7 +131,7 @@ def signature_problems(paints: Sequence[PaintAgreement]) -> list[str]:
 
 
 def signature_table(paints: Sequence[PaintAgreement]) -> str:
-    """Return the signatures as a table with its legend."""
+    # Return the signatures as a table with its legend.
     head = ("signature", "cars", "pixels", "field", "recovered", "error")
     rows = [
         (
@@ -189,7 +187,7 @@ class Agreement:
 
     @property
     def bias(self) -> float:
-        """Mean recovered minus mean true reflectance."""
+        # Mean recovered minus mean true reflectance.
         return self.recovered - self.true
 
 
@@ -204,7 +202,7 @@ class Comparison:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Values outside the tolerance, one line each."""
+        # Values outside the tolerance, one line each.
         problems = [
             f"{agreement.material}: bias {agreement.bias:+.4f}, tolerance {MAX_BIAS}"
             for agreement in (*self.materials, self.overall)
@@ -221,7 +219,7 @@ class Comparison:
 
     @property
     def ok(self) -> bool:
-        """Whether all values are within tolerance."""
+        # Whether all values are within tolerance.
         return not self.problems
 
     def __str__(self) -> str:
@@ -245,14 +243,13 @@ class Comparison:
 
 
 def compare(store: Path, truth: Path) -> Comparison:
-    """Compare the reflectance in a store with the truth (``truth.zarr``) of its simulated collect.
-
-    Compared are good bands between 420 and 980 nm and pixels without a quality flag, at the wavelengths of
-    every column. For a rendered scene, signatures of paints are compared too (see `compare_paints`).
-
-    Raises `StoreError` if the store has no flight line; `FormatError` if files of the field spectrometer
-    beside the truth of a rendered scene cannot be read.
-    """
+    # Compare the reflectance in a store with the truth (``truth.zarr``) of its simulated collect.
+    #
+    # Compared are good bands between 420 and 980 nm and pixels without a quality flag, at the wavelengths of
+    # every column. For a rendered scene, signatures of paints are compared too (see `compare_paints`).
+    #
+    # Raises `StoreError` if the store has no flight line; `FormatError` if files of the field spectrometer
+    # beside the truth of a rendered scene cannot be read.
     true_scene = xr.open_zarr(truth)
     names = str(true_scene["surface"].attrs["flag_meanings"]).split()
     total, slab, sums = 0, None, np.zeros((4, len(names), 1))
@@ -302,11 +299,10 @@ _HEAD_BYTES = 2**16
 
 
 def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
-    """Refuse a folder whose content a simulated collect must not replace.
-
-    Raises `StoreError` for a folder that is not empty and not an earlier demonstration; with ``overwrite``,
-    for a folder with raw data that no simulation wrote.
-    """
+    # Refuse a folder whose content a simulated collect must not replace.
+    #
+    # Raises `StoreError` for a folder that is not empty and not an earlier demonstration; with ``overwrite``,
+    # for a folder with raw data that no simulation wrote.
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     toml = folder / "collect.toml"

@@ -163,7 +163,7 @@ def run_field_day(
 
 
 def store_of(collect: Path) -> Path:
-    """Return the default path of the store of a collect."""
+    # Return the default path of the store of a collect.
     return collect.parent / "products" / "lot.zarr"
 
 
@@ -185,38 +185,38 @@ class FieldDayRun:
 
     @property
     def store(self) -> Path:
-        """Store of the flight lines."""
+        # Store of the flight lines.
         return self.out / STEPS["process"].product
 
     @property
     def record(self) -> Record:
-        """Record of the products."""
+        # Record of the products.
         return Record(self.out / RECORD, STEPS)
 
     @property
     def library(self) -> Path:
-        """Library of the signatures."""
+        # Library of the signatures.
         return self.out / STEPS["signatures"].product
 
     @property
     def has_failed(self) -> bool:
-        """Whether the library is from an earlier run, because its step failed."""
+        # Whether the library is from an earlier run, because its step failed.
         return self.outcomes["signatures"].state == "failed"
 
     @functools.cached_property
     def located_lines(self) -> tuple[str, ...]:
-        """Names of the flight lines with navigation, from which maps are made."""
+        # Names of the flight lines with navigation, from which maps are made.
         lines = ((name, open_store(self.store, f"{LINES}{name}")) for name in lines_of_store(self.store))
         return tuple(name for name, line in lines if "latitude" in line.variables)
 
     @property
     def heights(self) -> dict[str, Any]:
-        """Height model of ``[geometry]``; the lines of the store have all of its other keys."""
+        # Height model of ``[geometry]``; the lines of the store have all of its other keys.
         geometry = self.settings.geometry
         return {name: geometry[name] for name in ("dem", "dem_heights", "geoid") if name in geometry}
 
     def outcome_of(self, name: str) -> StepOutcome:
-        """Make the product of a step, unless an input is missing or the product is current."""
+        # Make the product of a step, unless an input is missing or the product is current.
         step = STEPS[name]
         if name == "process":
             return _process(self)

@@ -408,7 +408,7 @@ def write_collect_toml(
 
 
 def unknown_keys(path: Path) -> list[str]:
-    """Return the lines of a ``collect.toml`` that are still to be filled in."""
+    # Return the lines of a ``collect.toml`` that are still to be filled in.
     lines = read_limited(path, 1 << 20, "a collect.toml").decode().splitlines()
     return [line.partition("#")[0].strip() for line in lines if f'= "{UNKNOWN}"' in line.partition("#")[0]]
 

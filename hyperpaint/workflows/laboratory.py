@@ -32,11 +32,10 @@ if TYPE_CHECKING:
 def calibrate_sweep(
     path: str | os.PathLike[str], *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> xr.Dataset:
-    """Return the calibration of a stored lab sweep (see `open_sweep`); ``options`` are those of `calibrate`.
-
-    Raises `FormatError` or `SchemaError` if the sweep cannot be read or calibrated; all problems are listed.
-    Warns as `calibrate`.
-    """
+    # Return the calibration of a stored lab sweep (see `open_sweep`); ``options`` are those of `calibrate`.
+    #
+    # Raises `FormatError` or `SchemaError` if the sweep cannot be read or calibrated; all problems are
+    # listed. Warns as `calibrate`.
     from hyperpaint.calibration import calibrate
 
     sweep = open_sweep(path)
@@ -56,15 +55,14 @@ def write_calibration(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Write the calibration of a stored lab sweep into a store, and return it; see `calibrate_sweep`.
-
-    ``overwrite`` replaces a calibration of other content; an equal calibration is not written again.
-    ``picture``: file for the figure of `hyperpaint.pictures.calibration_report`.
-
-    Raises `FormatError` or `SchemaError` as `calibrate_sweep`, or if the picture cannot be written;
-    `MissingExtraError` if the picture needs matplotlib; `StoreError` if the store cannot be written, or holds
-    other data.
-    """
+    # Write the calibration of a stored lab sweep into a store, and return it; see `calibrate_sweep`.
+    #
+    # ``overwrite`` replaces a calibration of other content; an equal calibration is not written again.
+    # ``picture``: file for the figure of `hyperpaint.pictures.calibration_report`.
+    #
+    # Raises `FormatError` or `SchemaError` as `calibrate_sweep`, or if the picture cannot be written;
+    # `MissingExtraError` if the picture needs matplotlib; `StoreError` if the store cannot be written, or
+    # holds other data.
     if Path(out).resolve() == Path(sweep).resolve():
         raise SchemaError(
             f"{out} is the sweep itself",
@@ -129,7 +127,7 @@ def open_collect(
 def opened_collect(
     collect: str | os.PathLike[str] | Collect, *, need_irradiance: bool = True, chunks: Any = "auto"
 ) -> OpenedCollect:
-    """Open a collect, as `open_collect` does, with its settings."""
+    # Open a collect, as `open_collect` does, with its settings.
     opened = open_with_settings(
         collect,
         need_irradiance=need_irradiance,

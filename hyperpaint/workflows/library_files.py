@@ -248,7 +248,7 @@ def _propose(
 
 
 def table_of(library: xr.Dataset) -> str:
-    """Return a table of the paints of a library, one line each."""
+    # Return a table of the paints of a library, one line each.
     names = [str(name) for name in library["signature"].values]
     width = max(map(len, names))
     rows = zip(names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True)
@@ -272,14 +272,13 @@ def validate_files(
     panel: str | os.PathLike[str] | None = None,
     **options: Any,
 ) -> Validation:
-    """Compare a stored paint library with references in files; see `hyperpaint.validate` for the options.
-
-    ``references``: as in `open_references`; by default those of the library's store, if it is beside the
-    library; ``pairs``: as in `read_pairs`; ``panel``: as in `read_certificate`.
-
-    Raises `FormatError`, `SchemaError`, `StoreError` or `UnitsError` if a file cannot be read, or as
-    `validate`.
-    """
+    # Compare a stored paint library with references in files; see `hyperpaint.validate` for the options.
+    #
+    # ``references``: as in `open_references`; by default those of the library's store, if it is beside the
+    # library; ``pairs``: as in `read_pairs`; ``panel``: as in `read_certificate`.
+    #
+    # Raises `FormatError`, `SchemaError`, `StoreError` or `UnitsError` if a file cannot be read, or as
+    # `validate`.
     signatures = open_library(library)
     name_pairs = None if pairs is None else read_pairs(pairs)
     certificate = None if panel is None else read_certificate(panel)
@@ -303,15 +302,14 @@ def validate_files(
 
 
 def check_table(path: Path, *, overwrite: bool = False) -> None:
-    """Check the path of a table before anything is read; `StoreError` lists all problems."""
+    # Check the path of a table before anything is read; `StoreError` lists all problems.
     check_place(path, "the table", example="agreement.csv", kinds=_TABLES, overwrite=overwrite)
 
 
 def write_table(validation: Validation, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the statistics of a validation: ``.csv``, with a row for every part of every pair, or ``.json``.
-
-    Numbers have all digits; missing values are empty, or null. Raises `StoreError` as `check_table`.
-    """
+    # Write the statistics of a validation: ``.csv``, with a row for every part of every pair, or ``.json``.
+    #
+    # Numbers have all digits; missing values are empty, or null. Raises `StoreError` as `check_table`.
     path = Path(path)
     check_table(path, overwrite=overwrite)
     statistics, between = validation.statistics, validation.between

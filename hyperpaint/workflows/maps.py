@@ -29,18 +29,17 @@ LINES = "flightlines/"
 
 
 def lines_of_store(store: str | os.PathLike[str]) -> list[str]:
-    """Return the names of the flight lines of a store."""
+    # Return the names of the flight lines of a store.
     return [group.removeprefix(LINES) for group in list_groups(store) if group.startswith(LINES)]
 
 
 def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
-    """Return the map of a flight line of a store, lazily.
-
-    ``options`` are those of `location_of`, and of `hyperpaint.geometry.orthorectify`.
-
-    Raises `SchemaError` if the store lacks the line, or has several and ``line`` is None; if options are
-    passed for a line that is located; or as `location_of`.
-    """
+    # Return the map of a flight line of a store, lazily.
+    #
+    # ``options`` are those of `location_of`, and of `hyperpaint.geometry.orthorectify`.
+    #
+    # Raises `SchemaError` if the store lacks the line, or has several and ``line`` is None; if options are
+    # passed for a line that is located; or as `location_of`.
     flightline = line_of_store(store, line)
     location = location_of(flightline, **{name: options.pop(name) for name in LOCATION & set(options)})
     return orthorectify(flightline, **options, **location)
@@ -146,10 +145,9 @@ LOCATION = frozenset(inspect.signature(location_of).parameters) - {"flightline"}
 
 
 def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dataset:
-    """Return the mosaic of flight lines of a store, by default of all; options as of `mosaic`.
-
-    Raises `SchemaError` if the store has no named flight lines, or lacks one of ``names``.
-    """
+    # Return the mosaic of flight lines of a store, by default of all; options as of `mosaic`.
+    #
+    # Raises `SchemaError` if the store has no named flight lines, or lacks one of ``names``.
     stored = lines_of_store(store)
     absent = [name for name in names if name not in stored]
     if absent or not stored:
@@ -241,14 +239,13 @@ def write_map(
 
 
 def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
-    """Return a context in which the tiles of a map are computed within the memory limit.
-
-    A thread holds the spectra of a tile, rotated and encoded. All threads share the flight lines' lines below
-    a row of tiles: for a flight to the north or east those of the row, for an oblique flight up to as many as
-    the map has columns.
-
-    Entering the context raises `StoreError` if memory does not suffice for one thread.
-    """
+    # Return a context in which the tiles of a map are computed within the memory limit.
+    #
+    # A thread holds the spectra of a tile, rotated and encoded. All threads share the flight lines' lines
+    # below a row of tiles: for a flight to the north or east those of the row, for an oblique flight up to as
+    # many as the map has columns.
+    #
+    # Entering the context raises `StoreError` if memory does not suffice for one thread.
     cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
     tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
     rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
@@ -259,7 +256,7 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
 
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
-    """Return a flight line of a store by its name, by default the only one; or the map of a store."""
+    # Return a flight line of a store by its name, by default the only one; or the map of a store.
     lines = lines_of_store(store)
     if not lines and line is not None:
         raise SchemaError(

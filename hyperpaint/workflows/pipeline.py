@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
 
 def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
-    """Return a digest of settings, of all values except cubes, and of samples of the cubes' files."""
+    # Return a digest of settings, of all values except cubes, and of samples of the cubes' files.
     import dask
 
     digest = hashlib.sha256(settings.encode())
@@ -125,13 +125,13 @@ def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 def refuse_findings(
     opened: OpenedCollect, lines: Iterable[str], accept: Collection[str], *, lit: bool
 ) -> dict[str, dict[str, Any]]:
-    """Check flight lines of an opened collect, named by their groups; return the accepted findings.
-
-    ``accept``: names of accepted findings. ``lit``: whether reflectance is computed, which needs irradiance.
-
-    Returns by group the attributes for the store: the accepted findings of a line. Raises `CollectError` for
-    findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
-    """
+    # Check flight lines of an opened collect, named by their groups; return the accepted findings.
+    #
+    # ``accept``: names of accepted findings. ``lit``: whether reflectance is computed, which needs
+    # irradiance.
+    #
+    # Returns by group the attributes for the store: the accepted findings of a line. Raises `CollectError`
+    # for findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
     refused = []
     accepted: dict[str, dict[str, Any]] = {}
     groups = [name for name in lines if name in opened.members]
@@ -170,7 +170,7 @@ def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict
 
 
 def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
-    """Warn of flags that more than `MANY_FLAGGED` of the pixels of a stored line have."""
+    # Warn of flags that more than `MANY_FLAGGED` of the pixels of a stored line have.
     import zarr
 
     for name in (name for name in lines if (store / name / "quality").exists()):
@@ -316,7 +316,7 @@ def run(
     codec: Codec = DEFAULT_CODEC,
     layout: Layout = "cube",
 ) -> Outcome:
-    """Process a collect, as `process` does with the same arguments, and return the groups written."""
+    # Process a collect, as `process` does with the same arguments, and return the groups written.
     problems = Problems("cannot process", SchemaError)
     for word, value, allowed in (
         ("to", to, get_args(Product)),
@@ -396,7 +396,7 @@ def run(
 def opened_groups(
     collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
-    """Open a collect with ``lines`` lines per task; return it, and its groups with their digests."""
+    # Open a collect with ``lines`` lines per task; return it, and its groups with their digests.
     opened = opened_collect(
         collect, need_irradiance=parameters["to"] == "reflectance", chunks={ALONG_TRACK: lines}
     )
@@ -421,7 +421,7 @@ def opened_groups(
 
 
 def corrections_of(lines: Mapping[str, xr.Dataset]) -> dict[str, str]:
-    """Return the applied corrections between camera and irradiance record, by the group of the line."""
+    # Return the applied corrections between camera and irradiance record, by the group of the line.
     return {
         name: str(line.attrs["alignment"])
         for name, line in lines.items()
@@ -430,7 +430,7 @@ def corrections_of(lines: Mapping[str, xr.Dataset]) -> dict[str, str]:
 
 
 def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
-    """Return a flight line after `hyperpaint.alignment.align`; other groups unchanged."""
+    # Return a flight line after `hyperpaint.alignment.align`; other groups unchanged.
     is_aligned = to != "radiance" and name.startswith("flightlines/")
     return align(dataset, apply=apply) if is_aligned else dataset
 
@@ -499,14 +499,13 @@ class InputReport:
 
 
 def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
-    """Read all inputs of a store and compare them with the store's record of its inputs.
-
-    Cubes are compared with the checksums of the stored samples, block by block; other files by their values.
-    ``collect``: present path of the ``collect.toml``; by default the path recorded in the store.
-
-    Raises `StoreError` if `process` did not write the store, or the ``collect.toml`` is not found;
-    `CollectError` if the collect, or one of its files, cannot be opened.
-    """
+    # Read all inputs of a store and compare them with the store's record of its inputs.
+    #
+    # Cubes are compared with the checksums of the stored samples, block by block; other files by their
+    # values. ``collect``: present path of the ``collect.toml``; by default the path recorded in the store.
+    #
+    # Raises `StoreError` if `process` did not write the store, or the ``collect.toml`` is not found;
+    # `CollectError` if the collect, or one of its files, cannot be opened.
     location = Location.of(store)
     manifest = Manifest.read(location)
     try:

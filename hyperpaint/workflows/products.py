@@ -59,7 +59,7 @@ class Outcome:
 
 
 def local_folder(out: str | Path, command: str) -> Path:
-    """Return the store's folder; refuse a URL (`StoreError`)."""
+    # Return the store's folder; refuse a URL (`StoreError`).
     if _URL.match(os.fspath(out)):
         raise StoreError(
             f"{command} writes to a folder, not to {os.fspath(out)!r}",
@@ -71,7 +71,7 @@ def local_folder(out: str | Path, command: str) -> Path:
 
 
 def paths_in(settings: Any) -> Iterator[Path]:
-    """Yield every path in settings, also in nested dataclasses, mappings and sequences."""
+    # Yield every path in settings, also in nested dataclasses, mappings and sequences.
     if isinstance(settings, Path):
         yield settings
     elif dataclasses.is_dataclass(settings) and not isinstance(settings, type):
@@ -82,11 +82,10 @@ def paths_in(settings: Any) -> Iterator[Path]:
 
 
 def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
-    """Refuse an output that is an input, lies in an input, or contains inputs.
-
-    ``settings``: contain the paths of the inputs, see `paths_in`. Raises `StoreError`, which lists these
-    inputs.
-    """
+    # Refuse an output that is an input, lies in an input, or contains inputs.
+    #
+    # ``settings``: contain the paths of the inputs, see `paths_in`. Raises `StoreError`, which lists these
+    # inputs.
     output = out.resolve()
     problems = Problems(
         f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
@@ -99,10 +98,9 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
 
 
 def finishing_command(command: str, options: Mapping[str, Any]) -> str:
-    """Return the command line that finishes an interrupted run, with ``{store}`` for the path of the store.
-
-    ``options``: values by option; None and False leave an option out, a list repeats it.
-    """
+    # Return the command line that finishes an interrupted run, with ``{store}`` for the path of the store.
+    #
+    # ``options``: values by option; None and False leave an option out, a list repeats it.
     arguments = ""
     for name, value in options.items():
         for argument in value if isinstance(value, list) else [value]:
@@ -119,13 +117,13 @@ def kept_groups(
     command: str,
     only: tuple[str, str] | None = None,
 ) -> list[str]:
-    """Return the complete groups of a store; refuse a store with other groups.
-
-    ``groups``: the planned groups, with their attribute `INPUTS`; ``command``: its name for messages.
-    ``only``: a prefix, and what its groups belong to: unplanned groups with this prefix are refused.
-
-    Raises `StoreError` if planned groups exist from other inputs, or unplanned groups exist; all are listed.
-    """
+    # Return the complete groups of a store; refuse a store with other groups.
+    #
+    # ``groups``: the planned groups, with their attribute `INPUTS`; ``command``: its name for messages.
+    # ``only``: a prefix, and what its groups belong to: unplanned groups with this prefix are refused.
+    #
+    # Raises `StoreError` if planned groups exist from other inputs, or unplanned groups exist; all are
+    # listed.
     if not out.exists():
         return []
     location = Location.of(out)
@@ -244,11 +242,10 @@ WORKERS_WAIT = 60
 
 @contextlib.contextmanager
 def computing_on(address: str | None) -> Iterator[Client | None]:
-    """Compute with dask on a cluster; without an address, on the caller's active client, else on threads.
-
-    Raises `MissingExtraError` if distributed is not installed; `CollectError` if no scheduler answers at the
-    address; `StoreError` if the cluster has no worker.
-    """
+    # Compute with dask on a cluster; without an address, on the caller's active client, else on threads.
+    #
+    # Raises `MissingExtraError` if distributed is not installed; `CollectError` if no scheduler answers at
+    # the address; `StoreError` if the cluster has no worker.
     with contextlib.ExitStack() as stack:
         if address is None:
             client = client_in_force()
@@ -324,7 +321,7 @@ class Record:
     names: Collection[str]  #: Names of all products.
 
     def entries(self) -> dict[str, Any]:
-        """Return the entries by name; entries of products that are damaged count as unfinished."""
+        # Return the entries by name; entries of products that are damaged count as unfinished.
         if not self.path.is_file():
             return {}
         try:
@@ -343,19 +340,18 @@ class Record:
         return entries
 
     def write(self, entries: Mapping[str, Any]) -> None:
-        """Write entries; others stay."""
+        # Write entries; others stay.
         content = json.dumps({**self.entries(), **entries}, indent=1, sort_keys=True)
         publish_file(self.path, content.encode(), overwrite=True)
 
     def produce(
         self, name: str, paths: tuple[Path, ...], inputs: Any, make: Callable[[], str], *, overwrite: bool
     ) -> StepOutcome:
-        """Make a product unless it is current; errors of the package are an outcome.
-
-        ``paths``: its files or folders; ``inputs``: values for JSON of everything that it depends on, besides
-        the version of the program; ``make``: makes it, and returns a text for the report; ``overwrite``:
-        whether to replace files that another program wrote or changed.
-        """
+        # Make a product unless it is current; errors of the package are an outcome.
+        #
+        # ``paths``: its files or folders; ``inputs``: values for JSON of everything that it depends on,
+        # besides the version of the program; ``make``: makes it, and returns a text for the report;
+        # ``overwrite``: whether to replace files that another program wrote or changed.
         inputs, listed = digest_of([version_of_program(), name, inputs]), ", ".join(map(str, paths))
         entry, states = self.entries().get(name), states_of(paths)
         if entry == {"inputs": inputs, "products": states} and all(map(Path.exists, paths)):
@@ -380,15 +376,14 @@ class Record:
 
 
 def digest_of(inputs: Any) -> str:
-    """Return the digest of values for JSON, such as the inputs of a product."""
+    # Return the digest of values for JSON, such as the inputs of a product.
     return hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def states_of(paths: Iterable[Path]) -> dict[str, str]:
-    """Return checksums by name: of a file's content, of all files of a folder, of the metadata of a store.
-
-    The metadata of a store contain checksums of its chunks. The checksum of a missing path is empty.
-    """
+    # Return checksums by name: of a file's content, of all files of a folder, of the metadata of a store.
+    #
+    # The metadata of a store contain checksums of its chunks. The checksum of a missing path is empty.
     states: dict[str, str] = {}
     for path in paths:
         pattern = "zarr.json" if (path / "zarr.json").is_file() else "*"

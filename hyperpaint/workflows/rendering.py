@@ -107,7 +107,7 @@ _NOISE, _DARK = 20, 21
 def flight_line(
     traced: xr.Dataset, atmosphere: Atmosphere, file: SceneFile, parts: RenderParts
 ) -> xr.Dataset:
-    """Return the flight line of a traced scene under an atmosphere, lazily; see `hyperpaint.render_scene`."""
+    # Return the flight line of a traced scene under an atmosphere, lazily; see `hyperpaint.render_scene`.
     # Bands of counts are weighted by the responsivity of the detector. Bands of radiance are not: readers of
     # radiance do not know the responsivity, and resample the irradiance without it.
     bands = BandSet.of(parts.camera.imager)
@@ -159,14 +159,14 @@ def flight_line(
 
 
 def pose_of(platform: Platform) -> dict[str, xr.Variable]:
-    """Return the pose of the camera at mid-exposure of every line, as variables of a flight line."""
+    # Return the pose of the camera at mid-exposure of every line, as variables of a flight line.
     roll, pitch, heading = platform.attitude.T
     pose = {"altitude": platform.position[:, 2], "roll": roll, "pitch": pitch, "heading": heading}
     return {name: _variable(name, values) for name, values in pose.items()}
 
 
 def look_angle_of(platform: Platform) -> xr.Variable:
-    """Return the angles of column centres from the camera's axis, positive to the right [degree]."""
+    # Return the angles of column centres from the camera's axis, positive to the right [degree].
     edges = platform.column_edges
     return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
@@ -174,13 +174,12 @@ def look_angle_of(platform: Platform) -> xr.Variable:
 def counts_of(
     radiance: xr.DataArray, camera: Camera, exposure_time: float, seed: int, name: str, *, noise: bool = True
 ) -> xr.Dataset:
-    """Return the counts of a camera under this radiance, with all variables that calibrate them.
-
-    Lazy. The noise of a line is drawn from a generator keyed by seed, name of the render and number of the
-    line, so that counts do not depend on chunks or workers; without ``noise`` counts are still rounded. The
-    optics of the camera blur the radiance. ``radiance``: mean over the camera's responses (along_track, band,
-    cross_track) [W m-2 sr-1 nm-1]; ``exposure_time``: [s].
-    """
+    # Return the counts of a camera under this radiance, with all variables that calibrate them.
+    #
+    # Lazy. The noise of a line is drawn from a generator keyed by seed, name of the render and number of the
+    # line, so that counts do not depend on chunks or workers; without ``noise`` counts are still rounded. The
+    # optics of the camera blur the radiance. ``radiance``: mean over the camera's responses (along_track,
+    # band, cross_track) [W m-2 sr-1 nm-1]; ``exposure_time``: [s].
     import dask.array as da
 
     # a mean radiance of 1 gives (exposure time) x (etendue) x (integral of the response) counts; dead
@@ -375,7 +374,7 @@ def run(
     overwrite: bool = False,
     progress: bool = False,
 ) -> Outcome:
-    """Render a scene, as `render_scene` does with the same arguments, and return the groups written."""
+    # Render a scene, as `render_scene` does with the same arguments, and return the groups written.
     out = local_folder(out, "render")
     file, problems = read_scene_file(path), Problems("cannot render", SchemaError)
     if samples is not None:
@@ -520,11 +519,10 @@ _PICTURE_INCH, _DPI = 4.0, 150
 
 
 def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
-    """Draw the stored overviews of renders (``groups`` of the store) side by side, north up.
-
-    Raises `MissingExtraError` if matplotlib is not installed; `StoreError` if no group has an overview, which
-    needs three visible bands; `SchemaError` if matplotlib does not write this file type.
-    """
+    # Draw the stored overviews of renders (``groups`` of the store) side by side, north up.
+    #
+    # Raises `MissingExtraError` if matplotlib is not installed; `StoreError` if no group has an overview,
+    # which needs three visible bands; `SchemaError` if matplotlib does not write this file type.
     datasets = {group: open_store(store, group) for group in groups}
     overviews = {group: dataset["overview"] for group, dataset in datasets.items() if "overview" in dataset}
     if not overviews:
@@ -637,7 +635,7 @@ def painted_cars(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -
 
 
 def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
-    """Return the paint libraries among spectra; paints are "<key>/<name>", a single paint also "<key>"."""
+    # Return the paint libraries among spectra; paints are "<key>/<name>", a single paint also "<key>".
     libraries = []
     for key, value in spectra.items():
         if hasattr(value, "data_vars"):

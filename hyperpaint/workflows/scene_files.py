@@ -211,16 +211,15 @@ _SOURCES = ("preset", "table", "irradiance")
 
 
 def example_scene() -> str:
-    """Return a commented ``scene.toml`` to begin with."""
+    # Return a commented ``scene.toml`` to begin with.
     return resources.files(__package__).joinpath("example_scene.toml").read_text(encoding="utf-8")
 
 
 def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
-    """Read and check a ``scene.toml``; the files that it names are located from its folder, not opened.
-
-    Raises `FormatError`: not TOML (with the line), unknown keys, wrong types or values, missing keys or
-    files; all problems are listed.
-    """
+    # Read and check a ``scene.toml``; the files that it names are located from its folder, not opened.
+    #
+    # Raises `FormatError`: not TOML (with the line), unknown keys, wrong types or values, missing keys or
+    # files; all problems are listed.
     path = Path(path)
     raw = load_tables(path, "a scene.toml")
     problems = Problems(f"{path} cannot be rendered", FormatError)
@@ -302,7 +301,7 @@ def _scene(reader: TableReader) -> dict[str, Any]:
 
 
 def park_arguments(scene: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of `car_park` that a table ``[scene]`` gives, but for the coat."""
+    # Return the arguments of `car_park` that a table ``[scene]`` gives, but for the coat.
     return arguments_of(PARK, filled(PARK, scene))
 
 
@@ -375,7 +374,7 @@ def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def camera_fields(platform: Mapping[str, Any], camera: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of `SimulationSettings` that the tables of a scene give."""
+    # Return the fields of `SimulationSettings` that the tables of a scene give.
     fields = {name: value for name, value in camera.items() if name != "noise"}
     times = [name for name in ("exposure_time", "frame_period") if name in platform]
     fields |= {f"{name}_ms": platform[name] * 1e3 for name in times}
@@ -490,11 +489,10 @@ _DIRSIG_MARKER, _MATERIALS = "paints.json", "materials.mat"
 
 
 def read_spectra(path: Path) -> Any:
-    """Return the spectra of a file of ``[spectra]``, in the form that `hyperpaint.simulation.relight` takes.
-
-    A file of two columns gives (wavelength [nm], reflectance) in double precision; other files are libraries.
-    Raises `FormatError` or `StoreError` as `read_paints`.
-    """
+    # Return the spectra of a file of ``[spectra]``, in the form that `hyperpaint.simulation.relight` takes.
+    #
+    # A file of two columns gives (wavelength [nm], reflectance) in double precision; other files are
+    # libraries. Raises `FormatError` or `StoreError` as `read_paints`.
     if input_path(path, "spectra").is_file() and path.suffix.lower() in _TABLE_SUFFIXES:
         try:
             return read_spectrum_csv(path)
@@ -560,7 +558,7 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
 
 
 def spectra_digest(spectra: Mapping[str, Any]) -> str:
-    """Return a digest of all values of spectra, which shows whether a render was made from them."""
+    # Return a digest of all values of spectra, which shows whether a render was made from them.
     digest = hashlib.sha256()
     for name, value in spectra.items():
         digest.update(f"{name} ".encode())
@@ -592,21 +590,20 @@ class RenderParts:
 
     @property
     def suns(self) -> list[tuple[float, float]]:
-        """Zenith and azimuth of every distinct sun [degree]."""
+        # Zenith and azimuth of every distinct sun [degree].
         return list(dict.fromkeys((light.sun_zenith, light.sun_azimuth) for light in self.atmospheres))
 
     @property
     def overcast(self) -> bool:
-        """Whether an atmosphere has an overcast sky, brighter towards the zenith."""
+        # Whether an atmosphere has an overcast sky, brighter towards the zenith.
         return any(light.overcast_share > 0.0 for light in self.atmospheres)
 
 
 def build_parts(file: SceneFile) -> RenderParts:
-    """Return the parts that a scene file describes.
-
-    Raises `FormatError` if the file, or one of its files, cannot be used; all problems are listed. Raises
-    `MissingExtraError` if a mesh needs a package that is not installed.
-    """
+    # Return the parts that a scene file describes.
+    #
+    # Raises `FormatError` if the file, or one of its files, cannot be used; all problems are listed. Raises
+    # `MissingExtraError` if a mesh needs a package that is not installed.
     parts: dict[str, Any] = {}
     builders: dict[str, Callable[[], Any]] = {
         "[scene]": lambda: _built_scene(file),
@@ -636,7 +633,7 @@ def _built(
 
 
 def chosen_atmospheres(parts: RenderParts, names: Sequence[str]) -> tuple[Atmosphere, ...]:
-    """Return the atmospheres with these names, by default all; `SchemaError` for an unknown name."""
+    # Return the atmospheres with these names, by default all; `SchemaError` for an unknown name.
     by_name = {light.name: light for light in parts.atmospheres}
     unknown = [name for name in names if name not in by_name]
     if unknown:
