@@ -718,8 +718,7 @@ SUN_LINES = SunLineRules()
 
 
 class RecordAgainstSun(NamedTuple):
-    """True minus declared wavelength of the record's channels, and their width, with uncertainties [nm]."""
-
+    # True minus declared wavelength of the record's channels, and their width, with uncertainties [nm].
     shift: float
     shift_u: float
     width: float

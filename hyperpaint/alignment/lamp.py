@@ -136,8 +136,7 @@ FACTORS = np.linspace(0.6, 1.6, 9)
 
 @dataclass(frozen=True)
 class IrradianceTable:
-    """Irradiance matched to bands at a grid of shifts and widths."""
-
+    # Irradiance matched to bands at a grid of shifts and widths.
     wavelength: Floats  # (band,): Declared centres [nm]
     shifts: Floats  # (shift,): wavelength minus `wavelength` [nm]
     factors: Floats  # (factor,): width over the declared one [1]

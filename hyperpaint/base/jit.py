@@ -105,12 +105,10 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
 
 
 class _InnerKernel(CPUDispatcher):  # type: ignore[misc]
-    """A kernel inside another: without machine code, entry point for Python and place in the cache.
-
-    By default numba assembles every function on its own and again in all its callers, with the code that
-    unpacks its arguments for Python. Here only the outer kernel, which Python calls, is assembled.
-    """
-
+    # A kernel inside another: without machine code, entry point for Python and place in the cache.
+    #
+    # By default numba assembles every function on its own and again in all its callers, with the code that
+    # unpacks its arguments for Python. Here only the outer kernel, which Python calls, is assembled.
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._compiler._customize_flags = _without_machine_code
@@ -133,12 +131,10 @@ class _InnerCompiler(Compiler):  # type: ignore[misc]
 
 
 class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code that is assembled in the libraries that link it.
-
-    It is optimised on its own: callers decide by the optimised size whether to inline it. Without that, the
-    renderer ran a fifth slower. The methods are private to numba: without them kernels compile more slowly.
-    """
-
+    # Code that is assembled in the libraries that link it.
+    #
+    # It is optimised on its own: callers decide by the optimised size whether to inline it. Without that, the
+    # renderer ran a fifth slower. The methods are private to numba: without them kernels compile more slowly.
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
         self._finalized = True

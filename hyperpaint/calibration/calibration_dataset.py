@@ -56,8 +56,7 @@ _SUN_ZENITH_DEG = 48.2  # of the daylight in which the effect is stated
 
 
 class MeasuredShape(NamedTuple):
-    """The response in units of its width."""
-
+    # The response in units of its width.
     offset: Floats  #: (place,): wavelength minus wavelength of the band, over the width
     response: Floats  #: (place,), of unit area
     misfit: float  #: Distance of the lamp lines from the best model, relative [1]
@@ -162,8 +161,7 @@ _WING_U = 0.25
 
 
 class OffLines(NamedTuple):
-    """Light off the lamp lines of a sweep."""
-
+    # Light off the lamp lines of a sweep.
     second_order: Floats  #: (step,): counts at twice the wavelength over those of the lamp line [1]
     #: (band, source band): share of the counts of a source band that other bands receive [1]
     stray_light: Floats
@@ -817,8 +815,7 @@ _POINTS = 201
 
 @dataclass(frozen=True, eq=False)
 class FittedLine:
-    """One line in one column."""
-
+    # One line in one column.
     wavelength: float  #: Wavelength of the monochromator [nm]
     #: distance, counts, residual (sample,) of the bands near the lamp line: distance from its centre [nm],
     #: counts above dark and background, and counts minus fit, relative to the lamp line's height. Empty

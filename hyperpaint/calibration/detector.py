@@ -25,8 +25,7 @@ MAX_DARK_U = 1.0
 
 @dataclass(frozen=True, eq=False)
 class DarkModel:
-    """Dark counts as bias + rate x exposure."""
-
+    # Dark counts as bias + rate x exposure.
     #: bias, rate (band, cross_track): [count], [count s-1]; from darks at one exposure the bias is the dark,
     #: and the rate is NaN
     bias: Floats

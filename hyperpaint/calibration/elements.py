@@ -509,8 +509,7 @@ SIGNAL_BINS = len(_SIGNAL_EDGES) - 1
 
 @dataclass(frozen=True, eq=False)
 class SweepData:
-    """Data of a sweep that are kept after reading."""
-
+    # Data of a sweep that are kept after reading.
     windows: list[Window | None]  #: Window of every step; None without a lamp line
     rows: Floats  #: (step, band): counts outside the lines relative to the lines' areas
     noise: NoiseModel  #: Noise of one frame
@@ -519,8 +518,7 @@ class SweepData:
 
 @dataclass(eq=False)
 class LampLines:
-    """Fitted lamp lines of all steps, (step, cross_track) except where noted; NaN without a line."""
-
+    # Fitted lamp lines of all steps, (step, cross_track) except where noted; NaN without a line.
     centre: Floats
     camera_width: Floats
     width: Floats

@@ -44,8 +44,7 @@ _POSITIVE = (
 
 @dataclass(frozen=True, eq=False)
 class LabSweep:
-    """A checked sweep, in the units of the table, its small variables in memory."""
-
+    # A checked sweep, in the units of the table, its small variables in memory.
     #: counts, variance (step, band, cross_track): lazy if the sweep is lazy; ``variance`` is None where
     #: unknown
     counts: xr.DataArray

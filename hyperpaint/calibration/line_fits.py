@@ -45,8 +45,7 @@ _GAUSSIAN_AREA = np.sqrt(np.pi / (4.0 * np.log(2.0)))  # area of a Gaussian of u
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of one frame, constant + slope x signal, and of the subtracted dark [count2]."""
-
+    # Variance of one frame, constant + slope x signal, and of the subtracted dark [count2].
     constant: float
     slope: float
     dark: float = 0.0
@@ -344,8 +343,7 @@ _HALVINGS = 40
 
 @dataclass(frozen=True, eq=False)
 class WavelengthMap:
-    """Wavelength as a tensor of Chebyshev polynomials in band and column."""
-
+    # Wavelength as a tensor of Chebyshev polynomials in band and column.
     coefficients: Floats  #: (band degree + 1, column degree + 1): [nm]
     #: bands, columns: sizes of the array
     bands: int

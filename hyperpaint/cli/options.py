@@ -45,8 +45,7 @@ OVERRIDES: dict[str, dict[str, Any]] = {
 
 
 class Parameter(NamedTuple):
-    """A parameter of a function, or a field of a dataclass."""
-
+    # A parameter of a function, or a field of a dataclass.
     module: str
     annotation: ast.expr | None
     value: ast.expr | None  #: Default; None without.
@@ -309,8 +308,7 @@ def settable(
 
 
 class Command(click.Command):
-    """A command whose error on an old spelling of an option names the new spelling."""
-
+    # A command whose error on an old spelling of an option names the new spelling.
     _params: list[Any]
 
     def __init__(self, *args: Any, renamed: Mapping[str, str] | None = None, **keywords: Any) -> None:

@@ -81,12 +81,10 @@ PLANNED = ("detect", "mosaic", "orthorectify", "render", "report", "signatures",
 
 
 class Program(click.Group):
-    """Commands in groups, each group in a file that is loaded when one of its commands is called.
-
-    Errors are one message, warnings one line each. ``--quiet`` and ``--memory-limit`` may stand before or
-    after the name of the command.
-    """
-
+    # Commands in groups, each group in a file that is loaded when one of its commands is called.
+    #
+    # Errors are one message, warnings one line each. ``--quiet`` and ``--memory-limit`` may stand before or
+    # after the name of the command.
     def list_commands(self, _ctx: click.Context) -> list[str]:
         # Return the names of all commands, group by group.
         return [name for commands in GROUPS.values() for name in commands]

@@ -334,8 +334,7 @@ def _checked_names(solve: Sequence[str], points: xr.Dataset) -> list[str]:
 
 @dataclass(frozen=True)
 class Sightings:
-    """The points of one line, in the camera's frame: computed minus observed directions."""
-
+    # The points of one line, in the camera's frame: computed minus observed directions.
     times: Array  #: (row,): canonical record around the points
     poses: Floats  #: (6, row): canonical record around the points
     observed_at: Array  #: (point,): time of the point, interpolated between mid exposures of lines
@@ -525,11 +524,9 @@ def _sightings(
 
 @dataclass(frozen=True)
 class Misses:
-    """Residuals of all points as a function of the free parameters.
-
-    Of tie points, the first half is seen by one line of a pair, the second half by the other.
-    """
-
+    # Residuals of all points as a function of the free parameters.
+    #
+    # Of tie points, the first half is seen by one line of a pair, the second half by the other.
     sights: list[Sightings]
     start: Floats  #: start values of all five parameters
     free: list[int]  #: positions in `PARAMETERS` of the solved parameters

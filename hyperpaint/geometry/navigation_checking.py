@@ -382,8 +382,7 @@ def _picture(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
 
 
 class RowMotion(NamedTuple):
-    """Motion of a picture from each row to the next."""
-
+    # Motion of a picture from each row to the next.
     #: (row - 1, zone): ground at column x of a row is at x + shift in the row before [pixel]; NaN where
     #: undetermined
     shift: Floats
@@ -499,8 +498,7 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class View:
-    """Viewing geometry of a camera in its platform."""
-
+    # Viewing geometry of a camera in its platform.
     #: (zone,): tangents of the middle of every zone, to the right and forward, columns from left to right
     right: Floats
     forward: Floats
@@ -548,8 +546,7 @@ def local_metres(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
 
 
 class Hypothesis(NamedTuple):
-    """One possible convention of a record."""
-
+    # One possible convention of a record.
     convention: Convention  #: Meaning of angles, and order of columns
     positions: Positions = "as declared"  #: Meaning of latitude and longitude
 
@@ -560,8 +557,7 @@ class Hypothesis(NamedTuple):
 
 @dataclass(frozen=True)
 class Setting:
-    """Inputs of a check of one line."""
-
+    # Inputs of a check of one line.
     declared: Convention  #: Declared convention of the record
     times: Array  #: (row,): times of the record
     columns: dict[str, Floats]  #: Poses as recorded (row,), by the name of the variable
@@ -681,8 +677,7 @@ def _setting(
 
 
 class Scored(NamedTuple):
-    """A hypothesis and its fit."""
-
+    # A hypothesis and its fit.
     hypothesis: Hypothesis  #: Supposed convention
     odds: float  #: Logarithm of its probability relative to the most probable hypothesis, whose odds are 0
     #: Logarithm of the likelihood relative to a platform without rotation, from shifts alone
@@ -994,8 +989,7 @@ def _correlation_factor(residual: Floats) -> float:
 
 
 class Refined(NamedTuple):
-    """A number estimated from the picture."""
-
+    # A number estimated from the picture.
     value: float  #: Estimate and standard uncertainty
     sd: float
     odds: float  #: Logarithm of the likelihood relative to the declared number

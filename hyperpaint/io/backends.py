@@ -21,11 +21,9 @@ _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
 
 
 class EnviBackendEntrypoint(BackendEntrypoint):
-    """Opens ENVI cubes lazily: ``xr.open_dataset("raw_0.hdr")``, or with ``engine="envi"``.
-
-    See `hyperpaint.io.envi.envi_cubes.open_envi` for the dataset; lines and columns are numbered.
-    """
-
+    # Opens ENVI cubes lazily: ``xr.open_dataset("raw_0.hdr")``, or with ``engine="envi"``.
+    #
+    # See `hyperpaint.io.envi.envi_cubes.open_envi` for the dataset; lines and columns are numbered.
     description: ClassVar[str] = "ENVI cubes (.hdr and data file) through hyperpaint"
     open_dataset_parameters: ClassVar[tuple[str, ...]] = (
         "filename_or_obj",
@@ -101,11 +99,9 @@ class _SpectrometerEntrypoint(BackendEntrypoint):
 
 
 class AsdBackendEntrypoint(_SpectrometerEntrypoint):
-    """Opens binary files of ASD spectrometers: ``xr.open_dataset("white.asd")``, or with ``engine="asd"``.
-
-    See `hyperpaint.open_asd` for the dataset, for many files at once and for all options.
-    """
-
+    # Opens binary files of ASD spectrometers: ``xr.open_dataset("white.asd")``, or with ``engine="asd"``.
+    #
+    # See `hyperpaint.open_asd` for the dataset, for many files at once and for all options.
     description: ClassVar[str] = "ASD field spectrometers (.asd) through hyperpaint"
     suffix, beginning = ".asd", rb"ASD|asd|as[2-8]"
 
@@ -123,11 +119,9 @@ class AsdBackendEntrypoint(_SpectrometerEntrypoint):
 
 
 class SvcBackendEntrypoint(_SpectrometerEntrypoint):
-    """Opens files of SVC spectrometers: ``xr.open_dataset("hood.sig")``, or with ``engine="svc"``.
-
-    See `hyperpaint.open_svc` for the dataset, for many files at once and for all options.
-    """
-
+    # Opens files of SVC spectrometers: ``xr.open_dataset("hood.sig")``, or with ``engine="svc"``.
+    #
+    # See `hyperpaint.open_svc` for the dataset, for many files at once and for all options.
     description: ClassVar[str] = "SVC field spectrometers (.sig) through hyperpaint"
     suffix, beginning = ".sig", rb"(?i)(\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista"
 

@@ -61,12 +61,10 @@ class Calibration(NamedTuple):
 
 
 class StrayLight(NamedTuple):
-    """Light of other bands in linear counts above dark: smear, and the product ``band_terms @ source_terms``.
-
-    The product applies to the counts without smear. Smear is proportional to counts as read. Scattered light
-    is proportional to the light before the detector, hence the ``level`` of each element.
-    """
-
+    # Light of other bands in linear counts above dark: smear, and the product ``band_terms @ source_terms``.
+    #
+    # The product applies to the counts without smear. Smear is proportional to counts as read. Scattered
+    # light is proportional to the light before the detector, hence the ``level`` of each element.
     band_terms: Array  #: (band, term) float32; a multiple of four terms
     source_terms: Array  #: (term, band) float32; bands padded with zeros to a multiple of four
     smear: Array  #: (line,) float32: share of the sum of all bands [1]
@@ -186,12 +184,10 @@ class Bodies(NamedTuple):
 
 
 class LightParts(NamedTuple):
-    """Direct and diffuse share of the irradiance, and the sky as a perfect mirror shows it (channel,) [1].
-
-    ``above`` is the sky at the zenith; ``sunward`` is the sky around the sun minus ``above``, 0
-    for a uniform sky. Both are reflectances of a perfect mirror, float64.
-    """
-
+    # Direct and diffuse share of the irradiance, and the sky as a perfect mirror shows it (channel,) [1].
+    #
+    # ``above`` is the sky at the zenith; ``sunward`` is the sky around the sun minus ``above``, 0
+    # for a uniform sky. Both are reflectances of a perfect mirror, float64.
     direct: Array
     diffuse: Array
     above: Array

@@ -532,8 +532,7 @@ def _whitening(centres: tuple[float, ...], level_u: float) -> tuple[Floats, floa
 
 
 class Evidence(NamedTuple):
-    """Measurements of a record."""
-
+    # Measurements of a record.
     level: Floats  # (sample, window): logarithm of the irradiance [W m-2 nm-1]
     sun_zenith: Floats  # (sample,) [degree]
     seconds: Floats  # (sample,) since the first

@@ -385,8 +385,7 @@ def _apply(matching: Matching, spectra: Array, order: Array | None = None) -> Fl
 
 
 class RecordDeparture(NamedTuple):
-    """Difference of an irradiance record from its declaration, measured by a comparison with the camera."""
-
+    # Difference of an irradiance record from its declaration, measured by a comparison with the camera.
     shift_nm: float  #: Wavelength of the camera minus wavelength of the record, at `ALIGNED_AT_NM` [nm]
     slope_nm: float  #: Change of the shift over `ALIGNED_PER_NM` [nm]
     width: float  #: Width of the record over the declared one [1]

@@ -38,11 +38,10 @@ RIDGE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Spectral responses of a set of bands.
-
-    A response is the line shape times the responsivity, which over one band is an exponential in wavelength.
-    """
-
+    # Spectral responses of a set of bands.
+    #
+    # A response is the line shape times the responsivity, which over one band is an exponential in
+    # wavelength.
     wavelength: Floats  #: (band,): centres [nm]
     fwhm: Floats  #: (band,): full widths at half maximum [nm]
     #: ``"gaussian"``; ``"slit"``: the slit image, a box ``fwhm`` wide, convolved with a pixel one band
@@ -210,8 +209,7 @@ def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats
 
 @dataclass(frozen=True)
 class Matching:
-    """Operators from a spectrometer's channels to an imager's bands."""
-
+    # Operators from a spectrometer's channels to an imager's bands.
     #: (node, band, channel): weights on the spectrometer's channels; each row sums to 1, or is NaN where the
     #: spectrometer does not cover the band
     weights: Floats

@@ -85,8 +85,7 @@ def relative_radiance(shape: Floats, cosine: Floats, from_sun: Floats) -> Floats
 
 
 class Dome(NamedTuple):
-    """Directions of the upper hemisphere for integrals: Gauss's rule in the cosine, even steps in azimuth."""
-
+    # Directions of the upper hemisphere for integrals: Gauss's rule in the cosine, even steps in azimuth.
     cosine: Floats  # (zenith, azimuth)
     azimuth: Floats  # (zenith, azimuth), 0 to 180 degrees from the sun [rad]
     level: Floats  # (zenith, azimuth): weights of level irradiance, of sum 1

@@ -32,8 +32,7 @@ TIMING_EFFECT = 0.01
 
 @dataclass(frozen=True)
 class LineLight:
-    """Irradiance samples on either side of each line, with weight, age and flags."""
-
+    # Irradiance samples on either side of each line, with weight, age and flags.
     #: before, after (line,) int64: the samples on either side of the line
     before: npt.NDArray[np.int64]
     after: npt.NDArray[np.int64]

@@ -50,8 +50,7 @@ METHODS = ("ace", "matched_filter", "spectral_angle")
 
 
 class Projection(NamedTuple):
-    """Linear transform of spectra before their comparison, z = (x - offset) matrix."""
-
+    # Linear transform of spectra before their comparison, z = (x - offset) matrix.
     offset: Floats  #: (band,)
     matrix: Floats  #: (band, band): Whitens spectra, and projects the mirrored sky out.
     targets: Floats  #: (signature, band): Transformed paints.
@@ -124,8 +123,7 @@ def distances(spectra: Floats, paints: Floats, sky: Floats | None) -> tuple[Arra
 
 @dataclass(frozen=True)
 class DetectionRules:
-    """Thresholds of detection."""
-
+    # Thresholds of detection.
     #: Maximum memory of the sample of pixels for thresholds [byte]: 123,000 pixels of 272 bands.
     sample_bytes: int = 2**27
     #: Minimum level of a pixel of a paint [1], on a body part turned away from a high sun: below, dark glass
@@ -154,8 +152,7 @@ PIXELS_AT_ONCE = 4096
 
 
 class Background(NamedTuple):
-    """Sums over the valid pixels of some blocks of lines, and a sample of these pixels."""
-
+    # Sums over the valid pixels of some blocks of lines, and a sample of these pixels.
     pixels: int  #: Number of valid pixels.
     total: Floats  #: (band,): Sum of spectra.
     products: Floats  #: (band, band): Sum of products of two bands.
@@ -192,8 +189,7 @@ def joined_backgrounds(backgrounds: Sequence[Background]) -> Background:
 
 
 class Detector(NamedTuple):
-    """Paints, transform and thresholds for the search of a block."""
-
+    # Paints, transform and thresholds for the search of a block.
     method: str
     bands: Ints  #: Indices of the compared bands in the cube.
     paints: Floats  #: (signature, band): Reflectance of the paints.

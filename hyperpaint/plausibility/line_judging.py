@@ -211,8 +211,7 @@ SAMPLE_RULES = SimpleNamespace(
 
 @dataclass(frozen=True)
 class CubeSample:
-    """Statistics of a sample of a cube for every element (band, cross_track), in counts."""
-
+    # Statistics of a sample of a cube for every element (band, cross_track), in counts.
     lines: int  #: Lines of the sample
     mean: Floats
     maximum: Floats

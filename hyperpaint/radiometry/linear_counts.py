@@ -35,8 +35,7 @@ DEFAULT_HIGHEST_COUNT = 65535.0
 
 @dataclass(frozen=True)
 class Linearity:
-    """Curve from counts to counts proportional to light; see `linearity_of`."""
-
+    # Curve from counts to counts proportional to light; see `linearity_of`.
     coefficients: tuple[float, ...] = ()  #: a2, a3 ... of c + a2 c^2 + a3 c^3 + ...; none with a table
     #: measured, linear (node,) [count]: the table, linear between nodes and beyond them; None without a table
     measured: Floats | None = None

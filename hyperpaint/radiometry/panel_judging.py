@@ -94,8 +94,7 @@ RULES = PanelRules()
 
 
 class PanelContext(NamedTuple):
-    """Properties of the line for the judgement of its panels."""
-
+    # Properties of the line for the judgement of its panels.
     wavelength: Floats  # (band,) [nm]
     good: NDArray[np.bool_]  # (band,)
     u: Floats  # (band,) relative standard uncertainty of gain and irradiance together [1]
@@ -103,8 +102,7 @@ class PanelContext(NamedTuple):
 
 
 class PanelClosure(NamedTuple):
-    """Results of panels, stacked: (panel, band), except ``state`` and ``time`` (panel,)."""
-
+    # Results of panels, stacked: (panel, band), except ``state`` and ``time`` (panel,).
     scale: Floats  # Expected over measured, by which reflectance is multiplied [1]
     factor: Floats  # Measured over expected [1]
     u: Floats  # Combined standard uncertainty of the factor [1]

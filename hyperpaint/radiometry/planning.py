@@ -653,11 +653,9 @@ def _is_lazy(variable: xr.Variable) -> bool:
 
 
 class Entry:
-    """A plan with the inputs it was made from, and the small coordinates of its line.
-
-    ``line``: flight line with dims named by role; ``options``: compared with ``==``.
-    """
-
+    # A plan with the inputs it was made from, and the small coordinates of its line.
+    #
+    # ``line``: flight line with dims named by role; ``options``: compared with ``==``.
     plan: Plan
     #: Small coordinates; the attributes are those of reflectance
     labels = xr.Dataset()
@@ -693,8 +691,7 @@ def _small(line: xr.Dataset) -> dict[Any, xr.Variable]:
 
 
 class PlanCache:
-    """The most recently used plans by the inputs they were made from; thread-safe."""
-
+    # The most recently used plans by the inputs they were made from; thread-safe.
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._entries: list[Entry] = []  # most recently used last
@@ -887,17 +884,15 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str,
 
 @dataclass(frozen=True)
 class LightRules:
-    """Limits of an irradiance record that fits the sky over a flight.
-
-    least_share, most_share
-        Median of 400-1000 nm over the median of a clear sky at the place and time [1]. A thunderstorm
-        transmits 0.02, light off the sides of clouds adds 0.5, and the clear sky is modelled to a tenth.
-    max_zenith
-        Zenith angle of the sun up to which the clear sky is modelled [degree].
-    most_low_sun
-        Largest median for a lower sun [W m-2 nm-1]: a clear sky has 0.2 at 80 degree.
-    """
-
+    # Limits of an irradiance record that fits the sky over a flight.
+    #
+    # least_share, most_share
+    #     Median of 400-1000 nm over the median of a clear sky at the place and time [1]. A thunderstorm
+    #     transmits 0.02, light off the sides of clouds adds 0.5, and the clear sky is modelled to a tenth.
+    # max_zenith
+    #     Zenith angle of the sun up to which the clear sky is modelled [degree].
+    # most_low_sun
+    #     Largest median for a lower sun [W m-2 nm-1]: a clear sky has 0.2 at 80 degree.
     least_share: float = 0.015
     most_share: float = 1.8
     max_zenith: float = 80.0
@@ -908,12 +903,10 @@ RULES = LightRules()
 
 
 class LightLevel(NamedTuple):
-    """Brightness of a record: median over 400-1000 nm of its brightest sample [W m-2 nm-1], or NaN.
-
-    zenith: smallest zenith angle of the sun [degree]; clear: median of a clear sky at that angle; NaN if
-    unknown.
-    """
-
+    # Brightness of a record: median over 400-1000 nm of its brightest sample [W m-2 nm-1], or NaN.
+    #
+    # zenith: smallest zenith angle of the sun [degree]; clear: median of a clear sky at that angle; NaN if
+    # unknown.
     median: float
     zenith: float
     clear: float

@@ -141,8 +141,7 @@ def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Plan:
-    """Inputs of a slab other than counts."""
-
+    # Inputs of a slab other than counts.
     dark: Array  #: (n, band, column) float32: darks in the order of time
     #: dark_index, dark_weight (line,): the dark of a line is between ``dark[i]`` and ``dark[i + 1]``, at
     #: this weight of the later one

@@ -26,8 +26,7 @@ METHODS = ("savitzky-golay", "box")
 
 
 class NominalAxis(NamedTuple):
-    """Interpolation of columns to nominal wavelengths."""
-
+    # Interpolation of columns to nominal wavelengths.
     first: Array  #: (band, column) int64: first of the four bands that a band is interpolated from
     weights: (
         Array  #: (band, column, tap): weights of the four bands; NaN where a column does not cover the band

@@ -228,8 +228,7 @@ _SCENE_FLAGS = "Glint, shadow and light of neighbours"
 
 
 class ShownGroups(NamedTuple):
-    """Opened groups of a store by name."""
-
+    # Opened groups of a store by name.
     groups: dict[str, xr.Dataset]
     lines: dict[str, xr.Dataset]
     maps: dict[str, xr.Dataset]

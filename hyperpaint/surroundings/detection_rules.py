@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SurveyRules:
-    """Channels of a line, and the pixels that represent a segment."""
-
+    # Channels of a line, and the pixels that represent a segment.
     channels: int = 24  #: Channels of a cube with more bands: 25 nm wide for a 400-1000 nm camera.
     min_edge_distance_px: int = 2  #: Minimum distance from a boundary of the pixels used for spectra [pixel].
     #: Maximum number of pairs of neighbouring pixels for the estimate of noise.
@@ -24,8 +23,7 @@ class SurveyRules:
 
 @dataclass(frozen=True)
 class SegmentRules:
-    """Division of a line into segments of one surface in one light."""
-
+    # Division of a line into segments of one surface in one light.
     step_floor: float = 0.01  #: Reflectance below which steps between pixels count for less [1].
     #: Scale k of Felzenszwalb & Huttenlocher (2004): segments of n pixels are joined over steps up to k/n
     #: above the largest step inside them.
@@ -40,13 +38,12 @@ class SegmentRules:
 
 @dataclass(frozen=True)
 class MirrorRules:
-    """Sky mirrored by clear coats and glass to a camera above; from Fresnel's equations, not tuned.
-
-    A body part that leans by b mirrors the sky 2 b from the zenith. At b = 40 degrees an index of 1.55
-    reflects 0.05, and the sky at 80 degrees, away from the sun, is at most 3.3 times as bright as the zenith
-    (sun at 60 degrees): beyond the 0.04 of the zenith that a level body shows, 0.12 of the zenith's light.
-    """
-
+    # Sky mirrored by clear coats and glass to a camera above; from Fresnel's equations, not tuned.
+    #
+    # A body part that leans by b mirrors the sky 2 b from the zenith. At b = 40 degrees an index of 1.55
+    # reflects 0.05, and the sky at 80 degrees, away from the sun, is at most 3.3 times as bright as the
+    # zenith (sun at 60 degrees): beyond the 0.04 of the zenith that a level body shows, 0.12 of the zenith's
+    # light.
     max_above: float = 0.12  #: Maximum amount of mirrored zenith light beyond that of the level body [1].
     #: Distance from the sun at which the bright sky around it is evaluated [degree].
     from_sun_deg: float = 5.0
@@ -59,8 +56,7 @@ class MirrorRules:
 
 @dataclass(frozen=True)
 class GlintRules:
-    """Segments with the surface of another segment under the mirror image of the sun."""
-
+    # Segments with the surface of another segment under the mirror image of the sun.
     shade_tolerance: float = 0.08  #: Tolerance of spectra in shadow, relative to the reflectance [1].
     tolerance: float = 0.02  #: Tolerance of spectra in glint, relative to the reflectance [1].
     floor: float = 0.0005  #: Tolerance of every spectrum, in reflectance [1].
@@ -82,12 +78,10 @@ class GlintRules:
 
 @dataclass(frozen=True)
 class LobeRules:
-    """Mirror images of the sun as spots on a body part.
-
-    Set on ray-traced car parks of the real fleet, whose coats of 70 gloss units and more mirror the sun as
-    spots of some pixels in the middle of the flakes' broad lobe, and on coats of roughness 0.05.
-    """
-
+    # Mirror images of the sun as spots on a body part.
+    #
+    # Set on ray-traced car parks of the real fleet, whose coats of 70 gloss units and more mirror the sun as
+    # spots of some pixels in the middle of the flakes' broad lobe, and on coats of roughness 0.05.
     #: Minimum brightness of a sharp core, relative to the median of the ring of pixels three steps around it
     #: [1].
     min_contrast: float = 3.0
@@ -127,8 +121,7 @@ class LobeRules:
 
 @dataclass(frozen=True)
 class MixtureRules:
-    """Segments as bodies in the light of sun, sky and one neighbour."""
-
+    # Segments as bodies in the light of sun, sky and one neighbour.
     tolerance: float = 0.05  #: Tolerance of spectra, relative to the reflectance [1].
     floor: float = 0.0005  #: Tolerance of every spectrum, in reflectance [1].
     neighbours: int = 6  #: Maximum number of coloured segments around that may send light to a segment.
@@ -145,16 +138,14 @@ class MixtureRules:
 
 @dataclass(frozen=True)
 class ShadowRules:
-    """Cast shadows; contact rules in the order of their use, later ones with fewer conditions.
-
-    A contact of a segment with its lit body is the share of the segment's border that touches the body, and
-    the mean direction of this border: 1 if the segment lies away from the sun, -1 if towards it. The maximum
-    of direct light in a shadow is a value under the open sky, and an additional one for each unit of hidden
-    sky: grey objects that hide sky send light that looks direct.
-
-    Tuned on ray-traced car parks so that glass and black paint are excluded.
-    """
-
+    # Cast shadows; contact rules in the order of their use, later ones with fewer conditions.
+    #
+    # A contact of a segment with its lit body is the share of the segment's border that touches the body, and
+    # the mean direction of this border: 1 if the segment lies away from the sun, -1 if towards it. The
+    # maximum of direct light in a shadow is a value under the open sky, and an additional one for each unit
+    # of hidden sky: grey objects that hide sky send light that looks direct.
+    #
+    # Tuned on ray-traced car parks so that glass and black paint are excluded.
     max_brightness: float = 0.5  #: Maximum brightness of a shadow, relative to its body [1].
     large_segments: int = 40  #: Number of the largest segments, each of which may be the body of any shadow.
     min_body_share: float = 0.2  #: Minimum size of the lit part of a body, relative to its shadow [1].
@@ -250,12 +241,10 @@ class ShadowRules:
 
 @dataclass(frozen=True)
 class DarkCoatRules:
-    """Black paint in the sun, whose coat mirrors the sky: blue and dark as a shadow, but no shadow.
-
-    A level coat of index 1.5 mirrors 0.04 of the zenith, see `MirrorRules`. The misfits are from 28
-    ray-traced car parks of the real fleet: black roofs fit to 0.001 to 0.004, shadows on asphalt worse.
-    """
-
+    # Black paint in the sun, whose coat mirrors the sky: blue and dark as a shadow, but no shadow.
+    #
+    # A level coat of index 1.5 mirrors 0.04 of the zenith, see `MirrorRules`. The misfits are from 28
+    # ray-traced car parks of the real fleet: black roofs fit to 0.001 to 0.004, shadows on asphalt worse.
     #: Maximum relative change of the body's reflectance from the middle to an end of the spectrum [1].
     slope: float = 0.6
     #: Minimum reflectance of the body [1]: with less, its light does not show the sun.
@@ -270,8 +259,7 @@ class DarkCoatRules:
 
 @dataclass(frozen=True)
 class BodyRules:
-    """Coloured neighbours, paints, and the spectra of bodies without glint."""
-
+    # Coloured neighbours, paints, and the spectra of bodies without glint.
     #: Number of nearest coloured segments stored for a cell; one or two may be its own body.
     neighbours_of_cell: int = 4
     min_sender_colour: float = 0.04  #: Minimum colour of a segment that lights others, see `coloured` [1].
@@ -318,8 +306,7 @@ class BodyRules:
 
 @dataclass(frozen=True)
 class FlagRules:
-    """Unmixing of single pixels."""
-
+    # Unmixing of single pixels.
     #: Relative standard deviation of a channel beside its noise [1]: bodies differ from pixel to pixel.
     relative_error: float = 0.007
     floor: float = 0.001  #: Standard deviation of a channel, in reflectance [1].
@@ -343,11 +330,9 @@ class FlagRules:
 
 @dataclass(frozen=True)
 class VegetationRules:
-    """The red edge of leaves: a rise within 50 nm, then a plateau.
-
-    Blue paints have such a rise, too; leaves are brighter in the green than in the blue.
-    """
-
+    # The red edge of leaves: a rise within 50 nm, then a plateau.
+    #
+    # Blue paints have such a rise, too; leaves are brighter in the green than in the blue.
     blue_nm: tuple[float, float] = (430.0, 490.0)  #: Range of the blue [nm].
     green_nm: tuple[float, float] = (535.0, 565.0)  #: Range of the green [nm].
     red_nm: tuple[float, float] = (660.0, 690.0)  #: Range before the red edge [nm].

@@ -290,8 +290,7 @@ _LIMITS = ("glint", "shadow", "adjacency", "edge")
 
 @dataclass(frozen=True)
 class Flagged:
-    """A line with its flags."""
-
+    # A line with its flags.
     line: xr.Dataset  #: The line with ``quality`` and `LAYERS`, lazy.
     surveyed: xr.Dataset  #: The line as surveyed: at nominal wavelengths where it has smile.
     model: SceneModel  #: From `hyperpaint.surroundings.survey`.

@@ -79,12 +79,10 @@ MODEL_U = 0.2
 
 @dataclass(frozen=True)
 class LightSplit:
-    """The diffuse fraction of the light, with the sky that it comes from.
-
-    Arrays have dims (band,); (along_track, band) where they differ from line to line; (signature, band) where
-    they differ from paint to paint. They are lazy where the line is lazy.
-    """
-
+    # The diffuse fraction of the light, with the sky that it comes from.
+    #
+    # Arrays have dims (band,); (along_track, band) where they differ from line to line; (signature, band)
+    # where they differ from paint to paint. They are lazy where the line is lazy.
     wavelength: Floats  #: (band,) [nm]
     fraction: xr.DataArray  #: Diffuse fraction [1].
     u: xr.DataArray  #: Its standard uncertainty [1].

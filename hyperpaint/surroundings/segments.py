@@ -27,8 +27,7 @@ class Segments(NamedTuple):
 
 
 class Touching(NamedTuple):
-    """Pairs of segments that touch, sorted; every pair occurs in both orders."""
-
+    # Pairs of segments that touch, sorted; every pair occurs in both orders.
     one: Ints  #: (pair,): First segment.
     other: Ints  #: (pair,): Second segment.
     length: Ints  #: (pair,): Number of pixel sides between them.
@@ -245,8 +244,7 @@ class Light(NamedTuple):
 
 
 class Matches(NamedTuple):
-    """State and body of every segment, see `SceneModel`."""
-
+    # State and body of every segment, see `SceneModel`.
     state: npt.NDArray[np.int8]
     body: npt.NDArray[np.int32]
 
@@ -412,8 +410,7 @@ PAIRS_AT_ONCE = 20_000
 
 
 class Mixtures(NamedTuple):
-    """Pairs of a segment and a body whose surface it may show in other light; see `mixtures_of`."""
-
+    # Pairs of a segment and a body whose surface it may show in other light; see `mixtures_of`.
     segment: Ints  #: (n,): Number of the segment.
     body: Ints  #: (n,): Number of the body.
     direct: Floats  #: (n,): Amount c of direct light [1].

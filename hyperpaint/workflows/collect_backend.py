@@ -16,11 +16,9 @@ if TYPE_CHECKING:
 
 
 class CollectBackendEntrypoint(BackendEntrypoint):
-    """Opens a ``collect.toml``: ``xr.open_datatree("collect.toml")``, or ``engine="hyperpaint"``.
-
-    See `hyperpaint.open_collect` for the returned tree.
-    """
-
+    # Opens a ``collect.toml``: ``xr.open_datatree("collect.toml")``, or ``engine="hyperpaint"``.
+    #
+    # See `hyperpaint.open_collect` for the returned tree.
     description: ClassVar[str] = "Collects (collect.toml) through hyperpaint"
     supports_groups: ClassVar[bool] = True
     open_dataset_parameters: ClassVar[tuple[str, ...]] = (

@@ -39,11 +39,9 @@ normal; differences of the scene from it are slopes, mirrored sky and light from
 
 @dataclass(frozen=True)
 class PaintAgreement:
-    """The signature of a paint: mean over pure, sunlit, unflagged pixels of roofs, bonnets and boots.
-
-    Pixels in which the clear coat mirrors the sun are excluded.
-    """
-
+    # The signature of a paint: mean over pure, sunlit, unflagged pixels of roofs, bonnets and boots.
+    #
+    # Pixels in which the clear coat mirrors the sun are excluded.
     paint: str
     cars: int  #: Number of cars with this paint.
     pixels: int  #: Number of averaged pixels.

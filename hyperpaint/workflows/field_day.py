@@ -39,11 +39,10 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class FieldDay:
-    """Outcomes of all steps.
-
-    ``passed``: whether the validation passed, None if nothing was compared; ``errors``: of the failed steps.
-    """
-
+    # Outcomes of all steps.
+    #
+    # ``passed``: whether the validation passed, None if nothing was compared; ``errors``: of the failed
+    # steps.
     out: Path
     outcomes: tuple[StepOutcome, ...]
     passed: bool | None = None
@@ -169,8 +168,7 @@ def store_of(collect: Path) -> Path:
 
 @dataclass
 class FieldDayRun:
-    """Inputs, settings and outcomes of a field day, for the functions of its steps."""
-
+    # Inputs, settings and outcomes of a field day, for the functions of its steps.
     settings: Collect
     out: Path
     regions: Regions | None
@@ -343,8 +341,7 @@ def _report(day: FieldDayRun) -> str:
 
 @dataclass(frozen=True)
 class Step:
-    """Declaration of a step: its product, the function that makes it, and its inputs."""
-
+    # Declaration of a step: its product, the function that makes it, and its inputs.
     product: str  #: File or folder of the product; with ``{line}`` a file for every located line.
     make: Callable[[FieldDayRun], Any]  #: Makes the product, and returns a text for the report.
     inputs: tuple[str, ...] = ()  #: Inputs besides the store; keys of `_INPUTS`.

@@ -71,8 +71,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class FlightCube:
-    """A raw cube of a flight, and its companion files."""
-
+    # A raw cube of a flight, and its companion files.
     header: Path
     frame_index: Path | None  # None: line times must come from elsewhere
     navigation: Path | None
@@ -84,8 +83,7 @@ class FlightCube:
 
 @dataclass(frozen=True)
 class FieldFolder:
-    """Files of a field day by their kind."""
-
+    # Files of a field day by their kind.
     folder: Path
     cubes: tuple[FlightCube, ...]
     darks: tuple[Path, ...]

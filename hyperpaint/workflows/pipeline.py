@@ -485,8 +485,7 @@ _RAW = ("counts", "radiance")
 
 @dataclass(frozen=True)
 class InputReport:
-    """Result of `compare_inputs`."""
-
+    # Result of `compare_inputs`.
     collect: Path  #: The ``collect.toml`` that was opened.
     blocks: int  #: Blocks of cubes that were read.
     problems: tuple[str, ...]  #: Inputs that differ, one line each; empty if all are unchanged.

@@ -49,8 +49,7 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 @dataclass(frozen=True)
 class Outcome:
-    """Groups that a run wrote or found complete."""
-
+    # Groups that a run wrote or found complete.
     path: Path  #: The store.
     written: tuple[str, ...]  #: Groups that were written.
     unchanged: tuple[str, ...]  #: Groups that were complete, from the same inputs and parameters.

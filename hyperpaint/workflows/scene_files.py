@@ -60,8 +60,7 @@ _MAX_VALUES = 10**11  # of a cube; a day's flying has a hundredth
 
 @dataclass(frozen=True)
 class MeshEntry:
-    """One ``[[meshes]]``: a file, and its place in the scene."""
-
+    # One ``[[meshes]]``: a file, and its place in the scene.
     path: Path
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -69,8 +68,7 @@ class MeshEntry:
 
 @dataclass(frozen=True)
 class AtmosphereEntry:
-    """One ``[[atmospheres]]``: its name, the source of its light, and changes to it."""
-
+    # One ``[[atmospheres]]``: its name, the source of its light, and changes to it.
     name: str
     preset: str | None = None
     table: Path | None = None
@@ -80,8 +78,7 @@ class AtmosphereEntry:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Content of a ``scene.toml``; its paths are absolute and exist."""
-
+    # Content of a ``scene.toml``; its paths are absolute and exist.
     path: Path
     name: str
     scene: Mapping[str, Any]  #: ``[scene]``: its ``kind`` and the keys of that kind.
@@ -579,8 +576,7 @@ def spectra_digest(spectra: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class RenderParts:
-    """All parts of a render."""
-
+    # All parts of a render.
     scene: Scene
     platform: Platform
     camera: Camera

@@ -53,8 +53,7 @@ _MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0  # distances over which the map arou
 
 @dataclass(frozen=True)
 class Swath:
-    """Inputs that all slabs of lines share."""
-
+    # Inputs that all slabs of lines share.
     poses: Floats  #: (6, line) float64: canonical; see `hyperpaint.geometry.georeference.poses.POSE`
     look: Floats  #: (column, 3) float64: directions of the columns in the camera's frame
     boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
@@ -431,8 +430,7 @@ _MAX_UNEVENNESS_CELLS = 1e-3  # deviation of a raster's coordinates from even sp
 
 @dataclass(frozen=True)
 class TerrainGrid:
-    """Grid of a height raster, and the reference of its heights."""
-
+    # Grid of a height raster, and the reference of its heights.
     crs: str  #: Reference system, as `hyperpaint.geometry.georeference.geodesy.crs_of` returns it
     x: tuple[float, float]  #: Coordinate of the centre of the first cell, and step from cell to cell
     y: tuple[float, float]
@@ -442,8 +440,7 @@ class TerrainGrid:
 
 @dataclass(frozen=True)
 class Terrain:
-    """A height raster, prepared for the kernel."""
-
+    # A height raster, prepared for the kernel.
     grid: TerrainGrid  #: Position of its cells
     heights: Floats  #: (row, col) float64: above the ellipsoid [m]; NaN in holes
     #: (block, block) float64: highest point of every block of `hyperpaint.kernels.arguments.BLOCK` cells;

@@ -39,8 +39,7 @@ Recipe = Callable[[], Sequence[Array]]
 
 @dataclass(frozen=True)
 class Strip:
-    """One line as a map on the grid of the mosaic."""
-
+    # One line as a map on the grid of the mosaic.
     name: str
     map: xr.Dataset  #: Variables (y, x[, band]), lazy, in chunks of the tiles of the mosaic
     corner: tuple[int, int]  #: Row and column of its first tile
@@ -101,8 +100,7 @@ def located_lines(lines: Mapping[str, xr.Dataset], location: Mapping[str, Any]) 
 
 @dataclass(frozen=True)
 class SharedGrid:
-    """The grid of a mosaic, and the part of it that each line covers."""
-
+    # The grid of a mosaic, and the part of it that each line covers.
     grid: MapGrid
     surveys: dict[str, Survey]  #: Surveys of lines that are not maps yet
     grids: dict[str, MapGrid]  #: Cells that every line covers

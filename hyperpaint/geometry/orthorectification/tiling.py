@@ -35,8 +35,7 @@ RULES = ("nadir", "first", "last")  # choice among several positions, in the ord
 
 @dataclass(frozen=True)
 class Plan:
-    """Settings that all tiles share."""
-
+    # Settings that all tiles share.
     grid: MapGrid
     rule: int  #: Position in `RULES`
     longest: float  #: Longest edge of a patch of four pixels [cell]
@@ -50,8 +49,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class TileIndex:
-    """Positions in the line at the cells of a tile."""
-
+    # Positions in the line at the cells of a tile.
     line: Floats  #: (row, col) float64: as fractions; NaN where no patch covers a cell
     sample: Floats
     #: (row, col) int32: nearest of the four pixels around the position; -1 in uncovered cells
@@ -267,8 +265,7 @@ def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The tiles of a map, and the slabs that each of them reads."""
-
+    # The tiles of a map, and the slabs that each of them reads.
     grid: MapGrid
     windows: list[list[Window]]  #: Cells of the tiles, by row and column
     slabs: dict[Place, list[int]]  #: Slabs of lines that each tile reads

@@ -597,8 +597,7 @@ def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) 
 
 @dataclass(frozen=True)
 class OpenedCollect:
-    """An opened collect, with the settings of its ``collect.toml``."""
-
+    # An opened collect, with the settings of its ``collect.toml``.
     tree: xr.DataTree
     settings: Collect
     members: Mapping[str, tuple[str, ...]]  #: Names of the cubes of every line, by the line's group.

@@ -139,8 +139,7 @@ _OLD_MARK = re.compile(rb"^[ \t]*+([0-9]{1,9}+)[ \t]*+\n", re.MULTILINE)
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One spectrum."""
-
+    # One spectrum.
     wavelength: Floats  # Ascending (wavelength,) [um]
     emissivity: Floats  # (wavelength,) [1]
 
@@ -439,8 +438,7 @@ _ENTRY = "MATERIAL_ENTRY"
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the tag format."""
-
+    # A section of the tag format.
     name: str  # Text before the bracket
     # Pairs of key and value, and sections, in the order of the file
     items: tuple[tuple[str, str] | Section, ...] = ()

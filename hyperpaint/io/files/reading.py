@@ -94,8 +94,7 @@ def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 class PackedColumns(Mapping[str, list[str]]):
-    """Cells by column, stored as a few long texts per column: single cells take several times the memory."""
-
+    # Cells by column, stored as a few long texts per column: single cells take several times the memory.
     def __init__(self, names: Sequence[str]) -> None:
         self._column_numbers = {name: column for column, name in enumerate(names)}
         self._packed: list[list[str]] = [[] for _ in names]

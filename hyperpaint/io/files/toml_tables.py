@@ -51,16 +51,14 @@ def suggestion(key: str, allowed: Iterable[str]) -> str:
 
 
 class TableReader:
-    """Reads checked values from the tables of a file, and notes every problem.
-
-    ``path``: the file; paths in it are relative to its folder; ``raw``: its tables; ``schema``: facts of
-    every key of every table; ``lists``: tables that may occur several times; ``problems``: receives the
-    faults.
-
-    Attribute ``tables``: the valid keys of every table of the schema. In each, ``"?"`` is the set of keys in
-    the file, with wrong values too. ``given``: names of the tables in the file.
-    """
-
+    # Reads checked values from the tables of a file, and notes every problem.
+    #
+    # ``path``: the file; paths in it are relative to its folder; ``raw``: its tables; ``schema``: facts of
+    # every key of every table; ``lists``: tables that may occur several times; ``problems``: receives the
+    # faults.
+    #
+    # Attribute ``tables``: the valid keys of every table of the schema. In each, ``"?"`` is the set of keys
+    # in the file, with wrong values too. ``given``: names of the tables in the file.
     #: Whether patterns may begin outside the folder of the file, as plain paths may.
     outside = False
 

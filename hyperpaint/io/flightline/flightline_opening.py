@@ -44,8 +44,7 @@ BLANK_COUNT = np.uint16(65535)
 
 @dataclass(frozen=True, kw_only=True)
 class FlightlineInputs:
-    """Inputs of `assemble`; the fields are the arguments of `open_flightline`."""
-
+    # Inputs of `assemble`; the fields are the arguments of `open_flightline`.
     cube: Path | xr.Dataset
     timing: Timing | Unavailable
     exposure_time: Any = None

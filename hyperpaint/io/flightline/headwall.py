@@ -181,8 +181,7 @@ def find_exposure(
 
 @dataclass(frozen=True)
 class FrameIndex:
-    """Frame numbers and time stamps of recorded lines."""
-
+    # Frame numbers and time stamps of recorded lines.
     name: str  #: File name, for messages.
     frame: NDArray[np.int64]  #: (row,): Absolute frame numbers, strictly increasing.
     stamp: NDArray[np.int64]  #: (row,): Microseconds of the clock, strictly increasing.

@@ -33,8 +33,7 @@ _MAX_INTERVAL_S = 1e4
 
 @dataclass(frozen=True)
 class Timing:
-    """Clock settings of one flight line; see `hyperpaint.open_flightline`."""
-
+    # Clock settings of one flight line; see `hyperpaint.open_flightline`.
     frame_index: Path | None = None
     nav: Path | Navigation | None = None
     gps_time: Path | None = None

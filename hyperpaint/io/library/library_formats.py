@@ -515,8 +515,7 @@ _MAX_NAMES = 5
 
 
 class Term(NamedTuple):
-    """A declaration that every library makes, for all its paints or for each."""
-
+    # A declaration that every library makes, for all its paints or for each.
     name: str
     words: tuple[str, ...]  #: allowed words; () for any text
     meaning: str
@@ -558,8 +557,7 @@ _SPREADS = (
 
 @dataclass(frozen=True)
 class LibraryFinding:
-    """One departure from the specification."""
-
+    # One departure from the specification.
     rule: str  #: Name of the rule in docs/paint-library.md.
     found: str
     expected: str

@@ -180,8 +180,7 @@ def refuse_backwards(
 
 @dataclass(frozen=True)
 class ClockCorrection:
-    """Conversion of the time stamps of a navigation record to UTC."""
-
+    # Conversion of the time stamps of a navigation record to UTC.
     offset_s: float = 0.0  # [s], UTC = stamp + ``offset_s``
     # Time scale of the stamps; from ``"gps"``, leap seconds are subtracted
     time_scale: Literal["utc", "gps"] = "utc"

@@ -78,8 +78,7 @@ _YEARS = range(1970, 2200)  # datetime64[ns] overflows silently from 2262 on
 
 
 class IrradianceTable(NamedTuple):
-    """Content of one csv file."""
-
+    # Content of one csv file.
     name: str  # file name without its folder
     times: tuple[dt.datetime, ...]  # (sample), with a zone where the file gives one
     lines: tuple[int, ...]  # (sample), line numbers in the file

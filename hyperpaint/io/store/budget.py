@@ -120,8 +120,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Demand:
-    """Lines per task and threads of a run, and its peak memory."""
-
+    # Lines per task and threads of a run, and its peak memory.
     lines: int  # Scan lines per task
     threads: int  # Number of parallel threads of the process
     needed: int  # Peak memory of the process, margin included [byte]

@@ -281,8 +281,7 @@ _MIN_SHARE = 0.02  # share finished before the remaining time is estimated
 
 
 class BlockBar:
-    """A progress bar on stdout for ``total`` blocks, in dask's style, with the remaining time."""
-
+    # A progress bar on stdout for ``total`` blocks, in dask's style, with the remaining time.
     def __init__(self, total: int) -> None:
         self._total, self._done, self._shown = total, 0, 0
         self._begun = time.perf_counter()

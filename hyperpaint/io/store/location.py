@@ -53,8 +53,7 @@ def joined(*parts: str) -> str:
 
 @dataclass(frozen=True)
 class Location:
-    """Location of a store; metadata and chunks are read and written by their keys."""
-
+    # Location of a store; metadata and chunks are read and written by their keys.
     url: str  # Argument for zarr and xarray
     root: str  # Path inside the file system ``fs``
     fs: Any

@@ -79,8 +79,7 @@ class ArrayEntry(NamedTuple):
 
 
 class GroupEntry(NamedTuple):
-    """Entry of one group; a parent of groups has an empty content and no arrays."""
-
+    # Entry of one group; a parent of groups has an empty content and no arrays.
     content: str
     metadata: int  # crc32c of its ``zarr.json``
     arrays: Mapping[str, ArrayEntry]
@@ -105,8 +104,7 @@ class Write(NamedTuple):
 
 @dataclass(frozen=True)
 class Manifest:
-    """The groups of a store, by path, and its unfinished writes."""
-
+    # The groups of a store, by path, and its unfinished writes.
     groups: Mapping[str, GroupEntry] = field(default_factory=dict)
     writes: tuple[Write, ...] = ()
     command: str = ""  # Of the last run, which made the store
@@ -209,8 +207,7 @@ class Manifest:
 
 @dataclass(frozen=True)
 class StoreState:
-    """Differences of the groups of a store from its manifest."""
-
+    # Differences of the groups of a store from its manifest.
     faults: tuple[Problem, ...] = ()
     notes: tuple[str, ...] = ()
     resume: str = ""  # Command that finishes the store, empty if unknown

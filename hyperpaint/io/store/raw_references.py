@@ -65,8 +65,7 @@ Allow = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 @dataclass(frozen=True)
 class RawFile:
-    """State of a raw file when references to it were written."""
-
+    # State of a raw file when references to it were written.
     url: str
     size: int  #: [byte]
     changed_ns: int | None = None  #: Time of the last change [ns]; None for a remote file
@@ -127,8 +126,7 @@ def _local_path(url: str) -> str:
 
 @dataclass(frozen=True)
 class VirtualCube:
-    """A cube in raw files: slab ``k`` begins at line ``k * lines``."""
-
+    # A cube in raw files: slab ``k`` begins at line ``k * lines``.
     name: str
     dims: tuple[str, ...]  #: In the order of the files, lines first
     shape: tuple[int, ...]

@@ -58,8 +58,7 @@ class _Entry(NamedTuple):
 
 
 class Staging:
-    """The folder beside a store in which its groups are built."""
-
+    # The folder beside a store in which its groups are built.
     def __init__(self, store: Path) -> None:
         self.store = store
         self.folder = store.parent / f".partial-{store.name}"

@@ -458,12 +458,10 @@ def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
 
 
 class WholeRun:
-    """Writer of the groups of a run, which are all declared at its start; created by `whole_run`.
-
-    One thread publishes a group while the next is written. Groups have no file in common, so that a killed
-    run leaves two unfinished groups or fewer.
-    """
-
+    # Writer of the groups of a run, which are all declared at its start; created by `whole_run`.
+    #
+    # One thread publishes a group while the next is written. Groups have no file in common, so that a killed
+    # run leaves two unfinished groups or fewer.
     def __init__(self, writer: _StoreWriter | None, location: Location, codec: layout.Codec) -> None:
         self._writer, self._location, self._codec = writer, location, codec
         self._pool = ThreadPoolExecutor(1, "hyperpaint-place")

@@ -122,8 +122,7 @@ MAX_DARK_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Coating:
-    """Interface and mirrored light between a layer of paint and its reflectance in the library."""
-
+    # Interface and mirrored light between a layer of paint and its reflectance in the library.
     interface: Interface  #: Interface above the layer.
     mirrored: Floats  #: (band,) or (): Mirrored light in the reflectance [1].
 

@@ -46,8 +46,7 @@ _POSITIONS = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
 
 
 class RegionPixels(NamedTuple):
-    """Pixels of a region in the opened line or map, and in the flight line that a map shows."""
-
+    # Pixels of a region in the opened line or map, and in the flight line that a map shows.
     cells: Pixels  #: Positions in the line, or rows and columns of the map.
     pixels: Pixels  #: Positions in the flight line.
     lines: Ints | None = None  #: (pixel,): Number of the flight line, in a map of several flight lines.
@@ -324,8 +323,7 @@ _LINE_VARIABLES = ("time", "latitude", "longitude", "irradiance_age")
 
 
 class SplitOfLines(NamedTuple):
-    """Division of the light of every line into direct and diffuse light."""
-
+    # Division of the light of every line into direct and diffuse light.
     fraction: Floats  #: (along_track, band): Diffuse fraction [1].
     u: Floats  #: (along_track, band): Its standard uncertainty [1].
     state: Array  #: (along_track,): State of the sky, number in `SKY_STATES`.

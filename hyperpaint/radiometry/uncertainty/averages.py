@@ -213,8 +213,7 @@ MAX_LAGS = 48
 
 
 class MeanErrors(NamedTuple):
-    """Errors of a mean spectrum."""
-
+    # Errors of a mean spectrum.
     sources: tuple[str, ...]  #: Known sources of `FORMS`
     #: (source, band) float64: standard uncertainty by source; signed where all bands share the error
     sizes: Floats
@@ -276,8 +275,7 @@ def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArr
 
 
 class RegionSums:
-    """Sums over a region's pixels, from which the errors of its mean follow."""
-
+    # Sums over a region's pixels, from which the errors of its mean follow.
     def __init__(self, line: LineErrors, along: Array, across: Array) -> None:
         # Start empty; ``along`` and ``across`` (pixel,) are the pixels' lines and columns.
         self._line = line

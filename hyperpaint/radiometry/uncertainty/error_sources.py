@@ -81,8 +81,7 @@ MAX_HARMONICS = 20
 
 
 class LightErrors(NamedTuple):
-    """Irradiance of the bands, and its noise."""
-
+    # Irradiance of the bands, and its noise.
     #: before, after (line,) int64, weight (line,) float64: samples around every line, and weight of the later
     before: Array
     after: Array
@@ -93,8 +92,7 @@ class LightErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class LineErrors:
-    """Standard uncertainties of a line by their sources; (band, column) unless noted."""
-
+    # Standard uncertainties of a line by their sources; (band, column) unless noted.
     per_electron: Floats  #: Counts per electron
     noise_floor: Floats  #: Variance of a count without light [count2]
     is_integer: bool  #: Whether counts are integers

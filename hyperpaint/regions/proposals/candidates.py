@@ -84,8 +84,7 @@ def window_of(origin: tuple[int, int], mask: Bools) -> tuple[slice, slice]:
 
 
 class Piece(NamedTuple):
-    """A connected part of a body, away from other bodies."""
-
+    # A connected part of a body, away from other bodies.
     body: int  #: Segment of the scene model.
     origin: tuple[int, int]  #: Line and column of the first pixel of ``inside``.
     inside: Bools  #: (line, column): Its pixels.
@@ -102,8 +101,7 @@ class Piece(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """Measures of a piece."""
-
+    # Measures of a piece.
     usable: Bools  #: (line, column): Largest connected set of pixels within the limits.
     spectrum: Floats  #: (channel,): Median over the usable pixels [1].
     lost: Mapping[str, float]  #: Excluded share of the piece, by reason.

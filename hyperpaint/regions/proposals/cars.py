@@ -51,8 +51,7 @@ JOININGS = tuple(product((False, True), (False, True), (False, True)))
 
 
 class Footprint(NamedTuple):
-    """A car seen from above."""
-
+    # A car seen from above.
     origin: tuple[int, int]  #: Line and column of the first pixel of the masks.
     paint: Bools  #: (line, column): Pixels with the colour of its paint, also beside the car.
     area: Bools  #: (line, column): The car: its thick parts with this colour, and the area they enclose.
@@ -239,8 +238,7 @@ def _rectangle(mask: Bools) -> tuple[Floats, Floats, float, float]:
 
 
 class Roof(NamedTuple):
-    """The roof of a car."""
-
+    # The roof of a car.
     inside: Bools  #: (line, column): Its pixels, in the footprint's window.
     centre: tuple[float, float]  #: Line and column of its level position in that window.
     axis: Floats  #: Unit vector (line, column) along the car.
@@ -254,8 +252,7 @@ class Roof(NamedTuple):
 
 
 class NoRoof(NamedTuple):
-    """Reason why no roof is found, and whether it is still a car."""
-
+    # Reason why no roof is found, and whether it is still a car.
     reason: str
     is_car: bool
 
@@ -536,8 +533,7 @@ def _runs(car: Footprint, tracks: _Tracks) -> list[_Run]:
 
 @dataclass
 class Verdict:
-    """A piece, its measures, and the verdict on it."""
-
+    # A piece, its measures, and the verdict on it.
     piece: Piece
     measures: Measures
     kind: str = ""  #: "roof", "panel", "metallic"; empty where it may not belong to a car.
@@ -551,8 +547,7 @@ class Verdict:
 
 
 class Level(NamedTuple):
-    """Brightness of a part where it is level, its uncertainty, and its change with lean."""
-
+    # Brightness of a part where it is level, its uncertainty, and its change with lean.
     brightness: float = 1.0  #: Brightness there, in the unit of the brightness passed.
     sd: float = 0.0  #: Its relative standard uncertainty from the fit and the position [1].
     along_change: float = 0.0  #: Its relative change with lean along the car [1/rad].
@@ -851,8 +846,7 @@ _CERTAIN = 5
 
 
 class Car(NamedTuple):
-    """Pieces of the picture that belong to one car, its footprint and its roof."""
-
+    # Pieces of the picture that belong to one car, its footprint and its roof.
     pieces: list[Piece]
     #: Footprint around one of the pieces; None where its colour extends farther than a car.
     footprint: Footprint | None = None

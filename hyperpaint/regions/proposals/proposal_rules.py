@@ -13,8 +13,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SurfaceRules:
-    """Classes of segments by their spectra, and measures of a piece."""
-
+    # Classes of segments by their spectra, and measures of a piece.
     #: Mean reflectance below which a surface may be a window or a shadow [1]; it is examined and listed last.
     dark: float = 0.05
     #: Minimum mean reflectance of an examined piece [1]: windows before a black interior mirror as much.
@@ -29,8 +28,7 @@ class SurfaceRules:
 
 @dataclass(frozen=True)
 class FootprintRules:
-    """The footprint of a car around a piece of its paint."""
-
+    # The footprint of a car around a piece of its paint.
     mirrored: float = 0.04  #: Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
     #: Minimum cosine of the spectral angle between a pixel of the car's paint and the piece.
     min_cosine: float = float(np.cos(np.radians(7.0)))
@@ -59,12 +57,10 @@ class FootprintRules:
 
 @dataclass(frozen=True)
 class RoofRules:
-    """The roof between windows.
-
-    Distances and widths across the car are in half widths of the car, lengths along it in car lengths. A
-    track is a row of pixels across the car.
-    """
-
+    # The roof between windows.
+    #
+    # Distances and widths across the car are in half widths of the car, lengths along it in car lengths. A
+    # track is a row of pixels across the car.
     middle: float = 0.4  #: Distance from the axis within which dark pixels show a window across the car.
     side: float = 0.3  #: Distance from the axis from which on dark pixels show side windows.
     max_window_level: float = 0.07  #: Maximum mean reflectance of a window [1].
@@ -119,8 +115,7 @@ class RoofRules:
 
 @dataclass(frozen=True)
 class JudgingRules:
-    """Verdicts: uncertainty of the level, darker windows, flakes, and the score."""
-
+    # Verdicts: uncertainty of the level, darker windows, flakes, and the score.
     #: Maximum relative standard uncertainty of the level; a signature may be wrong by 6 % [1].
     max_level_sd: float = 0.042
     #: The same for flakes near their lobe: the level holds for one geometry only, where a degree of aspecular
@@ -154,8 +149,7 @@ class JudgingRules:
 
 @dataclass(frozen=True)
 class CarRules:
-    """Pieces of one car."""
-
+    # Pieces of one car.
     #: Minimum share of a piece on the paint of a car that assigns the piece to this car [1].
     min_piece_share: float = 0.5
     min_window_share: float = 0.8  #: The same on its complete area, for a piece of another colour [1].
@@ -172,8 +166,7 @@ class CarRules:
 
 @dataclass(frozen=True)
 class GapRules:
-    """Thresholds of light between broken clouds."""
-
+    # Thresholds of light between broken clouds.
     #: Wavelength from which sunlight and the light of the sky differ most [nm].
     infrared_nm: float = 780.0
     #: Maximum excess of the diffuse fraction over that of a clear sky in free sun: a cloud that blocks half
@@ -198,8 +191,7 @@ class GapRules:
 
 @dataclass(frozen=True)
 class LeanRules:
-    """Thresholds of leans of roofs, and of height models."""
-
+    # Thresholds of leans of roofs, and of height models.
     #: Unknown lean across a car, where its symmetric roof would be level on level ground [degree]. Parking
     #: areas are drained over slopes of 1 to 1.5 % (0.6 to 0.9 degrees), of which one of two components is
     #: towards the sun.
@@ -220,11 +212,9 @@ class LeanRules:
 
 @dataclass(frozen=True)
 class LevelRules:
-    """The axis of a roof, and the surface through its brightness.
-
-    Lengths are relative to half the width of the roof, which is 0.5 to 0.7 m of all cars.
-    """
-
+    # The axis of a roof, and the surface through its brightness.
+    #
+    # Lengths are relative to half the width of the roof, which is 0.5 to 0.7 m of all cars.
     #: Range in which its edges are searched, in half widths from its windows.
     edge_span: tuple[float, float] = (0.7, 1.25)
     #: Minimum factor by which brightness falls within `edge_px` at an edge: windows reflect less than half as
@@ -254,13 +244,11 @@ class LevelRules:
 
 @dataclass(frozen=True)
 class FinishRules:
-    """Thresholds of a finish. A change is that of ln(brightness) with lean over the crown of a roof [1/rad].
-
-    Under a sun at the zenith angle t a solid body changes by s = f_dir d ln(cos t (1 - F(t))) / dt (see
-    `change_with_lean`). Simulated flakes (flop index 3 and more) change by 1 to 10 near the sun's mirror
-    direction, and by about s far from it.
-    """
-
+    # Thresholds of a finish. A change is that of ln(brightness) with lean over the crown of a roof [1/rad].
+    #
+    # Under a sun at the zenith angle t a solid body changes by s = f_dir d ln(cos t (1 - F(t))) / dt (see
+    # `change_with_lean`). Simulated flakes (flop index 3 and more) change by 1 to 10 near the sun's mirror
+    # direction, and by about s far from it.
     min_direct: float = 0.5  #: Minimum direct share of the light for a visible lobe [1].
     #: Maximum zenith angle of the sun: under a lower sun a roof shades itself [degree].
     max_zenith_deg: float = 62.0
