@@ -124,13 +124,13 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
     if stat.S_ISREG(status.st_mode) and (limit is None or status.st_size <= limit):
         return os.fdopen(descriptor, "rb")
     os.close(descriptor)
-    if stat.S_ISREG(status.st_mode):
-        raise FormatError(
-            f"{file_path}: {status.st_size} bytes",
-            expected=f"{expected} of at most {limit} bytes",
-            mend=_CHECK_PATH,
-            code="file-too-large",
-        )
+    FormatError.raise_if(
+        stat.S_ISREG(status.st_mode),
+        f"{file_path}: {status.st_size} bytes",
+        expected=f"{expected} of at most {limit} bytes",
+        mend=_CHECK_PATH,
+        code="file-too-large",
+    )
     raise FormatError(
         f"{file_path}: {_kind(status.st_mode)}", expected=expected, mend=_CHECK_PATH, code="file-special"
     )

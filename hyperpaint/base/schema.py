@@ -276,13 +276,13 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     names = {old: new for old, new in names.items() if old != new}
     dataset = dataset.rename_dims(names) if names else dataset
     for dim, item in zip(CUBE, ("line", "band", "column"), strict=True):
-        if dataset.sizes.get(dim) == 0:
-            raise SchemaError(
-                f"nothing is selected: {dim} has size 0",
-                expected=f"one {item} or more",
-                mend="widen the slice, mask or wavelength range",
-                code="selection-empty",
-            )
+        SchemaError.raise_if(
+            dataset.sizes.get(dim) == 0,
+            f"nothing is selected: {dim} has size 0",
+            expected=f"one {item} or more",
+            mend="widen the slice, mask or wavelength range",
+            code="selection-empty",
+        )
     return with_integer_dtypes(dataset) if is_map else _with_table_dims(dataset)
 
 
@@ -355,12 +355,12 @@ def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
 
 def _constant(low: Any, high: Any, *, name_of: str, dims: list[str]) -> Any:
     # Return the minima, which must equal the maxima.
-    if not ((low == high) | (low != low)).all():
-        raise SchemaError(
-            f"{name_of!r} differs along {' and '.join(dims)}",
-            mend="choose by .sel() or .isel() where where(..., drop=True) or xr.concat gave it that dim",
-            code="dims-wrong",
-        )
+    SchemaError.raise_if(
+        not ((low == high) | (low != low)).all(),
+        f"{name_of!r} differs along {' and '.join(dims)}",
+        mend="choose by .sel() or .isel() where where(..., drop=True) or xr.concat gave it that dim",
+        code="dims-wrong",
+    )
     return low
 
 

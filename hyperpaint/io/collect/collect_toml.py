@@ -477,10 +477,12 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
 
 def _note_missing_keys(reader: _Reader, subject: str, name: str, table: Mapping[str, Any]) -> None:
     for key, fact in SCHEMA[name].items():
-        if fact.needed and key not in table["?"]:
-            reader.problems.add(
-                f"{subject} {key} is missing", mend=f"state the {fact.doc}", code="key-missing"
-            )
+        reader.problems.add_if(
+            fact.needed and key not in table["?"],
+            f"{subject} {key} is missing",
+            mend=f"state the {fact.doc}",
+            code="key-missing",
+        )
 
 
 def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:

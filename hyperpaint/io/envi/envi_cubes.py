@@ -664,13 +664,13 @@ class EnviArray(BackendArray):
         done = 0
         while done < len(view):
             count = file.readinto(view[done:])
-            if not count:
-                raise FormatError(
-                    f"ENVI data file {self.path!r} ends {len(view) - done} bytes early",
-                    expected=f"{self.file_size} bytes, as when it was opened",
-                    mend="open it again",
-                    code="file-truncated",
-                )
+            FormatError.raise_if(
+                not count,
+                f"ENVI data file {self.path!r} ends {len(view) - done} bytes early",
+                expected=f"{self.file_size} bytes, as when it was opened",
+                mend="open it again",
+                code="file-truncated",
+            )
             done += count
 
 

@@ -186,12 +186,12 @@ class Cursor:
 
     def bytes(self, count: int, part: str) -> bytes:
         # Read ``count`` bytes; the name of the ``part`` appears in messages.
-        if count > self.remaining:
-            raise FormatError(
-                f"{self.name}: {part} needs {count} bytes at offset {self.position}, {self.remaining} remain",
-                mend=_AGAIN,
-                code="file-truncated",
-            )
+        FormatError.raise_if(
+            count > self.remaining,
+            f"{self.name}: {part} needs {count} bytes at offset {self.position}, {self.remaining} remain",
+            mend=_AGAIN,
+            code="file-truncated",
+        )
         self.position += count
         return self.data[self.position - count : self.position]
 

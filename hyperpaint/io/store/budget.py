@@ -245,12 +245,12 @@ def parse_size(size: str | int) -> int:
         number = int(parse_bytes(size)) if any(map(str.isdigit, str(size))) else 0
     except (ValueError, OverflowError, TypeError, AttributeError):
         number = 0
-    if number <= 0:
-        raise SchemaError(
-            f"memory size {size!r}",
-            expected="bytes above 0, or text such as '2 GiB' or '500 MB'",
-            code="size-unreadable",
-        )
+    SchemaError.raise_if(
+        number <= 0,
+        f"memory size {size!r}",
+        expected="bytes above 0, or text such as '2 GiB' or '500 MB'",
+        code="size-unreadable",
+    )
     return number
 
 

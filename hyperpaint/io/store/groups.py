@@ -136,13 +136,13 @@ def check_above(groups: Iterable[str], location: Location, problems: Problems, *
             damaged = location.metadata(group) is None and not group and bool({*entries} - {MANIFEST_NODE})
         except IncompleteStoreError:
             damaged = True
-        if damaged and not overwrite:
-            problems.add(
-                f"the metadata of group {'/' + group!r} are missing or damaged",
-                mend="pass overwrite=True to replace them; the groups in it stay",
-                option="pass --overwrite to replace them; the groups in it stay",
-                code="metadata-damaged",
-            )
+        problems.add_if(
+            damaged and not overwrite,
+            f"the metadata of group {'/' + group!r} are missing or damaged",
+            mend="pass overwrite=True to replace them; the groups in it stay",
+            option="pass --overwrite to replace them; the groups in it stay",
+            code="metadata-damaged",
+        )
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:

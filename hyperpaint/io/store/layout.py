@@ -237,12 +237,12 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
             other_types = {
                 type(item).__name__ for item in np.ravel(variable.values) if not isinstance(item, str)
             }
-            if other_types:
-                problems.add(
-                    f"{name!r} contains Python objects ({', '.join(sorted(other_types))})",
-                    expected="text, or a numeric dtype",
-                    code="type-wrong",
-                )
+            problems.add_if(
+                other_types,
+                f"{name!r} contains Python objects ({', '.join(sorted(other_types))})",
+                expected="text, or a numeric dtype",
+                code="type-wrong",
+            )
     multi = xr.indexes.PandasMultiIndex
     for name in sorted({str(index.dim) for index in dataset.xindexes.values() if isinstance(index, multi)}):
         problems.add(

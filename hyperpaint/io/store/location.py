@@ -36,13 +36,13 @@ def clean_group(group: str | None) -> str:
     # Return a group's path without outer slashes (``""`` for the root); StoreError for invalid names.
     names = [name for name in (group or "").split("/") if name]
     is_reserved = any(name.startswith((".", "__")) or name == METADATA or "\\" in name for name in names)
-    if is_reserved or names[:1] == [MANIFEST_NODE]:
-        raise StoreError(
-            f"group {group!r}",
-            expected="names separated by slashes, without a leading '.' or '__', the first not "
-            f"{MANIFEST_NODE!r}",
-            code="group-name",
-        )
+    StoreError.raise_if(
+        is_reserved or names[:1] == [MANIFEST_NODE],
+        f"group {group!r}",
+        expected="names separated by slashes, without a leading '.' or '__', the first not "
+        f"{MANIFEST_NODE!r}",
+        code="group-name",
+    )
     return "/".join(names)
 
 
@@ -205,11 +205,11 @@ class Location:
             return
         path = self.local.joinpath(*(part for part in parts if part))
         for folder in path.parents[: len(path.relative_to(self.local).parts) - 1]:
-            if folder.is_symlink():
-                raise StoreError(
-                    f"{folder} is a link; writers do not follow links inside a store",
-                    code="link-refused",
-                )
+            StoreError.raise_if(
+                folder.is_symlink(),
+                f"{folder} is a link; writers do not follow links inside a store",
+                code="link-refused",
+            )
         is_new_folder = not path.parent.exists()
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, [content], durable=True)
@@ -240,13 +240,13 @@ class Location:
                 if path != MANIFEST_NODE and kind in ("group", "array", "unreadable"):
                     kinds[path] = kind
                     pending += [path] if kind == "group" else []
-                if len(kinds) > MAX_NODES or path.count("/") > MAX_DEPTH:
-                    raise StoreError(
-                        f"{self.url}: more than {MAX_NODES} groups and arrays, or groups more than "
-                        f"{MAX_DEPTH} deep ({path:.80})",
-                        mend="open one group by its path",
-                        code="nodes-too-many",
-                    )
+                StoreError.raise_if(
+                    len(kinds) > MAX_NODES or path.count("/") > MAX_DEPTH,
+                    f"{self.url}: more than {MAX_NODES} groups and arrays, or groups more than "
+                    f"{MAX_DEPTH} deep ({path:.80})",
+                    mend="open one group by its path",
+                    code="nodes-too-many",
+                )
         return kinds
 
     def groups(self) -> list[str]:

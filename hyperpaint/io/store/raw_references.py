@@ -82,13 +82,13 @@ class RawFile:
                 status = os.stat(_local_path(url))
             except OSError as error:
                 raise StoreError(f"{url}: {error.strerror}", code="file-unreadable") from error
-            if not stat.S_ISREG(status.st_mode):
-                raise StoreError(
-                    f"{url} is not a regular file",
-                    expected="a raw file",
-                    mend="check the path",
-                    code="file-not-plain",
-                )
+            StoreError.raise_if(
+                not stat.S_ISREG(status.st_mode),
+                f"{url} is not a regular file",
+                expected="a raw file",
+                mend="check the path",
+                code="file-not-plain",
+            )
             return cls(url, status.st_size, status.st_mtime_ns)
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
@@ -219,12 +219,12 @@ def check_url(url: str) -> None:
         is_readable = posixpath.normpath(_local_path(url)) == _local_path(url)
     else:
         is_readable = _REMOTE.fullmatch(url) is not None and not {".", ".."} & set(url.split("/"))
-    if not (is_readable and url.isprintable()):
-        raise StoreError(
-            f"icechunk cannot read raw files from {url!r:.200}",
-            expected="a local path, or a URL with s3, or http or https without a port",
-            code="url-unusable",
-        )
+    StoreError.raise_if(
+        not (is_readable and url.isprintable()),
+        f"icechunk cannot read raw files from {url!r:.200}",
+        expected="a local path, or a URL with s3, or http or https without a port",
+        code="url-unusable",
+    )
 
 
 def _own_config(urls: Sequence[str]) -> Any:

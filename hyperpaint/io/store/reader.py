@@ -102,12 +102,12 @@ def list_groups(path: Any) -> list[str]:
         with_arrays += [name] if len(groups) < len(members) else []
         pending += groups
         nodes += len(members)
-        if nodes > MAX_NODES or name.count("/") >= MAX_DEPTH:
-            raise StoreError(
-                f"{path}: more than {MAX_NODES} nodes, or groups more than {MAX_DEPTH} deep",
-                mend="open one group by its path",
-                code="nodes-too-many",
-            )
+        StoreError.raise_if(
+            nodes > MAX_NODES or name.count("/") >= MAX_DEPTH,
+            f"{path}: more than {MAX_NODES} nodes, or groups more than {MAX_DEPTH} deep",
+            mend="open one group by its path",
+            code="nodes-too-many",
+        )
     return sorted(with_arrays)
 
 
@@ -360,15 +360,19 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
     opened, limit = open_group(path, group or "", chunks=None), MAX_LOADED_BYTES
     if isinstance(path, str | os.PathLike) and os.path.exists(path):
         files = [file.stat() for file in (Path(path), *Path(path, clean_group(group)).rglob("*"))]
-        if not all(stat.S_ISREG(file.st_mode) or stat.S_ISDIR(file.st_mode) for file in files):
-            raise StoreError(
-                f"{path} contains a pipe or device", expected="regular files", code="file-not-plain"
-            )
-        limit = min(limit, max(SMALL_BYTES, MAX_RATIO * sum(file.st_size for file in files)))
-    if opened.nbytes > limit:
-        raise StoreError(
-            f"{path} declares {opened.nbytes} bytes", expected=f"at most {limit}", code="file-too-large"
+        StoreError.raise_if(
+            not all(stat.S_ISREG(file.st_mode) or stat.S_ISDIR(file.st_mode) for file in files),
+            f"{path} contains a pipe or device",
+            expected="regular files",
+            code="file-not-plain",
         )
+        limit = min(limit, max(SMALL_BYTES, MAX_RATIO * sum(file.st_size for file in files)))
+    StoreError.raise_if(
+        opened.nbytes > limit,
+        f"{path} declares {opened.nbytes} bytes",
+        expected=f"at most {limit}",
+        code="file-too-large",
+    )
     try:
         opened.load()
     except Exception as error:  # every codec has its own classes

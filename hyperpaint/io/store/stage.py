@@ -152,12 +152,12 @@ class Staging:
             return []
         entries = []
         for path in (self.folder, *paths):
-            if path.is_symlink():
-                raise StoreError(
-                    f"{path} is a link, which no writer creates",
-                    mend="look at it, then remove it",
-                    code="link-refused",
-                )
+            StoreError.raise_if(
+                path.is_symlink(),
+                f"{path} is a link, which no writer creates",
+                mend="look at it, then remove it",
+                code="link-refused",
+            )
             match = _NAMES.fullmatch(path.name)
             if match is None:
                 continue
@@ -166,12 +166,12 @@ class Staging:
             is_valid = name is None
             with contextlib.suppress(StoreError):
                 is_valid = is_valid or (clean_group(group) == group and _quoted(group) == name)
-            if not is_valid:
-                raise StoreError(
-                    f"{path} contains no valid group name, and no writer creates it",
-                    mend="look at it, then remove it",
-                    code="staging-foreign",
-                )
+            StoreError.raise_if(
+                not is_valid,
+                f"{path} contains no valid group name, and no writer creates it",
+                mend="look at it, then remove it",
+                code="staging-foreign",
+            )
             entries.append(_Entry(path, path.name.partition("-")[0], group, match["content"] or ""))
         return entries
 
@@ -180,10 +180,12 @@ class Staging:
         path = self.store
         for name in group.split("/") if group else ():
             path = path / name
-            if path.is_symlink():
-                raise StoreError(
-                    f"{path} is a link", expected="plain files and folders in a store", code="link-refused"
-                )
+            StoreError.raise_if(
+                path.is_symlink(),
+                f"{path} is a link",
+                expected="plain files and folders in a store",
+                code="link-refused",
+            )
         return path
 
 
@@ -264,12 +266,12 @@ def _check_folder(lock: Path, store: Path) -> None:
     # A folder of hyperpaint contains the mark. After a power failure the mark or the lock may be empty, and
     # are then the only files.
     folder = lock.parent
-    if folder.is_symlink():
-        raise StoreError(
-            f"{folder} is a link, which no writer creates",
-            mend="look at it, then remove it",
-            code="link-refused",
-        )
+    StoreError.raise_if(
+        folder.is_symlink(),
+        f"{folder} is a link, which no writer creates",
+        mend="look at it, then remove it",
+        code="link-refused",
+    )
     try:
         files = {path.name: path.lstat() for path in folder.iterdir()}
     except (FileNotFoundError, NotADirectoryError):  # the previous writer removes it

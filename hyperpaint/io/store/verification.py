@@ -116,12 +116,12 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     opened_location, source = place_of(path)
     location = opened_location or Location.of(path)
     check_metadata(location, "")
-    if location.has("snapshots") and location.has("manifests"):
-        raise StoreError(
-            f"{location.url} is an icechunk repository, whose snapshots icechunk checks",
-            expected="a Zarr store",
-            code="store-unreadable",
-        )
+    StoreError.raise_if(
+        location.has("snapshots") and location.has("manifests"),
+        f"{location.url} is an icechunk repository, whose snapshots icechunk checks",
+        expected="a Zarr store",
+        code="store-unreadable",
+    )
     begin = _stamp(location)
     if is_format_3(location):
         nodes = location.nodes()
