@@ -373,10 +373,12 @@ def _picture(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
             bands = bands[np.unique(np.round(positions).astype(np.int64))]
             image = image.isel({BAND: bands}).mean(BAND, dtype=np.float32)
     sizes = {dim: line.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.sizes}
-    if set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()):
-        raise SchemaError(
-            f"the image is {dict(image.sizes)}", expected=f"{sizes}, as the line", code="grid-mismatch"
-        )
+    SchemaError.raise_if(
+        set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()),
+        f"the image is {dict(image.sizes)}",
+        expected=f"{sizes}, as the line",
+        code="grid-mismatch",
+    )
     values: Any = image.transpose(ALONG_TRACK, CROSS_TRACK).values
     return np.asarray(values, np.float32)
 
@@ -1231,10 +1233,12 @@ def estimate_clock_offset(
         mend="give one of them",
         code="option-conflict",
     )
-    if not 0.0 < max_offset_s < np.inf:
-        raise SchemaError(
-            f"max_offset_s {max_offset_s!r}", expected="a time above 0 [s]", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        not 0.0 < max_offset_s < np.inf,
+        f"max_offset_s {max_offset_s!r}",
+        expected="a time above 0 [s]",
+        code="value-out-of-range",
+    )
     if irradiance is not None:
         return _light_offset(line, irradiance, image, lines, max_offset_s, max_uncertainty_s or 1.0)
     setting = _setting(

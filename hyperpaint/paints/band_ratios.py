@@ -60,12 +60,12 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
     names = [f"{prefix}u_{kind}" for kind in ("random", "systematic")]
     problems = Problems("the covariance of bands cannot be computed", SchemaError)
     for name in names:
-        if name not in signatures.variables:
-            problems.add(
-                f"{name!r} is missing",
-                mend="extract signatures of reflectance with uncertainty",
-                code="variable-missing",
-            )
+        problems.add_if(
+            name not in signatures.variables,
+            f"{name!r} is missing",
+            mend="extract signatures of reflectance with uncertainty",
+            code="variable-missing",
+        )
     problems.raise_if_any()
     random, systematic = (_last(signatures[name]) for name in names)
     other_dims = [dim for dim in signatures[names[0]].dims if dim != BAND]

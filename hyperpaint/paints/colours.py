@@ -73,12 +73,12 @@ def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
     """
     nm = np.asarray(wavelength, np.float64)
     visible = np.flatnonzero((nm > 380) & (nm < 780))
-    if visible.size < 3:
-        raise SchemaError(
-            f"{visible.size} bands between 380 and 780 nm",
-            expected="at least 3 for a colour",
-            code="visible-bands-missing",
-        )
+    SchemaError.raise_if(
+        visible.size < 3,
+        f"{visible.size} bands between 380 and 780 nm",
+        expected="at least 3 for a colour",
+        code="visible-bands-missing",
+    )
     nm = nm[visible]
     values = np.asarray(spectra, np.float64)[..., visible]
     flat = values.reshape(-1, visible.size)

@@ -235,13 +235,13 @@ def make_detector(
             option="give --keep with flags",
             code="background-empty",
         )
-    if background.pixels <= bands.size:
-        raise SchemaError(
-            f"{background.pixels} valid pixels for the covariance of {bands.size} bands",
-            expected="more pixels than bands",
-            mend="use a longer line, fewer bands, or exclude= with fewer flags",
-            code="background-too-small",
-        )
+    SchemaError.raise_if(
+        background.pixels <= bands.size,
+        f"{background.pixels} valid pixels for the covariance of {bands.size} bands",
+        expected="more pixels than bands",
+        mend="use a longer line, fewer bands, or exclude= with fewer flags",
+        code="background-too-small",
+    )
     mean = background.total / background.pixels
     covariance = background.products - background.pixels * np.outer(mean, mean)
     covariance = covariance / (background.pixels - 1)
@@ -512,10 +512,12 @@ def detect(
     rate = false_alarm_rate if unknown_rate is None else unknown_rate
     cube = variables["reflectance"]
     problems = Problems("this line cannot be searched for paints", SchemaError)
-    if set(cube.dims) != set(CUBE) or not cube.size:
-        problems.add(
-            f"reflectance has dims {dict(cube.sizes)}", expected="lines, bands and columns", code="dims-wrong"
-        )
+    problems.add_if(
+        set(cube.dims) != set(CUBE) or not cube.size,
+        f"reflectance has dims {dict(cube.sizes)}",
+        expected="lines, bands and columns",
+        code="dims-wrong",
+    )
     one_of(method, METHODS, "method", problems=problems)
     for argument, is_valid, expected in (
         (f"false_alarm_rate={false_alarm_rate!r}", 0.0 < false_alarm_rate < 1.0, "a share between 0 and 1"),
@@ -615,12 +617,12 @@ def _background_mask(background: Any, unflagged: Any) -> Any:
             )
         background = mask.transpose(ALONG_TRACK, CROSS_TRACK).data
     mask = da.asarray(background)
-    if mask.shape != unflagged.shape or mask.dtype != bool:
-        raise SchemaError(
-            f"background= is {mask.dtype} of shape {mask.shape}",
-            expected=f"bool of shape {unflagged.shape}",
-            code="grid-mismatch",
-        )
+    SchemaError.raise_if(
+        mask.shape != unflagged.shape or mask.dtype != bool,
+        f"background= is {mask.dtype} of shape {mask.shape}",
+        expected=f"bool of shape {unflagged.shape}",
+        code="grid-mismatch",
+    )
     return mask.rechunk(unflagged.chunks)
 
 

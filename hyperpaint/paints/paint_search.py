@@ -163,12 +163,12 @@ def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
     query = lab_of(parse_colour(colour))
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
-    if len(colours) and not np.isfinite(colours).any():
-        raise SchemaError(
-            "no paint of the library has a colour",
-            expected="at least 3 good bands between 380 and 780 nm",
-            code="visible-bands-missing",
-        )
+    SchemaError.raise_if(
+        len(colours) and not np.isfinite(colours).any(),
+        "no paint of the library has a colour",
+        expected="at least 3 good bands between 380 and 780 nm",
+        code="visible-bands-missing",
+    )
     difference = ciede2000(lab_of(colours), query)
     return np.where(np.isfinite(difference), difference, np.inf)
 
@@ -221,12 +221,12 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
         like = like["reflectance"]
     if not isinstance(like, xr.DataArray):
         values = np.asarray(like, np.float64)
-        if values.shape != nm.shape:
-            raise SchemaError(
-                f"like= has shape {values.shape}",
-                expected=f"({nm.size},), or a DataArray with wavelengths",
-                code="length-mismatch",
-            )
+        SchemaError.raise_if(
+            values.shape != nm.shape,
+            f"like= has shape {values.shape}",
+            expected=f"({nm.size},), or a DataArray with wavelengths",
+            code="length-mismatch",
+        )
         return values
     spectrum = like.squeeze()
     if spectrum.ndim != 1 or "wavelength" not in spectrum.coords:

@@ -111,10 +111,13 @@ class Explored:
         # positions on the picture count from 0; regions of the user have the line and column numbers of the
         # line
         self._numbered = rename_to_roles(line)
-        if map_dims(self._numbered):
-            raise SchemaError(
-                "this is a map", expected="a flight line", mend="explore the flight line", code="line-is-map"
-            )
+        SchemaError.raise_if(
+            map_dims(self._numbered),
+            "this is a map",
+            expected="a flight line",
+            mend="explore the flight line",
+            code="line-is-map",
+        )
         if not {"counts", "radiance", "reflectance"} & set(self._numbered.variables):
             schema.require(self._numbered, ["reflectance"], "an explorer")
         self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
@@ -275,13 +278,13 @@ class Explored:
             along, across, step = self._region_pixels(place)
         else:
             along, across, step = *np.array(place).reshape(2, 1), 1
-        if along.size > _MAX_UNCERTAINTY_PIXELS or step > 1:
-            raise SchemaError(
-                f"{along.size} pixels",
-                expected=f"at most {_MAX_UNCERTAINTY_PIXELS}",
-                mend="see line.paint.signatures",
-                code="region-too-large",
-            )
+        SchemaError.raise_if(
+            along.size > _MAX_UNCERTAINTY_PIXELS or step > 1,
+            f"{along.size} pixels",
+            expected=f"at most {_MAX_UNCERTAINTY_PIXELS}",
+            mend="see line.paint.signatures",
+            code="region-too-large",
+        )
         lines, columns = (slice(int(place.min()), int(place.max()) + 1) for place in (along, across))
         window = reflectance(self.line.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}), uncertainty=True)
         # computed together, because separate computations would read the same counts again
@@ -516,12 +519,12 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
     (('a',), ['b'])
     """
     outlines = Regions(()) if regions is None else regions_from(regions)
-    if outlines.coordinates != "sensor":
-        raise SchemaError(
-            "the regions passed to the explorer are in map coordinates",
-            expected="coordinates of the sensor (column and line)",
-            code="region-coordinates",
-        )
+    SchemaError.raise_if(
+        outlines.coordinates != "sensor",
+        "the regions passed to the explorer are in map coordinates",
+        expected="coordinates of the sensor (column and line)",
+        code="region-coordinates",
+    )
     lines = {"", flightline.replace(" ", "_")}
     others = [
         region for region in outlines if flightline and region.flightline.replace(" ", "_") not in lines

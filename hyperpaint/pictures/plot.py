@@ -173,12 +173,12 @@ def rgb(
 def visible_bands(wavelength: Array) -> Array:
     # Return the indices of the visible bands; SchemaError for fewer than three
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
-    if visible.size < 3:
-        raise SchemaError(
-            f"{visible.size} bands between 380 and 780 nm",
-            expected="three or more for a true-colour picture",
-            code="band-missing",
-        )
+    SchemaError.raise_if(
+        visible.size < 3,
+        f"{visible.size} bands between 380 and 780 nm",
+        expected="three or more for a true-colour picture",
+        code="band-missing",
+    )
     return visible
 
 
@@ -819,12 +819,12 @@ def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tu
     # pixels (step, width, 2) from the centre of the near region to that of the far one, and distances [pixel]
     start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
     length = float(np.hypot(*(stop - start)))
-    if length < 1.0:
-        raise SchemaError(
-            "adjacency cannot be drawn: both regions have the same centre",
-            mend="choose regions at different distances from the neighbour",
-            code="region-overlap",
-        )
+    SchemaError.raise_if(
+        length < 1.0,
+        "adjacency cannot be drawn: both regions have the same centre",
+        mend="choose regions at different distances from the neighbour",
+        code="region-overlap",
+    )
     direction = (stop - start) / length
     distance = np.arange(int(length) + 1, dtype=np.float64)
     offset = np.arange(width) - (width - 1) / 2
@@ -963,12 +963,12 @@ def triptych(
         draw_pixels(plots, dataset, spectra, values["quality"], places)
     else:
         outlined = regions_from(region)
-        if len(outlined) != 1:
-            raise SchemaError(
-                f"a triptych shows one region, found {len(outlined)}",
-                mend="choose one, such as regions[0]",
-                code="region-number",
-            )
+        SchemaError.raise_if(
+            len(outlined) != 1,
+            f"a triptych shows one region, found {len(outlined)}",
+            mend="choose one, such as regions[0]",
+            code="region-number",
+        )
         line_indices, column_indices = pixels_of(outlined, dataset)[0]
         step = max(1, -(-line_indices.size // MAX_REGION_PIXELS))
         line_indices, column_indices = line_indices[::step], column_indices[::step]
@@ -979,12 +979,12 @@ def triptych(
         is_used = (values["quality"] & int(EXCLUDED if exclude is None else exclude)) == 0
         is_used &= np.isfinite(spectra["reflectance"]).any(axis=1)
         name, count = outlined[0].name, line_indices.size
-        if not is_used.any():
-            raise SchemaError(
-                f"region {name!r}: all {count} pixels are flagged",
-                mend="draw the region elsewhere, or pass fewer flags as exclude",
-                code="region-empty",
-            )
+        SchemaError.raise_if(
+            not is_used.any(),
+            f"region {name!r}: all {count} pixels are flagged",
+            mend="draw the region elsewhere, or pass fewer flags as exclude",
+            code="region-empty",
+        )
         figure.suptitle(f"{label_for(name)}: {int(is_used.sum())} of {count} pixels")
         line_indices, column_indices = line_indices[is_used], column_indices[is_used]
         for axes, cube in zip(plots, spectra.values(), strict=True):
@@ -1075,12 +1075,12 @@ def straightening(
     if "reflectance" not in line.variables:
         line = reflectance(line)
     if orthomap is None:
-        if not {"east", "north"} <= set(line.coords) and "ground" not in line.attrs:
-            raise SchemaError(
-                "the line is not located and declares no ground height, so it has no map",
-                mend="pass line.paint.locate(...), or its map as orthomap",
-                code="line-not-located",
-            )
+        SchemaError.raise_if(
+            not {"east", "north"} <= set(line.coords) and "ground" not in line.attrs,
+            "the line is not located and declares no ground height, so it has no map",
+            mend="pass line.paint.locate(...), or its map as orthomap",
+            code="line-not-located",
+        )
         nm = require(line, ["wavelength"], "a map")["wavelength"].values
         visible = line.isel({BAND: np.flatnonzero((nm > 380) & (nm < 780))})
         orthomap = orthorectify(visible, grid="north", variables=["reflectance"])

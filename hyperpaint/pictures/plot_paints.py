@@ -249,28 +249,30 @@ def paint_card(
 def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Region]:
     # a paint of a library, and its region on the flight line; the dim signature has length 1
     usable, _ = find_usable(library)
-    if "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims:
-        raise SchemaError(
-            "the card of a paint needs a paint library",
-            expected="reflectance (signature, band)",
-            code="library-missing",
-        )
+    SchemaError.raise_if(
+        "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims,
+        "the card of a paint needs a paint library",
+        expected="reflectance (signature, band)",
+        code="library-missing",
+    )
     names = [str(name) for name in usable[SIGNATURE].values]
     if paint not in names:
         raise SchemaError(
             f"there is no paint {paint!r}", expected=", ".join(names[:20]), code="paint-unknown"
         )
     selection = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
-    if "region" not in selection.variables or not str(selection["region"].item()):
-        raise SchemaError(
-            f"paint {paint!r} has no region", expected="a library from a flight line", code="region-missing"
-        )
-    if selection.attrs.get("coordinates_of_regions", "sensor") != "sensor":
-        raise SchemaError(
-            f"the region of paint {paint!r} is on a map",
-            mend="draw its card from the flight line",
-            code="region-coordinates",
-        )
+    SchemaError.raise_if(
+        "region" not in selection.variables or not str(selection["region"].item()),
+        f"paint {paint!r} has no region",
+        expected="a library from a flight line",
+        code="region-missing",
+    )
+    SchemaError.raise_if(
+        selection.attrs.get("coordinates_of_regions", "sensor") != "sensor",
+        f"the region of paint {paint!r} is on a map",
+        mend="draw its card from the flight line",
+        code="region-coordinates",
+    )
     return selection, regions_from(json.loads(str(selection["region"].item())))[0]
 
 
@@ -417,12 +419,12 @@ def detection_curve(
         names = ("detection_score", "best_paint", "score_threshold", "detected")
         arrays = require(rename_to_roles(result), names, "a detection curve")
         score, paint, threshold, detected = (arrays[key].values for key in names)
-        if is_target.shape != score.shape:
-            raise SchemaError(
-                f"truth has shape {is_target.shape}",
-                expected=f"{score.shape}, as the detections",
-                code="grid-mismatch",
-            )
+        SchemaError.raise_if(
+            is_target.shape != score.shape,
+            f"truth has shape {is_target.shape}",
+            expected=f"{score.shape}, as the detections",
+            code="grid-mismatch",
+        )
         has_score = paint >= 0
         is_hit = is_target[has_score]
         if not is_hit.any() or is_hit.all():

@@ -185,13 +185,13 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
         problems.add(
             f"no paint {', '.join(map(repr, unknown))}", expected=", ".join(names), code="paint-unknown"
         )
-    if len(chosen) > MAX_CURVES:
-        problems.add(
-            f"{len(chosen)} curves",
-            expected=f"at most {MAX_CURVES}",
-            mend="pass fewer names as paints, or see library_overview",
-            code="curve-number",
-        )
+    problems.add_if(
+        len(chosen) > MAX_CURVES,
+        f"{len(chosen)} curves",
+        expected=f"at most {MAX_CURVES}",
+        mend="pass fewer names as paints, or see library_overview",
+        code="curve-number",
+    )
     problems.raise_if_any()
     indices = [names.index(name) for name in chosen]
     for name, index, style in zip(chosen, indices, styles_of(paint_colours(library)[indices]), strict=True):
@@ -241,13 +241,13 @@ def checked_places(dataset: xr.Dataset, pixels: Any, problems: Problems) -> Arra
             code="type-wrong",
         )
         return places
-    if len(places) > MAX_CURVES:
-        problems.add(
-            f"{len(places)} pixels",
-            expected=f"at most {MAX_CURVES}",
-            mend="outline them as a region",
-            code="curve-number",
-        )
+    problems.add_if(
+        len(places) > MAX_CURVES,
+        f"{len(places)} pixels",
+        expected=f"at most {MAX_CURVES}",
+        mend="outline them as a region",
+        code="curve-number",
+    )
     lines, columns = dataset.sizes.get(ALONG_TRACK, 0), dataset.sizes.get(CROSS_TRACK, 0)
     problems.extend(
         Problem(

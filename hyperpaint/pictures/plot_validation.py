@@ -220,12 +220,12 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
     >>> len(panel_figure(closure).axes[0].lines)  # one panel, and the line at 1
     2
     """
-    if not set(CLOSURE) <= set(closure.variables):
-        raise SchemaError(
-            "the dataset has no panels: variable 'panel_factor' is missing",
-            mend="see hyperpaint.radiometry.panel_closure, or scale by reflectance(panel=)",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        not set(CLOSURE) <= set(closure.variables),
+        "the dataset has no panels: variable 'panel_factor' is missing",
+        mend="see hyperpaint.radiometry.panel_closure, or scale by reflectance(panel=)",
+        code="variable-missing",
+    )
     figure = new_figure("a picture of panels", figsize=(width, 0.45 * width), layout="constrained")
     draw_panels(figure.add_subplot(), closure)
     return save_figure(figure, path)

@@ -181,12 +181,12 @@ class Regions(Sequence[Region]):
         problems = Problems("these regions cannot be used together", SchemaError)
         names: set[str] = set()
         for name in (region.name for region in self.regions):
-            if name in names:
-                problems.add(
-                    f"the name {name!r} occurs twice",
-                    mend="give each region its own name",
-                    code="region-name-duplicate",
-                )
+            problems.add_if(
+                name in names,
+                f"the name {name!r} occurs twice",
+                mend="give each region its own name",
+                code="region-name-duplicate",
+            )
             names.add(name)
         one_of(self.coordinates, COORDINATES, "coordinates", problems=problems)
         crs: object = self.crs
@@ -302,12 +302,12 @@ def _ring(ring: Any, index: int, problems: Problems) -> Floats:
         return corners
     if len(corners) > 1 and (corners[0] == corners[-1]).all():
         corners = corners[:-1]
-    if not 3 <= len(corners) <= MAX_VERTICES:
-        problems.add(
-            f"the {ring_name} has {len(corners)} corners",
-            expected=f"3 to {MAX_VERTICES}",
-            code="corner-count",
-        )
+    problems.add_if(
+        not 3 <= len(corners) <= MAX_VERTICES,
+        f"the {ring_name} has {len(corners)} corners",
+        expected=f"3 to {MAX_VERTICES}",
+        code="corner-count",
+    )
     if not (np.abs(corners) <= MAX_COORDINATE).all():
         problems.add(
             f"the {ring_name} has missing or too large coordinates",
@@ -379,19 +379,21 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     ('hood',)
     """
     file = Path(path)
-    if "\0" in str(file):
-        raise FormatError(
-            f"the path {file!s:.200} holds a NUL character", mend="check the path", code="path-invalid"
-        )
+    FormatError.raise_if(
+        "\0" in str(file),
+        f"the path {file!s:.200} holds a NUL character",
+        mend="check the path",
+        code="path-invalid",
+    )
     if file.suffix.lower() in VECTOR_FILES:
         return _collection(features_of(file, MAX_REGIONS), str(file))
     raw = read_limited(file, MAX_FILE_BYTES, "GeoJSON")
-    if raw.count(b"[") + raw.count(b"{") > MAX_CONTAINERS or raw.count(b",") > MAX_SEPARATORS:
-        raise FormatError(
-            f"{file}: more values than {MAX_REGIONS} regions have",
-            expected="GeoJSON of regions",
-            code="file-too-large",
-        )
+    FormatError.raise_if(
+        raw.count(b"[") + raw.count(b"{") > MAX_CONTAINERS or raw.count(b",") > MAX_SEPARATORS,
+        f"{file}: more values than {MAX_REGIONS} regions have",
+        expected="GeoJSON of regions",
+        code="file-too-large",
+    )
     try:
         document = json.loads(raw.decode("utf-8-sig"), object_pairs_hook=_object, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
@@ -555,10 +557,11 @@ def _collection(document: Any, subject: str) -> Regions:
             invalid_features += 1
             if invalid_features <= MAX_LISTED_FEATURES:
                 problems.add_error(f"feature {number}", error)
-    if invalid_features > MAX_LISTED_FEATURES:
-        problems.add(
-            f"{invalid_features - MAX_LISTED_FEATURES} more features are invalid", code="features-invalid"
-        )
+    problems.add_if(
+        invalid_features > MAX_LISTED_FEATURES,
+        f"{invalid_features - MAX_LISTED_FEATURES} more features are invalid",
+        code="features-invalid",
+    )
     problems.raise_if_any()
     try:
         return Regions(tuple(regions), coordinates, crs)
@@ -584,13 +587,13 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
     subject = f"region {str(name)[:80]!r} has a geometry of type {str(geometry_type)[:40]!r}"
     # many programs write a single polygon as a MultiPolygon
     if geometry_type == "MultiPolygon" and isinstance(rings, list | tuple):
-        if len(rings) != 1:
-            raise SchemaError(
-                f"{subject} with {len(rings)} polygons",
-                expected="one",
-                mend="make each a region with its own name",
-                code="geometry-wrong",
-            )
+        SchemaError.raise_if(
+            len(rings) != 1,
+            f"{subject} with {len(rings)} polygons",
+            expected="one",
+            mend="make each a region with its own name",
+            code="geometry-wrong",
+        )
         geometry_type, rings = "Polygon", rings[0]
     if geometry_type != "Polygon":
         raise SchemaError(subject, expected="a Polygon", code="geometry-wrong")
@@ -650,10 +653,9 @@ def features_of(path: Path, max_features: int) -> dict[str, Any]:
         raise FormatError(
             f"{path}: {library} cannot read it: {error!s:.200}", code="file-unreadable"
         ) from error
-    if not crs:
-        raise FormatError(
-            f"{path}: the layer has no crs", mend="set the crs of the layer", code="crs-missing"
-        )
+    FormatError.raise_if(
+        not crs, f"{path}: the layer has no crs", mend="set the crs of the layer", code="crs-missing"
+    )
     return {"type": "FeatureCollection", "coordinates": "map", "crs": crs, "features": features}
 
 

@@ -354,14 +354,13 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
     # x and y of every pixel on the ground, and the reference system to transform regions to.
     # The latter is None where x and y are in the reference system of the regions.
     systems = {pair: _crs_of(line, pair) for pair in _GROUND if _has_pair(line, pair)}
-    if not systems:
-        raise SchemaError(
-            "the line has no ground coordinates of its pixels",
-            expected="east and north, or longitude and latitude (along_track, cross_track), or x and y of "
-            "a map",
-            mend="draw the regions in sensor coordinates, or locate the line first",
-            code="pixel-places-missing",
-        )
+    SchemaError.raise_if(
+        not systems,
+        "the line has no ground coordinates of its pixels",
+        expected="east and north, or longitude and latitude (along_track, cross_track), or x and y of a map",
+        mend="draw the regions in sensor coordinates, or locate the line first",
+        code="pixel-places-missing",
+    )
     region_crs = None if crs is None else _canonical(crs)
     fitting = [pair for pair, system in systems.items() if region_crs is None or system in (None, region_crs)]
     declared = [pair for pair, system in systems.items() if system is not None]

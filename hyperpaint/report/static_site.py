@@ -182,11 +182,11 @@ def write_site(
     for name, note in notes.items():
         if note:
             warn_user(f"/{name}: {note}", "group-not-shown")
-    if not shown:
-        raise StoreError(
-            f"{store} has no readable flight line, map or paint library: {'; '.join(problems)}",
-            code="store-empty",
-        )
+    StoreError.raise_if(
+        not shown,
+        f"{store} has no readable flight line, map or paint library: {'; '.join(problems)}",
+        code="store-empty",
+    )
     with published_folder(folder, overwrite=overwrite, foreign=_foreign) as build:
         if link is None:
             to_store(xr.DataTree.from_dict(shown), build / "store.zarr", layout="web", progress=progress)
@@ -217,19 +217,21 @@ def write_site(
 def _page_variables(group: xr.Dataset, *, stored: bool) -> xr.Dataset:
     # with ``stored``, reflectance is not computed from counts
     if "reflectance" not in group.variables:
-        if stored:
-            raise StoreError(
-                "the line holds no reflectance for the page to read",
-                mend="leave out link",
-                option="leave out --link",
-                code="variable-missing",
-            )
+        StoreError.raise_if(
+            stored,
+            "the line holds no reflectance for the page to read",
+            mend="leave out link",
+            option="leave out --link",
+            code="variable-missing",
+        )
         group = reflectance(group, keep_bits=KEPT_BITS)
     dims = group["reflectance"].dims
-    if "wavelength" not in group.variables or len(dims) != 3:
-        raise SchemaError(
-            f"reflectance {dims}", expected="lines, columns and bands, with wavelengths", code="dim-missing"
-        )
+    SchemaError.raise_if(
+        "wavelength" not in group.variables or len(dims) != 3,
+        f"reflectance {dims}",
+        expected="lines, columns and bands, with wavelengths",
+        code="dim-missing",
+    )
     names = [name for name in group.variables if name in _SHOWN_VARIABLES or name in dims]
     return group.reset_coords()[names].set_coords([n for n in names if n not in ("reflectance", "quality")])
 
@@ -261,12 +263,12 @@ def _remote_origin(link: str) -> str:
     address = urlsplit(link)
     if not address.scheme and not address.netloc and address.path:
         return ""
-    if address.scheme not in ("http", "https") or not _ORIGIN.fullmatch(address.netloc):
-        raise SchemaError(
-            f"link={link!r:.200}",
-            expected="an address such as https://bucket.example.org/lot.zarr, or a path such as ../lot.zarr",
-            code="link-invalid",
-        )
+    SchemaError.raise_if(
+        address.scheme not in ("http", "https") or not _ORIGIN.fullmatch(address.netloc),
+        f"link={link!r:.200}",
+        expected="an address such as https://bucket.example.org/lot.zarr, or a path such as ../lot.zarr",
+        code="link-invalid",
+    )
     return f"{address.scheme}://{address.netloc}"
 
 

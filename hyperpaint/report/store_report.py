@@ -281,12 +281,12 @@ def groups_to_show(
     libraries = {name: group for name, group in groups.items() if _is_library(group)}
     if signatures is not None:
         library = with_new_names(open_store(signatures, ""))
-        if not _is_library(library):
-            raise SchemaError(
-                f"{signatures} is no paint library",
-                expected="reflectance (signature, band), as `hyperpaint signatures` writes",
-                code="library-missing",
-            )
+        SchemaError.raise_if(
+            not _is_library(library),
+            f"{signatures} is no paint library",
+            expected="reflectance (signature, band), as `hyperpaint signatures` writes",
+            code="library-missing",
+        )
         libraries[Path(signatures).name] = library
     if not lines and not libraries and not maps:
         reason = "; ".join(problems) or f"its groups are {', '.join(groups) or 'none'}"

@@ -307,18 +307,18 @@ def check_wavelengths(wavelength: Floats) -> None:
     SchemaError
         The grid has not one dim and two samples, or they are not positive, finite and increasing.
     """
-    if wavelength.ndim != 1 or wavelength.size < 2:
-        raise SchemaError(
-            f"wavelength has shape {wavelength.shape}",
-            expected="one dim and at least 2 samples",
-            code="dims-wrong",
-        )
-    if not (np.isfinite(wavelength).all() and wavelength[0] > 0.0 and (np.diff(wavelength) > 0.0).all()):
-        raise SchemaError(
-            "wavelength is not positive, finite and increasing",
-            mend="sort it and drop duplicates",
-            code="wavelength-unordered",
-        )
+    SchemaError.raise_if(
+        wavelength.ndim != 1 or wavelength.size < 2,
+        f"wavelength has shape {wavelength.shape}",
+        expected="one dim and at least 2 samples",
+        code="dims-wrong",
+    )
+    SchemaError.raise_if(
+        not (np.isfinite(wavelength).all() and wavelength[0] > 0.0 and (np.diff(wavelength) > 0.0).all()),
+        "wavelength is not positive, finite and increasing",
+        mend="sort it and drop duplicates",
+        code="wavelength-unordered",
+    )
 
 
 def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:

@@ -820,16 +820,18 @@ def simulate_collect(
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, "scene": scene, **effects}
     )
-    if not settings.quantise:
-        raise SchemaError(
-            "quantise=False, but files need whole counts",
-            mend="use simulate_line for float32 counts in memory",
-            code="option-conflict",
-        )
-    if block_lines < 1:
-        raise SchemaError(
-            f"block_lines={block_lines}", expected="a whole number above 0", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        not settings.quantise,
+        "quantise=False, but files need whole counts",
+        mend="use simulate_line for float32 counts in memory",
+        code="option-conflict",
+    )
+    SchemaError.raise_if(
+        block_lines < 1,
+        f"block_lines={block_lines}",
+        expected="a whole number above 0",
+        code="value-out-of-range",
+    )
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     flight = flight_of(settings)
     root = _prepare(target, overwrite)
@@ -877,10 +879,12 @@ def flight_of(settings: SimulationSettings) -> Flight:
 
 
 def _prepare(root: Path, overwrite: bool) -> Path:
-    if root.exists() and not root.is_dir():
-        raise StoreError(
-            f"{root} is a file", mend="pass a folder for the simulated collect", code="folder-is-file"
-        )
+    StoreError.raise_if(
+        root.exists() and not root.is_dir(),
+        f"{root} is a file",
+        mend="pass a folder for the simulated collect",
+        code="folder-is-file",
+    )
     if root.is_dir() and any(root.iterdir()):
         if not overwrite:
             mend = "choose another folder, or replace an earlier collect with {}"

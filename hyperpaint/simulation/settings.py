@@ -587,12 +587,12 @@ class SimulationSettings(OpticsSettings):
         """
         names = {field.name for field in fields(cls)}
         unknown = sorted(set(values) - names)
-        if unknown:
-            raise SchemaError(
-                f"unknown settings {', '.join(unknown)}",
-                expected=f"some of {', '.join(sorted(names))}",
-                code="key-unknown",
-            )
+        SchemaError.raise_if(
+            unknown,
+            f"unknown settings {', '.join(unknown)}",
+            expected=f"some of {', '.join(sorted(names))}",
+            code="key-unknown",
+        )
         return cls(**values)
 
     @classmethod

@@ -150,12 +150,12 @@ class SweepSettings:
         check_fields(self, problems)
         for name in ("monochromator_fwhm_nm", "step_exposure_ms"):
             number = np.size(getattr(self, name))
-            if np.ndim(getattr(self, name)) == 1 and number != self.steps:
-                problems.add(
-                    f"{name} has {number} values",
-                    expected=f"one, or one for each of {self.steps} steps",
-                    code="length-mismatch",
-                )
+            problems.add_if(
+                np.ndim(getattr(self, name)) == 1 and number != self.steps,
+                f"{name} has {number} values",
+                expected=f"one, or one for each of {self.steps} steps",
+                code="length-mismatch",
+            )
         problems.raise_if_any()
 
     @classmethod

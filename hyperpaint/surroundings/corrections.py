@@ -244,14 +244,14 @@ def _checked(
         problems.add(
             f"corrected before: {name} is {attrs[name]!r}", mend=_MENDS[name], code="corrected-before"
         )
-    if of_body and "reflectance" in line.variables and not earlier and mirror_reflection(line) != EXCLUDED:
-        problems.add(
-            "the reflectance includes the sky mirrored by the coat, or does not declare its exclusion",
-            mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
-            f"{EXCLUDED!r} where no mirrored sky is included",
-            option="give --specular-sky",
-            code="mirrored-sky-included",
-        )
+    problems.add_if(
+        of_body and "reflectance" in line.variables and not earlier and mirror_reflection(line) != EXCLUDED,
+        "the reflectance includes the sky mirrored by the coat, or does not declare its exclusion",
+        mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
+        f"{EXCLUDED!r} where no mirrored sky is included",
+        option="give --specular-sky",
+        code="mirrored-sky-included",
+    )
     problems.raise_if_any()
     return line.assign(
         {name: convert(line[name], "1") for name in (*LEVELS, *WIDTHS) if name in line.variables}

@@ -160,21 +160,21 @@ def flag(
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     problems = Problems("the scene model belongs to another line", SchemaError)
     lines, bands, columns = cube.shape
-    if scene.segment.shape != (lines, columns):
-        problems.add(
-            f"the model has {scene.segment.shape} pixels",
-            expected=f"({lines}, {columns}) as the line",
-            code="grid-mismatch",
-        )
+    problems.add_if(
+        scene.segment.shape != (lines, columns),
+        f"the model has {scene.segment.shape} pixels",
+        expected=f"({lines}, {columns}) as the line",
+        code="grid-mismatch",
+    )
     # a lazy coordinate is not computed: only its size is compared
     wavelength = scene.wavelength if line["wavelength"].chunks is not None else line["wavelength"].values
     is_same_axis = np.array_equal(scene.wavelength, wavelength, equal_nan=True)
-    if scene.wavelength.shape != (bands,) or not is_same_axis:
-        problems.add(
-            f"the bands of the model differ from the {bands} bands of the line",
-            mend="survey the line that is flagged",
-            code="bands-differ",
-        )
+    problems.add_if(
+        scene.wavelength.shape != (bands,) or not is_same_axis,
+        f"the bands of the model differ from the {bands} bands of the line",
+        mend="survey the line that is flagged",
+        code="bands-differ",
+    )
     problems.raise_if_any()
     return _flag_lazily(line, cube, scene, limits)
 

@@ -108,13 +108,13 @@ class LightSplit:
         mean_u = np.sqrt((u**2).mean(line_dims) + fraction.var(line_dims))
         mean = fraction.mean(line_dims)
         has_value = np.isfinite(mean.values)
-        if not has_value.any():
-            raise SchemaError(
-                "'diffuse_fraction' of the line, or of its irradiance record, has no finite value",
-                mend="pass diffuse= with a measured spectrum, or 'model' where the sky was clear",
-                option="give --set diffuse=",
-                code="diffuse-fraction-empty",
-            )
+        SchemaError.raise_if(
+            not has_value.any(),
+            "'diffuse_fraction' of the line, or of its irradiance record, has no finite value",
+            mend="pass diffuse= with a measured spectrum, or 'model' where the sky was clear",
+            option="give --set diffuse=",
+            code="diffuse-fraction-empty",
+        )
         if not has_value.all():  # bands without irradiance are interpolated
             nm = self.wavelength
             mean, mean_u = (
@@ -132,13 +132,13 @@ class LightSplit:
 
     def mirrored(self) -> tuple[Floats, Floats]:
         # Return `mirrored_radiances` of a mean (band,) [1].
-        if not np.isfinite(self.zenith) and self.sky not in ("uniform", "overcast"):
-            raise SchemaError(
-                "the mirrored sky depends on the position of the sun, which is unknown",
-                mend="pass sun_zenith= [degree]",
-                option="give --sun-zenith",
-                code="sun-unknown",
-            )
+        SchemaError.raise_if(
+            not np.isfinite(self.zenith) and self.sky not in ("uniform", "overcast"),
+            "the mirrored sky depends on the position of the sun, which is unknown",
+            mend="pass sun_zenith= [degree]",
+            option="give --sun-zenith",
+            code="sun-unknown",
+        )
         if self.sky in SKIES:
             return mirrored_radiances(self.sky, self.wavelength, self.zenith)
         skies = (mirrored_radiances(sky, self.wavelength, self.zenith) for sky in ("clear", "overcast"))
@@ -246,13 +246,13 @@ def _line_split(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None
 def _declared_split(line: xr.Dataset) -> xr.Dataset:
     # Split declared by a line or a library; raise for one on the samples of the irradiance record
     dims = line["diffuse_fraction"].dims
-    if not set(dims) <= {ALONG_TRACK, SIGNATURE, BAND}:
-        raise SchemaError(
-            f"'diffuse_fraction' has dims {dims}",
-            expected=f"({ALONG_TRACK!r}, {BAND!r}) or ({BAND!r},)",
-            mend="drop it where the line has its irradiance record, from which it follows",
-            code="dims-wrong",
-        )
+    SchemaError.raise_if(
+        not set(dims) <= {ALONG_TRACK, SIGNATURE, BAND},
+        f"'diffuse_fraction' has dims {dims}",
+        expected=f"({ALONG_TRACK!r}, {BAND!r}) or ({BAND!r},)",
+        mend="drop it where the line has its irradiance record, from which it follows",
+        code="dims-wrong",
+    )
     return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
 
 
@@ -292,26 +292,28 @@ def _from_line_split(
 def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
     # Return the zenith angle of the sun [degree]: the argument, or from time and place of the line.
     if sun_zenith is not None:
-        if not 0.0 <= sun_zenith <= 90.0:
-            raise SchemaError(
-                f"sun_zenith={sun_zenith!r}", expected="0 to 90 degrees", code="value-out-of-range"
-            )
+        SchemaError.raise_if(
+            not 0.0 <= sun_zenith <= 90.0,
+            f"sun_zenith={sun_zenith!r}",
+            expected="0 to 90 degrees",
+            code="value-out-of-range",
+        )
         return float(sun_zenith)
-    if not set(SUN_FROM) <= set(line.variables):
-        raise SchemaError(
-            "the position of the sun is unknown: the line has no time, latitude and longitude",
-            mend="pass sun_zenith= [degree], or diffuse= with a measured spectrum",
-            option="give --sun-zenith",
-            code="sun-unknown",
-        )
+    SchemaError.raise_if(
+        not set(SUN_FROM) <= set(line.variables),
+        "the position of the sun is unknown: the line has no time, latitude and longitude",
+        mend="pass sun_zenith= [degree], or diffuse= with a measured spectrum",
+        option="give --sun-zenith",
+        code="sun-unknown",
+    )
     zenith, _ = solar_position(*(line[name].values for name in SUN_FROM))
-    if not np.isfinite(zenith).any():
-        raise SchemaError(
-            "time, latitude or longitude is missing on every line",
-            mend="pass sun_zenith= [degree]",
-            option="give --sun-zenith",
-            code="sun-unknown",
-        )
+    SchemaError.raise_if(
+        not np.isfinite(zenith).any(),
+        "time, latitude or longitude is missing on every line",
+        mend="pass sun_zenith= [degree]",
+        option="give --sun-zenith",
+        code="sun-unknown",
+    )
     return float(np.mean(zenith[np.isfinite(zenith)]))
 
 
@@ -378,19 +380,19 @@ def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
         )
     else:
         values = np.asarray(fraction, np.float64)
-    if values.shape != wavelength.shape:
-        raise SchemaError(
-            f"diffuse= has shape {values.shape}",
-            expected=f"one value for each of the {wavelength.size} bands, or a DataArray with a coordinate "
-            "'wavelength' [nm]",
-            code="length-mismatch",
-        )
-    if not ((values >= 0) & (values <= 1)).all():
-        raise SchemaError(
-            "diffuse= has missing values or values outside 0 to 1",
-            expected="0 to 1 in all bands",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        values.shape != wavelength.shape,
+        f"diffuse= has shape {values.shape}",
+        expected=f"one value for each of the {wavelength.size} bands, or a DataArray with a coordinate "
+        "'wavelength' [nm]",
+        code="length-mismatch",
+    )
+    SchemaError.raise_if(
+        not ((values >= 0) & (values <= 1)).all(),
+        "diffuse= has missing values or values outside 0 to 1",
+        expected="0 to 1 in all bands",
+        code="value-out-of-range",
+    )
     return values
 
 

@@ -88,18 +88,19 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
     count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
     for name in ("segment", "neighbour", "body", "paint"):
         numbers = fields.get(name, np.empty(0))
-        if not ((numbers >= -1) & (numbers < count)).all():
-            problems.add(
-                f"{name!r} refers to segments other than the {count} of the model", code="segment-unknown"
-            )
+        problems.add_if(
+            not ((numbers >= -1) & (numbers < count)).all(),
+            f"{name!r} refers to segments other than the {count} of the model",
+            code="segment-unknown",
+        )
     if "channel" in fields:
         numbers = np.unique(fields["channel"])
-        if not channels or not np.array_equal(numbers[numbers != -1], np.arange(channels)):
-            problems.add(
-                "'band_channel' is incomplete",
-                expected=f"each of the {channels} channels, and -1 for unused bands",
-                code="channel-unknown",
-            )
+        problems.add_if(
+            not channels or not np.array_equal(numbers[numbers != -1], np.arange(channels)),
+            "'band_channel' is incomplete",
+            expected=f"each of the {channels} channels, and -1 for unused bands",
+            code="channel-unknown",
+        )
     if {"neighbour", "segment"} <= fields.keys():
         cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
         if fields["neighbour"].shape[:2] != cells:

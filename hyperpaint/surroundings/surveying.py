@@ -1067,24 +1067,24 @@ def fraction_in_shadow(
 
 def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:
     problems = Problems("this line cannot be surveyed", SchemaError)
-    if not cube.size:
-        problems.add(
-            f"reflectance has shape {cube.shape}",
-            expected="at least one line, band and column",
-            code="empty-input",
-        )
+    problems.add_if(
+        not cube.size,
+        f"reflectance has shape {cube.shape}",
+        expected="at least one line, band and column",
+        code="empty-input",
+    )
     good = np.ones(wavelength.size, bool)
     if "good" in line.variables:
         if line["good"].dims != (BAND,):
             problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
         else:
             good = line["good"].values.astype(bool)
-    if not good.any():
-        problems.add(
-            f"'good' is False in all {good.size} bands",
-            mend="correct 'good', or drop it to use all bands",
-            code="good-bands-missing",
-        )
+    problems.add_if(
+        not good.any(),
+        f"'good' is False in all {good.size} bands",
+        mend="correct 'good', or drop it to use all bands",
+        code="good-bands-missing",
+    )
     missing = np.flatnonzero(good & ~np.isfinite(wavelength))
     if missing.size:
         problems.add(

@@ -308,14 +308,13 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     patterns = ("flight/*.hdr", "dark/*.hdr", "svc/*.sig", "asd_reflectance/*.asd", "regions.geojson")
     raw_files = [path for pattern in patterns for path in folder.glob(pattern)]
     foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in _DEMONSTRATION_FILES)
-    if any(CAMERA_SOFTWARE.encode() not in head_of(path, _HEAD_BYTES) for path in raw_files) or (
-        toml.exists() and not simulated
-    ):
-        raise StoreError(
-            f"{folder} holds raw files that no simulation wrote",
-            mend="choose another folder",
-            code="raw-data-present",
-        )
+    StoreError.raise_if(
+        any(CAMERA_SOFTWARE.encode() not in head_of(path, _HEAD_BYTES) for path in raw_files)
+        or (toml.exists() and not simulated),
+        f"{folder} holds raw files that no simulation wrote",
+        mend="choose another folder",
+        code="raw-data-present",
+    )
     if overwrite or (simulated and (folder / STORE).is_dir() and not foreign):
         return
     names = ", ".join(foreign[:5] or sorted(entry.name for entry in folder.iterdir())[:5])

@@ -127,12 +127,12 @@ def run_field_day(
     path = Path(collect)
     if path.is_dir():
         path = path / "collect.toml"
-        if not path.exists():
-            raise CollectError(
-                f"{path.parent} holds no collect.toml",
-                mend=f"write one with `hyperpaint init {path.parent}`",
-                code="collect-missing",
-            )
+        CollectError.raise_if(
+            not path.exists(),
+            f"{path.parent} holds no collect.toml",
+            mend=f"write one with `hyperpaint init {path.parent}`",
+            code="collect-missing",
+        )
     settings = read_collect(path)
     folder = store_of(path).parent if out is None else Path(out)
     if regions is None and (path.parent / "regions.geojson").is_file():

@@ -355,12 +355,12 @@ def _walk(folder: Path) -> Iterator[Path]:
     entries = 0
     for parent, folders, names in os.walk(folder):
         entries += len(folders) + len(names)
-        if entries > MAX_ENTRIES:
-            raise CollectError(
-                f"{folder} holds more than {MAX_ENTRIES} files",
-                mend="pass the folder of a single flight",
-                code="folder-too-large",
-            )
+        CollectError.raise_if(
+            entries > MAX_ENTRIES,
+            f"{folder} holds more than {MAX_ENTRIES} files",
+            mend="pass the folder of a single flight",
+            code="folder-too-large",
+        )
         stores = [name for name in folders if Path(name).suffix.lower() in _STORES]
         yield from (Path(parent, name) for name in sorted(stores))
         depth = len(Path(parent).relative_to(folder).parts)
@@ -397,10 +397,12 @@ def write_collect_toml(
         The file exists, is not a ``.toml``, or cannot be written.
     """
     path = files.folder / "collect.toml" if path is None else Path(path)
-    if path.exists() and path.suffix.lower() != ".toml":
-        raise StoreError(
-            f"{path} exists and is not a .toml file", mend="choose another path", code="file-foreign"
-        )
+    StoreError.raise_if(
+        path.exists() and path.suffix.lower() != ".toml",
+        f"{path} exists and is not a .toml file",
+        mend="choose another path",
+        code="file-foreign",
+    )
     publish_file(path, "\n".join(_toml_lines(files, path.parent)).encode(), overwrite=overwrite)
     return path
 
@@ -542,10 +544,12 @@ def _stem(cube: FlightCube) -> str:
 
 
 def _without_controls(text: str) -> str:
-    if any(ord(letter) < 32 for letter in text):
-        raise FormatError(
-            f"{text!r}: a file name with control characters", mend="rename it", code="name-invalid"
-        )
+    FormatError.raise_if(
+        any(ord(letter) < 32 for letter in text),
+        f"{text!r}: a file name with control characters",
+        mend="rename it",
+        code="name-invalid",
+    )
     return text
 
 

@@ -63,12 +63,12 @@ def write_calibration(
     # Raises `FormatError` or `SchemaError` as `calibrate_sweep`, or if the picture cannot be written;
     # `MissingExtraError` if the picture needs matplotlib; `StoreError` if the store cannot be written, or
     # holds other data.
-    if Path(out).resolve() == Path(sweep).resolve():
-        raise SchemaError(
-            f"{out} is the sweep itself",
-            mend="choose another path for the calibration",
-            code="output-is-input",
-        )
+    SchemaError.raise_if(
+        Path(out).resolve() == Path(sweep).resolve(),
+        f"{out} is the sweep itself",
+        mend="choose another path for the calibration",
+        code="output-is-input",
+    )
     if picture is not None:
         check_picture(Path(picture))
     calibration = calibrate_sweep(sweep, progress=progress, **options)

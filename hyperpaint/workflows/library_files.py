@@ -102,12 +102,12 @@ def write_signatures(
         data and ``overwrite`` is False.
     """
     library_path, store_path = Path(out).resolve(), Path(store).resolve()
-    if library_path == store_path or store_path in library_path.parents:
-        raise SchemaError(
-            f"{out} is in the store itself",
-            mend="choose another path for the library",
-            code="output-in-store",
-        )
+    SchemaError.raise_if(
+        library_path == store_path or store_path in library_path.parents,
+        f"{out} is in the store itself",
+        mend="choose another path for the library",
+        code="output-in-store",
+    )
     if keep:
         if options.get("exclude") is not None:
             raise SchemaError(
@@ -196,12 +196,12 @@ def _open_lines(
             datasets[str(dataset.attrs.get("name", ""))] = dataset
     for name in names if not requested or not set(requested) <= set(names) else requested:
         datasets[name] = open_store(store, f"{LINES}{name}")
-    if not datasets:
-        raise StoreError(
-            f"{store} holds no flight line",
-            expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
-            code="flightline-missing",
-        )
+    StoreError.raise_if(
+        not datasets,
+        f"{store} holds no flight line",
+        expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
+        code="flightline-missing",
+    )
     lines, flagged = {}, set()
     for name, line in datasets.items():
         # check the stored flags: computed flags would need all counts
@@ -287,13 +287,13 @@ def validate_files(
         store = Path(library).absolute().parent / str(name)
         # a plain name only: a path stored in a file must not lead out of the folder
         is_name = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
-        if not is_name or not (store / "references").is_dir():
-            raise SchemaError(
-                f"no references: the store of {library} has none, or is not beside it",
-                mend="pass references=",
-                option="pass files with --reference",
-                code="references-missing",
-            )
+        SchemaError.raise_if(
+            not is_name or not (store / "references").is_dir(),
+            f"no references: the store of {library} has none, or is not beside it",
+            mend="pass references=",
+            option="pass files with --reference",
+            code="references-missing",
+        )
         references = [store]
     return validate(signatures, open_references(references), name_pairs, panel=certificate, **options)
 

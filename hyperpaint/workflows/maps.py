@@ -111,13 +111,13 @@ def location_of(
         heights = read_heights(dem, track).assign_attrs(
             {name: value for name, value in references.items() if value is not None}
         )
-        if "height_reference" not in heights.attrs:
-            raise SchemaError(
-                f"the height reference of {dem} is unknown (most DEMs are above the geoid)",
-                mend="pass dem_heights='ellipsoid', or dem_heights='geoid' with geoid=, its height there [m]",
-                option="pass --set dem_heights=ellipsoid, or --set dem_heights=geoid with --set geoid=METRES",
-                code="height-reference-missing",
-            )
+        SchemaError.raise_if(
+            "height_reference" not in heights.attrs,
+            f"the height reference of {dem} is unknown (most DEMs are above the geoid)",
+            mend="pass dem_heights='ellipsoid', or dem_heights='geoid' with geoid=, its height there [m]",
+            option="pass --set dem_heights=ellipsoid, or --set dem_heights=geoid with --set geoid=METRES",
+            code="height-reference-missing",
+        )
         location["dem"] = heights
     if (field_of_view, focal_length_mm, pixel_pitch_um) != (None, None, None):
         location["camera"] = PinholeCamera(

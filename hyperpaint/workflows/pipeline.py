@@ -517,13 +517,13 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
             code="inputs-unrecorded",
         )
     source = Path(command[2]) if collect is None else collect
-    if not source.is_file():
-        raise StoreError(
-            f"{source}, the collect of {store}, does not exist",
-            mend="pass its present path: compare_inputs(store, collect)",
-            option="pass its present path: --collect COLLECT.toml",
-            code="file-not-found",
-        )
+    StoreError.raise_if(
+        not source.is_file(),
+        f"{source}, the collect of {store}, does not exist",
+        mend="pass its present path: compare_inputs(store, collect)",
+        option="pass its present path: --collect COLLECT.toml",
+        code="file-not-found",
+    )
     opened = opened_collect(source, need_irradiance="radiance" not in command)
     problems: list[str] = []
     blocks = 0

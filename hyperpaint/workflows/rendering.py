@@ -444,12 +444,12 @@ def run(
             # a new traced scene would not fit the renders that are kept
             stored = list_groups(out) if TRANSPORT in pending and out.exists() else []
             orphans = [name for name in stored if name.startswith(RENDERS) and name not in planned]
-            if orphans:
-                raise StoreError(
-                    f"{out} holds /{', /'.join(orphans)}, of a scene traced with other parameters",
-                    mend="render these atmospheres too, or choose another path",
-                    code="renders-outdated",
-                )
+            StoreError.raise_if(
+                orphans,
+                f"{out} holds /{', /'.join(orphans)}, of a scene traced with other parameters",
+                mend="render these atmospheres too, or choose another path",
+                code="renders-outdated",
+            )
             return {name: planned[name] for name in pending}
 
         def from_stored(name: str, turn: WholeRun) -> xr.Dataset:
@@ -525,10 +525,11 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     # which needs three visible bands; `SchemaError` if matplotlib does not write this file type.
     datasets = {group: open_store(store, group) for group in groups}
     overviews = {group: dataset["overview"] for group, dataset in datasets.items() if "overview" in dataset}
-    if not overviews:
-        raise StoreError(
-            f"{store} has no overview to draw, which needs three visible bands", code="overview-missing"
-        )
+    StoreError.raise_if(
+        not overviews,
+        f"{store} has no overview to draw, which needs three visible bands",
+        code="overview-missing",
+    )
     lines, columns = next(iter(overviews.values())).shape[:2]
     size = (_PICTURE_INCH * len(overviews), _PICTURE_INCH * min(lines / columns, 5.0) + 0.4)
     figure = new_figure("a picture", figsize=size, layout="constrained")

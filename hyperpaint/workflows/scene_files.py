@@ -243,22 +243,22 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
         bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
         trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
         triangles = float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
-        if triangles > _MAX_TRIANGLES:
-            problems.add(
-                f"[scene] would have some {triangles:.1e} triangles",
-                expected=f"at most {_MAX_TRIANGLES:.0e}",
-                mend="make it shorter or narrower, or give its trees fewer leaves",
-                code="scene-too-large",
-            )
+        problems.add_if(
+            triangles > _MAX_TRIANGLES,
+            f"[scene] would have some {triangles:.1e} triangles",
+            expected=f"at most {_MAX_TRIANGLES:.0e}",
+            mend="make it shorter or narrower, or give its trees fewer leaves",
+            code="scene-too-large",
+        )
     lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
     bands = scene_file.camera.get("bands", SimulationSettings.bands)
-    if lines * columns * bands > _MAX_VALUES:
-        problems.add(
-            f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
-            expected=f"at most {_MAX_VALUES:.0e}",
-            mend="cut the flight into several",
-            code="cube-too-large",
-        )
+    problems.add_if(
+        lines * columns * bands > _MAX_VALUES,
+        f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
+        expected=f"at most {_MAX_VALUES:.0e}",
+        mend="cut the flight into several",
+        code="cube-too-large",
+    )
     problems.raise_if_any()
     return scene_file
 
@@ -336,12 +336,12 @@ def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
                     found = f"{where} unknown key {key[:40]!r}"
                     reader.problems.add(found, mend=known, code="key-unknown")
         path = reader.path(place, "path", table.get("path"))
-        if name in names:
-            reader.problems.add(
-                f"{place} name = {name!r} is the name of another mesh",
-                mend="give each its own name",
-                code="name-duplicate",
-            )
+        reader.problems.add_if(
+            name in names,
+            f"{place} name = {name!r} is the name of another mesh",
+            mend="give each its own name",
+            code="name-duplicate",
+        )
         names.append(name)
         if path is not None:
             options = {key: value for key, value in values(table).items() if key not in ("path", "name")}
@@ -353,10 +353,12 @@ def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
     # arguments of the platform and of the camera, checked together once each is in its range
     tables = {name: reader.one(name) for name in ("platform", "camera")}
     for key in ("lines", "columns"):
-        if key not in tables["platform"]["?"]:
-            reader.problems.add(
-                f"[platform] {key} is missing", mend="state the size of the cube", code="key-missing"
-            )
+        reader.problems.add_if(
+            key not in tables["platform"]["?"],
+            f"[platform] {key} is missing",
+            mend="state the size of the cube",
+            code="key-missing",
+        )
     platform, camera = (arguments_of(SCHEMA[name], values(table)) for name, table in tables.items())
     problems, before = reader.problems, len(reader.problems)
     # the tables are compared where each of them is right
@@ -408,13 +410,13 @@ def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
     for entry in entries:
         zenith, azimuth = PRESETS.get(entry.preset or "", PRESETS["noon"])
         suns.add((entry.options.get("sun_zenith", zenith), entry.options.get("sun_azimuth", azimuth)))
-    if len(suns) > MAX_SUNS:
-        reader.problems.add(
-            f"[[atmospheres]] have {len(suns)} suns",
-            expected=f"1 to {MAX_SUNS}",
-            mend="render some of them into another store",
-            code="sun-number",
-        )
+    reader.problems.add_if(
+        len(suns) > MAX_SUNS,
+        f"[[atmospheres]] have {len(suns)} suns",
+        expected=f"1 to {MAX_SUNS}",
+        mend="render some of them into another store",
+        code="sun-number",
+    )
     return tuple(entries)
 
 

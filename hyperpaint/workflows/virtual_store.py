@@ -137,13 +137,13 @@ def virtualise(
                 with contextlib.suppress(StoreError), staging(staging_area.store):
                     pass
             return Outcome(out, (), tuple(lines))
-        if difference != _INCOMPLETE and not (overwrite and is_virtual(out)):
-            raise StoreError(
-                f"{out} exists, {difference}",
-                mend="pass overwrite=True, which replaces a virtual store, or choose another path",
-                option="pass --overwrite, which replaces a virtual store, or choose another --out",
-                code="store-exists",
-            )
+        StoreError.raise_if(
+            difference != _INCOMPLETE and not (overwrite and is_virtual(out)),
+            f"{out} exists, {difference}",
+            mend="pass overwrite=True, which replaces a virtual store, or choose another path",
+            option="pass --overwrite, which replaces a virtual store, or choose another --out",
+            code="store-exists",
+        )
     accepted = refuse_findings(opened, lines, accept, lit=True)
     apply = alignment or opened.settings.alignment
     groups = {}
@@ -207,21 +207,21 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
     local = RawFile.of(f"file://{os.path.realpath(path)}")
     if prefix is None:
         return local
-    if not path.is_relative_to(base):
-        raise StoreError(
-            f"{path} is outside {base}, the folder of which {prefix} is a copy",
-            code="file-outside-prefix",
-        )
+    StoreError.raise_if(
+        not path.is_relative_to(base),
+        f"{path} is outside {base}, the folder of which {prefix} is a copy",
+        code="file-outside-prefix",
+    )
     from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
     copy = RawFile.of(f"{prefix.rstrip('/')}/{path.relative_to(base).as_posix()}")
-    if copy.size != local.size:
-        raise StoreError(
-            f"{copy.url}: {copy.size} bytes",
-            expected=f"{local.size}, as {path}",
-            mend="copy it again",
-            code="copy-differs",
-        )
+    StoreError.raise_if(
+        copy.size != local.size,
+        f"{copy.url}: {copy.size} bytes",
+        expected=f"{local.size}, as {path}",
+        mend="copy it again",
+        code="copy-differs",
+    )
     fs, key = url_to_fs(copy.url)
     with open(path, "rb") as file:
         for start in (0, local.size // 2, max(0, local.size - _SAMPLE_BYTES)):
@@ -277,13 +277,13 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
         ]
     total = -(-count // lines)
     copied = sorted(set(range(total)) - {slab for slab, _, _ in slabs})
-    if len(copied) > max(_MIN_COPIED_SLABS, MAX_COPIED_SHARE * total):
-        raise FormatError(
-            f"{len(copied)} of {total} slabs have lost frames or span two cubes, and would be copied",
-            expected=f"at most {MAX_COPIED_SHARE:.0%}",
-            mend="process the collect instead",
-            code="slabs-copied",
-        )
+    FormatError.raise_if(
+        len(copied) > max(_MIN_COPIED_SLABS, MAX_COPIED_SHARE * total),
+        f"{len(copied)} of {total} slabs have lost frames or span two cubes, and would be copied",
+        expected=f"at most {MAX_COPIED_SHARE:.0%}",
+        mend="process the collect instead",
+        code="slabs-copied",
+    )
     cube = line["counts"].transpose(*dims)
     copies = {slab: cube[slab * lines : (slab + 1) * lines].values for slab in copied}
     attrs = {key: value for key, value in cube.attrs.items() if isinstance(value, str | int | float | list)}

@@ -113,10 +113,11 @@ def find_tie_points(
     (True, True)
     """
     lines_by_name = named_lines(lines)
-    if len(lines_by_name) < 2 or any(map(is_map, lines_by_name.values())):
-        raise SchemaError(
-            "tie points need two flight lines or more, in the geometry of the camera", code="line-number"
-        )
+    SchemaError.raise_if(
+        len(lines_by_name) < 2 or any(map(is_map, lines_by_name.values())),
+        "tie points need two flight lines or more, in the geometry of the camera",
+        code="line-number",
+    )
     lines_by_name = located_lines(lines_by_name, location)
     gsd = 2.0 * shared_grid(lines_by_name, None, None).grid.gsd if gsd is None else gsd
     shared = shared_grid(lines_by_name, gsd, None)

@@ -95,10 +95,12 @@ class Interface:
     def __post_init__(self) -> None:
         problems = Problems("the interface of a paint cannot have these values", SchemaError)
         for name, value in (("k1", self.k1), ("k2", self.k2)):
-            if not 0.0 <= value < 1.0:
-                problems.add(
-                    f"{name}={value!r}", expected="a reflectance from 0 to below 1", code="value-out-of-range"
-                )
+            problems.add_if(
+                not 0.0 <= value < 1.0,
+                f"{name}={value!r}",
+                expected="a reflectance from 0 to below 1",
+                code="value-out-of-range",
+            )
         problems.raise_if_any()
 
     def outside(self, layer: npt.ArrayLike) -> Floats:
@@ -678,12 +680,12 @@ def shade_paints(
     (['Synthetic Signal Red x 0.1', 'Synthetic Signal Red x 1'], array([0.15, 0.02], dtype=float32))
     """
     factors = np.asarray(depths, np.float64)
-    if factors.ndim != 1 or not factors.size or not ((factors > 0.0) & np.isfinite(factors)).all():
-        raise SchemaError(
-            f"depths={depths!r:.60}",
-            expected="numbers above 0, such as [0.1, 0.5, 2]",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        factors.ndim != 1 or not factors.size or not ((factors > 0.0) & np.isfinite(factors)).all(),
+        f"depths={depths!r:.60}",
+        expected="numbers above 0, such as [0.1, 0.5, 2]",
+        code="value-out-of-range",
+    )
     _require(library)
     names = [str(name) for name in library[SIGNATURE].values]
     coating, count = coating_of(library, k1, k2, mirrored), len(names)
@@ -751,12 +753,12 @@ def _checked(
     problems = Problems("paints cannot be mixed", SchemaError)
     paint_names = [str(name) for name in library[SIGNATURE].values]
     one_of(method, METHODS, "method", problems=problems)
-    if not recipes:
-        problems.add(
-            "recipes= is empty",
-            mend='pass at least one recipe, such as {"grey": {"white": 9, "black": 1}}',
-            code="empty-input",
-        )
+    problems.add_if(
+        not recipes,
+        "recipes= is empty",
+        mend='pass at least one recipe, such as {"grey": {"white": 9, "black": 1}}',
+        code="empty-input",
+    )
     shares = {}
     for name, recipe in recipes.items():
         for parent in recipe:
@@ -772,12 +774,12 @@ def _checked(
             shares[str(name)] = dict(zip(recipe, (parts / parts.sum()).tolist(), strict=True))
     for name, number in (scattering or {}).items():
         _check_name(name, "scattering", paint_names, problems)
-        if not 0.0 < number < np.inf:
-            problems.add(
-                f"scattering of {name!r} is {number!r}",
-                expected="a number above 0",
-                code="value-out-of-range",
-            )
+        problems.add_if(
+            not 0.0 < number < np.inf,
+            f"scattering of {name!r} is {number!r}",
+            expected="a number above 0",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     return shares
 

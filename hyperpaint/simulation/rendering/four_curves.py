@@ -349,12 +349,12 @@ class Atmosphere:
             direct_fraction = level / (level + sky)
         fraction = np.asarray(direct_fraction, dtype=np.float64)
         share = SKY["direct_fraction"]
-        if fraction.shape not in ((), grid.shape) or any(map(share.fault, fraction.ravel().tolist())):
-            raise SchemaError(
-                f"direct_fraction of shape {fraction.shape}",
-                expected=f"{share.expected}, or an array of such numbers of shape {grid.shape}",
-                code="value-out-of-range",
-            )
+        SchemaError.raise_if(
+            fraction.shape not in ((), grid.shape) or any(map(share.fault, fraction.ravel().tolist())),
+            f"direct_fraction of shape {fraction.shape}",
+            expected=f"{share.expected}, or an array of such numbers of shape {grid.shape}",
+            code="value-out-of-range",
+        )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
         return cls._with_haze(
@@ -554,10 +554,12 @@ def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
         times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values
         stamps = times.astype("datetime64[ns]").astype(np.int64)
         moment = moment_of(time)
-        if np.isnat(moment):
-            raise SchemaError(
-                f"time is {time!r}", expected="UTC such as '2020-06-21T17:00:15'", code="time-unreadable"
-            )
+        SchemaError.raise_if(
+            np.isnat(moment),
+            f"time is {time!r}",
+            expected="UTC such as '2020-06-21T17:00:15'",
+            code="time-unreadable",
+        )
         time_ns = moment.astype(np.int64)
         if not len(stamps) or not stamps[0] <= time_ns <= stamps[-1]:
             raise SchemaError(
@@ -592,12 +594,12 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
             except (ValueError, TypeError):
                 problems.add(f"column {heading!r} does not hold numbers", code="number-unreadable")
         shapes = sorted({array.shape for array in arrays})
-        if not problems and (len(shapes) != 1 or len(shapes[0]) != 1):
-            problems.add(
-                f"columns have shapes {shapes}",
-                expected="one dim and the same length",
-                code="length-mismatch",
-            )
+        problems.add_if(
+            not problems and (len(shapes) != 1 or len(shapes[0]) != 1),
+            f"columns have shapes {shapes}",
+            expected="one dim and the same length",
+            code="length-mismatch",
+        )
         problems.raise_if_any()
         rows = np.stack(arrays, axis=1)
     else:
@@ -629,18 +631,18 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
             except UnitsError as error:
                 problems.add_error(f"column {name!r}", error)
     absent = [name for name in _REQUIRED if name not in factors]
-    if absent and not problems:
-        problems.add(
-            f"column {' and '.join(absent)} is missing",
-            expected=", ".join(_REQUIRED),
-            code="column-missing",
-        )
-    if ("extinction" in factors) != ("path_radiance" in factors):
-        problems.add(
-            "only one of extinction and path_radiance is present",
-            mend="add the other, or remove it",
-            code="column-missing",
-        )
+    problems.add_if(
+        absent and not problems,
+        f"column {' and '.join(absent)} is missing",
+        expected=", ".join(_REQUIRED),
+        code="column-missing",
+    )
+    problems.add_if(
+        ("extinction" in factors) != ("path_radiance" in factors),
+        "only one of extinction and path_radiance is present",
+        mend="add the other, or remove it",
+        code="column-missing",
+    )
     problems.raise_if_any()
     curves = {name: rows[:, column] * factor for name, (column, factor) in factors.items()}
     check_curves(problems, curves)

@@ -163,10 +163,12 @@ class Material:
         problems = Problems(f"material {self.name!r} cannot be made", SchemaError)
         if not self.name:
             problems.add("name is empty", code="argument-missing")
-        if not self.spectrum:
-            problems.add(
-                "spectrum is empty", expected="the name of a reflectance spectrum", code="argument-missing"
-            )
+        problems.add_if(
+            not self.spectrum,
+            "spectrum is empty",
+            expected="the name of a reflectance spectrum",
+            code="argument-missing",
+        )
         one_of(self.kind, KINDS, "kind", problems=problems)
         if self.flakes is not None and self.coat is None:
             problems.add("flakes without a coat", mend="pass coat=Coat()", code="coat-missing")
@@ -319,12 +321,12 @@ def measured_factor(
             code="value-out-of-range",
         )
     if specular_included:
-        if geometry == "0/45":
-            raise SchemaError(
-                "a 0/45 measurement does not contain the mirror reflection",
-                mend="leave specular_included out",
-                code="option-conflict",
-            )
+        SchemaError.raise_if(
+            geometry == "0/45",
+            "a 0/45 measurement does not contain the mirror reflection",
+            mend="leave specular_included out",
+            code="option-conflict",
+        )
         measured = measured - (0.0 if index is None else float(fresnel_reflectance(1.0, index)))
     double_transmittance = 1.0 if index is None else _through_interface(index, geometry)
     returned = 0.0 if index is None else internal_reflectance(index)
@@ -483,13 +485,13 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
     """
     low, high = 0.0, 1.0
     max_gloss, min_gloss = (gloss_units(Coat(index, alpha, waviness)) for alpha in (low, high))
-    if not min_gloss < gloss <= max_gloss:
-        raise SchemaError(
-            f"gloss is {gloss} units",
-            expected=f"{min_gloss:.1f} to {max_gloss:.1f} for index {index} and waviness {waviness} degrees",
-            mend="raise the index for more gloss",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        not min_gloss < gloss <= max_gloss,
+        f"gloss is {gloss} units",
+        expected=f"{min_gloss:.1f} to {max_gloss:.1f} for index {index} and waviness {waviness} degrees",
+        mend="raise the index for more gloss",
+        code="value-out-of-range",
+    )
     for _ in range(30):
         alpha = 0.5 * (low + high)
         low, high = (alpha, high) if gloss_units(Coat(index, alpha, waviness)) > gloss else (low, alpha)

@@ -1060,16 +1060,17 @@ def relight(
     problems.raise_if_any()
     if variation is not None and not isinstance(variation, BrokenClouds):
         variation = np.ascontiguousarray(variation, np.float64)
-        if variation.shape != (2, lines):
-            raise SchemaError(
-                f"variation has shape {variation.shape}",
-                expected=f"(2, along_track) = (2, {lines})",
-                code="dims-wrong",
-            )
-        if not np.isfinite(variation).all() or (variation < 0).any():
-            raise SchemaError(
-                "variation has factors that are negative or not finite", code="value-out-of-range"
-            )
+        SchemaError.raise_if(
+            variation.shape != (2, lines),
+            f"variation has shape {variation.shape}",
+            expected=f"(2, along_track) = (2, {lines})",
+            code="dims-wrong",
+        )
+        SchemaError.raise_if(
+            not np.isfinite(variation).all() or (variation < 0).any(),
+            "variation has factors that are negative or not finite",
+            code="value-out-of-range",
+        )
     painted = factor_spectra(record, camera, paints, spectra, clip=clip, hold_edges=hold_edges)
     sun = traced_sun(sky, settings)
     # light and camera are a node of the dask graph, shared by all tasks
@@ -1293,13 +1294,13 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
             mend="trace the scene with this sun as well",
             code="sun-not-traced",
         )
-    if atmosphere.overcast_share > 0 and atmosphere.sky.any() and not settings.overcast:
-        raise SchemaError(
-            f"atmosphere {atmosphere.name!r} has an overcast share of {atmosphere.overcast_share:.3g}, "
-            "but no overcast sky was traced",
-            mend="trace the scene with overcast=True",
-            code="sky-not-traced",
-        )
+    SchemaError.raise_if(
+        atmosphere.overcast_share > 0 and atmosphere.sky.any() and not settings.overcast,
+        f"atmosphere {atmosphere.name!r} has an overcast share of {atmosphere.overcast_share:.3g}, "
+        "but no overcast sky was traced",
+        mend="trace the scene with overcast=True",
+        code="sky-not-traced",
+    )
     if has_clear_sky and not settings.clear:
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has a clear sky, but no clear sky was traced",

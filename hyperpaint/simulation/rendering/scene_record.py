@@ -177,13 +177,13 @@ class SceneRecord:
         SchemaError
             Attributes are missing or damaged; all are listed.
         """
-        if "factors" in attrs and attrs.get("source_bits", 3) != SOURCE_BITS:
-            raise SchemaError(
-                "the scene was traced by an older hyperpaint, with 3 bits for the source of a path",
-                expected=f"{SOURCE_BITS} bits",
-                mend="trace the scene again",
-                code="trace-outdated",
-            )
+        SchemaError.raise_if(
+            "factors" in attrs and attrs.get("source_bits", 3) != SOURCE_BITS,
+            "the scene was traced by an older hyperpaint, with 3 bits for the source of a path",
+            expected=f"{SOURCE_BITS} bits",
+            mend="trace the scene again",
+            code="trace-outdated",
+        )
         problems = Problems("not a dataset from hyperpaint.simulation.trace", SchemaError)
         texts: dict[str, list[Any]] = {}
         for name in ("materials", "instances", "factors", "suns"):

@@ -757,10 +757,12 @@ def generate_paint(family: str, number: int) -> PaintSpec:
     array([0.02, 0.29])
     """
     one_of(family, FAMILIES, "family")
-    if not 0 <= number < 10**9:
-        raise SchemaError(
-            f"the number of a paint is {number!r}", expected="0 to 999999999", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        not 0 <= number < 10**9,
+        f"the number of a paint is {number!r}",
+        expected="0 to 999999999",
+        code="value-out-of-range",
+    )
     rng = np.random.default_rng([FAMILIES.index(family), number])
     hue = str(rng.choice(list(HUES)))
     adjective = str(rng.choice(_ADJECTIVES))
