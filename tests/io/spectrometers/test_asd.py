@@ -11,6 +11,7 @@ import pytest
 from support.refusals import expect_errors, expect_refusals
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.io.spectrometers import asd
 from hyperpaint.io.spectrometers.asd import Cursor, open_asd, read_asd, read_asd_text, sniff
 
 GRID = np.arange(350.0, 1051.0)
@@ -600,6 +601,18 @@ def test_guessed_quantity_is_said(tmp_path):
 )
 def test_damaged_exports(tmp_path, text, problem):
     expect_errors((FormatError, problem, lambda: read(tmp_path, text)))
+
+
+def test_the_text_of_a_spectrometer_is_a_row(tmp_path, monkeypatch):
+    heading = re.compile(r"nm;", re.IGNORECASE)
+    row = asd.Export("AvaSpec", heading, {"integration_ms": (r"t = (\d+) ms", lambda match: float(match[1]))})
+    path = tmp_path / "door.txt"
+    path.write_text("Serial 1904\nt = 12 ms\nnm;door\n550;0,25\n551;0,5\n")
+    expect_refusals((FormatError, "format-unknown", lambda: read_asd_text(path)))
+    monkeypatch.setattr(asd, "EXPORTS", (*asd.EXPORTS, row))
+    opened = open_asd(path, "reflectance")
+    assert opened["reflectance"].values.tolist() == [[0.25, 0.5]]
+    assert (opened.attrs["instrument"], read_asd_text(path).preamble["integration_ms"]) == ("AvaSpec", 12.0)
 
 
 def test_sniffing(tmp_path):
