@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 #: Four times the exposure of noon for a quarter of its light; noise, twelve bits, smile and clocks as always.
 OVERCAST: dict[str, Any] = {
-    "scene": "rendered", "lines": 200, "columns": 320, "bands": 90, "seed": 5, "samples": 48,
+    "scene": "rendered", "lines": 200, "columns": 320, "bands": 60, "seed": 5, "samples": 24,
     "sky": "overcast", "coat": False, "neighbours": False, "exposure_time_ms": 20.0, "frame_period_ms": 25.0,
     "dropped": 2, "fleet": "solid",
 }  # fmt: skip

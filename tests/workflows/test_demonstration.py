@@ -15,6 +15,7 @@ import hyperpaint as hp
 from hyperpaint.simulation.rendering.scene_spectra import paint_spec
 from hyperpaint.workflows import demonstration
 from hyperpaint.workflows.demonstration import (
+    PaintAgreement,
     compare,
     compare_paints,
     refuse_foreign,
@@ -113,6 +114,8 @@ def test_a_wrong_chain_is_outside_tolerance(
         "demo", "--out", tmp_path / "again", "--scene", "plan", "--lines", "8", "--bands", "8", status=1
     )
     assert "OUTSIDE TOLERANCE" in done.stdout
+    # a plan has no signatures
+    assert compare(tmp_path / "again" / "lot.zarr", tmp_path / "again" / "truth.zarr").paints == ()
 
 
 def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> None:
@@ -163,8 +166,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def test_signatures_agree_with_a_plain_computation(folder: Path) -> None:
-    found = {one.paint: one for one in compare_paints(folder / "lot.zarr", folder / "truth.zarr", BANDS)}
+@pytest.fixture(scope="module")
+def paints(folder: Path) -> tuple[PaintAgreement, ...]:
+    return compare_paints(folder / "lot.zarr", folder / "truth.zarr", BANDS)
+
+
+def test_signatures_agree_with_a_plain_computation(folder: Path, paints: tuple[PaintAgreement, ...]) -> None:
+    found = {one.paint: one for one in paints}
     assert len(found) >= 4
     truth = xr.open_zarr(folder / "truth.zarr").load()
     names = truth["paint_id"].attrs["flag_meanings"].split()
@@ -195,9 +203,9 @@ def test_signatures_agree_with_a_plain_computation(folder: Path) -> None:
         assert one.field == pytest.approx(wanted, rel=1e-9)
 
 
-def test_field_spectra_and_scene_show_the_same_paints(folder: Path) -> None:
+def test_field_spectra_and_scene_show_the_same_paints(paints: tuple[PaintAgreement, ...]) -> None:
     # What the ASD saw and what roofs show differ by sky and slope; flakes shine towards the sun
-    for one in compare_paints(folder / "lot.zarr", folder / "truth.zarr", BANDS):
+    for one in paints:
         solid = paint_spec(one.paint).finish == "solid"
         if one.pixels > 20:
             assert 0.75 * one.field < one.recovered < one.field + (0.06 if solid else 0.2), one.paint
@@ -221,16 +229,10 @@ def test_a_wrong_chain_shows_in_the_signatures(
     assert "signature of" in found.problems[-1]
 
 
-def test_table(folder: Path) -> None:
-    found = compare_paints(folder / "lot.zarr", folder / "truth.zarr", BANDS)
-    table = signature_table(found).splitlines()[: len(found) + 2]
+def test_table(paints: tuple[PaintAgreement, ...]) -> None:
+    table = signature_table(paints).splitlines()[: len(paints) + 2]
     assert (len({len(line) for line in table}), [line.split()[0] for line in table[2:]]) == (
         1,
-        sorted(one.paint for one in found),
+        sorted(one.paint for one in paints),
     )
-    assert "ASD" in signature_table(found)
-
-
-def test_a_plan_has_no_signatures(tmp_path: Path) -> None:
-    collect = hp.simulate_collect(tmp_path, scene="plan", lines=8, bands=12, columns=8)
-    assert compare(hp.process(collect, tmp_path / "lot.zarr"), tmp_path / "truth.zarr").paints == ()
+    assert "ASD" in signature_table(paints)

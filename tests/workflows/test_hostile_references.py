@@ -35,7 +35,7 @@ def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # Return a folder with a copy of all that `home` holds at first
     master = tmp_path_factory.mktemp("master")
     home = master / "place" / "home"
-    hp.simulate_collect(home / "day", scene="plan", lines=160, bands=6, columns=10)
+    hp.simulate_collect(home / "day", scene="plan", lines=160, bands=6, columns=10, truth=False)
     with contextlib.suppress(MissingExtraError):
         virtualise(home / "day" / "collect.toml", home / "lot.icechunk")
     (home.parent / "secret").write_bytes(SECRET)

@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 from support.commands import hyperpaint
 from support.refusals import expect_error, expect_errors, expect_words
-from support.tiny_collects import tiny_collect
+from support.tiny_collects import tiny_collect, without_references
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
@@ -111,11 +111,12 @@ def test_a_collect_becomes_one_group_a_line_and_the_archives(source: Path, store
 
 
 @pytest.mark.slow
-def test_rerun_keeps_what_is_current_and_refuses_other_inputs(collect: Path, tmp_path: Path) -> None:
-    out, text = tmp_path / "lot.zarr", collect.read_text()
-    first, before = run(collect, out), state_of(tmp_path)
-    second = run(collect, out)
-    assert (set(second.unchanged), second.written, state_of(tmp_path)) == (set(first.written), (), before)
+def test_rerun_keeps_what_is_current_and_refuses_other_inputs(
+    collect: Path, store: Path, tmp_path: Path
+) -> None:
+    out, text = shutil.copytree(store, tmp_path / "lot.zarr"), collect.read_text()
+    before, again = state_of(tmp_path), run(collect, out)
+    assert (set(again.unchanged), again.written, state_of(tmp_path)) == (set(list_groups(store)), (), before)
     # lines of another collect are never mixed in
     collect.write_text(text.replace('id = "raw_0"', 'id = "other"'))
     expect_error(hp.StoreError, r"raw_0,.*group-foreign", lambda: hp.process(collect, out, overwrite=True))
@@ -133,19 +134,6 @@ def test_rerun_keeps_what_is_current_and_refuses_other_inputs(collect: Path, tmp
     expect_error(hp.StoreError, r"raw_0 .*store-exists", lambda: hp.process(collect, out))
 
 
-@pytest.mark.slow
-def test_rerun_writes_only_what_is_missing(collect: Path, tmp_path: Path) -> None:
-    out, text = tmp_path / "lot.zarr", collect.read_text()
-    collect.write_text(text[: text.rindex("[[flightlines]]")] + text[text.index("[[references]]") :])
-    run(collect, out)
-    before = state_of(out / "flightlines" / "raw_0")
-    collect.write_text(text)
-    (written,) = run(collect, out).written
-    assert written.startswith("flightlines/")
-    assert state_of(out / "flightlines" / "raw_0") == before
-    assert hp.verify(out).ok
-
-
 def test_radiance_needs_no_irradiance(collect: Path, tmp_path: Path) -> None:
     text = collect.read_text()
     collect.write_text(text[: text.index("[irradiance]")] + text[text.index("[[flightlines]]") :])
@@ -159,7 +147,12 @@ def test_radiance_needs_no_irradiance(collect: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_reflectance_need_not_be_stored(collect: Path, store: Path, tmp_path: Path) -> None:
-    out = hp.process(collect, tmp_path / "small.zarr", reflectance="none")
+    # where a run was killed at its first metadata
+    out = tmp_path / "small.zarr"
+    out.mkdir()
+    (out / ".zarr.json.4711").write_text("{")
+    assert len(run(collect, out, reflectance="none").written) == 6
+    assert not (out / ".zarr.json.4711").exists()
     for line, whole in zip(lines_of(out), lines_of(store), strict=True):
         assert "reflectance" not in line
         assert_same(line, whole, "quality", "overview")
@@ -183,7 +176,7 @@ def test_values_that_cannot_be_are_found_before_writing(
 def test_a_store_may_be_laid_out_for_looking(
     collect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = hp.process(collect, tmp_path / "lot.zarr", layout="explore", progress=True)
+    out = hp.process(without_references(collect), tmp_path / "lot.zarr", layout="explore", progress=True)
     shown = capsys.readouterr()
     assert shown.out == ""
     assert re.match(r"flightlines/raw_0: flight line 1 of 2, \d+ scan lines\n", shown.err)
@@ -222,10 +215,11 @@ def test_what_is_refused(source: Path, tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     options = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "dashboard_address": ":0"}
+    without_references(collect)
     with distributed.LocalCluster(**options) as cluster:
         found = run(collect, tmp_path / "lot.zarr", scheduler=cluster.scheduler_address)
         again = run(collect, tmp_path / "lot.zarr")
-    assert (len(found.written), again.written) == (6, ())
+    assert (len(found.written), again.written) == (4, ())
     for line, expected in zip(lines_of(found.path), lines_of(store), strict=True):
         assert_same(line, expected, "counts", "reflectance", "quality", "overview")
 
@@ -262,11 +256,6 @@ def test_damaged_groups_and_roots_are_made_again(source: Path, store: Path, tmp_
     expect_error(hp.StoreError, "metadata-damaged", lambda: run(toml, out))
     assert run(toml, out, overwrite=True).written == ()
     assert hp.verify(out).ok
-    # a run that was killed at its first metadata
-    (tmp_path / "killed.zarr").mkdir()
-    (tmp_path / "killed.zarr" / ".zarr.json.4711").write_text("{")
-    assert len(run(toml, tmp_path / "killed.zarr", reflectance="none").written) == 6
-    assert not (tmp_path / "killed.zarr" / ".zarr.json.4711").exists()
 
 
 # --- `process` again: unchanged groups stay, inputs are compared ---
@@ -277,6 +266,17 @@ LINES = ("flightlines/raw_0", "flightlines/raw_1")
 @pytest.fixture
 def tiny(tmp_path: Path) -> Path:
     return tiny_collect(tmp_path / "raw", 2)
+
+
+def test_rerun_writes_only_what_is_missing(tiny: Path, tmp_path: Path) -> None:
+    out, text = tmp_path / "lot.zarr", tiny.read_text()
+    tiny.write_text(text[: text.rindex("[[flightlines]]")])
+    assert process(tiny, out).written == (LINES[0],)
+    before = state_of(out / LINES[0])
+    tiny.write_text(text)
+    assert process(tiny, out).written == (LINES[1],)
+    assert state_of(out / LINES[0]) == before
+    assert hp.verify(out).ok
 
 
 @pytest.fixture
@@ -460,7 +460,7 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder, lines=24, columns=32, scene="plan", seed=71, irradiance_fwhm_nm=4.0, noise=False
     )
     path.write_text(path.read_text().replace("fwhm_nm = 4.0", "fwhm_nm = 3.0"))
-    return path
+    return without_references(path)
 
 
 def copy_of(collect: Path, folder: Path, table: str) -> Path:

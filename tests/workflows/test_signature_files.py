@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 from support.commands import hyperpaint
 from support.refusals import expect_error, expect_refusals, expect_words
+from support.tiny_collects import without_references
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError, StoreError
@@ -31,7 +32,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     collect = hp.simulate_collect(
         folder / "raw", lines=32, bands=24, columns=16, cubes=2, scene="plan", truth=False
     )
-    return hp.process(collect, folder / "lot.zarr")
+    return hp.process(without_references(collect), folder / "lot.zarr")
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +75,10 @@ def test_command_again(store: Path, drawn: Path, tmp_path: Path) -> None:
     assert xr.open_zarr(out).attrs["created"] == before
     smoothed = partial(call, "--smooth", "box", "--window", 5)
     assert "pass --overwrite to replace it" in smoothed(status=2).stderr
-    smoothed("--overwrite", status=0)
-    assert xr.open_zarr(out).attrs["smoothing"] == "box, 5 bands"
+    smoothed("--overwrite", "--specular-sky", status=0)
+    attrs = xr.open_zarr(out).attrs
+    assert attrs["smoothing"] == "box, 5 bands"
+    assert attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")
 
 
 def test_regions_without_a_flight_line(store: Path, tmp_path: Path) -> None:
@@ -141,20 +144,23 @@ def test_flags_are_kept_or_excluded(store: Path, drawn: Path, tmp_path: Path) ->
     assert write(tmp_path / "m.zarr", exclude=hp.Quality.SHADOW).attrs["exclude"] == "shadow"
 
 
-def test_command_without_the_mirrored_sky(store: Path, drawn: Path, tmp_path: Path) -> None:
-    out = tmp_path / "l.zarr"
-    signatures(store, "--regions", drawn, "--out", out, "--specular-sky", status=0)
-    assert xr.open_zarr(out).attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")
-
-
 # --- What a collect.toml says of its light sensor and its panels reaches the reflectance ---
 
 
 @pytest.fixture
 def collect(tmp_path: Path) -> Path:
     effects: dict[str, Any] = {"wobble": "rough", "irradiance_interval_s": 1, "clock_offset_s": 0.0}
-    return hp.simulate_collect(
-        tmp_path / "collect", scene="plan", lines=600, bands=24, columns=28, seed=17, **effects
+    return without_references(
+        hp.simulate_collect(
+            tmp_path / "collect",
+            scene="plan",
+            lines=600,
+            bands=6,
+            columns=10,
+            seed=17,
+            truth=False,
+            **effects,
+        )
     )
 
 
@@ -200,7 +206,9 @@ PANEL = "\n[[panels]]\nline = 'raw_0'\nalong_track = [7, 11]\ncross_track = [44,
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("panels") / "collect"
-    return hp.simulate_collect(folder, scene="plan", lines=60, bands=24, columns=80, seed=17)
+    return without_references(
+        hp.simulate_collect(folder, scene="plan", lines=60, bands=24, columns=80, seed=17, truth=False)
+    )
 
 
 def with_panels(flown: Path, text: str) -> Path:
@@ -278,7 +286,9 @@ def test_an_attribute_that_declares_no_panels(flown: Path) -> None:
 def too_bright(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # Return a flight whose calibration's gain is 8 % too high
     folder = tmp_path_factory.mktemp("gain") / "collect"
-    collect = hp.simulate_collect(folder, scene="plan", lines=60, bands=24, columns=80, seed=23)
+    collect = without_references(
+        hp.simulate_collect(folder, scene="plan", lines=60, bands=24, columns=80, seed=23)
+    )
     calibration = xr.open_zarr(folder / "calibration.zarr").load()
     calibration["radiance_gain"] = calibration.radiance_gain * np.float32(1.08)
     hp.to_store(calibration, folder / "calibration.zarr", overwrite=True)
@@ -294,16 +304,17 @@ def signatures_of(store: Path, regions: Path, *words: str) -> xr.Dataset:
 
 @NO_ATTITUDE
 @pytest.mark.slow
-@pytest.mark.parametrize("kept", ["stored", "none"])
-def test_signatures_have_the_scale_of_a_declared_panel(too_bright: Path, tmp_path: Path, kept: Any) -> None:
+def test_signatures_have_the_scale_of_a_declared_panel(too_bright: Path, tmp_path: Path) -> None:
     regions = too_bright.parent / "regions.geojson"
     truth = xr.open_zarr(too_bright.parent / "truth.zarr")
     entry = PANEL + "reflectance = 0.5\nuncertainty = 0.02\n"
-    departures = []
-    for name, collect in (("plain", too_bright), ("scaled", with_panels(too_bright, entry))):
+    departures, scaled, stores = [], with_panels(too_bright, entry), list[Path]()
+    runs: list[tuple[Path, Any]] = [(too_bright, "stored"), (scaled, "stored"), (scaled, "none")]
+    for number, (collect, kept) in enumerate(runs):
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "the panel at lines .* measures", PaintWarning)
-            store = hp.process(collect, tmp_path / f"{name}.zarr", reflectance=kept)
+            store = hp.process(collect, tmp_path / f"{number}.zarr", reflectance=kept)
+        stores.append(store)
         paints = signatures_of(store, regions)
         drawn = hp.regions.regions_from(regions)
         expected = [
@@ -315,12 +326,13 @@ def test_signatures_have_the_scale_of_a_declared_panel(too_bright: Path, tmp_pat
         ]
         ratio = paints.reflectance / xr.concat(expected, "signature").values
         departures.append(float(ratio.median()) - 1.0)
-    np.testing.assert_allclose(departures, [0.08, 0.0], atol=0.01)
-    line = hp.open_store(store, "flightlines/raw_0")
-    again = hp.reflectance(line, uncertainty=True)
-    np.testing.assert_allclose(again.panel_scale_u, line.panel_scale_u)
-    assert "panel" in again.reflectance_u_systematic.attrs["components"]
-    # a crop without the panel has its scale as well
-    crop = hp.reflectance(line.isel(along_track=slice(30, 40), cross_track=slice(0, 20)))
-    expected_crop = again.reflectance.isel(along_track=slice(30, 40), cross_track=slice(0, 20))
-    np.testing.assert_array_equal(crop.reflectance, expected_crop)
+    np.testing.assert_allclose(departures, [0.08, 0.0, 0.0], atol=0.01)
+    for store in stores[1:]:
+        line = hp.open_store(store, "flightlines/raw_0")
+        again = hp.reflectance(line, uncertainty=True)
+        np.testing.assert_allclose(again.panel_scale_u, line.panel_scale_u)
+        assert "panel" in again.reflectance_u_systematic.attrs["components"]
+        # a crop without the panel has its scale as well
+        crop = hp.reflectance(line.isel(along_track=slice(30, 40), cross_track=slice(0, 20)))
+        expected_crop = again.reflectance.isel(along_track=slice(30, 40), cross_track=slice(0, 20))
+        np.testing.assert_array_equal(crop.reflectance, expected_crop)

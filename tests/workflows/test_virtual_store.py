@@ -17,6 +17,7 @@ import pytest
 import xarray as xr
 from support.commands import hyperpaint
 from support.refusals import expect_error, expect_errors, expect_refusals, expect_words
+from support.tiny_collects import without_references
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, StoreError
@@ -33,7 +34,9 @@ GROUP = "flightlines/raw_0"
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("day")
-    return hp.simulate_collect(folder / "flight 1", scene="plan", lines=LINES, bands=6, columns=10)
+    return without_references(
+        hp.simulate_collect(folder / "flight 1", scene="plan", lines=LINES, bands=6, columns=10, truth=False)
+    )
 
 
 @pytest.fixture(scope="module")
