@@ -45,7 +45,7 @@ def test_a_map_as_store_and_as_geotiff(store: Path) -> None:
 def test_what_is_wrong_is_said(store: Path) -> None:
     inside = (store, store / "map.tif", store / "flightlines" / "map.zarr")
     for options, refusal in (
-        (("--out", "map.png"), "ends in .tif or .zarr"),
+        (("--out", "map.png"), "ends in .tif, .tiff or .zarr"),
         (("--line", "raw_9", "--out", "map.zarr"), "no flight line 'raw_9'"),
         *((("--out", place, "--overwrite"), "in the store itself") for place in inside),
     ):
@@ -162,7 +162,7 @@ def test_a_mosaic_as_store_and_as_geotiff(store_mosaic: Path) -> None:
 
 def test_what_is_wrong_is_said_mosaic(store_mosaic: Path) -> None:
     for options, reason in (
-        (["--out", "map.png"], "ends in .tif or .zarr"),
+        (["--out", "map.png"], "ends in .tif, .tiff or .zarr"),
         (["--line", "raw_9", "--out", "map.zarr"], "no raw_9"),
         (["--out", str(store_mosaic), "--overwrite"], "in the store itself"),
         (["--out", str(store_mosaic / "map.tif")], "in the store itself"),
@@ -170,6 +170,6 @@ def test_what_is_wrong_is_said_mosaic(store_mosaic: Path) -> None:
             ["--out", "map.tif", "--seamlines", str(store_mosaic / "zarr.json"), "--overwrite"],
             "in the store itself",
         ),
-        (["--out", str(store_mosaic.parent), "--overwrite"], "ends in .tif or .zarr"),
+        (["--out", str(store_mosaic.parent), "--overwrite"], "ends in .tif, .tiff or .zarr"),
     ):
         assert reason in hyperpaint("mosaic", store_mosaic, *options, status=2).output
