@@ -24,19 +24,12 @@ def split_outputs(
     outputs: Mapping[Key, tuple[str, npt.DTypeLike]],
     sizes: Mapping[str, int] | None = None,
 ) -> dict[Key, da.Array]:
-    """Return every output of the blocks as a lazy array.
-
-    Parameters
-    ----------
-    blocks
-        dtype object; each block is the mapping or the tuple of arrays that a task returns.
-    dims
-        Index of the blocks, one letter per dim. An output may lack dims along which there is a single block.
-    outputs
-        Index and dtype of each output, by its key in the mapping or its position in the tuple.
-    sizes
-        Length of the dims of outputs that ``blocks`` lacks.
-    """
+    # Return every output of the blocks as a lazy array.
+    #
+    # ``blocks``: dtype object; each block is the mapping or the tuple of arrays that a task returns.
+    # ``dims``: Index of the blocks, one letter per dim. An output may lack dims along which there is a single
+    # block. ``outputs``: Index and dtype of each output, by its key in the mapping or its position in the
+    # tuple. ``sizes``: Length of the dims of outputs that ``blocks`` lacks.
     return {
         key: da.blockwise(
             _pick, index, blocks, dims, key=key, concatenate=False, dtype=np.dtype(dtype),

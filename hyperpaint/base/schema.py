@@ -194,13 +194,9 @@ def flag_shares(quality: np.ndarray[Any, Any]) -> dict[Quality, float]:
 
 
 def flags_named(names: Iterable[str]) -> list[Quality]:
-    """Return flags by their names, in any case.
-
-    Raises
-    ------
-    SchemaError
-        There is no such flag; all unknown names are listed.
-    """
+    # Return flags by their names, in any case.
+    #
+    # Raises `SchemaError`: There is no such flag; all unknown names are listed.
     by_name = dict(zip(flag_names(), Quality, strict=True))
     names = list(names)
     if unknown := [name for name in names if name.lower() not in by_name]:
@@ -213,25 +209,17 @@ def flags_named(names: Iterable[str]) -> list[Quality]:
 
 
 def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = None) -> xr.Dataset:
-    """Return ``dataset`` with its dims named by role: ``along_track``, ``band``, ``cross_track``.
-
-    Quantities become numbers (`hyperpaint.base.units.plain`), and coordinates along one dim are converted to
-    the units of the table. Side effects of `where` and `concat` are undone: dims that they added to variables
-    which do not vary along them, and flags that became floats.
-
-    Parameters
-    ----------
-    dataset
-        Any dataset with a cube.
-    dims
-        Role to dim name, for names that `DIM_ALIASES` does not know.
-
-    Raises
-    ------
-    SchemaError
-        ``dims`` names a role or a dim that does not exist; a dim of the cube has size 0; or arrays are of
-        cubed or cupy.
-    """
+    # Return ``dataset`` with its dims named by role: ``along_track``, ``band``, ``cross_track``.
+    #
+    # Quantities become numbers (`hyperpaint.base.units.plain`), and coordinates along one dim are converted
+    # to the units of the table. Side effects of `where` and `concat` are undone: dims that they added to
+    # variables which do not vary along them, and flags that became floats.
+    #
+    # ``dataset``: Any dataset with a cube. ``dims``: Role to dim name, for names that `DIM_ALIASES` does not
+    # know.
+    #
+    # Raises `SchemaError`: ``dims`` names a role or a dim that does not exist; a dim of the cube has size 0;
+    # or arrays are of cubed or cupy.
     # arrays of other packages look like numpy's or dask's; none of the packages is imported here
     for array_name, variable in dataset.variables.items():
         data = variable._data
@@ -491,26 +479,16 @@ def label(array: xr.DataArray, name: str, **extra: Any) -> xr.DataArray:
 def require(
     dataset: xr.Dataset, names: Iterable[str], purpose: str, table: Mapping[str, Variable] = VARIABLES
 ) -> dict[str, xr.DataArray]:
-    """Return the named variables, in the units and dim order of the table.
-
-    Reads dims, dtypes and attributes only, never values.
-
-    Parameters
-    ----------
-    dataset
-        Holds the variables.
-    names
-        Rows of the table that are needed.
-    purpose
-        Product that cannot be computed without them; opens the message.
-    table
-        `VARIABLES`, `SWEEP_VARIABLES` for a lab sweep, or `LIBRARY_VARIABLES` for a paint library.
-
-    Raises
-    ------
-    SchemaError
-        Variables are missing, or have dims or units that the table does not allow; all are listed.
-    """
+    # Return the named variables, in the units and dim order of the table.
+    #
+    # Reads dims, dtypes and attributes only, never values.
+    #
+    # ``dataset``: Holds the variables. ``names``: Rows of the table that are needed. ``purpose``: Product
+    # that cannot be computed without them; opens the message. ``table``: `VARIABLES`, `SWEEP_VARIABLES` for a
+    # lab sweep, or `LIBRARY_VARIABLES` for a paint library.
+    #
+    # Raises `SchemaError`: Variables are missing, or have dims or units that the table does not allow; all
+    # are listed.
     arrays, faults = find(dataset, names, table)
     if faults:
         raise SchemaError(f"cannot compute {purpose}", problems=faults)

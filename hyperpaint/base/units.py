@@ -452,16 +452,10 @@ def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
 
 
 def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -> xr.Dataset:
-    """Return ``dataset`` with its data variables as pint Quantities of a registry, hyperpaint's by default.
-
-    Raises
-    ------
-    MissingExtraError
-        pint-xarray is not installed.
-    UnitsError
-        Units cannot be read, carry a scale, which the unit of a Quantity cannot, or are unknown to the
-        registry; all are listed.
-    """
+    # Return ``dataset`` with its data variables as pint Quantities of a registry, hyperpaint's by default.
+    #
+    # Raises `MissingExtraError`: pint-xarray is not installed. Raises `UnitsError`: Units cannot be read,
+    # carry a scale, which the unit of a Quantity cannot, or are unknown to the registry; all are listed.
     with needs_extra("pint-xarray", "units", "a Quantity view"):
         import pint_xarray  # noqa: F401
 

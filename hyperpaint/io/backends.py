@@ -56,26 +56,15 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         keep_whole_lines: bool = False,
         quantity: str | None = None,
     ) -> xr.Dataset:
-        """Open an ENVI cube lazily.
-
-        Parameters
-        ----------
-        filename_or_obj
-            Path of the header or of the data file.
-        drop_variables
-            Names left out of the dataset.
-        keep_whole_lines
-            Open recordings that were cut short; see `hyperpaint.io.envi.envi_cubes.open_envi`.
-        quantity
-            Quantity of the samples where the header does not state it, such as ``"counts"``.
-
-        Raises
-        ------
-        FormatError
-            The header is damaged, contradicts itself or ``quantity``, or does not fit the size of the file.
-        FileNotFoundError
-            There is no such file.
-        """
+        # Open an ENVI cube lazily.
+        #
+        # ``filename_or_obj``: Path of the header or of the data file. ``drop_variables``: Names left out of
+        # the dataset. ``keep_whole_lines``: Open recordings that were cut short; see
+        # `hyperpaint.io.envi.envi_cubes.open_envi`. ``quantity``: Quantity of the samples where the header
+        # does not state it, such as ``"counts"``.
+        #
+        # Raises `FormatError`: The header is damaged, contradicts itself or ``quantity``, or does not fit the
+        # size of the file. Raises `FileNotFoundError`: There is no such file.
         from hyperpaint.base.schema import with_numbers
 
         from .envi.envi_cubes import open_envi

@@ -66,13 +66,9 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         group: str | None = None,
         need_irradiance: bool = True,
     ) -> xr.Dataset:
-        """Open one group, such as ``flightlines/raw_0``.
-
-        Raises
-        ------
-        SchemaError
-            The collect has no such group, or none was named; those that exist are listed.
-        """
+        # Open one group, such as ``flightlines/raw_0``.
+        #
+        # Raises `SchemaError`: The collect has no such group, or none was named; those that exist are listed.
         from hyperpaint.base.errors import SchemaError
 
         tree = self.open_datatree(

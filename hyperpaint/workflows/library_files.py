@@ -63,44 +63,27 @@ def write_signatures(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Write the signatures of regions on the flight lines of a store, or on a map, and return them.
-
-    Lines without flags are surveyed and flagged first. Reflectance is computed from stored counts if they
-    exist, with its uncertainty if the noise of the camera is known; else the stored reflectance is used.
-
-    Parameters
-    ----------
-    store
-        A store with groups ``flightlines/<id>``, as from `hyperpaint.process`; or a store of a single line or
-        map, as from `hyperpaint.workflows.maps.write_map`. Flags are not detected on a map.
-    regions
-        See `hyperpaint.regions.regions_from`; None takes the regions that
-        `hyperpaint.regions.propose_regions` proposes on every line, with the survey of the flags.
-    keep
-        Names of flags whose pixels are used, although they are excluded by default; not with ``exclude``.
-    flags
-        False detects no flags; a mapping holds thresholds of `hyperpaint.surroundings.flag` and options of
-        its survey.
-    sun_zenith
-        Zenith angle of the sun for flags, proposals and the mirrored sky [degree]; by default from time and
-        position of each line.
-    location
-        Options of `hyperpaint.workflows.maps.location_of`, which locate lines for regions in map coordinates;
-        by default the attributes of the lines.
-    progress
-        Called with the work done and the total: surveys, then extraction.
-    **options
-        As `hyperpaint.extract_signatures`.
-
-    Raises
-    ------
-    FormatError, MissingExtraError, SchemaError, UnitsError
-        As `hyperpaint.extract_signatures` and `hyperpaint.surroundings.flag`; or ``keep`` holds an unknown
-        flag, or is combined with ``exclude``.
-    StoreError
-        The store lacks a flight line of the regions; or the library cannot be written, or ``out`` holds other
-        data and ``overwrite`` is False.
-    """
+    # Write the signatures of regions on the flight lines of a store, or on a map, and return them.
+    #
+    # Lines without flags are surveyed and flagged first. Reflectance is computed from stored counts if they
+    # exist, with its uncertainty if the noise of the camera is known; else the stored reflectance is used.
+    #
+    # ``store``: A store with groups ``flightlines/<id>``, as from `hyperpaint.process`; or a store of a
+    # single line or map, as from `hyperpaint.workflows.maps.write_map`. Flags are not detected on a map.
+    # ``regions``: See `hyperpaint.regions.regions_from`; None takes the regions that
+    # `hyperpaint.regions.propose_regions` proposes on every line, with the survey of the flags. ``keep``:
+    # Names of flags whose pixels are used, although they are excluded by default; not with ``exclude``.
+    # ``flags``: False detects no flags; a mapping holds thresholds of `hyperpaint.surroundings.flag` and
+    # options of its survey. ``sun_zenith``: Zenith angle of the sun for flags, proposals and the mirrored sky
+    # [degree]; by default from time and position of each line. ``location``: Options of
+    # `hyperpaint.workflows.maps.location_of`, which locate lines for regions in map coordinates; by default
+    # the attributes of the lines. ``progress``: Called with the work done and the total: surveys, then
+    # extraction. ``**options``: As `hyperpaint.extract_signatures`.
+    #
+    # Raises `FormatError, MissingExtraError, SchemaError, UnitsError`: As `hyperpaint.extract_signatures` and
+    # `hyperpaint.surroundings.flag`; or ``keep`` holds an unknown flag, or is combined with ``exclude``.
+    # Raises `StoreError`: The store lacks a flight line of the regions; or the library cannot be written, or
+    # ``out`` holds other data and ``overwrite`` is False.
     library_path, store_path = Path(out).resolve(), Path(store).resolve()
     SchemaError.raise_if(
         library_path == store_path or store_path in library_path.parents,

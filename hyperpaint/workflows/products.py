@@ -180,31 +180,16 @@ def write_groups(
     codec: Codec = DEFAULT_CODEC,
     client: Client | None = None,
 ) -> Outcome:
-    """Write the groups of a store that are missing or not current; complete groups stay.
-
-    Everything is checked, and the first slab of every flight line computed, before anything is written.
-
-    Parameters
-    ----------
-    out
-        The store.
-    groups
-        All groups of the store, with the attributes `INPUTS` and `SETTINGS`.
-    plan
-        Returns the datasets of the groups that will be written, by their names.
-    attrs
-        Attributes of the root.
-    source
-        File of the inputs, for messages and for the command that resumes the run.
-    command, options
-        Command that writes the store, and its options.
-    only
-        See `kept_groups`.
-    from_stored
-        Returns the dataset of a group when its turn comes, from groups that are stored already.
-    announce
-        Returns the line on stderr about a group; None shows no progress.
-    """
+    # Write the groups of a store that are missing or not current; complete groups stay.
+    #
+    # Everything is checked, and the first slab of every flight line computed, before anything is written.
+    #
+    # ``out``: The store. ``groups``: All groups of the store, with the attributes `INPUTS` and `SETTINGS`.
+    # ``plan``: Returns the datasets of the groups that will be written, by their names. ``attrs``: Attributes
+    # of the root. ``source``: File of the inputs, for messages and for the command that resumes the run.
+    # ``command``, ``options``: Command that writes the store, and its options. ``only``: See `kept_groups`.
+    # ``from_stored``: Returns the dataset of a group when its turn comes, from groups that are stored
+    # already. ``announce``: Returns the line on stderr about a group; None shows no progress.
     complete = kept_groups(groups, out, overwrite=overwrite, command=command, only=only)
     products = plan([name for name in groups if name not in complete])
     check_room(products, out, {name: str(dataset.attrs[INPUTS]) for name, dataset in products.items()}, codec)

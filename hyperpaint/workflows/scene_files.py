@@ -504,18 +504,13 @@ def read_spectra(path: Path) -> Any:
 
 
 def read_paints(path: Path) -> dict[str, xr.Dataset] | xr.Dataset:
-    """Return the paints of a file or folder: a library, or libraries of one paint by name.
-
-    Accepted are all files that `hyperpaint.open_library` opens, and exports of `hyperpaint.write_dirsig`:
-    their folder, their material list (``.mat``), or one of their ``.ems`` and ``.txt`` files.
-
-    Raises
-    ------
-    FormatError
-        The file has another format, or a file of the material list is missing.
-    StoreError
-        A Zarr store is unfinished or invalid.
-    """
+    # Return the paints of a file or folder: a library, or libraries of one paint by name.
+    #
+    # Accepted are all files that `hyperpaint.open_library` opens, and exports of `hyperpaint.write_dirsig`:
+    # their folder, their material list (``.mat``), or one of their ``.ems`` and ``.txt`` files.
+    #
+    # Raises `FormatError`: The file has another format, or a file of the material list is missing. Raises
+    # `StoreError`: A Zarr store is unfinished or invalid.
     if path.suffix.lower() == ".mat":
         return _dirsig_paints(path)
     if path.is_dir() and (path / _DIRSIG_MARKER).is_file() and (path / _MATERIALS).is_file():

@@ -154,15 +154,12 @@ class Emissivity:
 
 
 def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
-    """Read a spectral emissivity file of the old or new layout.
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read, or differs from the format in `hyperpaint.io.dirsig.dirsig_files`: the
-        number of curves is not that of the first line, wavelengths do not ascend or are not in micrometres,
-        emissivity is outside 0 to 1, or there is other text; all are listed.
-    """
+    # Read a spectral emissivity file of the old or new layout.
+    #
+    # Raises `FormatError`: The file cannot be read, or differs from the format in
+    # `hyperpaint.io.dirsig.dirsig_files`: the number of curves is not that of the first line, wavelengths do
+    # not ascend or are not in micrometres, emissivity is outside 0 to 1, or there is other text; all are
+    # listed.
     name = os.fspath(path)
     data = read_limited_text(Path(path), MAX_EMS_BYTES, "a DIRSIG emissivity file")
     problems = Problems(f"{name} is not a DIRSIG emissivity file", FormatError)
@@ -299,19 +296,13 @@ def _shown(line: bytes) -> str:
 
 
 def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Open an ``.ems`` file as a paint library of one opaque paint, with its curves as members.
-
-    Returns
-    -------
-    Dataset
-        ``member_reflectance`` (signature, member, band) = 1 - emissivity and ``reflectance`` (signature,
-        band), their mean, float32 [1]; ``wavelength`` (band) [nm]. Weights of view angles are ignored.
-
-    Raises
-    ------
-    FormatError
-        As `read_emissivity`; or its curves have different wavelengths.
-    """
+    # Open an ``.ems`` file as a paint library of one opaque paint, with its curves as members.
+    #
+    # Returns: ``member_reflectance`` (signature, member, band) = 1 - emissivity and ``reflectance``
+    # (signature, band), their mean, float32 [1]; ``wavelength`` (band) [nm]. Weights of view angles are
+    # ignored.
+    #
+    # Raises `FormatError`: As `read_emissivity`; or its curves have different wavelengths.
     path = Path(path)
     file = read_emissivity(path)
     wavelength = file.curves[0].wavelength
@@ -487,15 +478,11 @@ class Material:
 
 
 def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
-    """Read a material list.
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read; brackets or lines are not of the tag format; keys or sections occur twice; a
-        material has no ID or name, or the ID of another material; a solver or property has a name but no
-        section; SPECULAR_FRACTION is not 0 to 1. All are listed.
-    """
+    # Read a material list.
+    #
+    # Raises `FormatError`: The file cannot be read; brackets or lines are not of the tag format; keys or
+    # sections occur twice; a material has no ID or name, or the ID of another material; a solver or property
+    # has a name but no section; SPECULAR_FRACTION is not 0 to 1. All are listed.
     data = read_limited_text(Path(path), MAX_MAT_BYTES, "a DIRSIG material list", MAX_LINES)
     problems = Problems(f"{os.fspath(path)} is not a DIRSIG material list", FormatError)
     top = _sections(decoded_text(data), problems)

@@ -323,26 +323,14 @@ def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
 
 
 def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
-    """Open a lab sweep, lazily from a Zarr store; its content is checked at calibration.
-
-    Parameters
-    ----------
-    path
-        A Zarr store, as of `open_calibration`, or netCDF file with the rows of
-        `hyperpaint.base.schema.SWEEP_VARIABLES`.
-    group
-        Group of the sweep; by default the root.
-
-    Returns
-    -------
-    xarray.Dataset
-        Variables of the table; others, such as the truth of a simulated sweep, are dropped.
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read, or has no counts of steps.
-    """
+    # Open a lab sweep, lazily from a Zarr store; its content is checked at calibration.
+    #
+    # ``path``: A Zarr store, as of `open_calibration`, or netCDF file with the rows of
+    # `hyperpaint.base.schema.SWEEP_VARIABLES`. ``group``: Group of the sweep; by default the root.
+    #
+    # Returns: Variables of the table; others, such as the truth of a simulated sweep, are dropped.
+    #
+    # Raises `FormatError`: The file cannot be read, or has no counts of steps.
     # in chunks of steps: the calibration processes few steps at a time
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:

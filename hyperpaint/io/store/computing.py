@@ -51,14 +51,10 @@ class _Block:
 def compute(
     lazy: Mapping[str, da.Array], targets: Mapping[str, Target], *, group: str, progress: bool
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """Compute lazy checksums (`chunks.lazy_checksums`) together, so that tasks of two arrays run once.
-
-    Raises
-    ------
-    StoreError
-        A block could not be read, computed or written, or the cluster was lost; the message names group and
-        block. Other errors of a task are raised unchanged, with a note that names it.
-    """
+    # Compute lazy checksums (`chunks.lazy_checksums`) together, so that tasks of two arrays run once.
+    #
+    # Raises `StoreError`: A block could not be read, computed or written, or the cluster was lost; the
+    # message names group and block. Other errors of a task are raised unchanged, with a note that names it.
     from dask.array.core import slices_from_chunks
     from dask.highlevelgraph import HighLevelGraph
 

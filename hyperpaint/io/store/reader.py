@@ -69,15 +69,10 @@ COARSE = "coarse_reflectance"
 
 
 def list_groups(path: Any) -> list[str]:
-    """Return the groups of a store that hold arrays, sorted; the root is ``""``.
-
-    Raises
-    ------
-    StoreError
-        There is no Zarr store, or its metadata are too large.
-    MissingExtraError
-        The package for this kind of URL is not installed.
-    """
+    # Return the groups of a store that hold arrays, sorted; the root is ``""``.
+    #
+    # Raises `StoreError`: There is no Zarr store, or its metadata are too large. Raises `MissingExtraError`:
+    # The package for this kind of URL is not installed.
     import zarr
 
     location, source = place_of(path)
@@ -220,13 +215,9 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
 
 
 def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
-    """Open a finished group like `open_store`, even while other groups of the store are being written.
-
-    Raises
-    ------
-    IncompleteStoreError, StoreError, MissingExtraError
-        As `open_store`, for this group.
-    """
+    # Open a finished group like `open_store`, even while other groups of the store are being written.
+    #
+    # Raises `IncompleteStoreError, StoreError, MissingExtraError`: As `open_store`, for this group.
     name, (location, _) = clean_group(group), place_of(path)
     if location is None:
         return open_unverified(path, name, **kwargs)
@@ -287,15 +278,10 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
 
 
 def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Dataset:
-    """Open a group of any Zarr lazily, without regard to a manifest.
-
-    Raises
-    ------
-    StoreError
-        There is no such store or group, or it must not be read.
-    MissingExtraError
-        The package for this kind of URL is not installed.
-    """
+    # Open a group of any Zarr lazily, without regard to a manifest.
+    #
+    # Raises `StoreError`: There is no such store or group, or it must not be read. Raises
+    # `MissingExtraError`: The package for this kind of URL is not installed.
     import zarr
 
     (location, source), name = place_of(path), clean_group(group)
@@ -347,16 +333,11 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
 
 
 def load_group(path: Any, group: str | None = None) -> xr.Dataset:
-    """Read all of a small group into memory; a group in a manifest must be unchanged.
-
-    Raises
-    ------
-    StoreError
-        As `open_group`; a value cannot be read; or its arrays are larger than `MAX_LOADED_BYTES` together, or
-        far larger than its files.
-    MissingExtraError
-        The package for this kind of URL is not installed.
-    """
+    # Read all of a small group into memory; a group in a manifest must be unchanged.
+    #
+    # Raises `StoreError`: As `open_group`; a value cannot be read; or its arrays are larger than
+    # `MAX_LOADED_BYTES` together, or far larger than its files. Raises `MissingExtraError`: The package for
+    # this kind of URL is not installed.
     opened, limit = open_group(path, group or "", chunks=None), MAX_LOADED_BYTES
     if isinstance(path, str | os.PathLike) and os.path.exists(path):
         files = [file.stat() for file in (Path(path), *Path(path, clean_group(group)).rglob("*"))]
