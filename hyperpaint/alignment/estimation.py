@@ -101,25 +101,22 @@ def fit_columns(
     declared: Declared, table: IrradianceTable, spectrum: Floats, shift: Floats, inside: Array,
     degree: int, max_shift: float,
 ) -> tuple[Estimate, Floats, Floats]:  # fmt: skip
-    """Find the shift and the width of every column at which radiance over irradiance is smooth.
-
-    ``table``: logarithm of irradiance in the bands of a window; ``spectrum`` (band, column): mean radiance of
-    every column, any scale, NaN where an element is bad; ``shift`` (band, column): declared [nm]; ``inside``
-    (band,): whether bands are in the window; ``degree``: of the polynomial; ``max_shift``: range of the
-    search around the declared shifts [nm]. Returns the estimate of the window, and the relative departures of
-    its bands (band, column) at the best and at the declared values.
-
-    Notes
-    -----
-    Where the surface's spectrum has a slope g, a band of variance v gets more light on one side of its
-    centre, which acts as a shift g v (exactly for a Gaussian); it is subtracted with the slope of the
-    smooth curve.
-
-    A coarse search over the table, since absorption bands cause several minima, then Gauss-Newton.
-    Logarithms are used because the surface's spectrum is then additive and is removed by projection, and
-    because relative noise does not depend on the ratio: with relative noise s the ratio would be biased by s
-    squared.
-    """
+    # Find the shift and the width of every column at which radiance over irradiance is smooth.
+    #
+    # ``table``: logarithm of irradiance in the bands of a window; ``spectrum`` (band, column): mean radiance
+    # of every column, any scale, NaN where an element is bad; ``shift`` (band, column): declared [nm];
+    # ``inside`` (band,): whether bands are in the window; ``degree``: of the polynomial; ``max_shift``: range
+    # of the search around the declared shifts [nm]. Returns the estimate of the window, and the relative
+    # departures of its bands (band, column) at the best and at the declared values.
+    #
+    # Where the surface's spectrum has a slope g, a band of variance v gets more light on one side of its
+    # centre, which acts as a shift g v (exactly for a Gaussian); it is subtracted with the slope of the
+    # smooth curve.
+    #
+    # A coarse search over the table, since absorption bands cause several minima, then Gauss-Newton.
+    # Logarithms are used because the surface's spectrum is then additive and is removed by projection, and
+    # because relative noise does not depend on the ratio: with relative noise s the ratio would be biased by
+    # s squared.
     radiance = spectrum[inside]
     covered = np.isfinite(table.log).all(axis=(0, 1)).reshape(-1, 1)
     with np.errstate(invalid="ignore"):

@@ -94,21 +94,13 @@ def refused(found: str, *, expected: str = "", mend: str = "", code: str) -> Sch
 
 
 def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
-    """Return a sweep in the units of the table; SchemaError with all its faults.
-
-    Parameters
-    ----------
-    sweep
-        See `hyperpaint.calibrate`.
-    absolute
-        False where an anchor gives the absolute scale: flux may then be in any unit of power, and capture
-        fraction and etendue are not needed.
-
-    Raises
-    ------
-    SchemaError
-        Variables, dims, units or values are missing or impossible; all problems are listed.
-    """
+    # Return a sweep in the units of the table; SchemaError with all its faults.
+    #
+    # ``sweep``: See `hyperpaint.calibrate`. ``absolute``: False where an anchor gives the absolute scale:
+    # flux may then be in any unit of power, and capture fraction and etendue are not needed.
+    #
+    # Raises `SchemaError`: Variables, dims, units or values are missing or impossible; all problems are
+    # listed.
     problems = Problems(_REFUSAL, SchemaError)
     needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
     optional = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]

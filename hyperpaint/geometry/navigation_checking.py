@@ -395,14 +395,11 @@ class RowMotion(NamedTuple):
 
 
 def row_motion(picture: Array) -> RowMotion | None:
-    """Return the motion of a picture (row, column); None where it is too narrow.
-
-    Notes
-    -----
-    The gains of columns are divided out: their fixed pattern would suggest that nothing moves. The best
-    integer shift is refined by the Gauss-Newton method. Both rows are moved by half the shift, so that both
-    are smoothed equally.
-    """
+    # Return the motion of a picture (row, column); None where it is too narrow.
+    #
+    # The gains of columns are divided out: their fixed pattern would suggest that nothing moves. The best
+    # integer shift is refined by the Gauss-Newton method. Both rows are moved by half the shift, so that both
+    # are smoothed equally.
     from scipy.ndimage import uniform_filter1d
 
     (rows, columns), reach = picture.shape, RULES.reach_px

@@ -130,15 +130,12 @@ def correct_means(values: Array, shares: Array, half: int, out: Array) -> None:
 
 @kernel
 def filter_slab(values: Array, weights: Array, first: Array, fallback: Array, out: Array) -> None:
-    """Write the weighted sum of each band's window of values (line, band, column), float32.
-
-    ``weights`` (band, width) are for a band's window, which begins at the band ``first`` (band,); a row sums
-    to 1. Row ``k`` of ``fallback`` (band, width, width) has the weights without the ``k``-th value.
-
-    Notes
-    -----
-    A NaN band stays NaN. A value with two or more NaN in its window is not filtered.
-    """
+    # Write the weighted sum of each band's window of values (line, band, column), float32.
+    #
+    # ``weights`` (band, width) are for a band's window, which begins at the band ``first`` (band,); a row
+    # sums to 1. Row ``k`` of ``fallback`` (band, width, width) has the weights without the ``k``-th value.
+    #
+    # A NaN band stays NaN. A value with two or more NaN in its window is not filtered.
     width = weights.shape[1]
     for line in range(values.shape[0]):
         for band in range(values.shape[1]):

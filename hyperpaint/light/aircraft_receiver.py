@@ -79,15 +79,10 @@ class _Sensor(NamedTuple):
         return np.asarray(sunward * np.tan(np.radians(self.zenith)))
 
     def factor(self, diffuse: Floats, by_lean: Floats) -> Floats:
-        """Return the reading relative to a level sensor that follows the cosine law (sample, channel) [1].
-
-        Parameters
-        ----------
-        diffuse : (sample, channel)
-            Diffuse fraction of the level irradiance [1].
-        by_lean : (sample, channel)
-            Gain of diffuse light per unit of `lean`, relative to the level irradiance [1].
-        """
+        # Return the reading relative to a level sensor that follows the cosine law (sample, channel) [1].
+        #
+        # ``diffuse`` (sample, channel): Diffuse fraction of the level irradiance [1]. ``by_lean`` (sample,
+        # channel): Gain of diffuse light per unit of `lean`, relative to the level irradiance [1].
         sun_cosine = np.cos(np.radians(self.zenith))
         beam = np.clip(self.normal[:, 2] + self.lean, 0.0, 1.0 / sun_cosine)
         beam *= np.interp(np.degrees(np.arccos(np.clip(beam * sun_cosine, 0.0, 1.0))), *self.response)

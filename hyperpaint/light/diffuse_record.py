@@ -628,21 +628,18 @@ def _other_sun_posterior(
 
 
 def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the posterior over the drawn skies, each weighted by how well it explains a sample.
-
-    Diffuse fraction and its uncertainty at `NODES_NM` (sample, node); probability of clear, hazy, broken,
-    overcast and contradictory (sample, state); and how far the fraction is from that of clear air to 1
-    (sample,).
-
-    Notes
-    -----
-    Misfits of the logarithm are Gaussian, with the covariance of a level common to all wavelengths, of slow
-    colour and of single intervals; the uncertainty of the level is `Evidence.level_u` or, with a small prior,
-    `SkyRules.wide_u`. The evidence of a kind of sky is averaged over `SkyRules.window_s` and weighted by how
-    much the level varies in it. Where even the best draw does not fit, all misfits are divided until it does,
-    which gives a wide posterior. A spectrum that clear air under another sun explains better contradicts the
-    clock.
-    """
+    # Return the posterior over the drawn skies, each weighted by how well it explains a sample.
+    #
+    # Diffuse fraction and its uncertainty at `NODES_NM` (sample, node); probability of clear, hazy, broken,
+    # overcast and contradictory (sample, state); and how far the fraction is from that of clear air to 1
+    # (sample,).
+    #
+    # Misfits of the logarithm are Gaussian, with the covariance of a level common to all wavelengths, of slow
+    # colour and of single intervals; the uncertainty of the level is `Evidence.level_u` or, with a small
+    # prior, `SkyRules.wide_u`. The evidence of a kind of sky is averaged over `SkyRules.window_s` and
+    # weighted by how much the level varies in it. Where even the best draw does not fit, all misfits are
+    # divided until it does, which gives a wide posterior. A spectrum that clear air under another sun
+    # explains better contradicts the clock.
     # posterior of kinds of sky and widths of the level
     log, means, mean_squares, means_without_cloud, turbid, best = _posterior(evidence, windows, pressure)
     prior = np.log(np.array([[1.0 - RULES.wide_prior], [RULES.wide_prior]]) * np.array(RULES.priors))

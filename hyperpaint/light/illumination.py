@@ -177,16 +177,12 @@ class Smile:
 
 
 def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
-    """Return the nodes, cells and runs of a smile over a number of columns.
-
-    ``wavelength_shift`` (cross_track,) or (band, cross_track) is the true minus the nominal wavelength of
-    each column [nm]; None or all zero for no smile.
-
-    Raises
-    ------
-    SchemaError
-        The shift is not finite, or beyond 20 nm.
-    """
+    # Return the nodes, cells and runs of a smile over a number of columns.
+    #
+    # ``wavelength_shift`` (cross_track,) or (band, cross_track) is the true minus the nominal wavelength of
+    # each column [nm]; None or all zero for no smile.
+    #
+    # Raises `SchemaError`: The shift is not finite, or beyond 20 nm.
     shift = np.atleast_2d(
         np.asarray([0.0] * columns if wavelength_shift is None else wavelength_shift, np.float64)
     )

@@ -53,28 +53,21 @@ def line_light(
     longitude: Array | None = None,
     clock_uncertainty: float | None = None,
 ) -> LineLight:
-    """Return the neighbours and weights of every line in an irradiance record.
-
-    ``time`` (line,) is UTC at mid exposure, in any order, NaT for a line without data; ``irradiance_time``
-    (sample,) is UTC of the samples and must increase. ``levels`` (sample,) or (sample, interval) are the
-    irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN marks a sample
-    to leave out. ``max_gap`` is the longest interval that is interpolated [s], 2.5 median intervals by
-    default; without the camera's ``latitude`` and ``longitude`` (line,) [degree] the sun's height is not
-    judged; ``clock_uncertainty`` is how far the clocks of camera and spectrometer may disagree [s],
-    `UNKNOWN_CLOCK` by default.
-
-    Raises
-    ------
-    TimeError
-        Irradiance times do not increase, are missing, or there is no valid sample.
-    SchemaError
-        ``max_gap`` or ``clock_uncertainty`` is out of range.
-
-    Notes
-    -----
-    The weight is the quotient of two int64 intervals in nanoseconds, so that no bit of it depends on chunks
-    or on the distance to 1970.
-    """
+    # Return the neighbours and weights of every line in an irradiance record.
+    #
+    # ``time`` (line,) is UTC at mid exposure, in any order, NaT for a line without data; ``irradiance_time``
+    # (sample,) is UTC of the samples and must increase. ``levels`` (sample,) or (sample, interval) are the
+    # irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN marks a
+    # sample to leave out. ``max_gap`` is the longest interval that is interpolated [s], 2.5 median intervals
+    # by default; without the camera's ``latitude`` and ``longitude`` (line,) [degree] the sun's height is not
+    # judged; ``clock_uncertainty`` is how far the clocks of camera and spectrometer may disagree [s],
+    # `UNKNOWN_CLOCK` by default.
+    #
+    # Raises `TimeError`: Irradiance times do not increase, are missing, or there is no valid sample. Raises
+    # `SchemaError`: ``max_gap`` or ``clock_uncertainty`` is out of range.
+    #
+    # The weight is the quotient of two int64 intervals in nanoseconds, so that no bit of it depends on chunks
+    # or on the distance to 1970.
     lines = np.asarray(time).astype("datetime64[ns]")
     samples = np.asarray(irradiance_time).astype("datetime64[ns]")
     check_irradiance_times(samples)
@@ -225,13 +218,9 @@ def check_irradiance_times(samples: Array) -> None:
 
 
 def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
-    """Return the line with another irradiance record, attributes included, in place of its own.
-
-    Raises
-    ------
-    SchemaError
-        ``irradiance`` is no Dataset, or lacks 'irradiance'.
-    """
+    # Return the line with another irradiance record, attributes included, in place of its own.
+    #
+    # Raises `SchemaError`: ``irradiance`` is no Dataset, or lacks 'irradiance'.
     if not isinstance(irradiance, xr.Dataset):
         raise SchemaError(
             f"irradiance= is {type(irradiance).__name__}",

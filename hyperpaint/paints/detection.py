@@ -59,17 +59,11 @@ class Projection(NamedTuple):
 def projection(
     paints: Floats, sky: Floats | None, mean: Floats | None = None, covariance: Floats | None = None
 ) -> Projection:
-    """Return the projection of a detector.
-
-    Parameters
-    ----------
-    paints : (signature, band)
-        Reflectance.
-    sky : (band,), or None
-        Spectrum of the mirrored sky, which is projected out; None to keep it.
-    mean, covariance : (band,), (band, band)
-        Statistics of the background; None for the spectral angle, which does not use them.
-    """
+    # Return the projection of a detector.
+    #
+    # ``paints`` (signature, band): Reflectance. ``sky`` (band,), or None: Spectrum of the mirrored sky, which
+    # is projected out; None to keep it. ``mean``, ``covariance`` (band,), (band, band): Statistics of the
+    # background; None for the spectral angle, which does not use them.
     offset = np.zeros(paints.shape[1]) if mean is None else mean
     # with covariance = L L', z = L^-1 (x - mean) has unit covariance
     matrix = whitening = np.eye(paints.shape[1])

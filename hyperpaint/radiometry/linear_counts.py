@@ -116,17 +116,13 @@ class Linearity:
 
 
 def linearity_of(dataset: xr.Dataset) -> Linearity:
-    """Return the curve that a calibration or a line declares.
-
-    Attribute ``linearity``: coefficients of `hyperpaint.calibration.linearity`, or "identity"; the variable
-    ``linear_counts`` over ``linearity_counts`` in their place is a table. Attribute ``linearity_on``:
-    "dark-subtracted", the default, or "raw".
-
-    Raises
-    ------
-    SchemaError
-        The attribute or the table is invalid.
-    """
+    # Return the curve that a calibration or a line declares.
+    #
+    # Attribute ``linearity``: coefficients of `hyperpaint.calibration.linearity`, or "identity"; the variable
+    # ``linear_counts`` over ``linearity_counts`` in their place is a table. Attribute ``linearity_on``:
+    # "dark-subtracted", the default, or "raw".
+    #
+    # Raises `SchemaError`: The attribute or the table is invalid.
     declared = declared_linearity(dataset.attrs)
     if "linear_counts" not in dataset.variables:
         return declared

@@ -209,19 +209,15 @@ def make_plan(
     keep_bits: int | None = None,
     uncertain: Mapping[str, Any] | None = None,
 ) -> Plan:
-    """Compute the plan of a cube (along_track, band, cross_track); ``starts``: first lines of its slabs.
-
-    ``cube`` holds the values of ``dark_counts``, ``radiance_gain``, ``exposure_time`` and the other variables
-    of the table, by name; without dark counts the cube is radiance, and a gain gives its responsivity only.
-    ``light`` holds irradiance and its companions, None for radiance; ``uncertain`` noise and the known
-    uncertainties, None where none are requested. ``tilt``, ``panel`` and ``keep_bits`` as in
-    `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
-
-    Raises
-    ------
-    SchemaError, TimeError
-        Values are out of range or contradict one another; all are listed.
-    """
+    # Compute the plan of a cube (along_track, band, cross_track); ``starts``: first lines of its slabs.
+    #
+    # ``cube`` holds the values of ``dark_counts``, ``radiance_gain``, ``exposure_time`` and the other
+    # variables of the table, by name; without dark counts the cube is radiance, and a gain gives its
+    # responsivity only. ``light`` holds irradiance and its companions, None for radiance; ``uncertain`` noise
+    # and the known uncertainties, None where none are requested. ``tilt``, ``panel`` and ``keep_bits`` as in
+    # `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
+    #
+    # Raises `SchemaError, TimeError`: Values are out of range or contradict one another; all are listed.
     lines, bands, columns = shape
     is_from_counts = "dark_counts" in cube
     is_without_exposure = np.isnan(

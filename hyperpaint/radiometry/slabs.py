@@ -340,19 +340,13 @@ def panel_result(plan: Plan, name: str) -> Array:
 def calibrated(
     source: xr.DataArray, planner: Callable[..., Any], *, cubes: int = 1
 ) -> tuple[tuple[da.Array, ...], da.Array, Any]:
-    """Return the calibrated cubes and their quality, lazily, and the plan they share.
-
-    One task per slab computes all outputs.
-
-    Parameters
-    ----------
-    source : (along_track, band, cross_track)
-        Counts or radiance in chunks of whole lines; see `line_chunked`.
-    cubes
-        1, or 3 where the plan holds `ErrorTerms`: the cube, its random and its systematic uncertainty.
-    planner
-        Returns the lazy plan for the cube's shape, dtype and slabs.
-    """
+    # Return the calibrated cubes and their quality, lazily, and the plan they share.
+    #
+    # One task per slab computes all outputs.
+    #
+    # ``source`` (along_track, band, cross_track): Counts or radiance in chunks of whole lines; see
+    # `line_chunked`. ``cubes``: 1, or 3 where the plan holds `ErrorTerms`: the cube, its random and its
+    # systematic uncertainty. ``planner``: Returns the lazy plan for the cube's shape, dtype and slabs.
     counts = source.data
     if counts.dtype not in (np.dtype(np.uint16), np.dtype(np.float32)):
         counts = counts.astype(np.float32)

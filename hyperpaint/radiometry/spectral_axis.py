@@ -66,13 +66,9 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
 
 
 def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
-    """Return the index of the band nearest to a wavelength [nm], or of the bands nearest to several.
-
-    Raises
-    ------
-    SchemaError
-        As `at`.
-    """
+    # Return the index of the band nearest to a wavelength [nm], or of the bands nearest to several.
+    #
+    # Raises `SchemaError`: As `at`.
     centres = schema.require(dataset, ["wavelength"], "the bands at a wavelength")["wavelength"].values
     targets = np.asarray(wavelength, np.float64)
     nearest = np.abs(centres - targets[..., None]).argmin(axis=-1)
@@ -156,13 +152,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def nominal_axis(dataset: xr.Dataset) -> NominalAxis:
-    """Return the interpolation of a line's columns to nominal wavelengths; reads wavelengths and shifts.
-
-    Raises
-    ------
-    SchemaError
-        ``wavelength`` or ``wavelength_shift`` is missing, or not in order.
-    """
+    # Return the interpolation of a line's columns to nominal wavelengths; reads wavelengths and shifts.
+    #
+    # Raises `SchemaError`: ``wavelength`` or ``wavelength_shift`` is missing, or not in order.
     arrays = schema.require(dataset, ["wavelength", "wavelength_shift"], "nominal wavelengths")
     shift = np.atleast_2d(arrays["wavelength_shift"].values)
     return NominalAxis(*_lagrange_weights(arrays["wavelength"].values, shift))

@@ -30,13 +30,9 @@ _PAD = 4
 
 
 def inverse_of(matrix: Floats, name: str) -> Floats:
-    """Return :math:`(1 + D)^{-1}` (band, source band).
-
-    Raises
-    ------
-    SchemaError
-        D is not finite, not square, or so large that most light would be stray.
-    """
+    # Return :math:`(1 + D)^{-1}` (band, source band).
+    #
+    # Raises `SchemaError`: D is not finite, not square, or so large that most light would be stray.
     SchemaError.raise_if(
         matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all(),
         f"{name} has shape {matrix.shape}",

@@ -300,13 +300,10 @@ def check_sky(**values: float) -> None:
 
 
 def check_wavelengths(wavelength: Floats) -> None:
-    """Raise unless wavelengths are a positive, increasing grid.
-
-    Raises
-    ------
-    SchemaError
-        The grid has not one dim and two samples, or they are not positive, finite and increasing.
-    """
+    # Raise unless wavelengths are a positive, increasing grid.
+    #
+    # Raises `SchemaError`: The grid has not one dim and two samples, or they are not positive, finite and
+    # increasing.
     SchemaError.raise_if(
         wavelength.ndim != 1 or wavelength.size < 2,
         f"wavelength has shape {wavelength.shape}",
@@ -348,16 +345,12 @@ def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
 def built_in_sky(
     wavelength: Floats, sun_zenith: float, *, aerosol: float = 0.10, ozone: float = 0.31, water: float = 1.0
 ) -> tuple[Floats, Floats]:
-    """Return direct normal and diffuse level irradiance of the simulator's own sky [W m-2 nm-1].
-
-    The model of `hyperpaint.simulation.atmosphere.Sky`, with the air mass of Kasten & Young in place of
-    1 / cos(zenith), at increasing wavelengths [nm]; all else as for `Sky`.
-
-    Raises
-    ------
-    SchemaError
-        A number is outside its range in `SKY`, or the wavelengths are no grid.
-    """
+    # Return direct normal and diffuse level irradiance of the simulator's own sky [W m-2 nm-1].
+    #
+    # The model of `hyperpaint.simulation.atmosphere.Sky`, with the air mass of Kasten & Young in place of 1 /
+    # cos(zenith), at increasing wavelengths [nm]; all else as for `Sky`.
+    #
+    # Raises `SchemaError`: A number is outside its range in `SKY`, or the wavelengths are no grid.
     check_wavelengths(wavelength)
     check_sky(sun_zenith=sun_zenith, aerosol=aerosol, water=water)
     direct, diffuse = Sky(
@@ -512,17 +505,11 @@ class Haze:
         return np.add(*self._coefficients(wavelength))
 
     def path_radiance(self, wavelength: Floats, sun: Floats, sky: Floats, sun_zenith: float) -> Floats:
-        """Return the radiance that a short vertical path adds, per metre [W m-2 sr-1 nm-1 m-1].
-
-        Parameters
-        ----------
-        wavelength
-            Shape (wavelength,) [nm].
-        sun, sky
-            Direct normal and diffuse horizontal irradiance, shape (wavelength,) [W m-2 nm-1].
-        sun_zenith
-            Angle between the sun and the vertical [degree].
-        """
+        # Return the radiance that a short vertical path adds, per metre [W m-2 sr-1 nm-1 m-1].
+        #
+        # ``wavelength``: Shape (wavelength,) [nm]. ``sun``, ``sky``: Direct normal and diffuse horizontal
+        # irradiance, shape (wavelength,) [W m-2 nm-1]. ``sun_zenith``: Angle between the sun and the vertical
+        # [degree].
         cosine = np.cos(np.radians(sun_zenith))
         reflected = self.ground * (sun * cosine + sky)
         molecules, particles = self._coefficients(wavelength)

@@ -203,16 +203,12 @@ class BandSet:
 
     @classmethod
     def of(cls, bands: Any = None) -> BandSet:
-        """Return the bands of an object with ``wavelength`` and ``fwhm``; None gives the Nano-Hyperspec.
-
-        The line shape is the attribute ``srf_shape`` of a Dataset, or ``shape`` of other objects. Smile and
-        responsivity of a simulated imager are used, but not its element factors.
-
-        Raises
-        ------
-        SchemaError
-            ``wavelength`` or ``fwhm`` are missing or invalid.
-        """
+        # Return the bands of an object with ``wavelength`` and ``fwhm``; None gives the Nano-Hyperspec.
+        #
+        # The line shape is the attribute ``srf_shape`` of a Dataset, or ``shape`` of other objects. Smile and
+        # responsivity of a simulated imager are used, but not its element factors.
+        #
+        # Raises `SchemaError`: ``wavelength`` or ``fwhm`` are missing or invalid.
         if bands is None:
             return cls.nano_hyperspec()
         if type(bands) is cls:
@@ -269,19 +265,12 @@ class BandSet:
         return np.asarray(min_shift + step * np.arange(-1, cells + 2), np.float64)
 
     def between_nodes(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return the position of columns among the nodes: first of four nodes, and the four weights.
-
-        Returns
-        -------
-        first : (cross_track,)
-        weight : (cross_track, 4)
-            Weights of Lagrange's cubic; rows sum to 1.
-
-        Raises
-        ------
-        SchemaError
-            The bands have no smile, and therefore a single node.
-        """
+        # Return the position of columns among the nodes: first of four nodes, and the four weights.
+        #
+        # Returns: ``first`` (cross_track,); ``weight`` (cross_track, 4): weights of Lagrange's cubic; rows sum
+        # to 1.
+        #
+        # Raises `SchemaError`: The bands have no smile, and therefore a single node.
         if self.wavelength_shift is None:
             raise SchemaError(
                 "bands without smile have one node",
@@ -522,24 +511,14 @@ class Imager(BandSet):
         return line_shape(offset, float(self.fwhm[band]), float(self.spacing[band]), self.shape, step)
 
     def integrals(self, spectra: Floats, grid: Floats) -> Floats:
-        """Return INT S(lambda) R_b,x(lambda) d lambda of every spectrum and element.
-
-        Parameters
-        ----------
-        spectra
-            Shape (spectrum, grid): radiance of a scene, light of a monochromator, or ones for INT R.
-        grid
-            Even wavelength grid that covers the responses [nm].
-
-        Returns
-        -------
-        Shape (spectrum, band, cross_track), in the units of ``spectra`` x count J-1 nm.
-
-        Raises
-        ------
-        ValueError
-            The grid ends inside a response.
-        """
+        # Return INT S(lambda) R_b,x(lambda) d lambda of every spectrum and element.
+        #
+        # ``spectra``: Shape (spectrum, grid): radiance of a scene, light of a monochromator, or ones for INT
+        # R. ``grid``: Even wavelength grid that covers the responses [nm].
+        #
+        # Returns: Shape (spectrum, band, cross_track), in the units of ``spectra`` x count J-1 nm.
+        #
+        # Raises `ValueError`: The grid ends inside a response.
         step = grid[1] - grid[0]
         min_nm, max_nm = self.wavelength.min() - self.whole_reach, self.wavelength.max() + self.whole_reach
         if grid[0] > min_nm or grid[-1] < max_nm:

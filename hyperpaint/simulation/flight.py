@@ -156,13 +156,10 @@ class Flight(abc.ABC):
         return {}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return the paint of pixels that show only a car's paint, in the sun and without mirrored sun.
-
-        Returns
-        -------
-        Shape (along_track, cross_track): the index of the paint in ``paints``, plus the number of paints
-        times the number of the car, if cars have numbers; -1 for all other pixels.
-        """
+        # Return the paint of pixels that show only a car's paint, in the sun and without mirrored sun.
+        #
+        # Returns: Shape (along_track, cross_track): the index of the paint in ``paints``, plus the number of
+        # paints times the number of the car, if cars have numbers; -1 for all other pixels.
         # index in ``paints`` of every surface; -1 for surfaces that are not paint
         numbers = {name: number for number, name in enumerate(self.paints)}
         paint = np.array([numbers.get(name, -1) for name in self.surfaces], np.int32)
@@ -194,18 +191,12 @@ class Flight(abc.ABC):
         return np.asarray(np.rint(np.arange(self.settings.lines) * period), dtype=np.int64)
 
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
-        """Return scan lines ``start`` to ``stop``; values do not depend on the grouping of lines.
-
-        Radiance and reflectance are those of the scene, before the camera's optics blur it.
-
-        Parameters
-        ----------
-        start, stop
-            Range of lines.
-        into
-            Lines no longer needed, whose memory is reused, because allocation takes longer than the
-            arithmetic.
-        """
+        # Return scan lines ``start`` to ``stop``; values do not depend on the grouping of lines.
+        #
+        # Radiance and reflectance are those of the scene, before the camera's optics blur it.
+        #
+        # ``start``, ``stop``: Range of lines. ``into``: Lines no longer needed, whose memory is reused,
+        # because allocation takes longer than the arithmetic.
         settings, optics, bad = self.settings, self.camera.optics, self.camera.bad
         reach = 0 if optics is None else optics.reach
         first_line = max(start - reach, 0)

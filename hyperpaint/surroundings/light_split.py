@@ -156,33 +156,19 @@ def split_of(
     *,
     from_shadow: bool = False,
 ) -> LightSplit:
-    """Return the division of the light of a line, or of a paint library.
-
-    Parameters
-    ----------
-    line
-        With ``wavelength``.
-    diffuse
-        "model" or "pvlib" for a clear sky; or a measured spectrum. None uses ``diffuse_fraction`` and
-        ``sky_state`` of the line, or the split from its ``irradiance`` record, or, without either, a clear
-        sky with a warning.
-    sun_zenith
-        [degree]; by default from time and place.
-    sky
-        One of `SKIES`; by default from the record, clear with a model, uniform with a measured spectrum.
-    from_shadow
-        Whether ``diffuse`` may be "shadow", from which a survey starts as from "model".
-
-    Raises
-    ------
-    SchemaError
-        ``diffuse`` or ``sky`` has another value, or the position of the sun is needed and unknown.
-
-    Warns
-    -----
-    PaintWarning
-        `CLEAR_SKY_ASSUMED`.
-    """
+    # Return the division of the light of a line, or of a paint library.
+    #
+    # ``line``: With ``wavelength``. ``diffuse``: "model" or "pvlib" for a clear sky; or a measured spectrum.
+    # None uses ``diffuse_fraction`` and ``sky_state`` of the line, or the split from its ``irradiance``
+    # record, or, without either, a clear sky with a warning. ``sun_zenith``: [degree]; by default from time
+    # and place. ``sky``: One of `SKIES`; by default from the record, clear with a model, uniform with a
+    # measured spectrum. ``from_shadow``: Whether ``diffuse`` may be "shadow", from which a survey starts as
+    # from "model".
+    #
+    # Raises `SchemaError`: ``diffuse`` or ``sky`` has another value, or the position of the sun is needed and
+    # unknown.
+    #
+    # Warns `PaintWarning`: `CLEAR_SKY_ASSUMED`.
     if sky is not None:
         one_of(sky, SKIES, "sky")
     wavelength = line["wavelength"].values.astype(np.float64)

@@ -107,27 +107,16 @@ class PinholeCamera:
 def look_angles(
     line: xr.Dataset, camera: PinholeCamera | xr.Dataset | None, convention: Convention
 ) -> tuple[Any, Any]:
-    """Return look angles of the columns, across and along the track (cross_track,) [degree]; maybe lazy.
-
-    Parameters
-    ----------
-    line
-        Has ``cross_track``; and, without a camera, ``look_across`` and perhaps ``look_along``, or
-        ``look_angle``.
-    camera
-        A pinhole, whose ``column_order`` the convention must declare; or a table of the angles of every
-        column: ``look_across`` [degree], positive to the right, and, for a slit that is seen bent or turned,
-        ``look_along``, positive forward.
-    convention
-        Declares ``column_order``; not needed for a table, whose angles have signs.
-
-    Raises
-    ------
-    SchemaError
-        No camera, a camera with another number of columns, or an undeclared order of columns.
-    UnitsError
-        The angles of a table have no units.
-    """
+    # Return look angles of the columns, across and along the track (cross_track,) [degree]; maybe lazy.
+    #
+    # ``line``: Has ``cross_track``; and, without a camera, ``look_across`` and perhaps ``look_along``, or
+    # ``look_angle``. ``camera``: A pinhole, whose ``column_order`` the convention must declare; or a table of
+    # the angles of every column: ``look_across`` [degree], positive to the right, and, for a slit that is
+    # seen bent or turned, ``look_along``, positive forward. ``convention``: Declares ``column_order``; not
+    # needed for a table, whose angles have signs.
+    #
+    # Raises `SchemaError`: No camera, a camera with another number of columns, or an undeclared order of
+    # columns. Raises `UnitsError`: The angles of a table have no units.
     if isinstance(camera, PinholeCamera):
         if convention.column_order is None:
             raise SchemaError(
@@ -166,13 +155,9 @@ def look_angles(
 
 
 def directions(across: Floats, along: Floats) -> Floats:
-    """Return unit vectors in the camera's frame (cross_track, 3): forward, right, along the optical axis.
-
-    Raises
-    ------
-    SchemaError
-        Angles that are not finite, or point to the horizon or above it.
-    """
+    # Return unit vectors in the camera's frame (cross_track, 3): forward, right, along the optical axis.
+    #
+    # Raises `SchemaError`: Angles that are not finite, or point to the horizon or above it.
     SchemaError.raise_if(
         not (np.abs(across) < _MAX_LOOK_ANGLE_DEG).all() or not (np.abs(along) < _MAX_LOOK_ANGLE_DEG).all(),
         "some columns look to the horizon or above it, or have no angle",

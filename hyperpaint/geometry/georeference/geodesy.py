@@ -37,21 +37,13 @@ def _transformer(source: str, target: str) -> Any:
 
 
 def crs_of(crs: Any) -> str:
-    """Return a reference system as text: its EPSG code, else WKT.
-
-    Parameters
-    ----------
-    crs
-        A reference system in a form that pyproj reads: ``"EPSG:32617"``, 32617, WKT, a CRS of pyproj or
-        rasterio.
-
-    Raises
-    ------
-    SchemaError
-        PROJ does not know it, or it is not of the earth's surface.
-    MissingExtraError
-        pyproj is not installed.
-    """
+    # Return a reference system as text: its EPSG code, else WKT.
+    #
+    # ``crs``: A reference system in a form that pyproj reads: ``"EPSG:32617"``, 32617, WKT, a CRS of pyproj
+    # or rasterio.
+    #
+    # Raises `SchemaError`: PROJ does not know it, or it is not of the earth's surface. Raises
+    # `MissingExtraError`: pyproj is not installed.
     pyproj = _pyproj()
     try:
         system = pyproj.CRS.from_user_input(crs).to_2d()
@@ -200,28 +192,17 @@ _OFFSETS = np.array(
 def polynomials(
     latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, crs: str
 ) -> tuple[Floats, Floats, Floats]:
-    """Return map coordinates and height around cameras, as polynomials of metres east, north and up.
-
-    Parameters
-    ----------
-    latitude, longitude, altitude : (line,)
-        Position of every camera [degree, m above the ellipsoid].
-    reach : (line,)
-        Distance from the camera up to which the polynomials are accurate [m].
-    crs
-        Map, as `crs_of` returns it.
-
-    Returns
-    -------
-    x, y, height : (line, 10), float64
-        Coefficients in the order of `hyperpaint.kernels.rays`; NaN where the position is NaN.
-
-    Notes
-    -----
-    Direction of north and scale of a map change from place to place. Terms beyond the second
-    degree are of the order of d (d / R)^2, for a distance d on an earth of radius R: 25 nm at 100 m, 0.2 mm
-    at 2 km.
-    """
+    # Return map coordinates and height around cameras, as polynomials of metres east, north and up.
+    #
+    # ``latitude``, ``longitude``, ``altitude`` (line,): Position of every camera [degree, m above the
+    # ellipsoid]. ``reach`` (line,): Distance from the camera up to which the polynomials are accurate [m].
+    # ``crs``: Map, as `crs_of` returns it.
+    #
+    # Returns: ``x, y, height`` (line, 10), float64: Coefficients in the order of `hyperpaint.kernels.rays`;
+    # NaN where the position is NaN.
+    #
+    # Direction of north and scale of a map change from place to place. Terms beyond the second degree are of
+    # the order of d (d / R)^2, for a distance d on an earth of radius R: 25 nm at 100 m, 0.2 mm at 2 km.
     coefficients = np.full((3, latitude.size, 10), np.nan)
     is_valid = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(altitude) & np.isfinite(reach)
     is_valid &= np.abs(latitude) < _MAX_LATITUDE_DEG

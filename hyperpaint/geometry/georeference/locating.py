@@ -451,16 +451,11 @@ class Terrain:
 
 
 def grid_of(dem: xr.DataArray) -> TerrainGrid:
-    """Return the grid of a raster from its coordinates and attributes; its heights are not read.
-
-    Raises
-    ------
-    SchemaError
-        Other dims than (y, x), fewer than two cells, coordinates that are missing or uneven, a grid that is
-        turned, no crs, or ``height_reference`` that is not declared; all are listed.
-    MissingExtraError
-        pyproj is not installed.
-    """
+    # Return the grid of a raster from its coordinates and attributes; its heights are not read.
+    #
+    # Raises `SchemaError`: Other dims than (y, x), fewer than two cells, coordinates that are missing or
+    # uneven, a grid that is turned, no crs, or ``height_reference`` that is not declared; all are listed.
+    # Raises `MissingExtraError`: pyproj is not installed.
     problems = Problems("this DEM cannot be used", SchemaError)
     dem = dem.squeeze(drop=True) if dem.ndim > 2 else dem
     axes: dict[str, tuple[float, float]] = {}
@@ -522,13 +517,9 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
 
 
 def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
-    """Return a raster of heights (row, col), prepared for the kernel.
-
-    Raises
-    ------
-    SchemaError
-        All cells are holes.
-    """
+    # Return a raster of heights (row, col), prepared for the kernel.
+    #
+    # Raises `SchemaError`: All cells are holes.
     elevation = np.array(heights, dtype=np.float64)
     for value in grid.missing:
         elevation[np.asarray(heights) == value] = np.nan

@@ -105,13 +105,10 @@ def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
 def convention_of_line(
     line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention | None
 ) -> Convention:
-    """Return the convention of a line's poses; the line's own column order fills a missing one.
-
-    Raises
-    ------
-    SchemaError
-        Neither the argument nor the attributes of the record, or of the line without one, declare it.
-    """
+    # Return the convention of a line's poses; the line's own column order fills a missing one.
+    #
+    # Raises `SchemaError`: Neither the argument nor the attributes of the record, or of the line without one,
+    # declare it.
     source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
     declared = convention_of(source, convention, subject)
     line_convention = Convention.from_attrs(line.attrs)
@@ -138,15 +135,10 @@ def convention_of(
 def pose_columns(
     dataset: xr.Dataset, convention: Convention, dim: str | None = None
 ) -> dict[str, xr.DataArray]:
-    """Return the six variables of a pose, positions in degree and metre, angles in the convention's unit.
-
-    Raises
-    ------
-    SchemaError
-        Variables are missing, or units contradict the convention; all are listed.
-    UnitsError
-        Units that cannot be read, or are of another dimension.
-    """
+    # Return the six variables of a pose, positions in degree and metre, angles in the convention's unit.
+    #
+    # Raises `SchemaError`: Variables are missing, or units contradict the convention; all are listed. Raises
+    # `UnitsError`: Units that cannot be read, or are of another dimension.
     problems = Problems("the poses of the camera cannot be read", SchemaError)
     columns: dict[str, xr.DataArray] = {}
     for name in POSE:
@@ -420,12 +412,9 @@ def angles_of(rotation: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
-    """Return rotations on the shorter arc from ``first`` (weight 0) to ``second`` (weight 1) (..., 4).
-
-    Notes
-    -----
-    Shoemake (1985), "Animating rotation with quaternion curves".
-    """
+    # Return rotations on the shorter arc from ``first`` (weight 0) to ``second`` (weight 1) (..., 4).
+    #
+    # Shoemake (1985), "Animating rotation with quaternion curves".
     second = np.where(((first * second).sum(axis=-1) < 0)[..., None], -second, second)
     # from the chord: an arc cosine near 1 loses half of its digits
     angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(second - first, axis=-1) / 2.0, 0.0, 1.0))

@@ -450,22 +450,18 @@ _FIT_ROUNDS = 20
 def overlap_factors(
     tiles: Iterable[dict[int, Recipe]], lines: int, bands: int, wavelength: Floats | None = None
 ) -> tuple[Floats, Bools]:
-    """Return factors (line, band) that make lines agree where they overlap (eager, a tile at a time).
-
-    And whether the factor of an overlapping line is interpolated from neighbouring bands (line, band).
-
-    ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Robust least squares on
-    the logarithm of the medians of tiles, over unflagged cells. Lines connected by overlaps keep their mean
-    logarithm; lines without enough overlap have the factor 1. Two lines do not overlap in a band that is 0
-    or less in one of them; a factor of 1 there would be a step in the spectrum, so the logarithm is
-    interpolated line by line over ``wavelength`` (band,), or band numbers, and constant beyond the outermost
-    bands.
-
-    Raises
-    ------
-    SchemaError
-        No two lines overlap.
-    """
+    # Return factors (line, band) that make lines agree where they overlap (eager, a tile at a time).
+    #
+    # And whether the factor of an overlapping line is interpolated from neighbouring bands (line, band).
+    #
+    # ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Robust least squares on
+    # the logarithm of the medians of tiles, over unflagged cells. Lines connected by overlaps keep their mean
+    # logarithm; lines without enough overlap have the factor 1. Two lines do not overlap in a band that is 0
+    # or less in one of them; a factor of 1 there would be a step in the spectrum, so the logarithm is
+    # interpolated line by line over ``wavelength`` (band,), or band numbers, and constant beyond the
+    # outermost bands.
+    #
+    # Raises `SchemaError`: No two lines overlap.
     # recipes are bound to the callable: dask would search arguments for tasks
     tasks = [
         dask.delayed(partial(_ratios, tile), pure=False, traverse=False)() for tile in tiles if len(tile) > 1

@@ -107,13 +107,10 @@ class SharedGrid:
 
 
 def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Progress | None) -> SharedGrid:
-    """Return the grid that covers all lines; surveys the lines (eager) one at a time.
-
-    Raises
-    ------
-    SchemaError
-        The lines are on different maps; maps have other cells than the mosaic, or are turned; all are listed.
-    """
+    # Return the grid that covers all lines; surveys the lines (eager) one at a time.
+    #
+    # Raises `SchemaError`: The lines are on different maps; maps have other cells than the mosaic, or are
+    # turned; all are listed.
     problems = Problems("these lines make no mosaic", SchemaError)
     crs = {name: _crs(line) for name, line in lines.items()}
     if len(set(crs.values())) > 1:
@@ -169,13 +166,10 @@ def strips_of(
     tile: int,
     **options: Any,
 ) -> list[Strip]:
-    """Return all lines on the grid of the mosaic, cut into its tiles; options as for `orthorectify`.
-
-    Raises
-    ------
-    SchemaError
-        Lines have other wavelengths, units or types than the first; maps lack ``hits`` or ``gap``.
-    """
+    # Return all lines on the grid of the mosaic, cut into its tiles; options as for `orthorectify`.
+    #
+    # Raises `SchemaError`: Lines have other wavelengths, units or types than the first; maps lack ``hits`` or
+    # ``gap``.
     strips = []
     for name, line in lines.items():
         # Tiles are counted from the anchor of the grid, like cells: the tiles of a line do not move when

@@ -178,18 +178,12 @@ class Survey:
 
 
 def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
-    """Return axes along the flight, with its direction up, from some lines spread evenly over it.
-
-    Raises
-    ------
-    SchemaError
-        No line has a ground position.
-
-    Notes
-    -----
-    The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide has
-    no direction; the normal of the lines is used instead.
-    """
+    # Return axes along the flight, with its direction up, from some lines spread evenly over it.
+    #
+    # Raises `SchemaError`: No line has a ground position.
+    #
+    # The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide
+    # has no direction; the normal of the lines is used instead.
     count = east.shape[0]
     sampled_lines = np.unique(np.linspace(0, count - 1, _DIRECTION_LINES).astype(int))
     first_lines = np.cumsum((0, *east.chunks[0]))
@@ -222,13 +216,9 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
 
 
 def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress | None) -> Survey:
-    """Return extent and spacing of every line (eager).
-
-    Raises
-    ------
-    SchemaError
-        No pixel has a ground position.
-    """
+    # Return extent and spacing of every line (eager).
+    #
+    # Raises `SchemaError`: No pixel has a ground position.
     slabs = range(east.numblocks[0])
     groups = [list(slabs[first : first + _TASK_SLABS]) for first in slabs[::_TASK_SLABS]]
     surveyed = _computed_survey(east, north, groups, axes, progress)

@@ -388,18 +388,13 @@ _PIXEL = (ALONG_TRACK, CROSS_TRACK)
 
 
 def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Dataset, list[str]]:
-    """Return a line with spectra at nominal wavelengths, and the names of the variables to map.
-
-    By default reflectance, else radiance; from counts alone reflectance is computed.
-
-    Raises
-    ------
-    SchemaError
-        Variables that are missing, of dims that a map lacks, or of types other than numbers,
-        flags and times; all are listed. Or reflectance is missing and cannot be computed.
-    UnitsError
-        As `hyperpaint.reflectance`.
-    """
+    # Return a line with spectra at nominal wavelengths, and the names of the variables to map.
+    #
+    # By default reflectance, else radiance; from counts alone reflectance is computed.
+    #
+    # Raises `SchemaError`: Variables that are missing, of dims that a map lacks, or of types other than
+    # numbers, flags and times; all are listed. Or reflectance is missing and cannot be computed. Raises
+    # `UnitsError`: As `hyperpaint.reflectance`.
     if isinstance(variables, str):
         variables = (variables,)
     if variables is None:

@@ -33,19 +33,16 @@ CONVERGED_CHANGE = 1e-7
 
 
 def summarise(values: Array, centre: str) -> dict[str, Floats]:
-    """Return centre and spread of pixels, band by band, by the names of their variables in a library.
-
-    ``reflectance`` (band,), their centre, NaN without values; ``reflectance_sd`` (band,), their standard
-    deviation, NaN with less than two values; ``reflectance_quantiles`` (quantile, band), their quantiles at
-    `QUANTILES`; float64. Takes ``values`` (pixel, band): reflectance, a value that is not finite is missing
-    in that band only; ``centre``: one of `CENTRES`.
-
-    Notes
-    -----
-    The trimmed mean excludes values farther than three standard deviations from the centre: first from the
-    median, with the standard deviation from the median absolute deviation, then repeatedly from the mean of
-    the remaining values, with their standard deviation, until it excludes no more.
-    """
+    # Return centre and spread of pixels, band by band, by the names of their variables in a library.
+    #
+    # ``reflectance`` (band,), their centre, NaN without values; ``reflectance_sd`` (band,), their standard
+    # deviation, NaN with less than two values; ``reflectance_quantiles`` (quantile, band), their quantiles at
+    # `QUANTILES`; float64. Takes ``values`` (pixel, band): reflectance, a value that is not finite is missing
+    # in that band only; ``centre``: one of `CENTRES`.
+    #
+    # The trimmed mean excludes values farther than three standard deviations from the centre: first from the
+    # median, with the standard deviation from the median absolute deviation, then repeatedly from the mean of
+    # the remaining values, with their standard deviation, until it excludes no more.
     bands = values.shape[1]
     centres, spreads = np.full(bands, np.nan), np.full(bands, np.nan)
     quantiles = np.full((len(QUANTILES), bands), np.nan)

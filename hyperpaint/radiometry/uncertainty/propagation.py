@@ -49,13 +49,10 @@ _ABSOLUTE = (
 
 
 def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, Any]:
-    """Return the known noise and systematic errors of a line, by name; ``panel``: uncertainty of a panel [1].
-
-    Raises
-    ------
-    SchemaError, UnitsError
-        Variables of the noise are missing, or have other dims or units; all problems are listed.
-    """
+    # Return the known noise and systematic errors of a line, by name; ``panel``: uncertainty of a panel [1].
+    #
+    # Raises `SchemaError, UnitsError`: Variables of the noise are missing, or have other dims or units; all
+    # problems are listed.
     problems = Problems("cannot compute uncertainties of reflectance", SchemaError)
     problems.add_if(
         "counts" not in dataset.variables,
@@ -124,18 +121,15 @@ def error_terms(
     masked: int = 0,
     dark_share: float = 1.0,
 ) -> ErrorTerms:
-    """Return the terms of the uncertainty of every sample; unknown terms are zero.
-
-    ``uncertain`` as of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
-    by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements without
-    light, whose mean is subtracted as pedestal of a line: all its samples share the noise of this mean;
-    ``dark_share`` is the largest root sum of squares of the weights with which a line's darks are subtracted.
-
-    Raises
-    ------
-    SchemaError
-        Values are impossible for uncertainties; all are listed.
-    """
+    # Return the terms of the uncertainty of every sample; unknown terms are zero.
+    #
+    # ``uncertain`` as of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line, by
+    # name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements without
+    # light, whose mean is subtracted as pedestal of a line: all its samples share the noise of this mean;
+    # ``dark_share`` is the largest root sum of squares of the weights with which a line's darks are
+    # subtracted.
+    #
+    # Raises `SchemaError`: Values are impossible for uncertainties; all are listed.
     _check_uncertainties(uncertain, bad)
 
     def of(name: str) -> Floats:

@@ -178,29 +178,15 @@ class Atmosphere:
         wavelength: npt.ArrayLike | None = None,
         name: str = "clear",
     ) -> Atmosphere:
-        """Return the clear sky of the simulator, which resolves the absorption lines of oxygen.
-
-        Parameters
-        ----------
-        sun_zenith, sun_azimuth, name
-            See `Atmosphere`.
-        aerosol
-            Aerosol optical depth of the whole atmosphere at 500 nm.
-        ozone
-            Ozone column [atm cm].
-        water
-            Precipitable water relative to a typical summer day.
-        haze
-            The air before the camera; None for no air.
-        wavelength
-            Grid, shape (wavelength,) [nm]; by default 340 to 1100 nm in steps of 0.05 nm. The sky has no
-            absorption bands beyond 1000 nm.
-
-        Raises
-        ------
-        SchemaError
-            The sun is not above the horizon, or the grid is invalid.
-        """
+        # Return the clear sky of the simulator, which resolves the absorption lines of oxygen.
+        #
+        # ``sun_zenith``, ``sun_azimuth``, ``name``: See `Atmosphere`. ``aerosol``: Aerosol optical depth of
+        # the whole atmosphere at 500 nm. ``ozone``: Ozone column [atm cm]. ``water``: Precipitable water
+        # relative to a typical summer day. ``haze``: The air before the camera; None for no air.
+        # ``wavelength``: Grid, shape (wavelength,) [nm]; by default 340 to 1100 nm in steps of 0.05 nm. The
+        # sky has no absorption bands beyond 1000 nm.
+        #
+        # Raises `SchemaError`: The sun is not above the horizon, or the grid is invalid.
         grid = spectral_grid(*_RANGE_NM) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
         return cls._with_haze(
@@ -244,33 +230,19 @@ class Atmosphere:
         wavelength: npt.ArrayLike | None = None,
         name: str = "spectrl2",
     ) -> Atmosphere:
-        """Return the clear sky of SPECTRL2 (Bird & Riordan 1986), by pvlib.
-
-        Its steps of 5 nm around the oxygen A band and 10 to 20 nm elsewhere are interpolated linearly, so
-        that bands of oxygen and water are shallower and wider than in nature.
-
-        Parameters
-        ----------
-        sun_zenith, sun_azimuth, aerosol, ozone, haze, name
-            See `clear`; inaccurate for zenith angles beyond 85 degrees.
-        precipitable_water
-            Water column [cm].
-        ground
-            Reflectance of the surroundings, which brightens the sky.
-        pressure
-            Air pressure at the ground [Pa].
-        dayofyear
-            Day of the year, for the distance of the sun.
-        wavelength
-            Grid, shape (wavelength,), within 300 to 4000 [nm]; by default 340 to 1100 nm in steps of 0.5 nm.
-
-        Raises
-        ------
-        MissingExtraError
-            pvlib is not installed.
-        SchemaError
-            The sun is not above the horizon, or the grid exceeds 300 to 4000 nm.
-        """
+        # Return the clear sky of SPECTRL2 (Bird & Riordan 1986), by pvlib.
+        #
+        # Its steps of 5 nm around the oxygen A band and 10 to 20 nm elsewhere are interpolated linearly, so
+        # that bands of oxygen and water are shallower and wider than in nature.
+        #
+        # ``sun_zenith``, ``sun_azimuth``, ``aerosol``, ``ozone``, ``haze``, ``name``: See `clear`; inaccurate
+        # for zenith angles beyond 85 degrees. ``precipitable_water``: Water column [cm]. ``ground``:
+        # Reflectance of the surroundings, which brightens the sky. ``pressure``: Air pressure at the ground
+        # [Pa]. ``dayofyear``: Day of the year, for the distance of the sun. ``wavelength``: Grid, shape
+        # (wavelength,), within 300 to 4000 [nm]; by default 340 to 1100 nm in steps of 0.5 nm.
+        #
+        # Raises `MissingExtraError`: pvlib is not installed. Raises `SchemaError`: The sun is not above the
+        # horizon, or the grid exceeds 300 to 4000 nm.
         grid = (
             spectral_grid(*_RANGE_NM, 0.5) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         )
@@ -315,33 +287,20 @@ class Atmosphere:
         haze: Haze | None = HAZE,
         name: str = "measured",
     ) -> Atmosphere:
-        """Return the atmosphere of a measured irradiance series at one time.
-
-        Parameters
-        ----------
-        series
-            Dataset with ``irradiance`` (irradiance_time, irradiance_wavelength), total on a level surface.
-        sun_zenith, sun_azimuth, overcast_share, name
-            See `Atmosphere`.
-        time
-            Time, UTC, at which irradiance is interpolated; None for a series of one sample.
-        direct_fraction
-            Direct over total irradiance, one number or shape (wavelength,): 0 under an overcast sky. By
-            default the fraction of the built-in clear sky with this sun.
-        haze
-            The air before the camera; None for none.
-
-        Raises
-        ------
-        SchemaError
-            ``irradiance`` is missing, has other dims or units, or is not finite or negative; the time is
-            outside the series, or missing with more than one sample; ``direct_fraction`` is not from 0 to 1.
-
-        Warns
-        -----
-        PaintWarning
-            Noise around zero, down to -1 % of the largest value, is set to 0.
-        """
+        # Return the atmosphere of a measured irradiance series at one time.
+        #
+        # ``series``: Dataset with ``irradiance`` (irradiance_time, irradiance_wavelength), total on a level
+        # surface. ``sun_zenith``, ``sun_azimuth``, ``overcast_share``, ``name``: See `Atmosphere`. ``time``:
+        # Time, UTC, at which irradiance is interpolated; None for a series of one sample.
+        # ``direct_fraction``: Direct over total irradiance, one number or shape (wavelength,): 0 under an
+        # overcast sky. By default the fraction of the built-in clear sky with this sun. ``haze``: The air
+        # before the camera; None for none.
+        #
+        # Raises `SchemaError`: ``irradiance`` is missing, has other dims or units, or is not finite or
+        # negative; the time is outside the series, or missing with more than one sample; ``direct_fraction``
+        # is not from 0 to 1.
+        #
+        # Warns `PaintWarning`: Noise around zero, down to -1 % of the largest value, is set to 0.
         grid, total = _irradiance_at(series, time)
         if direct_fraction is None:
             sun, sky = built_in_sky(grid, sun_zenith)
@@ -379,31 +338,19 @@ class Atmosphere:
         haze: Haze | None = None,
         name: str | None = None,
     ) -> Atmosphere:
-        """Return the atmosphere of a table, for example with results of MODTRAN or libRadtran.
-
-        Parameters
-        ----------
-        table
-            A text file of comma-separated columns with comments after ``#``, or a mapping of columns.
-            Headings are a name and units: ``wavelength [nm]``, ``sun [W m-2 nm-1]`` (normal to the beam),
-            ``sky [W m-2 nm-1]`` (on a level surface), and, both or neither, ``extinction [m-1]`` and
-            ``path_radiance [W m-2 sr-1 nm-1 m-1]``, or others of the same dimension. Or a Dataset from a
-            reader of `hyperpaint.io.skies`, whose ``sky_radiance``, if any, is fitted
-            (`hyperpaint.light.fit_sky`).
-        sun_zenith, sun_azimuth, overcast_share
-            See `Atmosphere`.
-        haze
-            The air before the camera, if the table does not have it; None for no air.
-        name
-            Name of the atmosphere; by default the name of the file.
-
-        Raises
-        ------
-        FormatError
-            The table has another form; all problems are listed.
-        SchemaError
-            The sun is not above the horizon.
-        """
+        # Return the atmosphere of a table, for example with results of MODTRAN or libRadtran.
+        #
+        # ``table``: A text file of comma-separated columns with comments after ``#``, or a mapping of
+        # columns. Headings are a name and units: ``wavelength [nm]``, ``sun [W m-2 nm-1]`` (normal to the
+        # beam), ``sky [W m-2 nm-1]`` (on a level surface), and, both or neither, ``extinction [m-1]`` and
+        # ``path_radiance [W m-2 sr-1 nm-1 m-1]``, or others of the same dimension. Or a Dataset from a reader
+        # of `hyperpaint.io.skies`, whose ``sky_radiance``, if any, is fitted (`hyperpaint.light.fit_sky`).
+        # ``sun_zenith``, ``sun_azimuth``, ``overcast_share``: See `Atmosphere`. ``haze``: The air before the
+        # camera, if the table does not have it; None for no air. ``name``: Name of the atmosphere; by default
+        # the name of the file.
+        #
+        # Raises `FormatError`: The table has another form; all problems are listed. Raises `SchemaError`: The
+        # sun is not above the horizon.
         fitted = None
         if isinstance(table, Mapping) and "direct_normal" in table:
             sky_table = cast("xr.Dataset", table)
@@ -497,15 +444,10 @@ class Atmosphere:
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> Atmosphere:
-        """Return the atmosphere that `to_dataset` wrote.
-
-        Raises
-        ------
-        SchemaError
-            Variables are missing, or their values cannot be used; all are listed.
-        UnitsError
-            A variable has no units, or units of another quantity.
-        """
+        # Return the atmosphere that `to_dataset` wrote.
+        #
+        # Raises `SchemaError`: Variables are missing, or their values cannot be used; all are listed. Raises
+        # `UnitsError`: A variable has no units, or units of another quantity.
         problems = Problems("an atmosphere cannot be read", SchemaError)
         for name in ("wavelength", *_CURVES, *_NUMBERS):
             if name not in dataset.variables:

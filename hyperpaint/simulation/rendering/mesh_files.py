@@ -134,13 +134,9 @@ _MAX_HEADER_BYTES = 65536
 
 
 def check_ply(data: bytes, where: str) -> None:
-    """Refuse a PLY file whose header declares more data than the file has, before memory is allocated.
-
-    Raises
-    ------
-    FormatError
-        The PLY header is missing, or declares more data than the file has.
-    """
+    # Refuse a PLY file whose header declares more data than the file has, before memory is allocated.
+    #
+    # Raises `FormatError`: The PLY header is missing, or declares more data than the file has.
     found = f"{where}: it begins with {data[:4]!r}"
     _require(data.startswith(b"ply"), found, expected="b'ply'", code="format-unknown")
     head, separator, _ = data[:_MAX_HEADER_BYTES].partition(b"end_header")
@@ -184,17 +180,13 @@ _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # types of chunks: "JSON" and "BIN" in 
 
 
 def strip_glb(data: bytes, where: str) -> tuple[bytes, tuple[str, ...], tuple[str, ...], int]:
-    """Return a GLB file with only its triangles; ``where`` names the file in messages.
-
-    Its meshes and materials are named "0", "1", ...; their names in the file and the number of triangles of
-    all nodes follow.
-
-    Raises
-    ------
-    FormatError
-        The file is not a GLB file of version 2, is truncated or inconsistent, refers to other files, or uses
-        an unsupported compression or primitive.
-    """
+    # Return a GLB file with only its triangles; ``where`` names the file in messages.
+    #
+    # Its meshes and materials are named "0", "1", ...; their names in the file and the number of triangles of
+    # all nodes follow.
+    #
+    # Raises `FormatError`: The file is not a GLB file of version 2, is truncated or inconsistent, refers to
+    # other files, or uses an unsupported compression or primitive.
     header, body = _chunks(data, where)
     entries = functools.partial(_entries, where=where)
     number = functools.partial(_whole_number, where=where)
@@ -493,42 +485,22 @@ def read_mesh(
     up: str | None = None,
     crease: float | None = 40.0,
 ) -> Scene:
-    """Return a mesh file as a scene of one instance.
-
-    Parameters
-    ----------
-    path
-        A file that ends in .obj, .glb or .ply.
-    materials
-        Materials of parts of the mesh, by the name of the material in the file, else by the name of the mesh,
-        object or group.
-    default
-        Material of all other parts.
-    instance
-        The instance, or its name; by default the name of the file.
-    unit
-        Length unit of the file [m]: 0.001 for millimetres.
-    up
-        Upward axis of the file: "x", "y" or "z"; by default y in GLB files (the glTF standard), else z.
-    crease
-        Normals are smoothed except at edges of more than this angle [degree]; None for flat faces. Normals of
-        the file are not read.
-
-    Returns
-    -------
-    Scene
-        Scene in metres, z up. Triangles without area are dropped with a `PaintWarning`; a mesh may be open.
-
-    Raises
-    ------
-    FormatError
-        The file is empty, truncated, damaged, too large (1 GiB, 50 million triangles), of another format,
-        without triangles, or has coordinates that are not finite or beyond 100,000 km.
-    SchemaError
-        Parts of the mesh have no material, or ``unit`` or ``up`` is invalid.
-    MissingExtraError
-        trimesh is not installed, for GLB and PLY.
-    """
+    # Return a mesh file as a scene of one instance.
+    #
+    # ``path``: A file that ends in .obj, .glb or .ply. ``materials``: Materials of parts of the mesh, by the
+    # name of the material in the file, else by the name of the mesh, object or group. ``default``: Material
+    # of all other parts. ``instance``: The instance, or its name; by default the name of the file. ``unit``:
+    # Length unit of the file [m]: 0.001 for millimetres. ``up``: Upward axis of the file: "x", "y" or "z"; by
+    # default y in GLB files (the glTF standard), else z. ``crease``: Normals are smoothed except at edges of
+    # more than this angle [degree]; None for flat faces. Normals of the file are not read.
+    #
+    # Returns: Scene in metres, z up. Triangles without area are dropped with a `PaintWarning`; a mesh may be
+    # open.
+    #
+    # Raises `FormatError`: The file is empty, truncated, damaged, too large (1 GiB, 50 million triangles), of
+    # another format, without triangles, or has coordinates that are not finite or beyond 100,000 km. Raises
+    # `SchemaError`: Parts of the mesh have no material, or ``unit`` or ``up`` is invalid. Raises
+    # `MissingExtraError`: trimesh is not installed, for GLB and PLY.
     file, materials = Path(path), materials or {}
     suffix = file.suffix.lower()
     _require(

@@ -680,22 +680,13 @@ def factor_spectra(
     clip: bool = False,
     hold_edges: bool = False,
 ) -> FactorSpectra:
-    """Return the spectra of all factors of a scene.
-
-    Parameters
-    ----------
-    record
-        The scene without its geometry.
-    bands
-        Bands whose centres tabulated spectra must cover to half a width.
-    paints, spectra, clip, hold_edges
-        As for `relight`.
-
-    Raises
-    ------
-    SchemaError
-        Names are unknown, values cannot be read, leave 0 to 1, or do not cover the bands; all are listed.
-    """
+    # Return the spectra of all factors of a scene.
+    #
+    # ``record``: The scene without its geometry. ``bands``: Bands whose centres tabulated spectra must cover
+    # to half a width. ``paints``, ``spectra``, ``clip``, ``hold_edges``: As for `relight`.
+    #
+    # Raises `SchemaError`: Names are unknown, values cannot be read, leave 0 to 1, or do not cover the bands;
+    # all are listed.
     problems = Problems("the scene cannot be painted", SchemaError)
     library = by_name(spectra)
     targets: Any = {} if paints is None else paints
@@ -1272,13 +1263,9 @@ def _irradiance_at_times(
 
 
 def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
-    """Return the number of the traced sun of an atmosphere; without direct light, of the nearest sun.
-
-    Raises
-    ------
-    SchemaError
-        The sun of the atmosphere, or its overcast or clear sky, was not traced.
-    """
+    # Return the number of the traced sun of an atmosphere; without direct light, of the nearest sun.
+    #
+    # Raises `SchemaError`: The sun of the atmosphere, or its overcast or clear sky, was not traced.
     towards = sun_vectors([(atmosphere.sun_zenith, atmosphere.sun_azimuth)])
     angles = np.degrees(
         2 * np.arcsin(np.linalg.norm(sun_vectors(settings.suns) - towards, axis=1).clip(0, 2) / 2)
@@ -1512,18 +1499,11 @@ class ProductTable:
         self._start_empty()
 
     def rows(self, codes: Ints) -> NDArray[np.float32]:
-        """Return the products of paths, shape (node, path, band), float32.
-
-        Parameters
-        ----------
-        codes : (path,)
-            Distinct codes, without empty slots.
-
-        Raises
-        ------
-        SchemaError
-            A code names a factor that the scene does not have.
-        """
+        # Return the products of paths, shape (node, path, band), float32.
+        #
+        # ``codes`` (path,): Distinct codes, without empty slots.
+        #
+        # Raises `SchemaError`: A code names a factor that the scene does not have.
         codes = np.ascontiguousarray(codes, np.int64)
         with self._lock:
             cached_codes, products = self._cached_codes, self._products

@@ -170,13 +170,9 @@ class SceneRecord:
 
     @classmethod
     def from_attrs(cls, attrs: Mapping[Any, Any]) -> tuple[SceneRecord, TraceSettings]:
-        """Return the record and settings from attributes that `to_attrs` wrote.
-
-        Raises
-        ------
-        SchemaError
-            Attributes are missing or damaged; all are listed.
-        """
+        # Return the record and settings from attributes that `to_attrs` wrote.
+        #
+        # Raises `SchemaError`: Attributes are missing or damaged; all are listed.
         SchemaError.raise_if(
             "factors" in attrs and attrs.get("source_bits", 3) != SOURCE_BITS,
             "the scene was traced by an older hyperpaint, with 3 bits for the source of a path",

@@ -226,22 +226,13 @@ def mix(
     table: npt.NDArray[Any],
     out: npt.NDArray[np.float32],
 ) -> None:
-    """Write the sum of weight x spectrum over slots.
-
-    Parameters
-    ----------
-    weight, index
-        Weights and rows of the table, shape (line, slot, column), float32 and int32; -1 for an empty slot.
-    table
-        Spectra, shape (path, band), float32 or float64; sums are float32.
-    out
-        Output, shape (line, band, column), float32.
-
-    Raises
-    ------
-    ValueError
-        For shapes that do not fit, and rows outside the table.
-    """
+    # Write the sum of weight x spectrum over slots.
+    #
+    # ``weight``, ``index``: Weights and rows of the table, shape (line, slot, column), float32 and int32; -1
+    # for an empty slot. ``table``: Spectra, shape (path, band), float32 or float64; sums are float32.
+    # ``out``: Output, shape (line, band, column), float32.
+    #
+    # Raises `ValueError`: For shapes that do not fit, and rows outside the table.
     columns = out.shape[2]
     mix_shifted(weight, index, np.asarray(table)[None], np.zeros(columns, int), np.ones((columns, 1)), out)
 
@@ -255,26 +246,14 @@ def mix_shifted(
     out: npt.NDArray[np.float32],
     texture: Texture | None = None,
 ) -> None:
-    """Write the sum of weight x spectrum over slots, with different spectra in every column.
-
-    Parameters
-    ----------
-    weight, index, out
-        As for `mix`.
-    table
-        Spectra at nodes of the wavelength shift, shape (node, path, band).
-    node
-        Number of the first node used by a column, shape (column,), integers.
-    node_weight
-        Weights of the nodes from the first, shape (column, 4 or fewer).
-    texture
-        Members shown by pixels instead of the mean; None for the means.
-
-    Raises
-    ------
-    ValueError
-        For shapes that do not fit, and rows or nodes outside the table.
-    """
+    # Write the sum of weight x spectrum over slots, with different spectra in every column.
+    #
+    # ``weight``, ``index``, ``out``: As for `mix`. ``table``: Spectra at nodes of the wavelength shift, shape
+    # (node, path, band). ``node``: Number of the first node used by a column, shape (column,), integers.
+    # ``node_weight``: Weights of the nodes from the first, shape (column, 4 or fewer). ``texture``: Members
+    # shown by pixels instead of the mean; None for the means.
+    #
+    # Raises `ValueError`: For shapes that do not fit, and rows or nodes outside the table.
     spectra = np.ascontiguousarray(table, np.float32)
     (lines, _, columns), bands, shape = weight.shape, out.shape[1], spectra.shape[1:]
     weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)

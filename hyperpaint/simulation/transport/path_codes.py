@@ -91,13 +91,9 @@ class PathCodes:
 
     @classmethod
     def of(cls, factors: int, depth: int) -> Self:
-        """Return the codes for a number of factors and of scatterings.
-
-        Raises
-        ------
-        SchemaError
-            The digits do not fit into 63 bits.
-        """
+        # Return the codes for a number of factors and of scatterings.
+        #
+        # Raises `SchemaError`: The digits do not fit into 63 bits.
         if depth < 1:
             raise SchemaError(f"depth={depth}", expected="at least 1 scattering", code="value-out-of-range")
         bits = max(factors, 1).bit_length()

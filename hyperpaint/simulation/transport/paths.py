@@ -148,13 +148,9 @@ def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple
 def check(
     geometry: Geometry, surfaces: Surfaces, sources: Sources, rays: Rays, settings: Settings, block: Block
 ) -> None:
-    """Refuse inputs that compiled loops cannot handle.
-
-    Raises
-    ------
-    ValueError
-        Inputs are inconsistent; the message lists all faults.
-    """
+    # Refuse inputs that compiled loops cannot handle.
+    #
+    # Raises `ValueError`: Inputs are inconsistent; the message lists all faults.
     first_line, samples, depth, digit_bits, seed = settings
     lines, columns, suns = len(rays.origin), len(rays.column_edges) - 1, len(sources.suns)
     numbers, factor_numbers = surfaces[0], surfaces[1:]
@@ -435,53 +431,39 @@ def trace_lines(
     settings: Settings,
     block: Block,
 ) -> None:
-    """Trace lines and record their paths.
-
-    Parameters
-    ----------
-    geometry, surfaces, sources
-        The scene and its light.
-    rays
-        Rays of the lines of this block.
-    settings
-        Settings of the trace.
-    block
-        Output.
-
-    Raises
-    ------
-    ValueError
-        Codes exceed 63 bits, there are more than six suns, or numbers are invalid.
-
-    Notes
-    -----
-    At every hit a shadow ray goes to every sun; escaping paths meet the sky. At the first hit both the coat
-    and the layers under it are followed; later a single lobe: the coat with a probability that grows with its
-    reflectance, else the flakes with their share, else the diffuse base. Weights are divided by the
-    probability.
-
-    The coat is a GGX surface with exact Fresnel reflectance and height-correlated shadowing; orange peel
-    tilts only the coat. It reflects the share E(c) of light from a direction of cosine c; the rest T = 1 - E
-    enters. Light passes the coat twice on the way to and from the base, which multiplies the weight by To Ti
-    / <T>, with the mean <T> of T over diffuse light: with the factor rho (1 - Fi) / (1 - rho Fi) and n^2 (1 -
-    Fi) = <T>, this is the reflectance of a diffuse base of albedo rho under a dielectric. Flakes are GGX
-    mirrors under the coat, lit by refracted light:
-
-        f = share To Ti / n^2  D G2 / (4 cos_o' cos_i')
-
-    with angles inside the coat (primed). The part K(c) of the entering light that flakes reflect beyond the
-    critical angle, or to other flakes, returns to the paint, meets flakes with their share or else the base,
-    and leaves as To Ko Ti Ki / <T K>, multiplied by both factors: two scatterings of the ``depth``. The base
-    gets the share 1 - share. With all factors 1 no light is lost.
-
-    The sky, uniform, overcast (L = 1.5 cos(zenith angle) E / pi) or a function of a clear sky, is above the
-    horizon; paths below the horizon end at the ground beyond the scene. Camera rays without a hit are
-    excluded from the mean of a pixel; if no ray has a hit, weights are NaN.
-
-    A thin plate (``through_factor``) has a Lambert lobe on either side, with another spectrum for the side
-    behind. Suns light both sides; both sides are followed from the first surface, and later one of them at
-    random.
-    """
+    # Trace lines and record their paths.
+    #
+    # ``geometry``, ``surfaces``, ``sources``: The scene and its light. ``rays``: Rays of the lines of this
+    # block. ``settings``: Settings of the trace. ``block``: Output.
+    #
+    # Raises `ValueError`: Codes exceed 63 bits, there are more than six suns, or numbers are invalid.
+    #
+    # At every hit a shadow ray goes to every sun; escaping paths meet the sky. At the first hit both the coat
+    # and the layers under it are followed; later a single lobe: the coat with a probability that grows with
+    # its reflectance, else the flakes with their share, else the diffuse base. Weights are divided by the
+    # probability.
+    #
+    # The coat is a GGX surface with exact Fresnel reflectance and height-correlated shadowing; orange peel
+    # tilts only the coat. It reflects the share E(c) of light from a direction of cosine c; the rest T = 1 -
+    # E enters. Light passes the coat twice on the way to and from the base, which multiplies the weight by To
+    # Ti / <T>, with the mean <T> of T over diffuse light: with the factor rho (1 - Fi) / (1 - rho Fi) and n^2
+    # (1 - Fi) = <T>, this is the reflectance of a diffuse base of albedo rho under a dielectric. Flakes are
+    # GGX mirrors under the coat, lit by refracted light:
+    #
+    # f = share To Ti / n^2 D G2 / (4 cos_o' cos_i')
+    #
+    # with angles inside the coat (primed). The part K(c) of the entering light that flakes reflect beyond the
+    # critical angle, or to other flakes, returns to the paint, meets flakes with their share or else the
+    # base, and leaves as To Ko Ti Ki / <T K>, multiplied by both factors: two scatterings of the ``depth``.
+    # The base gets the share 1 - share. With all factors 1 no light is lost.
+    #
+    # The sky, uniform, overcast (L = 1.5 cos(zenith angle) E / pi) or a function of a clear sky, is above the
+    # horizon; paths below the horizon end at the ground beyond the scene. Camera rays without a hit are
+    # excluded from the mean of a pixel; if no ray has a hit, weights are NaN.
+    #
+    # A thin plate (``through_factor``) has a Lambert lobe on either side, with another spectrum for the side
+    # behind. Suns light both sides; both sides are followed from the first surface, and later one of them at
+    # random.
     settings = Settings(*map(int, settings))
     check(geometry, surfaces, sources, rays, settings, block)
     suns = np.ascontiguousarray(sources.suns, np.float64).reshape(-1, 3)
