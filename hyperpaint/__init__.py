@@ -4,8 +4,6 @@ Importing it registers ``Dataset.paint``, and takes as long as ``import xarray``
 here and in every room, are loaded on first use; kernels are compiled on their first run.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -35,8 +35,6 @@ Traceback (most recent call last):
 pint.errors.DimensionalityError: Cannot convert from 'watt ** 2 / ...' (...) to 'dimensionless' ...
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 

@@ -5,8 +5,6 @@ columns, or the line corrected by them, go out; `align` compares camera and reco
 differences. Called by users, the accessor, `validation` and `workflows`.
 """
 
-from __future__ import annotations
-
 from .application import apply_alignment
 from .comparison import align, compared
 from .estimation import align_to_irradiance

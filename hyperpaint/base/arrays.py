@@ -1,7 +1,5 @@
 """Types that all rooms share: arrays by dtype, and the progress callback."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeAlias
 

@@ -1,7 +1,5 @@
 """Constants that several rooms share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Literal, get_args

@@ -3,8 +3,6 @@
 A pipe may block for ever, a device has no end, a socket cannot be read, and a URL may reach another machine.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import stat

@@ -4,8 +4,6 @@ A node of dask has one result. The task therefore returns all its arrays, by nam
 dtype object, and every output picks its array from it; dask fuses the picking with the next step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping
 from typing import Any, TypeVar
 

@@ -1,7 +1,5 @@
 """Declaration whether reflectance contains the light that a clear coat mirrors."""
 
-from __future__ import annotations
-
 import xarray as xr
 
 from .facts import one_of

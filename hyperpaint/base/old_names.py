@@ -1,7 +1,5 @@
 """Names of earlier versions and their replacements, so that old files and datasets still open."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar

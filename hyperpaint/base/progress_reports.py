@@ -1,7 +1,5 @@
 """Progress reports: for the parts of a task, and as a bar on stderr."""
 
-from __future__ import annotations
-
 import sys
 from typing import overload
 

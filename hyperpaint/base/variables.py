@@ -4,8 +4,6 @@ Nothing else in the package spells a variable's units or meaning. `hyperpaint.ba
 the table, and labels outputs from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ Out: a dataset with gain, wavelengths, dark and uncertainties. Called by workflo
 alignment, pictures and reports read its results.
 """
 
-from __future__ import annotations
-
 from .anchors import (
     anchor_to_radiance,
     calibration_from_coefficients,

@@ -1,7 +1,5 @@
 """Check a lab sweep, report all faults together, and read its frames one step at a time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ Bands and columns are fitted separately: over bands, light of one wavelength sho
 over columns, it shows the profile of the beam, which is not a property of the camera.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The commands from raw cubes to stores and maps: ``run``, ``check``, ``process``, ``mosaic`` and others."""
 
-from __future__ import annotations
-
 import contextlib
 import textwrap
 import time

@@ -1,7 +1,5 @@
 """The commands ``simulate``, ``render``, ``view``, ``report`` and ``site``."""
 
-from __future__ import annotations
-
 import webbrowser
 from pathlib import Path
 from typing import Any

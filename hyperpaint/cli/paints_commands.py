@@ -1,7 +1,5 @@
 """The commands on paint libraries: ``signatures``, ``validate``, ``detect``, ``paints`` and others."""
 
-from __future__ import annotations
-
 import functools
 import re
 from pathlib import Path

@@ -7,8 +7,6 @@ Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong, 1
 SIGTERM.
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import signal

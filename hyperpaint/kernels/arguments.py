@@ -6,8 +6,6 @@ A kernel is compiled for the types of its arguments: a member that is None remov
 compiled code. `without_empty_arrays` replaces empty arrays by None.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 

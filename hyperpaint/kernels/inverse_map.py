@@ -4,8 +4,6 @@ Four neighbouring pixels span a quadrilateral on the map, and a bilinear patch b
 Every cell whose centre lies in it gets the fractional line and column of the patch at that centre.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Least-squares fits of lamp lines, one after the other."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Linearity correction of counts, a row of columns at a time."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

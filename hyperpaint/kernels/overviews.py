@@ -1,7 +1,5 @@
 """Overviews of a slab: block means, and colours from bands."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperpaint.base.arrays import Array

@@ -5,8 +5,6 @@ computed in one loop; flags and uncertainties follow while its counts are in the
 are IEEE single precision throughout, so the bits do not depend on the number of lines in a slab.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

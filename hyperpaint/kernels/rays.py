@@ -6,8 +6,6 @@ coefficients in the order ``1 e n u ee nn uu en eu nu``. Along a straight ray ea
 distance s from the camera.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random and systematic uncertainty of every sample."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Segmentation of a cube: neighbouring pixels are joined, smallest relative steps between spectra first."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

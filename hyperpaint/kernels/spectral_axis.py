@@ -3,8 +3,6 @@
 A NaN band affects only the windows that contain it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 Both are sums over all bands of a column. Every line is therefore linearised again before the sums.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

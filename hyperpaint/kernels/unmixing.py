@@ -1,7 +1,5 @@
 """Unmixing of pixel spectra into body reflectance, light and mirror images, by bounded least squares."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -9,8 +9,6 @@ coupling of ground and air: SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 2
 dioxide and water: the rest of G173's direct beam after these, as optical depths of 1 nm cells.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import NamedTuple

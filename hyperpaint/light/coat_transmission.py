@@ -12,8 +12,6 @@ with :math:`F_{sky}` the mean of F over the sky as level ground is lit by it: 0.
 a clear one, which is bright at the horizon. Not for flakes, whose light leaves in a cone.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

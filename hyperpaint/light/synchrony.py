@@ -5,8 +5,6 @@ it, are flagged: nothing is extrapolated. The data do not contain the offset bet
 spectrometer; `timing_sensitivity` bounds the error that it could cause.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

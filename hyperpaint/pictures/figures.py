@@ -1,7 +1,5 @@
 """Functions shared by all pictures: figures, labels, legends, PNG files."""
 
-from __future__ import annotations
-
 import base64
 import io
 import struct

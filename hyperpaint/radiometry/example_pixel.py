@@ -1,7 +1,5 @@
 """The worked example: one pixel of known reflectance, with its calibration and light."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -4,8 +4,6 @@ Declared for dark-subtracted counts, c = L(C - D), or for raw counts, c = L(C) -
 amplifier and converter, which process light and dark, are nonlinear, or the detector wells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

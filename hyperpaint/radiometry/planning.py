@@ -3,8 +3,6 @@
 It runs once per line, as a node of the graph: wrong values are reported when results are computed.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import threading

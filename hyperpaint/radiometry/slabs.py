@@ -5,8 +5,6 @@ weights of the lines) are collected once in a `Plan`, a single node of the graph
 task then makes one pass over the counts of a slab. No values are read while the graph is built.
 """
 
-from __future__ import annotations
-
 import functools
 import uuid
 from collections.abc import Callable

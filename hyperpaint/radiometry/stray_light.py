@@ -6,8 +6,6 @@ band receives :math:`\epsilon = t_{shift} / t` of each other band. Both are inve
 by its largest singular values, because scattered light is smooth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -267,7 +267,7 @@ class BandSet:
     def between_nodes(self) -> tuple[NDArray[np.int64], Floats]:
         # Return the position of columns among the nodes: first of four nodes, and the four weights.
         #
-        # Returns: ``first`` (cross_track,); ``weight`` (cross_track, 4): weights of Lagrange's cubic; rows sum
+        # Returns: ``first`` (cross_track,); ``weight`` (cross_track, 4): weights of Lagrange's cubic; rows
         # to 1.
         #
         # Raises `SchemaError`: The bands have no smile, and therefore a single node.

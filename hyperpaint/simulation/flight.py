@@ -14,8 +14,6 @@ lies on ground of constant height above the ellipsoid, so that it is as curved a
 a pixel is the mean over its area and its exposure, along the moving line of sight of the camera.
 """
 
-from __future__ import annotations
-
 import abc
 import itertools
 import os

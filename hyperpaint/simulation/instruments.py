@@ -8,8 +8,6 @@ the white panel, radiance of the target and their ratio in per cent. Its three d
 wavelengths decrease at two joins; overlaps are not matched.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

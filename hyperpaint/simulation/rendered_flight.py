@@ -5,8 +5,6 @@ responses for every kind of path. The code of a path contains its source, so tha
 vary independently in time. The air between ground and camera neither absorbs nor scatters.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -4,8 +4,6 @@ Each field states its meaning and unit. Numbers were chosen on simulated scenes 
 ray-traced car parks) unless the field states otherwise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

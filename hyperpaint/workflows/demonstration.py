@@ -1,7 +1,5 @@
 """A simulated collect, processed like a real one; reflectance and signatures are compared with its truth."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

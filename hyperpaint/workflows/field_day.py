@@ -3,8 +3,6 @@
 Steps are separate workflows. They are run in order; a step whose inputs have not changed is skipped.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 from collections.abc import Callable, Collection, Mapping

@@ -4,8 +4,6 @@
 file contains are written as ``"?"``; `process` refuses them by name until they are filled in.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import itertools

@@ -3,8 +3,6 @@
 This module combines readers with signatures and validation.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import functools

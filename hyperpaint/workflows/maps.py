@@ -1,7 +1,5 @@
 """Maps and mosaics of the flight lines of a store, and their files."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import math

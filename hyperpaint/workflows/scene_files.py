@@ -1,7 +1,5 @@
 """Scene files: a ``scene.toml`` read and checked, its files located, and its parts built."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib

@@ -1,7 +1,5 @@
 """Reference systems and maps of the earth, through pyproj (extra ``geo``)."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

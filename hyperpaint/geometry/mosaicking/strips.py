@@ -4,8 +4,6 @@ The extent of a line is surveyed once. Then the line is orthorectified over the 
 touches, so that no tile is cut again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

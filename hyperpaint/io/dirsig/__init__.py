@@ -4,8 +4,6 @@ A paint library, or a scene of triangles with paint libraries, is written as a f
 ``.mat`` files are read as curves and materials. Called by users and workflows.
 """
 
-from __future__ import annotations
-
 from .dirsig_files import (
     Curve,
     Emissivity,

@@ -24,8 +24,6 @@ Companions in another folder have a staging folder there, with its own ``swap`` 
 no folder without such a ``swap``, so that a planted journal reaches no other folder.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

@@ -3,8 +3,6 @@
 A pattern stays inside one folder, and ``**`` follows no links.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fnmatch
 import hashlib

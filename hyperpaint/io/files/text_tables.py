@@ -1,7 +1,5 @@
 """Tables in text files: one header line, cells as text, line numbers kept for messages."""
 
-from __future__ import annotations
-
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence

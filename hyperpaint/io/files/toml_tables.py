@@ -1,7 +1,5 @@
 """TOML files as tables checked by their facts: all problems are noted, named files are not opened."""
 
-from __future__ import annotations
-
 import difflib
 import itertools
 import os

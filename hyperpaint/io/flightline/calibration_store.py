@@ -1,7 +1,5 @@
 """Calibration stores (`radiance_gain` and spectral axis of an imager), and lab sweeps."""
 
-from __future__ import annotations
-
 import functools
 import os
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Dark references: cubes recorded with a closed lens, averaged element by element."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ A flight consists of cubes ``raw_<N>``, where N is the number of the cube's firs
 variants are from public code (Nano-Hyperspec with APX-15, its older software, TERRA-REF).
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Mapping

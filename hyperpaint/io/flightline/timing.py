@@ -1,7 +1,5 @@
 """Time and position of the exposure of each line of a cube, from frame index, clocks and navigation."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Spectral libraries of all formats: read into paint libraries, and written from them."""
 
-from __future__ import annotations
-
 from .library_formats import check_library, declare_library, open_library, write_library
 
 __all__ = ["check_library", "declare_library", "open_library", "write_library"]

@@ -28,8 +28,6 @@ record there contains its paint, variable and index (``red | member 3``). If eve
 paint, the header has lists such as ``paint make`` and ``paint year`` with a value per paint.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

@@ -5,8 +5,6 @@ beside it are opened with it, and a tag may name a file of overviews. Only the `
 which holds its crs, is read besides.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import warnings

@@ -1,7 +1,5 @@
 """References of field spectrometers, libraries and stores, and their assignment to paints."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """Shared steps of the readers of field spectrometers: find files, list errors, name spectra."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

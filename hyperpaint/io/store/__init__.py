@@ -4,8 +4,6 @@ In: datasets and trees of them (`to_store`), or a store's path. Out: a store wit
 groups opened lazily and checked as they are read, a report of `verify`. Called by io, workflows and the user.
 """
 
-from __future__ import annotations
-
 from .layout import encoding
 from .reader import is_complete, list_groups, load_group, open_group, open_store, open_unverified
 from .verification import StoreReport, verify

@@ -5,8 +5,6 @@ therefore flushed before it is published. The disk begins to write every chunk a
 flush is short.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

@@ -1,7 +1,5 @@
 """Groups of a store: metadata, the list of all nodes in the root, and checks before a group is written."""
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping

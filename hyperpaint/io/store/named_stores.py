@@ -1,7 +1,5 @@
 """Zarr stores with dask names from their content, so that a rewritten group has other task names."""
 
-from __future__ import annotations
-
 from zarr.storage import FsspecStore, LocalStore
 
 

@@ -15,8 +15,6 @@ The next writer first repairs the state that a killed writer left. It resumes bu
 content, and removes other builds. Links, and names of paths outside the store, are errors.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Flight lines prepared for signatures: nominal wavelengths, smoothed, lazy, with directions of view."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Pixels of a region: spectra from a lazy cube; centre, spread, members, number of independent pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

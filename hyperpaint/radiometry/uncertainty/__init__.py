@@ -5,8 +5,6 @@
 pixels; the loops are in `hyperpaint.kernels.radiometry`.
 """
 
-from __future__ import annotations
-
 from .averages import mean_uncertainty
 from .photon_transfer import estimate_noise
 

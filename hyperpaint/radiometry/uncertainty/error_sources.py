@@ -3,8 +3,6 @@
 The tables are small for any number of lines: `averages` sums them over the pixels of a region.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ Errors are random or systematic. Random errors are independent in every sample. 
 by a flight, or by the lines of a column, like the noise of the mean dark and of a calibration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Candidate regions: connected pieces of one body, their measures, and the light and lean of a piece."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property

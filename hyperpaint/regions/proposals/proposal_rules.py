@@ -4,8 +4,6 @@ Each field states its meaning and unit. Numbers were chosen on simulated car par
 otherwise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -17,8 +17,6 @@ centimetre wide. Positions along the car are fractions of its length from the no
 the ground.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -8,8 +8,6 @@ stripped to nodes, meshes, positions, indices and numbers of materials, so that 
 animations or references to other files.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 import io

@@ -40,8 +40,6 @@ References
 .. [2] Axalta, "Global Automotive Color Popularity Report", 2017.
 """
 
-from __future__ import annotations
-
 import difflib
 import functools
 import re

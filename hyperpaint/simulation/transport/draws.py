@@ -5,8 +5,6 @@ Numbers of a sequential stream would depend on the blocks of lines. Counters giv
 (`even_pair`).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Vectors are tuples of three numbers, which the compiler keeps in registers. A no
 children. Triangles are stored in the order of the leaves, so that the triangles of a leaf are contiguous.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple, TypeAlias
 

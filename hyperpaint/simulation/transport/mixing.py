@@ -3,8 +3,6 @@
 Pixels of weathered surfaces show members of a population instead of its mean (`member_rows`).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -13,8 +13,6 @@ The code is one int64, so that a stored table of weights needs no key:
 A negative code is an empty slot.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -9,8 +9,6 @@ not depend on wavelength. The code of a path contains source and reflectances; w
 pixel are summed.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple, Self
 

@@ -12,8 +12,6 @@ a table over the cosine, and added to the next lobe: coat, then flakes, then bas
 microfacet based coupled specular-matte BRDF model", Eurographics (2001).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 
