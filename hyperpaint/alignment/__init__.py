@@ -5,8 +5,7 @@ columns, or the line corrected by them, go out; `align` compares camera and reco
 differences. Called by users, the accessor, `validation` and `workflows`.
 """
 
-from .application import apply_alignment
-from .comparison import align, compared
+from .comparison import align, apply_alignment, compared
 from .estimation import align_to_irradiance
 from .oxygen import oxygen_depth, oxygen_residual
 
