@@ -8,44 +8,55 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Progress
-from hyperpaint.base.errors import PaintError, SchemaError, StoreError
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Progress
+from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.old_names import renamed, with_new_names
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, rename_to_roles
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.store import list_groups, open_group, open_store, open_unverified
 from hyperpaint.io.store.groups import version_of_program
 from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.manifest import store_state
 from hyperpaint.io.store.reader import place_of
-from hyperpaint.pictures.figures import new_figure
+from hyperpaint.paints.colours import paint_colours
+from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of
+from hyperpaint.pictures.plot import (
+    background,
+    draw_irradiance,
+    draw_outlines,
+    draw_spread,
+    flag_label,
+    flag_overlay,
+    flags_of,
+    rgb,
+    triptych,
+)
+from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
+from hyperpaint.pictures.plot_paints import draw_panels, paint_card, validation_figure
+from hyperpaint.pictures.plot_spectra import draw_uncertainties, find_usable, library_overview
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.regions import Region, regions_from
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.surroundings.scratch import compute_into, release, scratch_array, survey_planned
+from hyperpaint.validation import validate
 
-from .report_sections import (
-    LAYERS,
-    calibration_section,
-    card_parts,
-    library_section,
-    line_section,
-    map_section,
-    regions_of,
-    validation_section,
-)
-from .summaries import Part, page_part
+from .summaries import Part, facts_of_bands, facts_of_line, facts_of_map, page_part
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -329,3 +340,381 @@ def message_of(error: Exception) -> str:
     # Return the message of an error for the page; errors of other packages with their class.
     kind = "" if isinstance(error, PaintError) else f"{type(error).__name__}: "
     return f"{kind}{error!s:.1000}"
+
+
+# --- sections of a report: a flight line, a map, a paint library, a calibration ----------------------------
+
+
+MAX_ROWS = 500  # paints in a table
+
+LAYERS = ("glint_fraction", "blocked_direct", "adjacency")  # continuous layers drawn if the store has them
+
+
+def line_section(
+    line: xr.Dataset, lines: int, regions: Sequence[Region] = (), note: str = ""
+) -> Iterator[Part]:
+    # Yield the parts of a flight line's section; draw a part before taking the next.
+    #
+    # ``lines``: maximum height of a picture; ``regions``: drawn as outlines, in sensor coordinates; ``note``:
+    # remark about the flags.
+    names, pictures = set(map(str, line.variables)), list[bool]()
+    yield "facts", lambda: page_part("facts", pairs=list(facts_of_line(line)))
+    yield "true colour", partial(_true_colour, line, lines, pictures)
+    # flags are drawn only if there is a picture; otherwise the page already gives the reason
+    heading = "Flags and regions" if regions else "Flags"
+    if pictures and "quality" in names:
+        yield "flags", lambda: _flags(line, lines, regions, heading)
+    chain = {"counts", "radiance_gain", "exposure_time", "irradiance", "wavelength"}
+    can_be_mapped = {"east", "north"} <= names or (names >= _POSE and "ground" in line.attrs)
+    shares_heading = "" if pictures else heading
+    rows: list[tuple[bool, str, Callable[[], Markup]]] = [
+        ("quality" in names, "shares of flags", lambda: _table_of_flags(flags_of(line), shares_heading)),
+        *(
+            (bool(pictures) and layer in names, layer, partial(_flags, line, lines, (), layer=layer))
+            for layer in LAYERS
+        ),
+        (bool(note), "origin of flags", partial(page_part, "paragraph", text=note)),
+        ("irradiance" in names, "irradiance", partial(_chart, "irradiance", line)),
+        ("panel_factor" in names, "panels", partial(_chart, "panels", line)),
+        (bool({"reflectance", "irradiance"} & names), "reflectance", partial(_reflectance, line)),
+        (chain <= names, "counts to reflectance", partial(_triptych, line, regions)),
+        ("reflectance" in names and can_be_mapped, "map", partial(_map, line)),
+        ("alignment_state" in line.attrs, "alignment", partial(_alignment, line.attrs)),
+        (True, "provenance", partial(_provenance, line.attrs)),
+    ]
+    yield from ((name, draw) for is_there, name, draw in rows if is_there)
+
+
+def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: int) -> Iterator[Part]:
+    # Yield the cards of the paints measured on a flight line, at most ``most`` of them.
+    #
+    # ``cards`` are pairs of a library and the name of one of its paints.
+    for number, (library, paint) in enumerate(cards[:most]):
+        heading = "" if number else "Paint by paint"
+        caption = f"{paint}: its region, the pixels used, and its signature."
+        yield f"card of {paint}", partial(_drawn, partial(paint_card, line, library, paint), caption, heading)
+    if len(cards) > most:
+        text = f"and {len(cards) - most} more paints, without a card"
+        yield "more cards", lambda: page_part("paragraph", text=text)
+
+
+def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
+    # Yield the parts of a map's section; its picture has at most ``rows`` rows.
+    step = max(1, -(-orthomap.sizes["y"] // rows))
+    group = rename_to_roles(orthomap)
+
+    def picture() -> Markup:
+        steps = {ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}
+        bytes_ = picture_bytes(rgb(group.isel(steps)))
+        caption = f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right."
+        return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=caption)
+
+    yield from (
+        ("facts", lambda: page_part("facts", pairs=list(facts_of_map(orthomap)))),
+        ("true colour", picture),
+    )
+    if "quality" in group.variables:
+        yield "shares of flags", lambda: _table_of_flags(flags_of(group), "Flags")
+    if "reflectance" in group.variables:
+        yield "reflectance", partial(_reflectance, group)
+    yield "provenance", partial(_provenance, orthomap.attrs)
+
+
+def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
+    # add an entry to ``pictures`` if the picture can be drawn
+    if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
+        raise SchemaError(
+            f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",
+            code="line-empty",
+        )
+    try:
+        picture = background(line, max(1, -(-line.sizes[ALONG_TRACK] // lines)))
+    except SchemaError as error:  # no reflectance, no visible bands
+        return page_part("paragraph", text=f"There is no picture: {error}", heading="True colour")
+    orientation = orientation_of(line)
+    oriented = flown_right((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), orientation)
+    columns = "upwards" if orientation.is_mirrored else "downwards"
+    caption = (
+        f"{line.sizes[ALONG_TRACK]} lines, flown to the right;"
+        f" {line.sizes[CROSS_TRACK]} columns, counted {columns}."
+    )
+    pictures.append(True)
+    return page_part("true_colour", src=data_uri(encode_png(np.ascontiguousarray(oriented))), caption=caption)
+
+
+def _flags(
+    line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str = "", layer: str | None = None
+) -> Markup:
+    # a layer, or all flags with the outlines of regions; lines are flown upwards
+    axes = flag_overlay(line, layer=layer, lines=lines, axes=_new_axes(7.0 if layer else 7.5))
+    draw_outlines(axes, regions)
+    caption = (
+        schema.VARIABLES[layer].meaning if layer else "Flagged pixels; of several flags the rarest is shown"
+    )
+    return figure_part(axes.figure, f"{caption}.", heading)
+
+
+def _reflectance(line: xr.Dataset) -> Markup:
+    axes = _new_axes(3.6, _CHART_INCH)
+    step = max(1, line.sizes[ALONG_TRACK] // 50)
+    sample = line.isel({ALONG_TRACK: slice(None, None, step)})
+    draw_spread(axes, sample if "reflectance" in sample else reflectance(sample))
+    every = "all lines" if step == 1 else f"one line in {step}"
+    caption = f"Spread of reflectance over the pixels of {every}, band by band."
+    return figure_part(axes.figure, caption, "Reflectance", kind="chart")
+
+
+def _table_of_flags(quality: Array, heading: str) -> Markup:
+    shares = schema.flag_shares(quality)
+    if not shares:
+        return page_part("paragraph", text="No flag is set on any pixel.", heading=heading)
+    rows = [
+        (flag_label(flag), np.count_nonzero(quality & int(flag)), share) for flag, share in shares.items()
+    ]
+    unflagged = f"{100 * float((quality == 0).mean()):.2f} % of {quality.size} pixels have no flag."
+    return page_part("flags", rows=rows, unflagged=unflagged, heading=heading)
+
+
+def library_section(library: xr.Dataset) -> Iterator[Part]:
+    # Yield the parts of a paint library's section; variables that break the schema are left out.
+    usable, problems = find_usable(library)
+    yield (
+        "facts",
+        lambda: page_part("facts", pairs=[("paints", usable.sizes[SIGNATURE]), *facts_of_bands(usable)]),
+    )
+    yield from (("variables", partial(_raise, problem)) for problem in problems)
+    caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
+    yield "spectra", lambda: figure_part(library_overview(usable), caption)
+    if "reflectance_u_random" in usable.variables:
+        yield "uncertainty", partial(_chart, "uncertainty", usable)
+    yield "paints", lambda: _table_of_paints(usable)
+    if refused := library.attrs.get("refused"):
+        pairs = [str(text).partition(": ")[::2] for text in np.atleast_1d(refused)]
+        yield "refused", lambda: page_part("facts", pairs=pairs, heading="Refused regions")
+    yield "provenance", lambda: _provenance({k: text for k, text in library.attrs.items() if k != "refused"})
+
+
+def _raise(problem: str) -> Markup:
+    raise SchemaError(problem, code="variable-unusable")
+
+
+def _table_of_paints(library: xr.Dataset) -> Markup:
+    first_paints = library.isel({SIGNATURE: slice(0, MAX_ROWS)})
+    columns = [name for name in ("n", "n_eff", "n_excluded") if name in first_paints.variables]
+    standard = {"time", "region", *schema.LIBRARY_VARIABLES}
+    # sorted, because the coordinates of a store come in the order of its folder's listing
+    extra = sorted(
+        str(name)
+        for name in first_paints.coords
+        if first_paints[name].dims == (SIGNATURE,) and name not in standard
+    )[:12]
+    values = {name: first_paints[name].values for name in (SIGNATURE, *columns, *extra)}
+    quality = (
+        first_paints["quality"].values
+        if "quality" in first_paints.variables
+        else np.zeros(len(values[SIGNATURE]), int)
+    )
+    rows = [
+        {
+            "rgb": ",".join(map(str, (255 * colour + 0.5).astype(int))) if np.isfinite(colour).all() else "",
+            "name": values[SIGNATURE][k],
+            "numbers": [f"{values[name][k]:.0f}" for name in columns],
+            "flags": ", ".join(schema.flag_names(int(quality[k]))),
+            "extra": [values[name][k] for name in extra],
+        }
+        for k, colour in enumerate(paint_colours(first_paints))
+    ]
+    numbers = [name.replace("_", " ") for name in columns]
+    hidden_count = library.sizes[SIGNATURE] - len(rows)
+    note = f"and {hidden_count} more paints" if hidden_count > 0 else ""
+    return page_part("paints", rows=rows, numbers=numbers, extra=extra, note=note)
+
+
+def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
+    # Yield flight line, name and region of the paints of a library.
+    #
+    # Regions on a map, and invalid regions in libraries of other programs, are left out.
+    if not {"region", "flightline"} <= set(library.variables):
+        return
+    if library.attrs.get("coordinates_of_regions", "sensor") != "sensor":
+        return
+    columns = (library[name].values for name in ("flightline", SIGNATURE, "region"))
+    for flightline, paint, geojson in list(zip(*columns, strict=True))[:MAX_ROWS]:
+        with contextlib.suppress(PaintError, ValueError, RecursionError):
+            yield str(flightline), str(paint), regions_from(json.loads(str(geojson)))[0]
+
+
+def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
+    # Yield the parts of the calibration's section; a calibration from a lab sweep has its report.
+    yield "facts", lambda: page_part("facts", pairs=list(facts_of_bands(calibration)))
+    # a calibration from files has no lamp lines of a lab sweep
+    if "line_centre" in calibration.variables:
+        caption = "Lamp lines of the lab sweep and the calibration from them."
+        yield "lab sweep", lambda: figure_part(calibration_report(calibration), caption)
+    elif "radiance_gain" in calibration.variables:
+        yield "gain and smile", partial(_gain, calibration)
+    yield "provenance", partial(_provenance, calibration.attrs)
+
+
+_CHART_INCH = 7.4  # width of a chart whose text can be read on a telephone
+
+
+def _new_axes(height: float, width: float = 10.0) -> Any:
+    return new_figure("a report", figsize=(width, height), layout="constrained").add_subplot()
+
+
+#: Charts of a line or library: function that draws them, size [inch], heading, caption, kind of figure.
+_CHARTS: Mapping[str, tuple[Callable[[Any, xr.Dataset], None], tuple[float, float], str, str, str]] = {
+    "irradiance": (
+        draw_irradiance,
+        (_CHART_INCH, 3.2),
+        "Irradiance over time",
+        "Downwelling irradiance around the line; the time of the line is shaded.",
+        "chart",
+    ),
+    "panels": (
+        draw_panels,
+        (_CHART_INCH, 4.0),
+        "Panels",
+        "Ratio of measured to certified reflectance of the panels, with twice the combined standard "
+        "uncertainty: where the shade misses 1, calibration, irradiance or panel is wrong.",
+        "chart",
+    ),
+    "uncertainty": (
+        draw_uncertainties,
+        (10.0, 3.8),
+        "Uncertainty",
+        "Standard uncertainty of the mean reflectance; dashed: its random part.",
+        "wide",
+    ),
+}
+
+
+def _chart(name: str, dataset: xr.Dataset) -> Markup:
+    draw, (width, height), heading, caption, kind = _CHARTS[name]
+    axes = _new_axes(height, width)
+    draw(axes, dataset)
+    return figure_part(axes.figure, caption, heading, kind)
+
+
+def _drawn(draw: Callable[[], Any], caption: str, heading: str = "") -> Markup:
+    return figure_part(draw(), caption, heading)
+
+
+def _gain(calibration: xr.Dataset) -> Markup:
+    figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
+    draw_gain(figure, calibration)
+    caption = "Gain and width of every band, and wavelength shift over the columns."
+    return figure_part(figure, caption, "Gain, width and smile", kind="chart wide")
+
+
+def _provenance(attrs: Mapping[Any, Any]) -> Markup:
+    return page_part("provenance", pairs=[(str(name), text) for name, text in attrs.items()])
+
+
+_DPI = 100
+_MAX_MAP_CELLS = 800  # rows or columns
+_MAX_MAP_BANDS = 24
+_POSE = {"latitude", "longitude", "altitude", "roll", "pitch", "heading"}
+
+# results of the comparison of camera and record in the attributes, see `hyperpaint.alignment.align`
+_COMPARED = {
+    "state": "state",
+    "shift": "wavelength shift, camera minus record, at 600 nm [nm]",
+    "shift_slope": "change of the shift over 100 nm [nm]",
+    "width": "band width over declared width [1]",
+    "departure": "departure from no shift [standard uncertainties]",
+    "effect": "largest change of irradiance [1]",
+    "residual": "residual of solar lines, aligned [1]",
+    "residual_declared": "residual of solar lines, as declared [1]",
+    "record_shift": "shift of the record against solar lines [nm]",
+    "camera_shift": "shift of the camera against solar lines [nm]",
+    "record_fwhm": "width of the record's bands [nm]",
+    "camera_width": "width of the camera's bands over declared width [1]",
+}
+
+
+def _triptych(line: xr.Dataset, regions: Sequence[Region]) -> Markup:
+    heading = "From counts to reflectance"
+    for region in regions:
+        try:
+            caption = f"{region.name}: median of its pixels, the middle half and 5 to 95 % of them."
+            return figure_part(triptych(line, region, width=13.0), caption, heading)
+        except SchemaError:  # all pixels of the region are flagged, or it lies outside the line
+            continue
+    centre = (line.sizes[ALONG_TRACK] // 2, line.sizes[CROSS_TRACK] // 2)
+    caption = f"The pixel in the middle of the line: line {centre[0]}, column {centre[1]} of the store."
+    return figure_part(triptych(line, pixels=centre, width=13.0), caption, heading)
+
+
+def _map(line: xr.Dataset) -> Markup:
+    # few visible bands, and cells large enough for the size of the page
+    nm = line["wavelength"].values
+    visible = np.flatnonzero((nm > 400) & (nm < 700))
+    bands = visible[
+        np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAX_MAP_BANDS)).astype(int))
+    ]
+    names = ["reflectance", *(name for name in ("east", "north") if name in line.variables)]
+    coords = line.coords if BAND not in line.dims else line.isel({BAND: bands}).coords
+    selection = line.isel({BAND: bands})[[*names, *(n for n in _POSE if n in line.data_vars)]].assign_coords(
+        coords
+    )
+    try:
+        orthomap = orthorectify(selection, variables=["reflectance"])
+        cells = max(orthomap.sizes["y"], orthomap.sizes["x"])
+        if cells > _MAX_MAP_CELLS:
+            gsd = float(abs(orthomap["x"][1] - orthomap["x"][0])) * cells / _MAX_MAP_CELLS
+            orthomap = orthorectify(selection, gsd, variables=["reflectance"])
+    except PaintError as error:  # camera or heights are missing, which is not a fault of the store
+        return page_part("paragraph", text=f"There is no map: {error}", heading="Map")
+    x, y = orthomap["x"].values, orthomap["y"].values
+    caption = (
+        f"North up, cells of {abs(x[1] - x[0]):.2g} m; easting {x.min():.0f} to {x.max():.0f}, northing "
+        f"{y.min():.0f} to {y.max():.0f} m."
+    )
+    picture = picture_bytes(rgb(rename_to_roles(orthomap)))
+    return page_part("true_colour", src=data_uri(encode_png(picture)), caption=caption, heading="Map")
+
+
+def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide") -> Markup:
+    # Return a figure for a page; a figure of kind ``chart`` may be inverted in dark themes.
+    src = data_uri(png_of(figure, dpi=_DPI))
+    return page_part("picture", src=src, caption=caption, heading=heading, kind=kind)
+
+
+def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    # Return a picture from 0 to 1 as bytes; pixels without a value are black.
+    values = np.nan_to_num(np.asarray(picture)).clip(0.0, 1.0)
+    return np.ascontiguousarray((values * 255.0 + 0.5).astype(np.uint8))
+
+
+def _alignment(attrs: Mapping[Any, Any]) -> Markup:
+    rows = []
+    for name, label in _COMPARED.items():
+        value, u = (attrs.get(f"alignment_{name}{suffix}") for suffix in ("", "_u"))
+        if isinstance(value, int | float):
+            has_u = isinstance(u, int | float)
+            rows.append((label, f"{value:.4g} \u00b1 {u:.2g}" if has_u else f"{value:.4g}"))
+        elif value is not None:
+            rows.append((label, value))
+    return page_part("facts", pairs=rows, heading="Alignment of camera and irradiance record")
+
+
+def validation_section(
+    libraries: Mapping[str, xr.Dataset], references: Sequence[xr.Dataset]
+) -> Iterator[Part]:
+    # Yield the agreement of each library with the field spectra in the store.
+    for name, library in libraries.items():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", PaintWarning)
+            try:
+                agreement = validate(library, list(references))
+            except SchemaError as error:
+                yield name, partial(page_part, "paragraph", text=f"{name} cannot be compared: {error}")
+                continue
+        yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
+        caption = "Signatures over their references, and the differences with their standard uncertainty."
+        yield "agreement", partial(_drawn, partial(validation_figure, agreement), caption)
+        yield "statistics", partial(page_part, "preformatted", lines=agreement.table().splitlines())
+        for message in dict.fromkeys(str(warning.message) for warning in caught):
+            yield "remark", partial(page_part, "paragraph", text=message)

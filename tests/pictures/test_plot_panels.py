@@ -11,7 +11,7 @@ from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.report.report_sections import line_section
+from hyperpaint.report.store_report import line_section
 
 mpl.use("Agg")
 

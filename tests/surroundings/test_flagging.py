@@ -17,7 +17,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.regions.proposals import proposing
 from hyperpaint.regions.proposals.proposing import Proposals
-from hyperpaint.report import report_sections
+from hyperpaint.report import store_report
 from hyperpaint.simulation import simulate_line
 from hyperpaint.surroundings import flags
 from hyperpaint.surroundings.flags import flag_line, is_flagged
@@ -213,7 +213,7 @@ def test_the_report_shows_what_is_found(
 ) -> None:
     pytest.importorskip("matplotlib")
     # the page is judged by its words; how figures are drawn is judged elsewhere
-    monkeypatch.setattr(report_sections, "png_of", lambda *_, **__: b"")
+    monkeypatch.setattr(store_report, "png_of", lambda *_, **__: b"")
     before = {path: path.read_bytes() for path in lot.rglob("*") if path.is_file()}
     told: list[tuple[int, int]] = []
     done = hp.report.write_report(lot, tmp_path / "a.html", progress=lambda *step: told.append(step))
