@@ -12,9 +12,10 @@ from .plot_paints import (
     chips_and_renders as chips_and_renders,
     detection_curve as detection_curve,
     paint_card as paint_card,
+    panel_figure as panel_figure,
+    validation_figure as validation_figure,
 )
 from .plot_spectra import (
     library_overview as library_overview,
     spectrum as spectrum,
 )
-from .plot_validation import panel_figure as panel_figure, validation_figure as validation_figure
