@@ -80,9 +80,7 @@ def pixels(
     """
     line = schema.rename_to_roles(dataset)
     selection: dict[str, Any] = {ALONG_TRACK: along_track, BAND: slice(None), CROSS_TRACK: cross_track}
-    entry = None
-    if {"counts", "radiance"} & set(line.variables):
-        entry = _entry_of(line)
+    entry = _entry_of(line) if {"counts", "radiance"} & set(line.variables) else None
     if wavelength is not None:
         selection[BAND] = bands_at(line if entry is None else entry.labels, wavelength)
     positions = {dim: _positions(position, line, dim) for dim, position in selection.items()}

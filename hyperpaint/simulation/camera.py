@@ -268,7 +268,7 @@ class BandSet:
         # Return the position of columns among the nodes: first of four nodes, and the four weights.
         #
         # Returns: ``first`` (cross_track,); ``weight`` (cross_track, 4): weights of Lagrange's cubic; rows
-        # to 1.
+        # sum to 1.
         #
         # Raises `SchemaError`: The bands have no smile, and therefore a single node.
         if self.wavelength_shift is None:
