@@ -137,7 +137,7 @@ class Look:
             elif view == "region":
                 cube[middle : middle + 40, :, 20:60].compute()
             elif view == "one_band":
-                cube[:, 100, :].compute()
+                cube[:, 20, :].compute()
             else:
                 cube[middle - 32 : middle + 32].compute()
 
