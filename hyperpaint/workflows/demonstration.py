@@ -339,21 +339,44 @@ def run_demonstration(
     simulated: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    # Simulate a collect, process it like a real one, and compare the result with its truth.
-    #
-    # Writes the raw files, ``collect.toml``, ``truth.zarr``, ``regions.geojson``, the store ``lot.zarr`` and,
-    # if matplotlib is installed, ``quicklook.png`` into the folder, and replaces those of an earlier
-    # demonstration.
-    #
-    # ``folder``: Folder of all products. ``lines``: Scan lines. ``bands``: Spectral bands. ``columns``:
-    # Columns of the detector. ``seed``: Random seed; the same seed gives the same files. ``scene``:
-    # "rendered": a ray-traced car park; "plan": a flat picture. ``samples``: Rays a pixel of a rendered
-    # scene; by default 16. ``overwrite``: Write into a folder that holds other files, which are kept.
-    # ``progress``: Show the processing on stderr. ``simulated``: Called with the numbers of lines done and in
-    # total while the collect is simulated. ``say``: Called with every text to show.
-    #
-    # Raises `StoreError`: The folder holds other files, or cannot be written. Raises `SchemaError`: A size or
-    # the scene is out of range; all problems are listed.
+    """Simulate a collect, process it like a real one, and compare the result with its truth.
+
+    Writes the raw files, ``collect.toml``, ``truth.zarr``, ``regions.geojson``, the store ``lot.zarr`` and,
+    if matplotlib is installed, ``quicklook.png`` into the folder, and replaces those of an earlier
+    demonstration.
+
+    Parameters
+    ----------
+    folder
+        Folder of all products.
+    lines
+        Scan lines.
+    bands
+        Spectral bands.
+    columns
+        Columns of the detector.
+    seed
+        Random seed; the same seed gives the same files.
+    scene
+        "rendered": a ray-traced car park; "plan": a flat picture.
+    samples
+        Rays a pixel of a rendered scene; by default 16.
+    overwrite
+        Write into a folder that holds other files, which are kept.
+    progress
+        Show the processing on stderr.
+    simulated
+        Called with the numbers of lines done and in total while the collect is simulated.
+    say
+        Called with every text to show.
+
+    Raises
+    ------
+    StoreError
+        The folder holds other files, or cannot be written.
+    SchemaError
+        A size or the scene is out of range; all problems are listed.
+    """
     refuse_foreign(folder, overwrite=overwrite)
     effects = EFFECTS if samples is None else {**EFFECTS, "samples": samples}
     start = time.perf_counter()

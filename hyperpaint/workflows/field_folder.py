@@ -107,16 +107,29 @@ def find_field_files(
     dark: str | os.PathLike[str] | None = None,
     calibration: str | os.PathLike[str] | None = None,
 ) -> FieldFolder:
-    # Find the files of a field day in a folder, by reading headers and small files, but no cubes.
-    #
-    # ``folder``: Folder to search, with its subfolders to a depth of six. ``asd``: Folder of ASD files, if it
-    # is outside ``folder``. ``dark``: Folder of dark cubes, if it is outside ``folder``. ``calibration``:
-    # Calibration or lab sweep of the camera; by default the one in the folder.
-    #
-    # Raises `CollectError`: ``folder`` has no raw cube, is not a folder, or holds too many files.
-    #
-    # ENVI cubes of integers are raw; they are darks if their name, or a subfolder's name, contains ``dark``.
-    # ASD files of a folder are irradiance or reflectance by the content of the first.
+    """Find the files of a field day in a folder, by reading headers and small files, but no cubes.
+
+    Parameters
+    ----------
+    folder
+        Folder to search, with its subfolders to a depth of six.
+    asd
+        Folder of ASD files, if it is outside ``folder``.
+    dark
+        Folder of dark cubes, if it is outside ``folder``.
+    calibration
+        Calibration or lab sweep of the camera; by default the one in the folder.
+
+    Raises
+    ------
+    CollectError
+        ``folder`` has no raw cube, is not a folder, or holds too many files.
+
+    Notes
+    -----
+    ENVI cubes of integers are raw; they are darks if their name, or a subfolder's name, contains ``dark``.
+    ASD files of a folder are irradiance or reflectance by the content of the first.
+    """
     folder, notes = Path(folder), list[str]()
     raw, darks, calibrations, surveys = (list[Path]() for _ in range(4))
     spectra: dict[tuple[Path, str], list[Path]] = {}

@@ -59,21 +59,46 @@ def location_of(
     clock_offset: float | None = None,
     crs: str | None = None,
 ) -> dict[str, Any]:
-    # Return arguments of `hyperpaint.geometry.locate` from numbers and paths of the command line.
-    #
-    # ``flightline``: The line to be located. ``ground``: Height of level ground above the ellipsoid [m].
-    # ``dem``: Raster of heights, instead of ``ground``. ``dem_heights``: Surface that the heights of ``dem``
-    # are above. ``geoid``: Height of the geoid above the ellipsoid at the site [m]. ``field_of_view``: Angle
-    # between the outer edges of the columns [degree]. ``focal_length_mm``: Focal length [mm]; with
-    # ``pixel_pitch_um`` instead of ``field_of_view``. ``pixel_pitch_um``: Distance of the columns on the
-    # detector [um]. ``column_order``: Order of the columns, looking along the flight. ``boresight``: Roll,
-    # pitch and heading of the camera in the body [degree]. ``lever_arm``: Position of the camera from the
-    # antenna: forward, right, down [m]. ``clock_offset``: Time added to the line times [s]. ``crs``: CRS of
-    # the map, such as EPSG:32618; by default the UTM zone of the line.
-    #
-    # Raises `SchemaError`: ``column_order`` for a line without a convention; or the height reference of
-    # ``dem`` is unknown. Raises `FormatError`: ``dem`` cannot be read. Raises `MissingExtraError`: ``dem``
-    # needs rasterio (extra ``geo``).
+    """Return arguments of `hyperpaint.geometry.locate` from numbers and paths of the command line.
+
+    Parameters
+    ----------
+    flightline
+        The line to be located.
+    ground
+        Height of level ground above the ellipsoid [m].
+    dem
+        Raster of heights, instead of ``ground``.
+    dem_heights
+        Surface that the heights of ``dem`` are above.
+    geoid
+        Height of the geoid above the ellipsoid at the site [m].
+    field_of_view
+        Angle between the outer edges of the columns [degree].
+    focal_length_mm
+        Focal length [mm]; with ``pixel_pitch_um`` instead of ``field_of_view``.
+    pixel_pitch_um
+        Distance of the columns on the detector [um].
+    column_order
+        Order of the columns, looking along the flight.
+    boresight
+        Roll, pitch and heading of the camera in the body [degree].
+    lever_arm
+        Position of the camera from the antenna: forward, right, down [m].
+    clock_offset
+        Time added to the line times [s].
+    crs
+        CRS of the map, such as EPSG:32618; by default the UTM zone of the line.
+
+    Raises
+    ------
+    SchemaError
+        ``column_order`` for a line without a convention; or the height reference of ``dem`` is unknown.
+    FormatError
+        ``dem`` cannot be read.
+    MissingExtraError
+        ``dem`` needs rasterio (extra ``geo``).
+    """
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
     if dem is not None:
@@ -144,17 +169,38 @@ def write_map(
     overwrite: bool = False,
     progress: bool = False,
 ) -> str:
-    # Write a map as GeoTIFF with overviews, or with all its variables as a Zarr store, by the suffix.
-    #
-    # ``orthomap``: A map or mosaic. ``path``: File (.tif) or store (.zarr). ``stac``: Write a STAC item
-    # beside the map, ``<name>.json``. ``seams``: GeoJSON file for the area that each line of a mosaic shows.
-    # ``geozarr``: Write the attributes of GeoZarr into the store. ``overwrite``: Replace an existing map.
-    # ``progress``: Show a progress bar.
-    #
-    # Returns: Text about overviews and the files beside the map.
-    #
-    # Raises `SchemaError`: The map has no time or place for a STAC item. Raises `StoreError`: ``path``
-    # exists. Raises `MissingExtraError`: A GeoTIFF needs rasterio (extra ``geo``).
+    """Write a map as GeoTIFF with overviews, or with all its variables as a Zarr store, by the suffix.
+
+    Parameters
+    ----------
+    orthomap
+        A map or mosaic.
+    path
+        File (.tif) or store (.zarr).
+    stac
+        Write a STAC item beside the map, ``<name>.json``.
+    seams
+        GeoJSON file for the area that each line of a mosaic shows.
+    geozarr
+        Write the attributes of GeoZarr into the store.
+    overwrite
+        Replace an existing map.
+    progress
+        Show a progress bar.
+
+    Returns
+    -------
+    Text about overviews and the files beside the map.
+
+    Raises
+    ------
+    SchemaError
+        The map has no time or place for a STAC item.
+    StoreError
+        ``path`` exists.
+    MissingExtraError
+        A GeoTIFF needs rasterio (extra ``geo``).
+    """
     item, is_file = path.with_suffix(".json"), path.suffix.lower() in RASTER_FORMATS
     companions = ([item] if stac else []) + ([] if seams is None else [seams])
     if stac:
