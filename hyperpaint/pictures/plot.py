@@ -384,9 +384,7 @@ def percent(share: float) -> str:
     """
     if 0 < share < 1e-5:
         return "< 0.001 %"
-    if 0.995 <= share < 1.0:
-        return "> 99 %"
-    return f"{float(f'{100 * share:.2g}'):g} %"
+    return "> 99 %" if 0.995 <= share < 1.0 else f"{float(f'{100 * share:.2g}'):g} %"
 
 
 def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
