@@ -20,38 +20,49 @@ if TYPE_CHECKING:
 
     from .io.store import StoreReport
 
-__all__ = ["ARRAY_METHODS", "METHODS", "PaintAccessor", "PaintArrayAccessor"]
+__all__ = ["ARRAY_METHODS", "METHODS", "METHOD_GROUPS", "PaintAccessor", "PaintArrayAccessor"]
 
-METHODS = {
-    "radiance": "radiometry",
-    "reflectance": "radiometry",
-    "pixels": "radiometry",
-    "coarse": "radiometry",
-    "smooth": "radiometry",
-    "at": "radiometry",
-    "to_nominal": "radiometry",
-    "align_to_irradiance": "alignment",
-    "apply_alignment": "alignment",
-    "oxygen_residual": "alignment",
-    "survey": "surroundings",
-    "flag": "surroundings",
-    "remove_mirrored_sky": "surroundings",
-    "correct_coat": "surroundings",
-    "correct_light": "surroundings",
-    "locate": "geometry",
-    "orthorectify": "geometry",
-    "propose_regions": "regions",
-    "signatures": "paints:extract_signatures",
-    "detect": "paints",
-    "rgb": "pictures",
-    "quicklook": "pictures",
-    "spectrum": "pictures",
-    "triptych": "pictures",
-    "flag_overlay": "pictures",
-    "explore": "pictures",
-    "relight": "simulation",
+METHOD_GROUPS = {
+    "look": {
+        "rgb": "pictures",
+        "quicklook": "pictures",
+        "spectrum": "pictures",
+        "triptych": "pictures",
+        "flag_overlay": "pictures",
+        "explore": "pictures",
+    },
+    "radiance and reflectance": {
+        "radiance": "radiometry",
+        "reflectance": "radiometry",
+        "pixels": "radiometry",
+        "coarse": "radiometry",
+    },
+    "wavelengths": {
+        "smooth": "radiometry",
+        "at": "radiometry",
+        "to_nominal": "radiometry",
+        "align_to_irradiance": "alignment",
+        "apply_alignment": "alignment",
+        "oxygen_residual": "alignment",
+    },
+    "flags and corrections": {
+        "survey": "surroundings",
+        "flag": "surroundings",
+        "remove_mirrored_sky": "surroundings",
+        "correct_coat": "surroundings",
+        "correct_light": "surroundings",
+    },
+    "maps": {"locate": "geometry", "orthorectify": "geometry"},
+    "paints": {
+        "propose_regions": "regions",
+        "signatures": "paints:extract_signatures",
+        "detect": "paints",
+        "relight": "simulation",
+    },
 }
-"""Room of each method's function, and the name of the function where it differs."""
+"""Methods by task: the room of each method's function, and the name of the function where it differs."""
+
+METHODS = {name: home for group in METHOD_GROUPS.values() for name, home in group.items()}
 
 ARRAY_METHODS = ("smooth", "at", "to_nominal", "rgb", "spectrum")
 """Methods of a DataArray: they need only a cube or a spectrum with its coordinates."""
@@ -132,6 +143,10 @@ class _Accessor:
     __hash__ = object.__hash__
 
 
+_METHODS_BY_TASK = "\n".join(
+    f"{task}: {', '.join(methods)}"
+    for task, methods in (METHOD_GROUPS | {"store": ["verify", "quantify"]}).items()
+)
 _ACCESS_HINT = (
     'Names of a paint library are library["signature"]; a variable of your own that is called paint is '
     'dataset["paint"]'
@@ -152,12 +167,12 @@ class PaintAccessor(_Accessor):
     def __repr__(self) -> str:
         from .report.summaries import summary_text
 
-        return summary_text(self._dataset)
+        return summary_text(self._dataset, _METHODS_BY_TASK)
 
     def _repr_html_(self) -> str:
         from .report.summaries import summary_html
 
-        return summary_html(self._dataset)
+        return summary_html(self._dataset, _METHODS_BY_TASK)
 
     def verify(self) -> StoreReport:
         """Read every chunk of the store that the dataset was opened from (eager); see `hyperpaint.verify`.

@@ -31,6 +31,7 @@ from hyperpaint.simulation.atmosphere import BrokenClouds
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.surroundings.model import SceneModel
 
+METHOD_GROUPS: dict[str, dict[str, str]]
 METHODS: dict[str, str]
 ARRAY_METHODS: tuple[str, ...]
 Dims = Mapping[str, Hashable]
@@ -57,6 +58,68 @@ class PaintAccessor:
     def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> PaintDataset:
         """Return a view for pint-xarray users: data variables as Quantities (extra ``units``)."""
 
+    def rgb(
+        self,
+        *,
+        stretch: tuple[float, float] = (2.0, 98.0),
+        lines: int | None = None,
+        dims: Dims | None = None,
+    ) -> xr.DataArray:
+        """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB."""
+    def quicklook(
+        self,
+        path: str | Path | None = None,
+        *,
+        lines: int = 1000,
+        width: float = 11.0,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw a flight line: true colour, flags, irradiance over time, spread of reflectance."""
+    def spectrum(
+        self,
+        regions: Any = None,
+        *,
+        pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
+        paints: str | Iterable[str] | None = None,
+        spread: str = "quantiles",
+        exclude: Quality | int | None = None,
+        axes: Any = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw reflectance over wavelength: of regions or pixels of a flight line, or of paints of a library."""
+    def triptych(
+        self,
+        region: Any = None,
+        path: str | Path | None = None,
+        *,
+        pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
+        exclude: Quality | int | None = None,
+        width: float = 13.0,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw a region, or single pixels, as counts, as radiance and as reflectance, side by side."""
+    def flag_overlay(
+        self,
+        flags: Quality | str | Iterable[str] | None = None,
+        *,
+        layer: str | None = None,
+        lines: int = 1000,
+        opacity: float = 0.75,
+        axes: Any = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw flags, or a continuous layer, over the true-colour picture of a flight line."""
+    def explore(
+        self,
+        regions: Any = None,
+        *,
+        library: xr.Dataset | str | os.PathLike[str] | None = None,
+        flightline: str = "",
+        exclude: Quality | int | None = None,
+        theme: Literal["light", "dark"] = "light",
+        dims: Dims | None = None,
+    ) -> Explorer:
+        """Show a flight line in an interactive widget: bands, spectra, flags, regions, similar paints."""
     def radiance(self, *, dims: Dims | None = None) -> PaintDataset:
         """Spectral radiance at the sensor, from raw counts."""
     def reflectance(
@@ -257,68 +320,6 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Search a flight line for the paints of a library, at a given rate of false alarms."""
-    def rgb(
-        self,
-        *,
-        stretch: tuple[float, float] = (2.0, 98.0),
-        lines: int | None = None,
-        dims: Dims | None = None,
-    ) -> xr.DataArray:
-        """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB."""
-    def quicklook(
-        self,
-        path: str | Path | None = None,
-        *,
-        lines: int = 1000,
-        width: float = 11.0,
-        dims: Dims | None = None,
-    ) -> Any:
-        """Draw a flight line: true colour, flags, irradiance over time, spread of reflectance."""
-    def spectrum(
-        self,
-        regions: Any = None,
-        *,
-        pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
-        paints: str | Iterable[str] | None = None,
-        spread: str = "quantiles",
-        exclude: Quality | int | None = None,
-        axes: Any = None,
-        dims: Dims | None = None,
-    ) -> Any:
-        """Draw reflectance over wavelength: of regions or pixels of a flight line, or of paints of a library."""
-    def triptych(
-        self,
-        region: Any = None,
-        path: str | Path | None = None,
-        *,
-        pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
-        exclude: Quality | int | None = None,
-        width: float = 13.0,
-        dims: Dims | None = None,
-    ) -> Any:
-        """Draw a region, or single pixels, as counts, as radiance and as reflectance, side by side."""
-    def flag_overlay(
-        self,
-        flags: Quality | str | Iterable[str] | None = None,
-        *,
-        layer: str | None = None,
-        lines: int = 1000,
-        opacity: float = 0.75,
-        axes: Any = None,
-        dims: Dims | None = None,
-    ) -> Any:
-        """Draw flags, or a continuous layer, over the true-colour picture of a flight line."""
-    def explore(
-        self,
-        regions: Any = None,
-        *,
-        library: xr.Dataset | str | os.PathLike[str] | None = None,
-        flightline: str = "",
-        exclude: Quality | int | None = None,
-        theme: Literal["light", "dark"] = "light",
-        dims: Dims | None = None,
-    ) -> Explorer:
-        """Show a flight line in an interactive widget: bands, spectra, flags, regions, similar paints."""
     def relight(
         self,
         bands: Any = None,
@@ -342,14 +343,6 @@ class PaintArrayAccessor:
     def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> PaintDataArray:
         """Return a view for pint-xarray users, a Quantity."""
 
-    def smooth(
-        self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
-    ) -> PaintDataArray:
-        """Smooth ``reflectance`` over the bands."""
-    def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> PaintDataArray:
-        """Return the bands nearest to one or several wavelengths."""
-    def to_nominal(self, *, dims: Dims | None = None) -> PaintDataArray:
-        """Return spectra interpolated to the nominal wavelengths: the smile is removed."""
     def rgb(
         self,
         *,
@@ -370,3 +363,11 @@ class PaintArrayAccessor:
         dims: Dims | None = None,
     ) -> Any:
         """Draw reflectance over wavelength: of regions or pixels of a flight line, or of paints of a library."""
+    def smooth(
+        self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
+    ) -> PaintDataArray:
+        """Smooth ``reflectance`` over the bands."""
+    def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> PaintDataArray:
+        """Return the bands nearest to one or several wavelengths."""
+    def to_nominal(self, *, dims: Dims | None = None) -> PaintDataArray:
+        """Return spectra interpolated to the nominal wavelengths: the smile is removed."""

@@ -163,20 +163,20 @@ _STYLE = "font:13px/1.45 system-ui,sans-serif;max-width:72em"
 _CELL = "text-align:left;vertical-align:top;padding:1px 10px 1px 0;white-space:pre-line"
 
 
-def summary_text(dataset: xr.Dataset) -> str:
-    """Return a summary of a dataset as text, one fact a line.
+def summary_text(dataset: xr.Dataset, methods: str) -> str:
+    """Return a summary of a dataset as text, one fact a line, and the methods of its accessor.
 
     Nothing is computed; only small variables of a store, such as its wavelengths, are read.
 
     Examples
     --------
     >>> from hyperpaint.simulation import simulate_line
-    >>> print(summary_text(simulate_line(lines=32, bands=40, columns=24)))   # doctest: +ELLIPSIS
+    >>> print(summary_text(simulate_line(lines=32, bands=40, columns=24), "look: rgb"))   # doctest: +ELLIPSIS
     flight line ...
       counts      32 along_track x 40 band x 24 cross_track, uint16 [count]
       ...
     """
-    title, facts = _summary(dataset)
+    title, facts = _summary(dataset, methods)
     width = max((len(name) for name, _ in facts), default=0)
     indent = "\n" + " " * (width + 4)
     title, facts = _printable(title), [(_printable(name), _printable(fact)) for name, fact in facts]
@@ -185,12 +185,12 @@ def summary_text(dataset: xr.Dataset) -> str:
     )
 
 
-def summary_html(dataset: xr.Dataset) -> str:
+def summary_html(dataset: xr.Dataset, methods: str) -> str:
     # Return a summary of a dataset as HTML for a notebook, with its stored picture.
     #
     # Nothing is computed; only small variables of a store, such as its wavelengths and its overview, are
     # read. Texts of the dataset are escaped.
-    title, facts = _summary(dataset)
+    title, facts = _summary(dataset, methods)
     src = _attempt(lambda: _picture_of(dataset), "")  # empty for a dataset without lines or columns
     content = {"title": title, "pairs": facts, "src": src, "style": _STYLE, "cell_style": _CELL}
     return str(page_part("summary", **content, paints=_attempt(lambda: _swatches(dataset), [])))
@@ -246,7 +246,7 @@ def _printable(text: str) -> str:
 # --- facts -------------------------------------------------------------------------------------------------
 
 
-def _summary(dataset: xr.Dataset) -> tuple[str, list[tuple[str, str]]]:
+def _summary(dataset: xr.Dataset, methods: str) -> tuple[str, list[tuple[str, str]]]:
     # a summary leaves out unreadable parts and never raises
     dataset = _attempt(lambda: schema.rename_to_roles(dataset), dataset)
     kind, source = _kind(dataset)
@@ -255,7 +255,7 @@ def _summary(dataset: xr.Dataset) -> tuple[str, list[tuple[str, str]]]:
     facts = _attempt(lambda: list(source(dataset)), None)
     if facts is None:
         facts = list(_forms(dataset))
-    facts.append(("size", size_of(dataset.nbytes)))
+    facts += [("size", size_of(dataset.nbytes)), ("methods", methods)]
     return title, [(name, fact) for name, fact in facts if fact]
 
 

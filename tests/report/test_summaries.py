@@ -18,7 +18,7 @@ from support.strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.schema import Quality
 from hyperpaint.pictures.figures import encode_png, label_for
-from hyperpaint.report.summaries import stored_overview, summary_html, summary_text
+from hyperpaint.report.summaries import stored_overview
 
 
 def with_overview(line: xr.Dataset) -> xr.Dataset:
@@ -48,9 +48,9 @@ def test_flags_are_told_where_they_are_at_hand() -> None:
     quality = np.zeros((24, 6), np.uint16)
     quality[:6] = Quality.GLINT
     known = line.assign(quality=(("along_track", "cross_track"), quality))
-    assert "glint 25 %" in summary_text(known)
-    assert "not computed yet" in summary_text(known.chunk(along_track=8))
-    assert "no flag set" in summary_text(known.assign(quality=known.quality * np.uint16(0)))
+    assert "glint 25 %" in repr(known.paint)
+    assert "not computed yet" in repr(known.chunk(along_track=8).paint)
+    assert "no flag set" in repr(known.assign(quality=known.quality * np.uint16(0)).paint)
 
 
 def test_nothing_is_computed(no_compute: Any) -> None:
@@ -103,11 +103,11 @@ def test_any_dataset_has_a_summary(odd: xr.Dataset) -> None:
 def test_names_and_attributes_stay_texts() -> None:
     line = flight().line.assign_attrs(name="<script>\x1b[31m", dark_source="<img src=x>")
     expect_words(
-        summary_html(line),
+        line.paint._repr_html_(),
         "&lt;script&gt;",
         without=("<script", "<img"),
     )
-    assert "\x1b" not in summary_text(line)
+    assert "\x1b" not in repr(line.paint)
 
 
 def test_png_holds_the_picture() -> None:

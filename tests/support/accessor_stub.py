@@ -26,6 +26,7 @@ is one again. `PaintDataset` exists for type checkers only: import it under ``if
 """
 '''
 _CLASS = '''
+METHOD_GROUPS: dict[str, dict[str, str]]
 METHODS: dict[str, str]
 ARRAY_METHODS: tuple[str, ...]
 Dims = Mapping[str, Hashable]
