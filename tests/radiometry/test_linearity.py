@@ -22,7 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 FULL = 4095.0
 TABLE = (np.array([0.0, 900.0, 2500.0, FULL]), np.array([0.0, 905.0, 2600.0, 4400.0]))
 CURVES = {
-    "polynomial": Linearity((2e-5, -1e-9)), "long": Linearity((2e-5, 0.0, 0.0, 0.0, 1e-18)),
+    "polynomial": Linearity((2e-5, -1e-9, 5e-14, -2e-18)), "long": Linearity((2e-5, 0.0, 0.0, 0.0, 1e-18)),
     "table": Linearity((), *TABLE),
 }  # fmt: skip
 

@@ -82,6 +82,12 @@ def test_the_peak_grows_with_threads_and_lines_but_not_with_the_flight() -> None
     assert alone < load(lines=64_000).peak(lines=32, threads=1, fixed=0) < 1.4 * alone
     # what is shorter than a task, or than all the threads, asks for less
     assert load(lines=8).peak(lines=32, threads=8, fixed=0) < alone
+    # one more thread costs its slabs and what it encodes; slabs of other steps hold half of that in their hands
+    one = load()
+    assert (
+        one.a_thread
+        == one.peak(lines=32, threads=2, fixed=0) - one.peak(lines=32, threads=1, fixed=0) - one.encoded // 2
+    )
 
 
 def test_lines_a_task_go_first_then_threads() -> None:
