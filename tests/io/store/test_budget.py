@@ -82,7 +82,7 @@ def test_the_peak_grows_with_threads_and_lines_but_not_with_the_flight() -> None
     assert alone < load(lines=64_000).peak(lines=32, threads=1, fixed=0) < 1.4 * alone
     # what is shorter than a task, or than all the threads, asks for less
     assert load(lines=8).peak(lines=32, threads=8, fixed=0) < alone
-    # one more thread costs its slabs and what it encodes; slabs of other steps hold half of that in their hands
+    # one more thread costs its slabs and what it encodes; in another step half of what is encoded
     one = load()
     assert (
         one.a_thread
