@@ -563,7 +563,7 @@ REGIONS = "regions.geojson"
 #: Maximum height difference of neighbouring pixels over their distance: includes roofs and bonnets, not
 #: doors.
 _MAX_SLOPE = 0.1
-_MIN_SIDE_PIXELS = 6  # minimum length of the shorter side
+MIN_SIDE_PIXELS = 6  #: Minimum length of the shorter side.
 _MARGIN_DIVISOR = 8  # shorter side over the margin at every edge
 
 #: First and last line, first and last column of a rectangle.
@@ -615,7 +615,7 @@ class PaintedRectangles:
                 paint = int(label[run_start]) % len(self._flight.paints)
                 for height, start, stop in _rectangles(self._run_lengths[run_start:run_stop].tolist()):
                     width = stop - start
-                    if min(height, width) >= _MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
+                    if min(height, width) >= MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
                         self._areas[paint] = height * width
                         box = (self._line - height + 1, self._line, run_start + start, run_start + stop - 1)
                         self._rectangles_by_paint[paint] = self._flightline, box
@@ -623,14 +623,14 @@ class PaintedRectangles:
 
     def _runs(self) -> Iterator[tuple[int, int]]:
         # ranges of columns with one label, similar heights, and enough lines for a rectangle
-        enough = self._run_lengths >= _MIN_SIDE_PIXELS
+        enough = self._run_lengths >= MIN_SIDE_PIXELS
         if not enough.any():
             return
         is_joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         is_joined &= np.abs(np.diff(self._heights)) <= self._step
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_joined, [False]]).astype(np.int8)))
         for begin, end in edges.reshape(-1, 2).tolist():
-            if end + 1 - begin >= _MIN_SIDE_PIXELS:
+            if end + 1 - begin >= MIN_SIDE_PIXELS:
                 yield begin, end + 1
 
     def write(self, path: Path, generator: str) -> None:
