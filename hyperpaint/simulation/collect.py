@@ -85,7 +85,7 @@ def _surface_attrs(flight: Flight) -> dict[str, Any]:
     return {
         "long_name": "Class of the surface",
         "flag_values": list(range(len(flight.surfaces))),
-        "flag_meanings": " ".join(flight.surfaces),
+        "flag_meanings": " ".join(flight.name_of(name).replace(" ", "_") for name in flight.surfaces),
     }
 
 
@@ -642,12 +642,13 @@ class PaintedRectangles:
             top, bottom, left, right = top + margin, bottom - margin, left + margin, right - margin
             ring = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]
             paint = self._flight.paints[number]
+            name = self._flight.name_of(paint)
             feature = {
                 "type": "Feature",
                 "properties": {
-                    "name": paint,
+                    "name": name,
                     "flightline": flightline,
-                    "reference": paint,
+                    "reference": name,
                     **self._flight.paint_properties(paint),
                 },
                 "geometry": {"type": "Polygon", "coordinates": [ring]},
@@ -679,7 +680,7 @@ def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:
 
 
 def write_references(flight: Flight, folder: Path) -> None:
-    # write a file of both spectrometers for every paint of the cars, named after the paint.
+    # write a file of both spectrometers for every paint of the cars in view, named after the paint.
     # The files are in the folders `SVC_FOLDER` and `ASD_FOLDER` of the collect.
     settings = flight.settings
     svc, asd = folder / SVC_FOLDER, folder / ASD_FOLDER
@@ -689,14 +690,14 @@ def write_references(flight: Flight, folder: Path) -> None:
     grid = spectral_grid(nm.min() - _MARGIN_NM, nm.max() + _MARGIN_NM, _STEP_NM)
     light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi
     # radiance of the white panel, then of the paints
-    spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.paints, grid)])
+    spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.measured_paints, grid)])
     svc_spectra = np.concatenate(
         [convolve_gaussian(spectra, grid, detector.wavelength, detector.fwhm) for detector in SVC_DETECTORS],
         axis=1,
     )
     asd_spectra = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
     zone, start = round(settings.utc_offset_h * 3600), flight.start // 10**9
-    for index, paint in enumerate(flight.paints, 1):
+    for index, paint in enumerate(map(flight.name_of, flight.measured_paints), 1):
         panel = start - _LEAD_S + _PAINT_S * index
         target = panel + _PANEL_S
         write_svc(

@@ -82,7 +82,7 @@ def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tupl
     if not sums:
         return ()
     spectrometer = open_asd(truth.parent / "asd_reflectance")
-    files = [Path(str(name)).stem for name in spectrometer["source"].values]
+    files = [Path(str(name)).stem.replace(" ", "_") for name in spectrometer["source"].values]
     agreements = []
     for paint, (pixels, cars, recovered, expected) in sums.items():
         field = spectrometer["reflectance"].values[files.index(names[paint])]
