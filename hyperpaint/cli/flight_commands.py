@@ -179,6 +179,8 @@ def run(ctx: click.Context, /, collect: Path, **options: Any) -> None:
     if day.errors:
         ctx.exit(WRONG_INPUT)
     if day.passed is False:
+        text = next(outcome.text for outcome in day.outcomes if outcome.step == "validate")
+        click.echo(f"{text}\nall pairs: hyperpaint validate {day.out / 'paints.zarr'}", err=True)
         ctx.exit(FAILED_CHECK)
 
 
