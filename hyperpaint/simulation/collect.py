@@ -111,7 +111,9 @@ def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
 
 
 def _calibration(flight: Flight) -> dict[str, xr.Variable]:
-    return {
+    u = flight.settings.gain_u
+    stated = {"radiance_gain_u_systematic": _variable("radiance_gain_u_systematic", u, ())} if u else {}
+    return stated | {
         "radiance_gain": _variable("radiance_gain", flight.camera.radiance_gain(flight.response_area)),
         "electrons_per_count": _variable("electrons_per_count", flight.settings.electrons_per_count),
         "read_noise": _variable("read_noise", flight.settings.read_noise),
