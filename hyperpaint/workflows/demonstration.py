@@ -159,8 +159,8 @@ def compare(store: Path, truth: Path) -> Comparison:
             # pixels in the order of their materials
             surface = true["surface"].values[unflagged]
             by_surface = np.argsort(surface, kind="stable")
-            present, starts = np.unique(surface[by_surface], return_index=True)
-            if not present.size:
+            found, starts = np.unique(surface[by_surface], return_index=True)
+            if not found.size:
                 continue
             recovered, expected = (
                 block["reflectance"].values[unflagged][by_surface].astype(np.float64)
@@ -171,7 +171,7 @@ def compare(store: Path, truth: Path) -> Comparison:
             # sums over pixels (material, band): number, truth, error, squared error
             terms = (is_finite.astype(np.float64), np.where(is_finite, expected, 0.0), error, error**2)
             sums = sums + np.zeros((1, 1, error.shape[1]))
-            sums[:, present] += np.stack([np.add.reduceat(term, starts, axis=0) for term in terms])
+            sums[:, found] += np.stack([np.add.reduceat(term, starts, axis=0) for term in terms])
     if slab is None:
         raise StoreError(f"{store} holds no flight line to compare", code="flightline-missing")
     wavelength, counts = slab["wavelength"].values, sums[0].max(axis=1)
