@@ -93,6 +93,14 @@ def simulate(
             **effects,
         )
     click.echo(f"{path}\nprocess it with: hyperpaint process {path} --out lot.zarr")
+    collect = hp.simulation.collect
+    if not len(hp.read_regions(path.parent / collect.REGIONS)):
+        side = collect.MIN_SIDE_PIXELS
+        click.echo(
+            f"note: {collect.REGIONS} has no region: no paint has a clean level area of {side} by {side} "
+            "pixels; pass more --columns, or more --lines",
+            err=True,
+        )
 
 
 def _print_example(ctx: click.Context, _: click.Parameter, is_set: bool) -> None:

@@ -307,6 +307,27 @@ def settable(
     return _adds(options)
 
 
+def suggestion(word: str, words: Iterable[str], otherwise: str = "") -> str:
+    """Return a question for the most similar of the words, after a blank.
+
+    Examples
+    --------
+    >>> suggestion("porcess", ["process", "export"])
+    " Did you mean 'process'?"
+    """
+    matches = difflib.get_close_matches(word, list(words), 1)
+    return f" Did you mean {matches[0]!r}?" if matches else otherwise
+
+
+def unknown_option(error: click.NoSuchOption, ctx: click.Context) -> click.UsageError:
+    # The error on an unknown option, in the same words for every version of click
+    levels = {id(level): level for level in (ctx, ctx.find_root())}.values()
+    parameters = [each for level in levels for each in level.command.get_params(level)]
+    names = [name for each in parameters for name in (*each.opts, *each.secondary_opts)]
+    text = suggestion(error.option_name, [name for name in names if name.startswith("-")])
+    return click.UsageError(f"No such option {error.option_name!r}.{text}", ctx)
+
+
 class Command(click.Command):
     # A command whose error on an old spelling of an option names the new spelling.
     _params: list[Any]
@@ -342,7 +363,7 @@ class Command(click.Command):
             ]
             new_spelling = self.renamed.get(error.option_name) or next(iter(matches), "")
             if not new_spelling:
-                raise
+                raise unknown_option(error, ctx) from error
             raise click.UsageError(
                 f"{error.option_name} is now {new_spelling} [option-renamed]", ctx
             ) from error

@@ -8,7 +8,6 @@ SIGTERM.
 """
 
 import contextlib
-import difflib
 import signal
 import threading
 import warnings
@@ -21,7 +20,7 @@ import click
 from hyperpaint import __version__
 from hyperpaint.base.errors import PaintError, PaintWarning
 
-from .options import SIGNALLED, WRONG_INPUT, Command, is_watched
+from .options import SIGNALLED, WRONG_INPUT, Command, is_watched, suggestion, unknown_option
 
 #: Every command by its group, with one line of help.
 GROUPS = {
@@ -103,9 +102,8 @@ class Program(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         # Return the command that the arguments name; for an unknown name, suggest the most similar.
         if args and args[0] not in self.list_commands(ctx) and not args[0].startswith("-"):
-            matches = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
-            mend = f"did you mean {matches[0]}?" if matches else "hyperpaint --help lists the commands"
-            ctx.fail(f"no such command {args[0]!r}; {mend}")
+            help_text = " hyperpaint --help lists the commands."
+            ctx.fail(f"No such command {args[0]!r}.{suggestion(args[0], self.list_commands(ctx), help_text)}")
         return super().resolve_command(ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -120,7 +118,10 @@ class Program(click.Group):
             elif word == "--memory-limit":
                 program_options += command_arguments[index : index + 2]
                 del command_arguments[index : index + 2]
-        return super().parse_args(ctx, [*program_options, *command_arguments])
+        try:
+            return super().parse_args(ctx, [*program_options, *command_arguments])
+        except click.NoSuchOption as error:
+            raise unknown_option(error, ctx) from error
 
     def format_commands(self, _ctx: click.Context, formatter: click.HelpFormatter) -> None:
         # Write one line for every command, group by group.

@@ -85,7 +85,7 @@ def _surface_attrs(flight: Flight) -> dict[str, Any]:
     return {
         "long_name": "Class of the surface",
         "flag_values": list(range(len(flight.surfaces))),
-        "flag_meanings": " ".join(flight.surfaces),
+        "flag_meanings": " ".join(flight.name_of(name).replace(" ", "_") for name in flight.surfaces),
     }
 
 
@@ -111,7 +111,9 @@ def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
 
 
 def _calibration(flight: Flight) -> dict[str, xr.Variable]:
-    return {
+    u = flight.settings.gain_u
+    stated = {"radiance_gain_u_systematic": _variable("radiance_gain_u_systematic", u, ())} if u else {}
+    return stated | {
         "radiance_gain": _variable("radiance_gain", flight.camera.radiance_gain(flight.response_area)),
         "electrons_per_count": _variable("electrons_per_count", flight.settings.electrons_per_count),
         "read_noise": _variable("read_noise", flight.settings.read_noise),
@@ -563,7 +565,7 @@ REGIONS = "regions.geojson"
 #: Maximum height difference of neighbouring pixels over their distance: includes roofs and bonnets, not
 #: doors.
 _MAX_SLOPE = 0.1
-_MIN_SIDE_PIXELS = 6  # minimum length of the shorter side
+MIN_SIDE_PIXELS = 6  #: Minimum length of the shorter side.
 _MARGIN_DIVISOR = 8  # shorter side over the margin at every edge
 
 #: First and last line, first and last column of a rectangle.
@@ -615,7 +617,7 @@ class PaintedRectangles:
                 paint = int(label[run_start]) % len(self._flight.paints)
                 for height, start, stop in _rectangles(self._run_lengths[run_start:run_stop].tolist()):
                     width = stop - start
-                    if min(height, width) >= _MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
+                    if min(height, width) >= MIN_SIDE_PIXELS and height * width > self._areas.get(paint, 0):
                         self._areas[paint] = height * width
                         box = (self._line - height + 1, self._line, run_start + start, run_start + stop - 1)
                         self._rectangles_by_paint[paint] = self._flightline, box
@@ -623,14 +625,14 @@ class PaintedRectangles:
 
     def _runs(self) -> Iterator[tuple[int, int]]:
         # ranges of columns with one label, similar heights, and enough lines for a rectangle
-        enough = self._run_lengths >= _MIN_SIDE_PIXELS
+        enough = self._run_lengths >= MIN_SIDE_PIXELS
         if not enough.any():
             return
         is_joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         is_joined &= np.abs(np.diff(self._heights)) <= self._step
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_joined, [False]]).astype(np.int8)))
         for begin, end in edges.reshape(-1, 2).tolist():
-            if end + 1 - begin >= _MIN_SIDE_PIXELS:
+            if end + 1 - begin >= MIN_SIDE_PIXELS:
                 yield begin, end + 1
 
     def write(self, path: Path, generator: str) -> None:
@@ -642,12 +644,13 @@ class PaintedRectangles:
             top, bottom, left, right = top + margin, bottom - margin, left + margin, right - margin
             ring = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]
             paint = self._flight.paints[number]
+            name = self._flight.name_of(paint)
             feature = {
                 "type": "Feature",
                 "properties": {
-                    "name": paint,
+                    "name": name,
                     "flightline": flightline,
-                    "reference": paint,
+                    "reference": name,
                     **self._flight.paint_properties(paint),
                 },
                 "geometry": {"type": "Polygon", "coordinates": [ring]},
@@ -679,7 +682,7 @@ def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:
 
 
 def write_references(flight: Flight, folder: Path) -> None:
-    # write a file of both spectrometers for every paint of the cars, named after the paint.
+    # write a file of both spectrometers for every paint of the cars in view, named after the paint.
     # The files are in the folders `SVC_FOLDER` and `ASD_FOLDER` of the collect.
     settings = flight.settings
     svc, asd = folder / SVC_FOLDER, folder / ASD_FOLDER
@@ -689,14 +692,14 @@ def write_references(flight: Flight, folder: Path) -> None:
     grid = spectral_grid(nm.min() - _MARGIN_NM, nm.max() + _MARGIN_NM, _STEP_NM)
     light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi
     # radiance of the white panel, then of the paints
-    spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.paints, grid)])
+    spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.measured_paints, grid)])
     svc_spectra = np.concatenate(
         [convolve_gaussian(spectra, grid, detector.wavelength, detector.fwhm) for detector in SVC_DETECTORS],
         axis=1,
     )
     asd_spectra = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
     zone, start = round(settings.utc_offset_h * 3600), flight.start // 10**9
-    for index, paint in enumerate(flight.paints, 1):
+    for index, paint in enumerate(map(flight.name_of, flight.measured_paints), 1):
         panel = start - _LEAD_S + _PAINT_S * index
         target = panel + _PANEL_S
         write_svc(

@@ -150,6 +150,15 @@ class Flight(abc.ABC):
         # reflectance of paints, shape (name, wavelength)
         return reflectance(names, wavelength)
 
+    def name_of(self, spectrum: str) -> str:
+        # name of a surface in files and results
+        return spectrum
+
+    @property
+    def measured_paints(self) -> tuple[str, ...]:
+        # paints of which field spectrometers have readings
+        return self.paints
+
     def paint_properties(self, _paint: str) -> Mapping[str, str]:
         return {}
 

@@ -6,6 +6,7 @@ vary independently in time. The air between ground and camera neither absorbs no
 """
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -22,6 +23,7 @@ from .camera import BandSet
 from .flight import Flight, Layer, Lines, LineView
 from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
+from .rendering.materials import reflectance_factor
 from .rendering.platforms import Platform, pixel_edges
 from .rendering.relighting import (
     PreparedScene,
@@ -48,6 +50,7 @@ _MARGIN_BEFORE_M = 3.0  # minimum length of car park before and behind the image
 _PANEL_PERIOD_M = 30.0  # distance of repeated grey panels, with which a flight starts
 _GROUND_MARGIN_M = 30.0  # ground around the car park
 _MIN_LEAN_DEG = 0.5  # minimum angle assumed between camera axis and vertical
+_SKY_RINGS = 12  # parts of the sky that light a sample of a field spectrometer
 _LINES_AT_ONCE = 4  # lines traced by a thread at once
 
 
@@ -99,6 +102,10 @@ class RenderedFlight(Flight):
             "shadow": ("float32", "Share of the pixel that does not see the sun", {"units": "1"}),
             **{name: ("float64", text, {"units": "m"}) for name, text in meters.items()},
         }
+        self._names = self._names_of_paints(scene)
+        layers["paint_id"][2]["flag_meanings"] = " ".join(
+            self.name_of(name).replace(" ", "_") for name in layers["paint_id"][2]["flag_meanings"].split()
+        )
         # convert arrays to lists, because attributes are written as JSON
         self.layers = {
             name: Layer(dtype, {"long_name": text} | {k: np.asarray(v).tolist() for k, v in attrs.items()})
@@ -125,12 +132,54 @@ class RenderedFlight(Flight):
             bands, self._scene.codes, self.grid, source_spectra(atmosphere, trace), factors, normalise=False
         )
 
+    def _names_of_paints(self, scene: Scene) -> dict[str, str]:
+        # Names of a fleet's paints by spectrum: "white solid", "white solid 2" ... along the flight, paints
+        # in view first.
+        middle = scene.vertices[scene.faces].mean(axis=1)[:, 1]
+        end = self.settings.lines * self.ground_sample
+        seen: dict[str, tuple[bool, float]] = {}
+        for number, item in enumerate(scene.instances):
+            if item.kind == "car":
+                north = float(middle[scene.face_instance == number].mean())
+                seen[item.paint] = min((not 0.0 <= north < end, north), seen.get(item.paint, (True, np.inf)))
+        names: dict[str, str] = {}
+        counts: Counter[str] = Counter()
+        for paint in sorted(seen, key=seen.__getitem__):
+            words = f"{paint_spec(paint).colour} {paint_spec(paint).finish}"
+            counts[words] += 1
+            numbered = f"{words} {counts[words]}" if counts[words] > 1 else words
+            names[paint] = numbered if self.settings.fleet == "real" else paint
+        self._seen = tuple(name for name, (_, y) in seen.items() if -self._ahead <= y <= end + self._ahead)
+        return names
+
+    def name_of(self, spectrum: str) -> str:
+        return self._names.get(spectrum, spectrum)
+
+    @property
+    def measured_paints(self) -> tuple[str, ...]:
+        return tuple(paint for paint in self._names if paint in self._seen)
+
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
-        # reflectance of paints without mirror reflection and flakes, shape (name, wavelength)
-        shares = [self._flake_share(name) for name in names]
-        return np.stack(
-            [(1 - s) * spectrum_of(name)(wavelength) for s, name in zip(shares, names, strict=True)]
-        )
+        # Reflectance factors of level paints, seen from the nadir under the flight's sun and sky, without
+        # mirror reflection, shape (name, wavelength).
+        direct, diffuse = (np.interp(wavelength, self.grid, light) for light in self.sky)
+        # equal parts of the light of a uniform sky
+        squared_sines = (np.arange(_SKY_RINGS) + 0.5) / _SKY_RINGS
+        rings = np.degrees(np.arcsin(np.sqrt(squared_sines))).tolist()
+        factors = []
+        for name in names:
+            body, paint = spectrum_of(name)(wavelength), paint_spec(name).material()
+            if not self._flake_share(name) or paint.flakes is None:
+                factors.append(body)
+                continue
+            flakes = spectrum_of(paint.flakes.spectrum)(wavelength)
+            turned = spectrum_of(paint.flakes.turned)(wavelength) if paint.flakes.turned else None
+            sun, *sky = (
+                reflectance_factor(paint, body, flakes, light=zenith, view=0.0, turned=turned)
+                for zenith in (self.settings.sun[0], *rings)
+            )
+            factors.append((direct * sun + diffuse * np.mean(sky, axis=0)) / (direct + diffuse))
+        return np.stack(factors)
 
     def paint_properties(self, paint: str) -> Mapping[str, str]:
         # paints of a solid fleet have no flakes, also if their catalogue entry has flakes
@@ -157,6 +206,7 @@ class RenderedFlight(Flight):
         lean = float(np.tan(np.radians(max(_MIN_LEAN_DEG, path.steepest))))
         ahead = lean * self.ground_sample / PIXEL_ANGLE_RAD
         yaw_margin = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
+        self._ahead = ahead + _MARGIN_BEFORE_M
         before = ahead + max(_MARGIN_BEFORE_M, yaw_margin + 1.0) + max(map(abs, path.lever_arm))
         start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
         length = start + settings.lines * self.ground_sample + before

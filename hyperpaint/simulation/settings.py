@@ -477,6 +477,12 @@ class SimulationSettings(OpticsSettings):
     bad_elements: int = fact(
         0, "number of detector elements that receive no light; their gain is NaN", least=0, most=2**40
     )
+    gain_u: float = fact(
+        0.0,
+        "relative standard uncertainty that the calibration states for its gain; 0 states none",
+        least=0.0,
+        most=0.5,
+    )
     texture: float = fact(
         0.02,
         "relative standard deviation of the brightness between pixels of a surface, in a plan scene",

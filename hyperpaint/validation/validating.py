@@ -36,6 +36,7 @@ from hyperpaint.light.coat_transmission import (
 )
 from hyperpaint.light.diffuse_record import SKY_STATES
 from hyperpaint.light.responses import Responses, matching_operator
+from hyperpaint.light.sun import solar_position
 from hyperpaint.paints.band_ratios import covariance
 
 #: Names of the two terms of a maximum RMSE that grows with the paint's level.
@@ -65,6 +66,7 @@ MEANINGS: Mapping[str, str] = {
     "instrument": "Instrument of the references",
     "overlap": "Treatment of overlapping detectors of the reference",
     "overlap_matched": "Whether the reference's values were changed to make detectors meet",
+    "exclusion": "Reason why a pair cannot be judged; empty without one",
     "mirror_reflection": "Whether the reference includes the mirror image of sky and surroundings",
     "first_wavelength": "Wavelength that a part begins at",
     "last_wavelength": "Wavelength that a part ends before",
@@ -176,7 +178,9 @@ class Validation:
         if cell["judged"]:
             return str(cell["part"].item())
         reason = f"{count} of {count + excluded} bands, too few to judge"
-        if float(cell["rmse_limit"]) > MAX_TOLERANCE_SHARE * float(cell["level"]):
+        if cell["exclusion"].item():
+            reason = cell["exclusion"].item()
+        elif float(cell["rmse_limit"]) > MAX_TOLERANCE_SHARE * float(cell["level"]):
             level, limit = float(cell["level"]), float(cell["rmse_limit"])
             reason = f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
         return f"{cell['part'].item()} ({reason})"
@@ -190,13 +194,16 @@ class Validation:
             floor, share = tolerance.pop(FLOOR), tolerance.pop(RELATIVE)
             texts = [f"RMSE {floor:g} + {100.0 * share:g} % of the paint's level"]
         limits = ", ".join([*texts, *(f"{name} {limit:g}" for name, limit in tolerance.items())])
-        pairs = self.statistics.sizes["pair"]
-        passed = int(self.statistics["passes"].all("part").sum())
+        is_judged = self.statistics["exclusion"] == ""
+        pairs = int(is_judged.sum())
+        excluded = is_judged.size - pairs
+        passed = int((self.statistics["passes"].all("part") & is_judged).sum())
         compared = len(set(self._texts("signature")))
         paints = compared + len(self.unpaired_signatures)
         return (
             f"{passed} of {pairs} pair{'' if pairs == 1 else 's'} within tolerance ({limits}), "
             f"{compared} of {paints} paint{'' if paints == 1 else 's'} compared"
+            + (f", {excluded} pair{'' if excluded == 1 else 's'} not judged" if excluded else "")
         )
 
     def table(self) -> str:
@@ -413,6 +420,10 @@ class Measured:
     quantity: str = ""  #: Body under a coat or outside of the coat, see base.mirrored_light.
     geometry: str = ""  #: Measurement geometry of the instrument, such as d/8.
     coat_index: float = 1.5  #: Refractive index of the coat.
+    finish: str = ""  #: Finish of a paint: "solid", "metallic", "pearl" or empty.
+    #: Angle between the view and the mirror direction of the light on a level surface [degree]; NaN if
+    #: unknown.
+    aspecular: float = np.nan
     covariance: Floats | None = (
         None  #: (channel, channel): Covariance of both uncertainties [1]; None if unknown.
     )
@@ -810,6 +821,8 @@ def _library_spectra(
             if covariances is None
             else covariances[number][np.ix_(channels.order, channels.order)],
             notes=(*channels.notes, *_light_notes(dataset, number)),
+            finish=_text_of(dataset, "finish", number, SIGNATURE),
+            aspecular=_aspecular_of(dataset, number, attrs),
             **(coat_of(attrs) | _uncorrected_coat(dataset, number, attrs)),
         )
 
@@ -899,6 +912,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             **_overlap_of(attributes["overlap"], _flag_of(dataset, "overlap_matched", number)),
             mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
+            aspecular=_aspecular_of(dataset, number, attrs),
             **coat_of(attrs),
         )
 
@@ -912,6 +926,22 @@ def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
         return ""
     value = array.values[number] if array.dims else array.values.item()
     return value if isinstance(value, str) else ""
+
+
+def _aspecular_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any]) -> float:
+    # Aspecular angle of a spectrum [degree]: as stated, or by the sun over a level sample seen from the nadir
+    def value(name: str) -> Any:
+        array = dataset[name] if name in dataset.variables else xr.DataArray(attrs.get(name, np.nan))
+        return array.values[number] if array.ndim == 1 else array.values if array.ndim == 0 else np.nan
+
+    stated = float(value("aspecular_angle"))
+    if np.isfinite(stated) or attrs.get("measurement_geometry") in ("0/45", "45/0"):
+        return stated if np.isfinite(stated) else 45.0
+    place = [float(value(name)) for name in ("latitude", "longitude")]
+    time = value("time") if "time" in dataset.variables else np.datetime64("NaT")
+    if "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all():
+        return float("nan")
+    return float(solar_position(time, *place)[0])
 
 
 def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
@@ -1354,6 +1384,12 @@ def _mean_reference(pair: Pair) -> Measured:
     )
 
 
+#: Minimum angle from the mirror direction at which flakes of a leaning roof are compared [degree]: nearer, a
+#: degree changes the light of a metallic by 2 to 10 %, beyond by about 1 %.
+_MIN_ASPECULAR_DEG = 40.0
+#: Maximum difference of this angle between a signature and its references [degree].
+_MAX_ASPECULAR_CHANGE_DEG = 5.0
+
 #: Number of random draws of errors; it determines their standard deviation to 2 %.
 DRAWS = 1000
 
@@ -1399,6 +1435,32 @@ class Compared:
         )
 
     @property
+    def exclusion(self) -> str:
+        # Reason why the spectra cannot be judged, although they can be compared; empty without one.
+        signature = self.pair.signature
+        if self.pair.between or signature.finish not in ("metallic", "pearl"):
+            return ""
+        text = f"{signature.finish} paint, whose level holds for one geometry only"
+        angles = np.array([signature.aspecular, *(reading.aspecular for reading in self.pair.references)])
+        if not np.isfinite(angles[0]):
+            return f"{text}, and the signature states none: aspecular_angle is missing"
+        if not np.isfinite(angles[1:]).all():
+            return (
+                f"{text}, and the reference states none: give it aspecular_angle [degree], "
+                'measurement_geometry such as "45/0", or time, latitude and longitude'
+            )
+        if np.ptp(angles) > _MAX_ASPECULAR_CHANGE_DEG:
+            return f"{text}: seen {angles[0]:.0f} degrees from the mirror direction, the reference " + (
+                f"{', '.join(f'{angle:.0f}' for angle in angles[1:])}"
+            )
+        if angles.min() < _MIN_ASPECULAR_DEG:
+            return (
+                f"{text}: {angles.min():.0f} degrees from the mirror direction, a degree of lean changes it "
+                f"by several per cent; compare it at {_MIN_ASPECULAR_DEG:.0f} degrees or more"
+            )
+        return ""
+
+    @property
     def matched(self) -> bool:
         # Whether values of any reference were changed to join detectors
         return any(reference.matched for reference in self.pair.references)
@@ -1440,6 +1502,14 @@ class Compared:
         # Return remarks for the reader of the result
         notes = [note for reference in self.pair.references for note in reference.notes]
         notes += [f"signature: {note}" for note in self.pair.signature.notes]
+        if self.exclusion:
+            notes.append(f"not judged: {self.exclusion}")
+        elif self.pair.signature.finish in ("metallic", "pearl") and not self.pair.between:
+            angles = (self.pair.signature.aspecular, self.pair.references[0].aspecular)
+            notes.append(
+                f"{self.pair.signature.finish} paint, compared at its geometry: {angles[0]:.0f} degrees from "
+                f"the mirror direction, the reference {angles[1]:.0f}; the result holds for it only"
+            )
         if self.matched:
             notes.append(
                 "the reference is overlap-matched: its values were scaled below the join of its detectors"
@@ -1668,6 +1738,12 @@ def validate(
     ``open_svc(..., overlap="trim", joins=)`` joins them elsewhere. Reflectance is weighted by the response
     only: variation of the light within a band matters little.
 
+    A metallic or pearl paint (``finish`` of the signature) has a level for one geometry only. It is judged
+    where the reference states this geometry (``aspecular_angle``, ``measurement_geometry`` "45/0", or time,
+    latitude and longitude of a sample that lay level under the sun and was seen from the nadir), if both were
+    seen at 40 degrees or more from the mirror direction, and within 5 degrees of one another. Other pairs are
+    shown and not judged, and the result notes the reason; they do not fail unless all pairs are such.
+
     Equal quantities are compared: where the signature is of the body under a clear coat, and the attributes
     of a reference declare a reading of the coat's outside (``quantity``, or ``specular_component``
     "included") and its geometry (``measurement_geometry`` such as "d/8", ``coat_index``), the reference is
@@ -1817,6 +1893,7 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
         difference = (signature_side.signature - reference_side.reference)[used]
         return float(np.sqrt((difference**2).mean())) if used.any() else np.nan
 
+    compared = [comparison for comparison in compared if not comparison.exclusion]
     own_rmse = np.array([rmse(comparison, comparison) for comparison in compared])
     candidates = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
     farthest = np.sort(candidates[np.argsort(-own_rmse[candidates])][:_EXCHANGED_MAX_PAINTS]).tolist()
@@ -1928,6 +2005,11 @@ def _statistics(
         outside |= deviation > limit
     may_pass = judged | ~np.logical_or(user_parts, ~judged.any(axis=1, keepdims=True))
     passes = np.asarray(~outside & may_pass & (within | ~judged))
+    # a pair that cannot be judged does not fail, if another one is judged
+    reasons = [comparison.exclusion for comparison in compared]
+    excluded = np.array([bool(reason) for reason in reasons])[:, None]
+    judged &= ~excluded
+    passes = np.where(excluded, not excluded.all(), passes)
     for name, flags in (("judged", judged), ("passes", passes)):
         variables[name] = (dims, flags, {"long_name": MEANINGS[name]})
     for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
@@ -1941,6 +2023,7 @@ def _statistics(
         "instrument": [comparison.instrument for comparison in compared],
         "overlap": [comparison.common("overlap") for comparison in compared],
         "mirror_reflection": [comparison.common("mirror") for comparison in compared],
+        "exclusion": reasons,
     }
     matched = np.array([comparison.matched for comparison in compared], bool)
     coords: dict[str, Any] = {

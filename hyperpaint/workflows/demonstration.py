@@ -1,148 +1,31 @@
-"""A simulated collect, processed like a real one; reflectance and signatures are compared with its truth."""
+"""A simulated collect, processed like a real one.
+
+Its paints are compared with the field spectrometer, as in a real flight. Then the loop is closed: reflectance
+of pixels is compared with the simulator's own values of the same pixels.
+"""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
-from hyperpaint.io.spectrometers.asd import open_asd
+from hyperpaint.io.spectrometers.svc import open_svc
+from hyperpaint.paints.signatures.extraction import extract_signatures
+from hyperpaint.regions.geojson import read_regions
 from hyperpaint.simulation import simulate_collect
-from hyperpaint.simulation.collect import MARKER, PARTS
+from hyperpaint.simulation.collect import MARKER, PARTS, REGIONS, SVC_FOLDER
 from hyperpaint.simulation.instruments import CAMERA_SOFTWARE
-from hyperpaint.validation.validating import aligned
+from hyperpaint.validation.validating import Validation, aligned, validate
 
 from .maps import LINES, lines_of_store
 from .pipeline import run
-
-#: Tolerance of the relative RMS error over bands of a signature of many pixels.
-MAX_ERROR = 0.01
-
-_MIN_PIXELS = 200  # signatures of fewer pixels are too noisy to judge
-_MIN_HEIGHT_M = 0.7  # roofs, bonnets and boots are above this height
-_MIN_PURITY, _MAX_SHADOW = 0.999, 0.001  # for pure and sunlit pixels
-
-_SIGNATURE_LEGEND = f"""\
-Signatures: means over pure, sunlit, unflagged pixels without glint, over {_MIN_HEIGHT_M} m high on a car.
-error: RMS over bands against the truth of the same pixels, relative. field: mean of the ASD spectrum near
-normal; differences of the scene from it are slopes, mirrored sky and light from neighbours, not errors."""
-
-
-@dataclass(frozen=True)
-class PaintAgreement:
-    # The signature of a paint: mean over pure, sunlit, unflagged pixels of roofs, bonnets and boots.
-    #
-    # Pixels in which the clear coat mirrors the sun are excluded.
-    paint: str
-    cars: int  #: Number of cars with this paint.
-    pixels: int  #: Number of averaged pixels.
-    recovered: float  #: Mean over bands [1].
-    error: float  #: Relative RMS error over bands against the true signature of the same pixels.
-    field: float  #: Mean over bands of the field spectrum near normal [1].
-
-
-def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tuple[PaintAgreement, ...]:
-    # Return the signatures of the paints of a rendered collect compared with their truth, sorted by name.
-    #
-    # ``store``: written by `process`; ``truth``: the ``truth.zarr`` of the collect, with the spectrometer's
-    # files beside it (``asd_reflectance``); ``bands``: first and last wavelength compared [nm].
-    #
-    # Raises `FormatError` if the spectrometer's files are missing or cannot be read.
-    true_scene = xr.open_zarr(truth)
-    attrs = true_scene["paint_id"].attrs
-    names = dict(zip(attrs["flag_values"], str(attrs["flag_meanings"]).split(), strict=True))
-    #: Pixels, cars, sum of recovered and of true reflectance, by paint.
-    sums: dict[int, tuple[int, set[int], Any, Any]] = {}
-    wavelength: Floats = np.zeros(0)
-    labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
-    for slab, true in blocks_with_truth(store, true_scene, labels, bands):
-        wavelength = slab["wavelength"].values
-        # pure, sunlit, unflagged pixels without mirrored sun, on roofs, bonnets and boots
-        is_usable = (true["paint_id"].values >= 0) & (true["purity"].values > _MIN_PURITY)
-        is_usable &= (true["shadow"].values < _MAX_SHADOW) & (true["up"].values > _MIN_HEIGHT_M)
-        is_usable &= (slab["quality"].values == 0) & ~true["glint"].values
-        is_usable[is_usable] = np.isfinite(slab["reflectance"].values[is_usable]).all(axis=1)
-        spectra = [block["reflectance"].values[is_usable].astype(np.float64) for block in (slab, true)]
-        number, car = (true[name].values[is_usable] for name in ("paint_id", "car_id"))
-        for paint in np.unique(number):
-            has_paint = number == paint
-            pixels, cars, *totals = sums.get(int(paint), (0, set(), 0.0, 0.0))
-            recovered, expected = (
-                total + values[has_paint].sum(axis=0) for total, values in zip(totals, spectra, strict=True)
-            )
-            cars = cars | set(np.unique(car[has_paint]).tolist())
-            sums[int(paint)] = pixels + int(has_paint.sum()), cars, recovered, expected
-    if not sums:
-        return ()
-    spectrometer = open_asd(truth.parent / "asd_reflectance")
-    files = [Path(str(name)).stem for name in spectrometer["source"].values]
-    agreements = []
-    for paint, (pixels, cars, recovered, expected) in sums.items():
-        field = spectrometer["reflectance"].values[files.index(names[paint])]
-        agreements.append(
-            PaintAgreement(
-                paint=names[paint],
-                cars=len(cars),
-                pixels=pixels,
-                recovered=float((recovered / pixels).mean()),
-                error=float(np.sqrt(np.mean(((recovered / pixels) / (expected / pixels) - 1.0) ** 2))),
-                field=float(np.interp(wavelength, spectrometer["wavelength"].values, field).mean()),
-            )
-        )
-    return tuple(sorted(agreements, key=lambda agreement: agreement.paint))
-
-
-def blocks_with_truth(
-    store: Path, truth: xr.Dataset, names: list[str], bands: tuple[float, float]
-) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
-    # Yield blocks of `CHUNK_LINES` lines of all flight lines, with the variables ``names`` of their truth.
-    #
-    # Bands come last: the good ones from the first to the last wavelength ``bands`` [nm].
-    for name in lines_of_store(store):
-        line = xr.open_zarr(store, group=f"{LINES}{name}")
-        wavelength, frames = line["wavelength"].values, line["frame"].values
-        is_used = line["good"].values & (wavelength >= bands[0]) & (wavelength <= bands[1])
-        for start in range(0, frames.size, CHUNK_LINES):
-            lines = slice(start, start + CHUNK_LINES)
-            slab = line[["reflectance", "quality"]].isel({ALONG_TRACK: lines, BAND: is_used})
-            true = truth[names].isel({ALONG_TRACK: frames[lines], BAND: is_used})
-            order = (ALONG_TRACK, CROSS_TRACK, ...)
-            yield slab.compute().transpose(*order), true.compute().transpose(*order)
-
-
-def signature_problems(paints: Sequence[PaintAgreement]) -> list[str]:
-    # Return texts about signatures outside the tolerance; signatures of few pixels are not judged.
-    return [
-        f"signature of {paint.paint}: error {paint.error:.2%}, tolerance {MAX_ERROR:.0%}"
-        for paint in paints
-        if paint.pixels >= _MIN_PIXELS and not paint.error < MAX_ERROR
-    ]
-
-
-def signature_table(paints: Sequence[PaintAgreement]) -> str:
-    # Return the signatures as a table with its legend.
-    head = ("signature", "cars", "pixels", "field", "recovered", "error")
-    rows = [
-        (
-            paint.paint,
-            f"{paint.cars}",
-            f"{paint.pixels}",
-            f"{paint.field:.4f}",
-            f"{paint.recovered:.4f}",
-            f"{paint.error:.2%}",
-        )
-        for paint in paints
-    ]
-    lines = aligned([head, *rows])
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", _SIGNATURE_LEGEND])
-
 
 STORE, PICTURE = "lot.zarr", "quicklook.png"
 _DEMONSTRATION_FILES = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
@@ -159,14 +42,29 @@ MAX_RMSE = 0.005
 #: Tolerance of the relative error of the scene's mean spectrum in the oxygen window [1].
 MAX_OXYGEN = 0.002
 
-#: Effects of a real collect in the demonstration, besides noise and a clock that is 37.25 s slow.
-EFFECTS: dict[str, Any] = {"smile_nm": 0.5, "dropped": 3, "glint": 0.002, "drift_per_minute": 0.02}
+#: Effects of a real collect in the demonstration, besides noise and a clock that is 37.25 s slow. The sun is
+#: 45 degrees from the zenith: nearer to it, the level of metallic paints depends on the lean of a roof.
+EFFECTS: dict[str, Any] = {
+    "smile_nm": 0.5,
+    "dropped": 3,
+    "glint": 0.002,
+    "drift_per_minute": 0.02,
+    "sun_zenith": 45.0,
+    "gain_u": 0.01,
+}
 
+#: Wavelengths of the printed spectra [nm].
+_PRINTED_NM = (450.0, 550.0, 650.0, 750.0, 850.0, 950.0)
+
+_FIELD_LEGEND = """\
+Means of clean paint on roofs and bonnets, without mirrored sky, and of samples of the same paints on the
+ground. RMSE: over all bands. A metallic paint has a level for one geometry only: here 45 degrees between the
+view and the mirror direction of the sun, for camera and spectrometer."""
 
 _LEGEND = """\
-Reflectance, {0:.0f} to {1:.0f} nm, of pixels without a quality flag ({4:.2f} % have one).
-bias: mean over pixels and bands. RMSE: of single samples, sensor noise included.
-RMSE mean: of the mean spectrum, over bands. O2 window: its largest relative error, {2:.0f} to {3:.0f} nm."""
+bias: recovered minus simulated reflectance, {0:.0f} to {1:.0f} nm, of pixels without a quality flag
+({4:.2f} % have one). RMSE: of single samples, sensor noise included. RMSE mean: of the mean spectrum, over
+bands. O2 window: its largest relative difference, {2:.0f} to {3:.0f} nm."""
 
 
 @dataclass(frozen=True)
@@ -189,16 +87,16 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Recovered and true reflectance of a collect."""
+    """Recovered and true reflectance of a collect: closure, and paints against the field spectrometer."""
 
     materials: tuple[Agreement, ...]  #: In the simulator's order.
     overall: Agreement  #: All pixels together.
     flagged: float  #: Share of pixels with a quality flag, which are not compared.
-    paints: tuple[PaintAgreement, ...] = ()  #: Signatures of paints, for a rendered scene.
+    field: Validation | None = None  #: Paints against the field spectrometer; None without regions.
 
     @property
     def problems(self) -> tuple[str, ...]:
-        # Values outside the tolerance, one line each.
+        # Values of the closure outside the tolerance, one line each.
         problems = [
             f"{agreement.material}: bias {agreement.bias:+.4f}, tolerance {MAX_BIAS}"
             for agreement in (*self.materials, self.overall)
@@ -210,12 +108,11 @@ class Comparison:
             problems.append(
                 f"all pixels: oxygen window {self.overall.oxygen:.2%}, tolerance {MAX_OXYGEN:.1%}"
             )
-        problems += signature_problems(self.paints)
         return tuple(problems)
 
     @property
     def ok(self) -> bool:
-        # Whether all values are within tolerance.
+        # Whether the loop closes within tolerance.
         return not self.problems
 
     def __str__(self) -> str:
@@ -242,25 +139,39 @@ def compare(store: Path, truth: Path) -> Comparison:
     # Compare the reflectance in a store with the truth (``truth.zarr``) of its simulated collect.
     #
     # Compared are good bands between 420 and 980 nm and pixels without a quality flag, at the wavelengths of
-    # every column. For a rendered scene, signatures of paints are compared too (see `compare_paints`).
+    # every column.
     #
-    # Raises `StoreError` if the store has no flight line; `FormatError` if files of the field spectrometer
-    # beside the truth of a rendered scene cannot be read.
+    # Raises `StoreError` if the store has no flight line.
     true_scene = xr.open_zarr(truth)
     names = str(true_scene["surface"].attrs["flag_meanings"]).split()
     total, slab, sums = 0, None, np.zeros((4, len(names), 1))
-    for slab, true in blocks_with_truth(store, true_scene, ["reflectance", "surface"], BANDS_NM):
-        unflagged = slab["quality"].values == 0
-        total += unflagged.size
-        recovered, expected = (
-            block["reflectance"].values[unflagged].astype(np.float64) for block in (slab, true)
-        )
-        is_finite = np.isfinite(recovered)
-        error = np.where(is_finite, recovered - expected, 0.0)
-        member = (true["surface"].values[unflagged] == np.arange(len(names))[:, None]).astype(np.float64)
-        # sums over pixels (material, band): number, truth, error, squared error
-        terms = (is_finite, np.where(is_finite, expected, 0.0), error, error**2)
-        sums = sums + np.stack([member @ term for term in terms])
+    for name in lines_of_store(store):
+        line = xr.open_zarr(store, group=f"{LINES}{name}")
+        nm, frames = line["wavelength"].values, line["frame"].values
+        is_used = line["good"].values & (nm >= BANDS_NM[0]) & (nm <= BANDS_NM[1])
+        for start in range(0, frames.size, CHUNK_LINES):
+            lines, order = slice(start, start + CHUNK_LINES), (ALONG_TRACK, CROSS_TRACK, ...)
+            slab = line[["reflectance", "quality"]].isel({ALONG_TRACK: lines, BAND: is_used}).compute()
+            true = true_scene[["reflectance", "surface"]].isel({ALONG_TRACK: frames[lines], BAND: is_used})
+            slab, true = slab.transpose(*order), true.compute().transpose(*order)
+            unflagged = slab["quality"].values == 0
+            total += unflagged.size
+            # pixels in the order of their materials
+            surface = true["surface"].values[unflagged]
+            by_surface = np.argsort(surface, kind="stable")
+            found, starts = np.unique(surface[by_surface], return_index=True)
+            if not found.size:
+                continue
+            recovered, expected = (
+                block["reflectance"].values[unflagged][by_surface].astype(np.float64)
+                for block in (slab, true)
+            )
+            is_finite = np.isfinite(recovered)
+            error = np.where(is_finite, recovered - expected, 0.0)
+            # sums over pixels (material, band): number, truth, error, squared error
+            terms = (is_finite.astype(np.float64), np.where(is_finite, expected, 0.0), error, error**2)
+            sums = sums + np.zeros((1, 1, error.shape[1]))
+            sums[:, found] += np.stack([np.add.reduceat(term, starts, axis=0) for term in terms])
     if slab is None:
         raise StoreError(f"{store} holds no flight line to compare", code="flightline-missing")
     wavelength, counts = slab["wavelength"].values, sums[0].max(axis=1)
@@ -284,8 +195,40 @@ def compare(store: Path, truth: Path) -> Comparison:
         materials=tuple(agreement(names[index], [index]) for index in present),
         overall=agreement("all pixels", present),
         flagged=1.0 - counts.sum() / max(total, 1),
-        paints=compare_paints(store, truth, BANDS_NM) if "car_id" in true_scene else (),
     )
+
+
+def compare_with_field(store: Path, folder: Path) -> Validation | None:
+    # Return the agreement of the paints of a simulated collect with its SVC spectrometer.
+    #
+    # None without regions: on a coarse picture no paint has a clean level area.
+    regions = read_regions(folder / REGIONS)
+    if not len(regions):
+        return None
+    line = xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}")
+    paints = extract_signatures(line, regions, specular_sky=True, members=0)
+    return validate(paints, open_svc(folder / SVC_FOLDER))
+
+
+def field_table(validation: Validation) -> str:
+    # Return the spectra of paints, seen from the air and on the ground, with the outcome of every pair
+    head = ("reflectance [1]", "seen by", *(f"{nm:.0f} nm" for nm in _PRINTED_NM), "RMSE", "limit", "")
+    rows: list[tuple[str, ...]] = []
+    for row, spectra in enumerate(validation.spectra):
+        whole = validation.statistics.isel(pair=row)
+        verdict = "pass" if whole["passes"].all() else "FAIL"
+        if whole["exclusion"].item():
+            verdict = "not judged"
+        of_all = whole.sel(part="all")
+        ends = ("", "", ""), (f"{of_all['rmse']:.4f}", f"{of_all['rmse_limit']:.4f}", verdict)
+        sides = {"signature": "camera", "reference": str(whole["instrument"].item())}
+        for (side, instrument), end in zip(sides.items(), ends, strict=True):
+            used = spectra[side].dropna(BAND)
+            values = np.interp(_PRINTED_NM, used["wavelength"].values, used.values)
+            name = str(whole["signature"].item()) if side == "signature" else ""
+            rows.append((name, instrument, *(f"{value:.4f}" for value in values), *end))
+    lines = aligned([head, *rows], names=2)
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], validation.verdict])
 
 
 # --- the demonstration -------------------------------------------------------------------------------------
@@ -328,10 +271,10 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
 def run_demonstration(
     folder: Path,
     *,
-    lines: int = 256,
-    bands: int = 272,
-    columns: int = 320,
-    seed: int = 0,
+    lines: int = 160,
+    bands: int = 136,
+    columns: int = 200,
+    seed: int = 3,
     scene: str = "rendered",
     samples: int | None = None,
     overwrite: bool = False,
@@ -339,7 +282,9 @@ def run_demonstration(
     simulated: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    """Simulate a collect, process it like a real one, and compare the result with its truth.
+    """Simulate a collect, process it like a real one, and compare paints with the field spectrometer.
+
+    Then the loop is closed: reflectance is compared with the simulator's own values of the same pixels.
 
     Writes the raw files, ``collect.toml``, ``truth.zarr``, ``regions.geojson``, the store ``lot.zarr`` and,
     if matplotlib is installed, ``quicklook.png`` into the folder, and replaces those of an earlier
@@ -399,12 +344,14 @@ def run_demonstration(
     outcome = run(collect, folder / STORE, overwrite=True, progress=progress)
     say(f"processed as if it were real in {time.perf_counter() - simulated_at:.1f} s: {outcome.path}")
     comparison = compare(outcome.path, folder / "truth.zarr")
-    say(f"\n{comparison}\n\n{_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged)}")
-    if comparison.paints:
-        say(f"\n{signature_table(comparison.paints)}")
+    if found := compare_with_field(outcome.path, folder):
+        comparison = replace(comparison, field=found)
+        say(f"\n{field_table(found)}\n\n{_FIELD_LEGEND}")
+    say(f"\nclosure with the simulator's own pixels:\n{comparison}")
+    say(f"\n{_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged)}")
     overall = comparison.overall
     say(
-        f"overall bias {overall.bias:+.5f} (tolerance {MAX_BIAS}, for each material too), "
+        f"closure: bias {overall.bias:+.5f} (tolerance {MAX_BIAS}, for each material too), "
         f"RMSE {overall.rmse:.5f} ({MAX_RMSE}), O2 window {overall.oxygen:.2%} ({MAX_OXYGEN:.1%}): "
         + ("within tolerance" if comparison.ok else "OUTSIDE TOLERANCE")
     )

@@ -124,8 +124,22 @@ def test_settings_are_listed() -> None:
     assert all(re.search(rf"^{name} ", shown.stdout, re.MULTILINE) for name in settings.types)
 
 
-def test_a_misspelt_command_is_suggested() -> None:
-    assert "did you mean signatures?" in run("sigantures")
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["porcess"], "process"),
+        (["demo", "--ot", "x"], "--out"),
+        (["demo", "--quite"], "--quiet"),
+        (["--quite", "demo"], "--quiet"),
+    ],
+)
+def test_a_misspelt_word_is_suggested(words: list[str], meant: str) -> None:
+    assert f"Did you mean {meant!r}?" in run(*words)
+
+
+def test_a_collect_without_regions_is_told(tmp_path: Path) -> None:
+    told = hyperpaint("simulate", tmp_path, "--scene", "plan", "--lines", 8, "--bands", 4, "--columns", 6)
+    assert "regions.geojson has no region: no paint has a clean level area of 6 by 6 pixels" in told.stderr
 
 
 def test_options_of_the_program_stand_anywhere(tmp_path: object) -> None:

@@ -322,6 +322,17 @@ def test_a_simulated_flight_over_a_real_fleet() -> None:
     flight = RenderedFlight(hp.simulation.SimulationSettings(**settings))
     assert all(paint.startswith("fleet-") for paint in flight.paints)
     finishes = {flight.paint_properties(paint)["finish"] for paint in flight.paints}
+    # names in files: colour and finish, unique, and field spectra of the cars in view
+    names = {paint: flight.name_of(paint) for paint in flight.paints}
+    assert len(set(names.values())) == len(names)
+    for paint, name in names.items():
+        assert name.startswith("{colour} {finish}".format(**flight.paint_properties(paint)))
+    assert set(flight.measured_paints) <= set(flight.paints)
+    # flakes add light to the body near the mirror direction
+    metallic = next(
+        paint for paint in flight.paints if flight.paint_properties(paint)["finish"] == "metallic"
+    )
+    assert (flight.paint_reflectance([metallic], NM) > (1 - 0.6) * spectrum_of(metallic)(NM)).all()
     assert "solid" in finishes
     assert finishes & {"metallic", "pearl"}
     whole = flight.lines(0, 24)

@@ -943,3 +943,35 @@ def test_the_light_leaves_less_to_be_judged() -> None:
     stored = odd.assign(diffuse_fraction=share).chunk(signature=1)  # as it comes from a store
     assert any("contradicted" in note for note in hp.validate(stored, reading(NEAR)).notes[0])
     assert not any("contradicted" in note for note in hp.validate(odd, reading(NEAR)).notes[0])
+
+
+def test_a_metallic_is_judged_at_the_geometry_of_its_reference_only() -> None:
+    paints, reference = agreeing()
+    wrong = paints.assign(reflectance=(paints["reflectance"] * np.float32(1.5)).assign_attrs(units="1"))
+
+    def seen_at(angle: float, finish: str = "metallic") -> xr.Dataset:
+        return wrong.assign_coords(finish=("signature", [finish])).assign(
+            aspecular_angle=("signature", [angle], {"units": "degree"})
+        )
+
+    unstated = hp.validate(seen_at(46.0), reference)
+    assert not unstated.passed
+    assert "holds for one geometry only, and the reference states none" in unstated.problems[0]
+    judged = hp.validate(seen_at(46.0), reference.assign_attrs(measurement_geometry="45/0"))
+    assert judged.problems == ("hood against hood: VIS, NIR, all",)
+    # the sun of the reading: 20 degrees from the zenith, and a solid paint is judged under any sun
+    noon = np.datetime64("2021-06-21T17:12", "ns")
+    field_day = reference.assign_coords(
+        time=("spectrum", [noon]), latitude=("spectrum", [43.08]), longitude=("spectrum", [-77.67])
+    )
+    assert "20 degrees from the mirror direction" in hp.validate(seen_at(20.0), field_day).problems[0]
+    assert hp.validate(seen_at(20.0, "solid"), field_day).problems == judged.problems
+    # beside a pair that is judged, the other does not fail
+    both = xr.concat(
+        [seen_at(20.0), paints.assign(seen_at(20.0, "solid")[["finish", "aspecular_angle"]])], "signature"
+    )
+    both = both.assign_coords(signature=["hood", "roof"])
+    found = hp.validate(both, [reference, reference.assign_coords(spectrum=["roof"])])
+    assert (found.passed, found.verdict[:11]) == (True, "1 of 1 pair")
+    assert found.verdict.endswith("1 pair not judged")
+    assert "not judged" in found.table()
