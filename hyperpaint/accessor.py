@@ -25,6 +25,7 @@ __all__ = ["ARRAY_METHODS", "METHODS", "PaintAccessor", "PaintArrayAccessor"]
 METHODS = {
     "radiance": "radiometry",
     "reflectance": "radiometry",
+    "white_reference": "radiometry",
     "pixels": "radiometry",
     "coarse": "radiometry",
     "smooth": "radiometry",
