@@ -38,7 +38,7 @@ from .panels import (
 from .planning import COUNTED, cube_inputs, has_white, lazy_plan, make_plan, plan_inputs, refuse_calibration
 from .stray_light import described
 from .uncertainty.propagation import UNCERTAINTIES, with_uncertainty
-from .white_reference import WHITE_ATTRS, WHITE_VARIABLES, white_reference
+from .white_tiles import WHITE_ATTRS, WHITE_VARIABLES, white_reference
 
 #: Bits that every product derives anew; bits of other rooms stay.
 _PRODUCT_BITS = {"radiance": flags_set_from("counts"), "reflectance": flags_set_from("counts", "light")}

@@ -31,7 +31,7 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.flightline.calibration_store import saturation_of
-from hyperpaint.io.flightline.dark import MIN_NOISE_LINES, Reference, open_dark, read_reference
+from hyperpaint.io.flightline.dark import MIN_NOISE_LINES, Reference, check_shape, open_dark, read_reference
 from hyperpaint.io.flightline.headwall import find_exposure, recording_clock
 from hyperpaint.io.flightline.timing import Timing, utc_of
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
@@ -272,7 +272,7 @@ def _sources(white: Any) -> list[Any]:
         return list(find_paths(white, headers, "ENVI headers of white references", headers))
     if isinstance(white, xr.DataArray):
         white = white.to_dataset(name="counts")
-    if isinstance(white, xr.Dataset):
+    if isinstance(white, xr.Dataset | Reference):
         return [white]
     return [source for entry in white for source in _sources(entry)]
 
@@ -308,7 +308,8 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
         source = rename_to_roles(source)
         if "values" in source:
             source = source.rename(values="counts")
-    reference = read_reference(source, Timing(), sizes, "white")
+    reference = source if isinstance(source, Reference) else read_reference(source, Timing(), None, "white")
+    check_shape(reference.frames.mean.shape, sizes, f"white {reference.name}", "white")
     exposure = reference.exposure if white_exposure_time is None else white_exposure_time
     if exposure is None:
         raise SchemaError(
