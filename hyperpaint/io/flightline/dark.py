@@ -117,7 +117,7 @@ def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: 
     names = ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"])
     arrays = require(dataset, names, "a dark correction")
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
-    _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
+    check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     SchemaError.raise_if(
         not np.isfinite(counts.values).any(), f"dark_counts of {name} have no finite value", code="not-finite"
     )
@@ -129,7 +129,7 @@ def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: 
     return Dark(counts, tuple(seconds), None, name)
 
 
-def _check_shape(
+def check_shape(
     actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str, role: str = "dark"
 ) -> None:
     if shape is not None and actual != shape:
@@ -159,7 +159,7 @@ def read_reference(
     counts = opened["counts"]
     if set(counts.dims) == set(CUBE):
         counts = counts.transpose(*CUBE)
-        _check_shape(counts.shape[1:], shape, f"{role} {name}", role)
+        check_shape(counts.shape[1:], shape, f"{role} {name}", role)
     frames = sum_dark(counts, f"{role} {name}")
     exposure = None
     if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
