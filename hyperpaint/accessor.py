@@ -34,6 +34,7 @@ METHOD_GROUPS = {
     "radiance and reflectance": {
         "radiance": "radiometry",
         "reflectance": "radiometry",
+        "white_reference": "radiometry",
         "pixels": "radiometry",
         "coarse": "radiometry",
     },

@@ -129,10 +129,27 @@ class PaintAccessor:
         uncertainty: bool = False,
         tilt: Tilt | tuple[float, float] | None = None,
         panel: Panel | Sequence[Panel] | None = None,
+        white: Any = None,
+        tile: Any = None,
+        dark: Any = None,
         keep_bits: int | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Reflectance factor under the irradiance measured at the time of every line."""
+        """Reflectance factor under the irradiance measured at the time of every line, or relative to a white."""
+    def white_reference(
+        self,
+        white: Any,
+        *,
+        tile: Any = None,
+        tile_uncertainty: float | None = None,
+        dark: Any = None,
+        white_dark: Any = None,
+        exposure_time: float | Sequence[float] | None = None,
+        white_exposure_time: float | None = None,
+        bit_depth: int = 12,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Calibrate raw counts by a white tile, so that ``reflectance()`` needs nothing else."""
     def pixels(
         self,
         along_track: Place = slice(None),

@@ -453,13 +453,14 @@ def facts_of_field_folder(field: FieldFolder) -> Facts:
         parts = {
             "frame index": cube.frame_index,
             "navigation": cube.navigation,
-            "exposure": cube.has_exposure,
+            "exposure": cube.exposure_s is not None,
         }
         yield relative(cube.header), ", ".join(name if part else f"no {name}" for name, part in parts.items())
     has_toml = (field.folder / "collect.toml").exists()
     references = (f"{instrument} in {relative(path)}" for instrument, path, _ in field.references)
     yield from (
         ("dark", ", ".join(map(relative, field.darks)) or "none"),
+        ("white", ", ".join(map(relative, field.whites))),
         ("calibration", relative(field.calibration)),
         ("lab sweep", relative(field.sweep)),
         ("irradiance", ", ".join(relative(path) for path, _ in field.irradiance) or "none"),

@@ -24,7 +24,7 @@ from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, light_level
+from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, has_white, light_level
 
 
 @dataclass(frozen=True)
@@ -1028,7 +1028,11 @@ def _judge_sample(
     saturation = float(np.max(line["saturation_count"].values))
     saturation_limit = saturation - SATURATION_MARGIN_COUNTS
     yield from judge_range(name, sample, inputs.bit_depth, saturation)
-    gain = line["radiance_gain"].transpose(BAND, CROSS_TRACK).values.astype(np.float64)
+    gain = (
+        line["reflectance_gain" if has_white(line) else "radiance_gain"]
+        .transpose(BAND, CROSS_TRACK)
+        .values.astype(np.float64)
+    )
     dark, is_measured = _mean_dark(line)
     if line.attrs.get("dark_source") != DARK_NONE:
         uncertainty = line.get("dark_counts_u_random") if is_measured else None

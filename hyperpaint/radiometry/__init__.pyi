@@ -16,3 +16,4 @@ from .uncertainty import (
     estimate_noise as estimate_noise,
     mean_uncertainty as mean_uncertainty,
 )
+from .white_tiles import white_reference as white_reference

@@ -35,9 +35,10 @@ from .panels import (
     several_panels,
     without_panels,
 )
-from .planning import COUNTED, cube_inputs, lazy_plan, make_plan, plan_inputs, refuse_calibration
+from .planning import COUNTED, cube_inputs, has_white, lazy_plan, make_plan, plan_inputs, refuse_calibration
 from .stray_light import described
 from .uncertainty.propagation import UNCERTAINTIES, with_uncertainty
+from .white_tiles import WHITE_ATTRS, WHITE_VARIABLES, white_reference
 
 #: Bits that every product derives anew; bits of other rooms stay.
 _PRODUCT_BITS = {"radiance": flags_set_from("counts"), "reflectance": flags_set_from("counts", "light")}
@@ -123,9 +124,12 @@ def reflectance(
     uncertainty: bool = False,
     tilt: Tilt | tuple[float, float] | None = None,
     panel: Panel | Sequence[Panel] | None = None,
+    white: Any = None,
+    tile: Any = None,
+    dark: Any = None,
     keep_bits: int | None = None,
 ) -> xr.Dataset:
-    r"""Reflectance factor under the irradiance measured at the time of every line.
+    r"""Reflectance factor under the irradiance measured at the time of every line, or relative to a white.
 
     Lazy: one task a slab of lines, one pass over memory, no pixel is read.
 
@@ -152,6 +156,11 @@ def reflectance(
         are stored beside reflectance, see `panel_closure`. By default the scale that `hyperpaint.process`
         derived from the panels which the line declares (attribute ``panels``), in crops as well;
         ``dataset.drop_vars("panel_weight")`` leaves it out.
+    white, tile, dark
+        Cube of a white tile in the light of the scene, the tile's reflectance factor (0.95, or the file of
+        its certificate), and the dark of the scene, see `white_reference`: then the line needs neither
+        calibration nor irradiance, nor position and time. A line that `white_reference` calibrated needs none
+        of the three.
     keep_bits
         Mantissa bits that are kept, rounding to nearest-even; all 23 by default.
 
@@ -219,13 +228,34 @@ def reflectance(
     0.400000
     """
     return _reflectance(
-        dataset,
+        _relative_to_white(dataset, white, tile, dark, irradiance),
         irradiance,
         uncertainty=uncertainty,
         tilt=tilt,
         panels=several_panels(panel),
         keep_bits=keep_bits,
     )
+
+
+def _relative_to_white(
+    dataset: xr.Dataset, white: Any, tile: Any, dark: Any, irradiance: xr.Dataset | None
+) -> xr.Dataset:
+    # Return a line with a white reference, if one is passed, and without its own where a record is passed.
+    SchemaError.raise_if(
+        white is None and not (tile is None and dark is None),
+        "tile= and dark= without white=",
+        mend="pass the cube of the white tile; a target in the scene is panel=hp.Panel(...)",
+        code="argument-missing",
+    )
+    SchemaError.raise_if(
+        white is not None and irradiance is not None,
+        "both white= and irradiance=",
+        mend="pass one of them",
+        code="option-conflict",
+    )
+    if white is not None:
+        return white_reference(dataset, white, tile=tile, dark=dark)
+    return dataset if irradiance is None else dataset.drop_vars(WHITE_VARIABLES, errors="ignore")
 
 
 @takes_quantities()
@@ -303,7 +333,15 @@ def _reflectance(
             )
         names = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
         return dataset.assign(schema.require(dataset, names, "reflectance"))
-    stored = None if panels else declared_scale(dataset, other_light=irradiance is not None)
+    is_white = has_white(dataset)
+    SchemaError.raise_if(
+        is_white and (tilt is not None or bool(panels)),
+        "tilt= or panel= for a line with a white reference",
+        expected="neither: scene and tile lie in the same light",
+        mend='drop the variable "reflectance_gain" to use the irradiance record',
+        code="option-conflict",
+    )
+    stored = None if panels or is_white else declared_scale(dataset, other_light=irradiance is not None)
     if irradiance is not None:
         dataset = replace_record(dataset, irradiance)
     scale_panels = panels if stored is None else declared_panels(dataset)
@@ -326,12 +364,16 @@ def _reflectance(
     )
     attributes = {"tilt": str(tilt) if tilt else None, "panel": "; ".join(map(str, scale_panels)) or None}
     attributes |= applied(inputs["cube"])
+    if is_white:
+        attributes["white"] = "; tile ".join(str(dataset.attrs[k]) for k in WHITE_ATTRS if k in dataset.attrs)
     # drop uncertainties of an earlier reflectance
     result = _with_product(
         dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality, attributes
     )
     if uncertain is not None:
         result = with_uncertainty(result, cubes[1:], uncertain)
+    if is_white:
+        return result
     lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
     light_of_lines = dask.delayed(slabs.light_of_lines, pure=True)
     line_variables = {

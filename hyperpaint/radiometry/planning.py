@@ -54,7 +54,7 @@ from hyperpaint.light.illumination import (
 )
 from hyperpaint.light.sky_functions import sunward_gain
 from hyperpaint.light.sun import solar_position
-from hyperpaint.light.synchrony import LineLight, check_irradiance_times, line_light
+from hyperpaint.light.synchrony import UNSTABLE_CHANGE, LineLight, check_irradiance_times, line_light
 
 from . import slabs
 from .linear_counts import TABLE, Linearity, declared_linearity
@@ -256,6 +256,9 @@ def make_plan(
     misfit = np.full(bands, np.nan, np.float32)
     if light is not None and time is not None:
         series, neighbours, misfit = _illuminate(cube, light, time, smile, tilt)
+    elif "white_level" in cube and time is not None:
+        series, neighbours = _between_whites(cube, time)
+    if neighbours is not None:
         line_flags |= neighbours.flags
     # scale by panels
     scale, closure, panel_weights, panel_u = np.ones(bands), None, None, None
@@ -427,13 +430,32 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
             code="time-missing",
         )
     order = np.argsort(stamps, kind="stable")
-    dark, ticks = dark[order], stamps[order].astype(np.int64)
-    line_time = np.asarray(cube["time"]).astype("datetime64[ns]")
-    line_ns = np.where(np.isnat(line_time), ticks[0], line_time.astype(np.int64))
     # beyond their times the first and the last dark are used: a dark drifts slowly
-    index = np.clip(np.searchsorted(ticks, line_ns, side="right") - 1, 0, len(dark) - 2)
+    index, share = _between(stamps[order], cube["time"])
+    return dark[order], index, share.astype(np.float32)
+
+
+def _between(stamps: Array, times: Any) -> tuple[Array, Floats]:
+    # Return for every time the stamp before it, and the weight of the next stamp: 0 or 1 beyond all stamps.
+    ticks, line_time = stamps.astype(np.int64), np.asarray(times).astype("datetime64[ns]")
+    line_ns = np.where(np.isnat(line_time), ticks[0], line_time.astype(np.int64))
+    index = np.clip(np.searchsorted(ticks, line_ns, side="right") - 1, 0, len(ticks) - 2)
     weight = (line_ns - ticks[index]) / np.maximum(ticks[index + 1] - ticks[index], 1)
-    return dark, index.astype(np.int64), np.clip(weight, 0.0, 1.0).astype(np.float32)
+    return index.astype(np.int64), np.clip(weight, 0.0, 1.0)
+
+
+def _between_whites(cube: Mapping[str, Any], time: Array) -> tuple[Floats, LineLight]:
+    # Return the light on white references as a series of a `Plan`, and the whites around every line.
+    #
+    # Light is linear in time between two whites; before the first and after the last it is constant.
+    level = np.asarray(cube["white_level"], np.float64)
+    before, weight = _between(np.asarray(cube["white_time"]).astype("datetime64[ns]"), time)
+    change = np.nanmedian(np.abs(level[before + 1] / level[before] - 1.0), axis=1)
+    unknown = np.full(time.shape, np.nan, np.float32)
+    flags = np.where(change > UNSTABLE_CHANGE, Quality.ILLUMINATION_UNSTABLE, 0).astype(np.uint16)
+    # the kernel divides pi by the light
+    series = np.pi * level[:, :, None, None]
+    return series, LineLight(before, before + 1, weight, unknown, unknown, flags)
 
 
 def _darks_in_exposure(dark: Array, dark_exposure: Floats, exposure: Floats) -> tuple[Array, Array, Array]:
@@ -773,6 +795,8 @@ def _computed(
 
 
 COUNTED = ("counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count")
+#: Calibration of a line by a white reference, and what it needs where the light changed between whites.
+WHITE_GAIN, WHITE_LIGHT = "reflectance_gain", ("white_level", "white_time", "time")
 _LIGHT = ("irradiance", "irradiance_fwhm")
 _OPTIONAL = (
     "dark_exposure_time",
@@ -801,19 +825,25 @@ def plan_inputs(
     # Return the cube from which reflectance is computed, and the inputs of `make_plan` besides its shape.
     #
     # ``scale_panels``: panels that give the scale; ``stored``: their scale, if measured before.
-    if "counts" in dataset.variables:
+    is_white = has_white(dataset)
+    if "counts" in dataset.variables and not is_white:
         refuse_calibration(dataset, needs_scale=not scale_panels)
     cube, values = cube_inputs(dataset, "reflectance")
     # the plan adds the uncertainty of the panels' means, and of lines between panels
     panel_u = max((panel.uncertainty for panel in scale_panels), default=None)
     return cube, {
         "cube": values,
-        "light": _light_inputs(dataset, tilt, bool(scale_panels) and stored is None),
+        "light": None if is_white else _light_inputs(dataset, tilt, bool(scale_panels) and stored is None),
         "tilt": tilt,
         "panel": stored,
         "keep_bits": keep_bits,
         "uncertain": uncertainty_inputs(dataset, panel_u) if uncertainty else None,
     }
+
+
+def has_white(dataset: xr.Dataset) -> bool:
+    # Return whether a white reference calibrates the counts of a line.
+    return "counts" in dataset.variables and WHITE_GAIN in dataset.variables
 
 
 def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
@@ -830,8 +860,12 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
     # Return the counts or the radiance of a line, and the small variables that calibrate it.
     schema.warn_of_lost_calibration(dataset, purpose)
     is_from_counts = "counts" in dataset.variables
+    is_white = purpose == "reflectance" and has_white(dataset)
     required = [*COUNTED] if is_from_counts else ["radiance"]
-    if purpose == "reflectance":
+    if is_white:
+        required[required.index("radiance_gain")] = WHITE_GAIN
+        required += WHITE_LIGHT if WHITE_LIGHT[0] in dataset.variables else ()
+    elif purpose == "reflectance":
         required += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
     optional = [name for name in _OPTIONAL if name in dataset.variables]
     if is_from_counts:
@@ -847,6 +881,8 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
     if "masked" in arrays and arrays["masked"].dims == (BAND,):
         arrays["masked"] = arrays["masked"].expand_dims(CROSS_TRACK, axis=1)
     values = {name: slabs.small(array) for name, array in arrays.items()}
+    if is_white:
+        values["radiance_gain"] = values.pop(WHITE_GAIN)
     if is_from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
         values["linearity"] = declared_linearity(dataset.attrs)
     if SHIFT_TIME in values:

@@ -371,6 +371,10 @@ _NEEDS: Mapping[str, tuple[Callable[[FieldDayRun], bool], str]] = {
         "proposed regions do not have the names of the references; draw regions with these names, or compare "
         "with hyperpaint validate --pairs",
     ),
+    "sun_or_regions": (
+        lambda day: day.regions is not None or day.settings.white is None or bool(day.located_lines),
+        "regions of paint are proposed in sunlight at a known place; draw regions.geojson beside the collect",
+    ),
     "ground": (
         lambda day: bool({"ground", "dem"} & set(day.settings.geometry)),
         "the height of the ground is missing: [geometry] ground, above the ellipsoid, or dem",
@@ -389,7 +393,7 @@ _LIBRARY = ("new_library", "library")
 #: Steps of a field day in their order; all except the first may be skipped.
 STEPS: dict[str, Step] = {
     "process": Step("lot.zarr", _process),
-    "signatures": Step("paints.zarr", _signatures, _OF_PAINTS),
+    "signatures": Step("paints.zarr", _signatures, _OF_PAINTS, ("sun_or_regions",)),
     "validate": Step(
         "agreement.csv", _validate, (*_OF_PAINTS, "library"), (*_LIBRARY, "references", "regions")
     ),

@@ -37,6 +37,7 @@ from hyperpaint.io.flightline.headwall import (
     lens_lengths,
     navigation_beside,
     read_frame_index,
+    recording_clock,
 )
 from hyperpaint.io.navigation.control_points import column_heading, metres_of
 from hyperpaint.io.navigation.navigation_records import read_imu_gps
@@ -50,6 +51,8 @@ MAX_ENTRIES = 50_000
 
 _STORES = (".zarr", ".nc")
 _SURVEY = re.compile(r"survey|gcp|control.?point", re.IGNORECASE)
+#: Names of cubes of a white tile: Specim's WHITEREF_<scene>, Headwall's whiteReference, a plain white.
+_WHITE = re.compile(r"^white[ _-]*\d*$|(?:^|[^a-z])white[ _-]*(?:ref|tile|panel|cal|standard)", re.IGNORECASE)
 _HEIGHT = re.compile(r"(?:(?:ellipsoid(?:al)?|ell|wgs84|hae)[ _-]?(?:height|elevation|h)|hae)", re.IGNORECASE)
 
 #: Maximum range of surveyed heights for which their median is taken as the height of the ground: from 50 m, 1
@@ -73,7 +76,8 @@ class FlightCube:
     header: Path
     frame_index: Path | None  # None: line times must come from elsewhere
     navigation: Path | None
-    has_exposure: bool  # whether settings.txt or the header contains the exposure
+    exposure_s: float | None  # from settings.txt or the header
+    clock: tuple[str | None, float | None]  # UTC of the first line, and line period [s], from the header
     #: Angle between the outer edges of the columns [degree], and the lens; None: missing in the header, or
     #: pixels are binned.
     lens: tuple[float, str] | None = None
@@ -85,6 +89,7 @@ class FieldFolder:
     folder: Path
     cubes: tuple[FlightCube, ...]
     darks: tuple[Path, ...]
+    whites: tuple[Path, ...]
     calibration: Path | None
     sweep: Path | None
     #: Spectra of downwelling irradiance (folder, suffix), and of reflectance (instrument, folder, suffix).
@@ -98,6 +103,11 @@ class FieldFolder:
     survey: Survey | None = None
     #: Files that are not used, with reasons.
     notes: tuple[str, ...] = field(default=())
+
+    @property
+    def has_white(self) -> bool:
+        # Whether reflectance is relative to a white tile: without irradiance and calibration.
+        return bool(self.whites) and not (self.irradiance or self.calibration or self.sweep)
 
 
 def find_field_files(
@@ -127,11 +137,12 @@ def find_field_files(
 
     Notes
     -----
-    ENVI cubes of integers are raw; they are darks if their name, or a subfolder's name, contains ``dark``.
+    ENVI cubes of integers are raw; they are darks if their name, or a subfolder's name, contains ``dark``,
+    and white references if it is called ``white``, ``WHITEREF_...``, ``whiteReference`` or similar.
     ASD files of a folder are irradiance or reflectance by the content of the first.
     """
     folder, notes = Path(folder), list[str]()
-    raw, darks, calibrations, surveys = (list[Path]() for _ in range(4))
+    raw, darks, whites, calibrations, surveys = (list[Path]() for _ in range(5))
     spectra: dict[tuple[Path, str], list[Path]] = {}
 
     def relative(path: Path) -> str:
@@ -163,7 +174,9 @@ def find_field_files(
                 if header.dtype.kind not in "ui":
                     notes.append(f"{relative(path)} is not used: {header.dtype}, raw counts are integers")
                 else:
-                    (darks if any("dark" in part.lower() for part in parts) else raw).append(path)
+                    is_dark = any("dark" in part.lower() for part in parts)
+                    is_white = any(_WHITE.search(part.split(".")[0]) for part in parts)
+                    (darks if is_dark else whites if is_white else raw).append(path)
             elif suffix in (".asd", ".sig") and kind != "dark":
                 spectra.setdefault((path.parent, suffix), []).append(path)
             # a store with flight lines is a processed collect, not a calibration
@@ -186,10 +199,15 @@ def find_field_files(
     record = [path for spectra_folder, _ in irradiance for path in spectra[spectra_folder, ".asd"]]
     utc_offset_h, clock_offsets_s = _record_times(record, cubes)
     survey = _survey(surveys, relative, notes)
+    if whites and (irradiance or camera or sweep):
+        notes.append(
+            f"{', '.join(map(relative, whites))} is not used: calibration or irradiance take its place"
+        )
     return FieldFolder(
         folder=folder,
         cubes=cubes,
         darks=tuple(sorted(darks)),
+        whites=tuple(sorted(whites)),
         calibration=camera,
         sweep=sweep,
         irradiance=tuple(irradiance),
@@ -202,16 +220,19 @@ def find_field_files(
 
 
 def _flight_cube(header: Path) -> FlightCube:
-    has_exposure, lens = False, None
+    exposure_s = lens = None
+    clock: tuple[str | None, float | None] = (None, None)
     with contextlib.suppress(PaintError), warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
         dataset = open_envi(header)
-        has_exposure = find_exposure(None, header, header.name, dataset, required=False)[0] is not None
+        clock = recording_clock(dataset)
+        exposure = find_exposure(None, header, header.name, dataset, required=False)[0]
+        exposure_s = None if exposure is None else float(exposure)
         if lengths := lens_lengths(read_header(header).comments):
             (focal_mm, pitch_um), columns = lengths, dataset.sizes[CROSS_TRACK]
             angle = 2.0 * math.degrees(math.atan(columns / 2 * pitch_um * 1e-3 / focal_mm))
             lens = angle, f"{focal_mm:g} mm, {columns} pixels of {pitch_um:g} um"
-    return FlightCube(header, frame_index_beside(header), navigation_beside(header), has_exposure, lens)
+    return FlightCube(header, frame_index_beside(header), navigation_beside(header), exposure_s, clock, lens)
 
 
 def _survey(paths: list[Path], relative: Callable[[Path], str], notes: list[str]) -> Survey | None:
@@ -423,12 +444,21 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
 
     name, survey, lens = files.folder.resolve().name, files.survey, files.cubes[0].lens
     camera = [key("camera", "bit_depth", 12), key("camera", "stamp", "end")]
-    if not all(cube.has_exposure for cube in files.cubes):
+    exposures = {cube.exposure_s for cube in files.cubes}
+    periods = {cube.clock[1] for cube in files.cubes}
+    is_indexed = all(cube.frame_index for cube in files.cubes)
+    # reflectance relative to a white tile needs no times
+    unknown_time = None if files.has_white else UNKNOWN
+    if None in exposures:
         note = "exposure [ms]: no settings.txt and no header states it"
         camera.append(key("camera", "exposure_time_ms", UNKNOWN, note))
-    if not all(cube.frame_index for cube in files.cubes):
+    elif not is_indexed and len(exposures) == 1:
+        camera.append(key("camera", "exposure_time_ms", _ms(*exposures), "exposure [ms], from the header"))
+    if not is_indexed and len(periods) == 1 and None not in periods:
+        camera.append(key("camera", "frame_period_ms", _ms(*periods), "1000 / frame rate of the header"))
+    elif not is_indexed:
         note = "time from line to line [ms]: a cube has no frame index"
-        camera.append(key("camera", "frame_period_ms", UNKNOWN, note))
+        camera.append(key("camera", "frame_period_ms", unknown_time, note))
     calibration = ("path", files.calibration) if files.sweep is None else ("sweep", files.sweep)
     ground = [key("geometry", "ground"), key("geometry", "dem")]
     if survey is not None:
@@ -455,20 +485,34 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
         f'# Replace every "{UNKNOWN}"; a key behind # is optional, with its default or an example.',
         *("", "[collect]", f"name = {_quoted(name)}"),
         *("", "[camera]", *camera),
-        *("", "[calibration]", key("calibration", calibration[0], of_path(calibration[1]))),
+        *(() if files.has_white else ("", "[calibration]")),
+        *(() if files.has_white else [key("calibration", calibration[0], of_path(calibration[1]))]),
         *("", "[dark]", key("dark", "cubes", list(map(of_path, files.darks)) or UNKNOWN)),
-        *("", "[navigation]  # for maps only"),
-        "# Conventions differ between makers, and no file states them. These are assumed for a Headwall",
-        "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture.",
-        *(
-            key("navigation", choice, fact.default or "left_to_right")
-            for choice, fact in SCHEMA["navigation"].items()
-            if fact.choices
-        ),
-        *("", "[geometry]  # for maps only", *ground, key("geometry", "fov_deg", *fov)),
-        *(key("geometry", "boresight_deg"), key("geometry", "lever_arm_m")),
-        *("", "[irradiance]", *irradiance),
     )
+    if files.has_white:
+        note = "reflectance of the tile, such as 0.95; 1.0 gives reflectance relative to the tile"
+        yield from (
+            *("", "[reference]", key("reference", "white", list(map(of_path, files.whites)))),
+            *(key("reference", "dark"), key("reference", "reflectance", UNKNOWN, note)),
+            *(key("reference", name) for name in ("certificate", "uncertainty", "exposure_time_ms")),
+        )
+    yield from (
+        ()
+        if files.has_white and not any(cube.navigation for cube in files.cubes)
+        else (
+            *("", "[navigation]  # for maps only"),
+            "# Conventions differ between makers, and no file states them. These are assumed for a Headwall",
+            "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture.",
+            *(
+                key("navigation", choice, fact.default or "left_to_right")
+                for choice, fact in SCHEMA["navigation"].items()
+                if fact.choices
+            ),
+            *("", "[geometry]  # for maps only", *ground, key("geometry", "fov_deg", *fov)),
+            *(key("geometry", "boresight_deg"), key("geometry", "lever_arm_m")),
+        )
+    )
+    yield from () if files.has_white else ("", "[irradiance]", *irradiance)
     ids = _folder_ids(files.cubes, relative)
     for cube, cubes in _tables(files.cubes, relative):
         yield from ("", "[[flightlines]]")
@@ -482,13 +526,20 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
             yield f"frame_index = {_quoted(relative(cube.frame_index))}"
         if cube.navigation is not None:
             yield f"nav = {_quoted(relative(cube.navigation))}"
+        start = cube.clock[0]
         if cube.frame_index is None or cube.navigation is None:
-            note = "UTC of the first line, such as 2021-07-20T17:00:00Z"
-            yield key("flightlines", "start_time", UNKNOWN, note)
+            note = "UTC of the first line, " + (
+                "from the header" if start else "such as 2021-07-20T17:00:00Z"
+            )
+            yield key("flightlines", "start_time", start or unknown_time, note)
     yield from (
-        *("", "# [[panels]]  # targets of known reflectance in the scene: they scale their line"),
-        '# line = "raw_0"',
-        *(key("panels", name) for name in ("along_track", "cross_track", "reflectance", "uncertainty")),
+        ()
+        if files.has_white
+        else (
+            *("", "# [[panels]]  # targets of known reflectance in the scene: they scale their line"),
+            '# line = "raw_0"',
+            *(key("panels", name) for name in ("along_track", "cross_track", "reflectance", "uncertainty")),
+        )
     )
     for instrument, folder, suffix in files.references:
         pattern = _quoted(f"{relative(folder)}/*{suffix}")
@@ -498,6 +549,10 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
     for note in files.notes:
         yield from textwrap.wrap(note, 100, initial_indent="# * ", subsequent_indent="#   ")
     yield ""
+
+
+def _ms(seconds: float | None) -> float | None:
+    return None if seconds is None else float(f"{1e3 * seconds:.9g}")
 
 
 def _clock_offset(offsets: tuple[float, float] | None) -> tuple[float | str, str]:

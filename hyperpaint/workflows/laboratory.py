@@ -20,13 +20,16 @@ from hyperpaint.geometry.georeference.cameras import PinholeCamera
 from hyperpaint.io.collect.collect_toml import open_with_settings
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 from hyperpaint.io.flightline.calibration_store import open_sweep
+from hyperpaint.io.flightline.dark import Reference, read_reference
+from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.io.store import to_store
 from hyperpaint.light.aircraft_receiver import level_irradiance
 from hyperpaint.pictures.figures import check_picture
+from hyperpaint.radiometry import white_reference
 
 if TYPE_CHECKING:
-    from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
+    from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect, WhiteEntry
 
 
 def calibrate_sweep(
@@ -135,6 +138,7 @@ def opened_collect(
         calibrate=calibrate_sweep,
         mount=_with_geometry,
         level=level_irradiance,
+        whiten=_by_white(),
     )
     lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
     panels_by_line: dict[str, list[dict[str, Any]]] = {}
@@ -148,6 +152,18 @@ def opened_collect(
     for name, rows in panels_by_line.items():
         lines[name].dataset = lines[name].to_dataset().assign_attrs(panels=json.dumps(rows))
     return opened
+
+
+def _by_white() -> Callable[[xr.Dataset, WhiteEntry], xr.Dataset]:
+    # Return a function that calibrates a line by [reference]; the cubes of the white are read once.
+    references: list[Reference] = []
+
+    def whiten(line: xr.Dataset, entry: WhiteEntry) -> xr.Dataset:
+        if not references:
+            references.extend(read_reference(path, Timing(), None, "white") for path in entry.cubes)
+        return white_reference(line, references, **entry.options)
+
+    return whiten
 
 
 def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:

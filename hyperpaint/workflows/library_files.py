@@ -32,6 +32,7 @@ from hyperpaint.io.store import budget, list_groups, open_store, to_store
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
 from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.planning import has_white
 from hyperpaint.regions import Regions, regions_from
 from hyperpaint.regions.proposals import propose_regions
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
@@ -100,7 +101,10 @@ def write_signatures(
     maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
     if location or (maps and outlines is None):
         lines = _located(lines, outlines, location or {}, maps)
-    unflagged = [name for name in lines if flags is not False and name not in flagged_lines | maps]
+    # glint, shadow and adjacency are of sun and sky; a white reference without a place is of a lamp
+    lamp_lit = {name for name, line in lines.items() if has_white(line) and "latitude" not in line.variables}
+    without_flags = flagged_lines | maps | (lamp_lit if sun_zenith is None else set())
+    unflagged = [name for name in lines if flags is not False and name not in without_flags]
     survey_options = {} if flags is True or flags is False else dict(flags)
     survey_options.setdefault("sun_zenith", sun_zenith)
     new_flags = {}

@@ -51,6 +51,7 @@ from hyperpaint.pictures.plot import overview
 from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
 from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 from hyperpaint.radiometry.panels import declared_panels
+from hyperpaint.radiometry.planning import has_white
 
 from .laboratory import opened_collect
 from .products import Outcome, computing_on, digest_of, local_folder, refuse_to_write_over, write_groups
@@ -160,7 +161,8 @@ def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict
     darks: set[Path] = set()
     for name in lines:
         members = tuple(cubes[member] for member in opened.members[name])
-        findings[name] = list(judge_line(opened.tree[name].to_dataset(), members, lit=lit))
+        line = opened.tree[name].to_dataset()
+        findings[name] = list(judge_line(line, members, lit=lit and not has_white(line)))
         dark = members[0].dark if "counts" in opened.tree[name] else None
         for path in dark if isinstance(dark, tuple) else ():
             if path not in darks:
@@ -431,7 +433,7 @@ def corrections_of(lines: Mapping[str, xr.Dataset]) -> dict[str, str]:
 
 def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
     # Return a flight line after `hyperpaint.alignment.align`; other groups unchanged.
-    is_aligned = to != "radiance" and name.startswith("flightlines/")
+    is_aligned = to != "radiance" and name.startswith("flightlines/") and not has_white(dataset)
     return align(dataset, apply=apply) if is_aligned else dataset
 
 

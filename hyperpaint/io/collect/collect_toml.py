@@ -147,6 +147,24 @@ SCHEMA: Mapping[str, Facts] = {
              doc='files of the dark cubes; "none" for no dark, "calibration" for the dark of the calibration',
              example=["dark/raw_0.hdr"]),
     ]),
+    "reference": by_key([
+        Fact(name="white", kind="texts", needed=True,
+             doc="cubes of a white tile in the light of the scene, in place of [calibration] and "
+             "[irradiance]; several where the light changes",
+             example="WHITEREF_*.hdr"),
+        Fact(name="dark", kind="texts", example="dark/DARKREF_white.hdr",
+             doc="dark cubes of the white; by default those of [dark], which must have its exposure"),
+        _number("reflectance", "reflectance of the tile; 1.0 gives reflectance relative to the tile; an "
+                "alternative to certificate", least=0, above=True, most=1.2, example=0.95),
+        _text("certificate",
+              "file of the certified reflectance of the tile; an alternative to reflectance",
+              example="tile.csv"),
+        _number("uncertainty",
+                "relative standard uncertainty of the tile's reflectance, such as 0.02 for 2 %",
+                least=0, most=1, below=True, example=0.02),
+        _number("exposure_time_ms", "exposure time of the white; by default from settings.txt or the header "
+                "of its cube", **_EXPOSURE),
+    ]),
     "irradiance": by_key([
         Fact(name="files", kind="texts", needed=True,
              doc="files of the irradiance spectrometer: .asd, text exports or csv", example="asd/*.asd"),
@@ -244,6 +262,13 @@ class IrradianceEntry:
 
 
 @dataclass(frozen=True)
+class WhiteEntry:
+    # ``[reference]``: cubes of a white tile, and arguments of `hyperpaint.radiometry.white_reference`.
+    cubes: tuple[Path, ...]
+    options: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class ReferenceEntry:
     # One ``[[references]]``: a field spectrometer's files.
 
@@ -283,6 +308,7 @@ class Collect:
     flightlines: tuple[FlightlineInputs, ...]  #: Inputs of every cube, without calibration and irradiance.
     calibration: Path | Unavailable | None  #: None without a table.
     irradiance: IrradianceEntry | None  #: None without a table.
+    white: WhiteEntry | None  #: None without a table, or without files.
     clock: Timing  #: Clock settings of the table [camera].
     nav: tuple[Path, ...]  #: Distinct navigation files; the lines of a flight share a file.
     references: tuple[ReferenceEntry, ...]
@@ -349,6 +375,37 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
     return IrradianceEntry(files, options, table.get("mount") == "aircraft")
 
 
+def _white(reader: _Reader) -> WhiteEntry | None:
+    table = reader.one("reference")
+    if not reader.tables["reference"]:
+        return None
+    _note_missing_keys(reader, "[reference]", "reference", table)
+    reader.exclude("[reference]", table, "reflectance", "certificate")
+    reader.problems.add_if(
+        not {"reflectance", "certificate"} & table["?"],
+        "[reference] reflectance is missing",
+        mend="state reflectance=, or certificate= with the file of a certificate; 1.0 gives reflectance "
+        "relative to the tile",
+        code="tile-missing",
+    )
+    for other in ("irradiance", "calibration"):
+        reader.problems.add_if(
+            other in reader.given,
+            f"both [reference] and [{other}]",
+            mend="delete one: a white reference replaces calibration and irradiance",
+            code="option-conflict",
+        )
+    files = {key: reader.files("[reference]", key, table[key]) for key in ("white", "dark") if key in table}
+    tile = reader.path("[reference]", "certificate", table.get("certificate")) or table.get("reflectance")
+    options = {
+        "tile": tile,
+        "tile_uncertainty": table.get("uncertainty"),
+        "white_dark": list(files["dark"]) if "dark" in files else None,
+        "white_exposure_time": _seconds("exposure_time_ms", table),
+    }
+    return WhiteEntry(files.get("white", ()), options)
+
+
 def _cubes(
     reader: _Reader, number: int, table: Mapping[str, Any], shared: Mapping[str, Any]
 ) -> Iterator[FlightlineInputs | None]:
@@ -406,8 +463,11 @@ def _flightline(
             reader.problems.add_error(subject, error)
     has_period = "frame_period_ms" in stated | camera["?"]
     by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
-    if not by_index and not ("start_time" in stated and has_period):
-        sources = sorted(stated & {"frame_index", "nav", "start_time"})
+    sources_of_time = {"frame_index", "nav", "start_time"} & stated
+    is_timed = bool(by_index) or ("start_time" in stated and has_period)
+    # reflectance relative to a white tile needs no times
+    if not is_timed and (sources_of_time or not shared["has_white"]):
+        sources = sorted(sources_of_time)
         sources += ["frame_period_ms"] if has_period else []
         reader.problems.add(
             f"{subject} no line times: found {', '.join(sources) or 'nothing'}",
@@ -455,6 +515,7 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
         dark = cubes or (Unavailable.REPORTED if table["?"] else None)
     shared = {key: camera[key] for key in keys if key in camera}
     shared |= {"dark": dark, "convention": values(reader.one("navigation"))}
+    shared["has_white"] = bool(reader.tables["reference"])
     reader.problems.add_if(
         not tables,
         "no [[flightlines]]",
@@ -539,9 +600,9 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         raise CollectError(fault.found, expected=fault.expected, mend=fault.mend, code=fault.code) from error
     irradiance = _irradiance(reader)
     problems.add_if(
-        need_irradiance and "irradiance" not in reader.given,
+        need_irradiance and not {"irradiance", "reference"} & set(reader.given),
         "no [irradiance], which reflectance needs",
-        mend="name the files of the spectrometer, or compute radiance only",
+        mend="name the files of the spectrometer, or a white tile in [reference], or compute radiance only",
         code="irradiance-missing",
     )
     # a calibration, or the lab sweep to compute it from
@@ -571,6 +632,7 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         flightlines=flightlines,
         calibration=Unavailable.REPORTED if is_lost else calibration,
         irradiance=irradiance,
+        white=_white(reader),
         clock=reader.clock,
         nav=tuple(reader.nav),
         references=references,
@@ -619,13 +681,14 @@ def open_with_settings(
     calibrate: Callable[[Path], xr.Dataset] | None = None,
     mount: Callable[[xr.Dataset, Mapping[str, Any]], xr.Dataset] | None = None,
     level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None = None,
+    whiten: Callable[[xr.Dataset, WhiteEntry], xr.Dataset] | None = None,
 ) -> OpenedCollect:
     # Open all files of a ``collect.toml``, without reading a cube, together with its settings.
     #
     # ``source``: the file, or its settings after `read_collect`; ``calibrate``: computes a calibration from
     # the path of a lab sweep; ``mount``: adds the table ``[geometry]`` to a line; ``level``: converts the
-    # record of a light sensor on the aircraft, with its attitude, to level ground; for the other arguments
-    # see `hyperpaint.open_collect`.
+    # record of a light sensor on the aircraft, with its attitude, to level ground; ``whiten``: calibrates a
+    # line by the table ``[reference]``; for the other arguments see `hyperpaint.open_collect`.
     #
     # Raises `CollectError`: The ``collect.toml``, or one of its files, cannot be used; all problems of all
     # files are listed.
@@ -678,6 +741,9 @@ def open_with_settings(
         if mount is not None and line.sizes:
             with line_findings.step():
                 line = mount(line, collect.geometry)
+        if whiten is not None and collect.white is not None and line.sizes:
+            with line_findings.step():
+                line = whiten(line, collect.white)
         lines[str(entry.name)] = line
         findings.errors += line_findings.errors
     references = dict(_opened_references(collect.references, findings))

@@ -24,13 +24,20 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.io.envi.envi_cubes import open_envi
 
-from .headwall import DarkFrames, cube_number, exposure_seconds, exposure_sources, sum_dark
+from .headwall import (
+    DarkFrames,
+    cube_number,
+    exposure_seconds,
+    exposure_sources,
+    recording_clock,
+    sum_dark,
+)
 from .timing import Timing, line_times, utc_of
 
 DARK_NONE = "none"
 _DARK_OF_CALIBRATION = "calibration"
 #: Minimum number of lines of a dark cube for an estimate of read noise.
-_MIN_NOISE_LINES = 16
+MIN_NOISE_LINES = 16
 _ELEMENT = (BAND, CROSS_TRACK)
 
 
@@ -62,11 +69,13 @@ class Dark:
         return variables
 
 
-class _Reference(NamedTuple):
+class Reference(NamedTuple):
+    # Sums over a cube of a dark or of a white tile, its UTC at mid recording, and its exposure [s].
     name: str
     frames: DarkFrames
     time: np.datetime64 | None
     exposure: float | None
+    wavelength: NDArray[np.float64] | None  #: (band,) of its header [nm]
 
 
 def open_dark(
@@ -100,7 +109,7 @@ def open_dark(
     if isinstance(source, xr.Dataset) and "dark_counts" in source:
         return _from_dark_counts(source, shape, "a Dataset")
     sources: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
-    return _combine([_reference(reference, timing, shape) for reference in sources])
+    return _combine([read_reference(reference, timing, shape) for reference in sources])
 
 
 def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
@@ -108,7 +117,7 @@ def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: 
     names = ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"])
     arrays = require(dataset, names, "a dark correction")
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
-    _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
+    check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     SchemaError.raise_if(
         not np.isfinite(counts.values).any(), f"dark_counts of {name} have no finite value", code="not-finite"
     )
@@ -120,42 +129,49 @@ def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: 
     return Dark(counts, tuple(seconds), None, name)
 
 
-def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:
+def check_shape(
+    actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str, role: str = "dark"
+) -> None:
     if shape is not None and actual != shape:
         raise SchemaError(
             f"{name}: {actual[0]} bands x {actual[1]} columns",
             expected=f"{shape[0]} x {shape[1]}, as the cube",
-            mend="pass a dark of this camera with the same binning",
+            mend=f"pass a {role} of this camera with the same binning",
             code="grid-mismatch",
         )
 
 
-def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _Reference:
+def read_reference(
+    source: Any, timing: Timing, shape: tuple[int, ...] | None, role: str = "dark"
+) -> Reference:
+    # Sum a cube of counts, a path or a Dataset; ``role``: "dark" or "white"; see `open_dark`.
     if isinstance(source, xr.Dataset):
         opened, path = rename_to_roles(source), None
-        name = str(source.attrs.get("source", "dark"))
+        name = str(source.attrs.get("source", role))
     else:
         path = Path(source)
         opened, name = open_envi(path, unsaid="counts"), path.name
     if "counts" not in opened:
         variables = ", ".join(map(str, opened.data_vars)) or "nothing"
         raise FormatError(
-            f"{name}: holds {variables}", expected="a dark cube of raw counts", code="counts-missing"
+            f"{name}: holds {variables}", expected=f"a {role} cube of raw counts", code="counts-missing"
         )
     counts = opened["counts"]
     if set(counts.dims) == set(CUBE):
         counts = counts.transpose(*CUBE)
-        _check_shape(counts.shape[1:], shape, f"dark {name}")
-    frames = sum_dark(counts, f"dark {name}")
+        check_shape(counts.shape[1:], shape, f"{role} {name}", role)
+    frames = sum_dark(counts, f"{role} {name}")
     exposure = None
     if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
         exposure = float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
     else:
         for file, pairs in exposure_sources(path, opened):
-            exposure = exposure_seconds(pairs, f"dark {name}: {file}")
+            exposure = exposure_seconds(pairs, f"{role} {name}: {file}")
             if exposure is not None:
                 break
-    return _Reference(name, frames, _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure)
+    wavelength = opened["wavelength"].values if "wavelength" in opened.coords else None
+    middle = _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK])
+    return Reference(name, frames, middle, exposure, wavelength)
 
 
 def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
@@ -183,8 +199,12 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
     if stamps.size:
         first, last = stamps[[0, -1]].astype(np.int64).tolist()
         return np.datetime64((first + last) // 2, "ns")
-    if path is None or "time" in opened.coords:
+    if "time" in opened.coords:
         return None
+    start, period = recording_clock(opened)
+    if start is not None:
+        middle_ns = round(0.5e9 * lines * (period or 0.0))
+        return utc_of(start, "start time") + np.timedelta64(middle_ns, "ns")
     stated = json.loads(opened.attrs.get("envi_header", "{}")).get("acquisition time")
     try:
         return None if stated is None else utc_of(str(stated), "acquisition time")
@@ -192,9 +212,9 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
         return None  # such as a time without a zone
 
 
-def _combine(references: list[_Reference]) -> Dark:
+def _combine(references: list[Reference]) -> Dark:
     # Stack references along time where all times are known, else average them
-    long = [ref.frames for ref in references if ref.frames.lines >= _MIN_NOISE_LINES]
+    long = [ref.frames for ref in references if ref.frames.lines >= MIN_NOISE_LINES]
     measured = long or [ref.frames for ref in references if ref.frames.lines > 1]
     noise = variance = None
     if measured:
@@ -205,9 +225,9 @@ def _combine(references: list[_Reference]) -> Dark:
             noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
         else:
             # few lines: shrink the variance of an element to the mean variance, with the weight of
-            # `_MIN_NOISE_LINES` lines
+            # `MIN_NOISE_LINES` lines
             pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
-            variance = (squares + _MIN_NOISE_LINES * pooled) / (freedom.sum() + _MIN_NOISE_LINES)
+            variance = (squares + MIN_NOISE_LINES * pooled) / (freedom.sum() + MIN_NOISE_LINES)
     source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
     times = [ref.time for ref in references if ref.time is not None]
     if len(references) > 1 and len(times) == len(references) == len(set(times)):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import xarray as xr
@@ -31,8 +31,8 @@ from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradian
 
 from .calibration_store import calibration_parts, open_calibration, saturation_of, scale_attrs
 from .dark import Dark, open_dark
-from .headwall import find_exposure
-from .timing import LineTimes, Timing, line_times
+from .headwall import find_exposure, recording_clock
+from .timing import UNKNOWN_TIMES, LineTimes, Timing, line_times
 
 type_path = str | os.PathLike[str]
 
@@ -59,6 +59,7 @@ class FlightlineInputs:
     chunks: Any = "auto"
     name: str | None = None
     keep_whole_lines: bool = False
+    has_white: bool = False  #: A white reference replaces the calibration, and times may be unknown.
     convention: Mapping[str, Any] = field(default_factory=dict)
     attrs: Mapping[str, Any] = field(default_factory=dict)
 
@@ -268,10 +269,18 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     exposure, exposure_source = findings.attempt(
         find_exposure, inputs.exposure_time, on_disk, path.name, opened, required=is_counts
     ) or (None, "")
-    calibration = findings.attempt(_calibration, inputs, cube, required=is_counts)
+    calibration = findings.attempt(_calibration, inputs, cube, required=is_counts and not inputs.has_white)
     timing = Timing() if isinstance(inputs.timing, Unavailable) else inputs.timing
     times: LineTimes | None = None
-    if cube is not None and timing is inputs.timing:
+    if inputs.has_white and timing.frame_index is None and timing.start_time is None:
+        start, period = recording_clock(opened)
+        if start is not None and period is not None:
+            inputs = replace(inputs, timing=replace(timing, start_time=start, frame_period=period))
+            timing = cast(Timing, inputs.timing)
+    is_untimed = inputs.has_white and timing.frame_index is None and timing.start_time is None
+    if cube is not None and is_untimed:
+        times = LineTimes.unknown(cube.sizes[ALONG_TRACK])
+    elif cube is not None and timing is inputs.timing:
         times = findings.attempt(
             line_times,
             path,
@@ -498,6 +507,8 @@ def _coordinates(
             )
             warn_user(f"{message}; the wavelengths of the calibration are used", "wavelength-conflict")
     line_values = {"time": times.time, "frame": times.frame, **times.pose}
+    if times.source == UNKNOWN_TIMES:
+        del line_values["time"]
     coords |= {
         name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in line_values.items()
     }

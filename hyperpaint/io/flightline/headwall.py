@@ -35,7 +35,11 @@ _SECOND_US = 1_000_000
 _DAY_US = 86_400 * _SECOND_US
 _TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?: +(\d{1,6})|\.(\d{1,6})\d*)?")
 _EXPOSURE = re.compile(r"(?:exposure|integration)(?: time)? *\(([^()]*)\)", re.IGNORECASE)
+#: Keys of the exposure [ms] and of the frame rate [Hz] in headers of Specim and Resonon.
+_EXPOSURE_KEYS, _RATE_KEYS = ("tint", "shutter"), ("fps", "framerate")
 _CUBE_NUMBER = re.compile(r"raw_(\d{1,12})", re.IGNORECASE)
+_SPECIM_DATE = re.compile(r"DATE\(yyyy-mm-dd\): *(\d{4}-\d{2}-\d{2})")
+_SPECIM_TIME = re.compile(r"UTC TIME: *(\d{2}:\d{2}:\d{2}(?:\.\d+)?)")
 _FRAME_INDEX = re.compile(r"frameindex_?(\d{0,12})\.txt", re.IGNORECASE)
 _IMU_GPS = re.compile(r".*imu.*gps.*\.txt", re.IGNORECASE)
 
@@ -104,7 +108,7 @@ def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
 
 
 def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[str, Mapping[str, str]]]:
-    # Yield the sources of a cube's exposure: ``settings.txt`` beside it, then the header's comments.
+    # Yield the sources of a cube's exposure: ``settings.txt`` beside it, the header's comments, its keys.
     if cube is not None:
         # ``settings.txt``, or ``<id>_settings.txt`` of ``<id>_raw``
         stem = cube.name.split(".")[0]
@@ -114,12 +118,33 @@ def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[st
         if settings is not None:
             yield "settings.txt", read_settings(settings)
     yield "header comments", json.loads(opened.attrs.get("envi_comments", "{}"))
+    fields = json.loads(opened.attrs.get("envi_header", "{}"))
+    if key := next((key for key in _EXPOSURE_KEYS if key in fields), None):
+        yield "header", {"exposure (ms)": fields[key]}
+
+
+def recording_clock(opened: xr.Dataset) -> tuple[str | None, float | None]:
+    """Return the UTC of the first line, and the period of the lines [s], that a Specim header states.
+
+    Examples
+    --------
+    >>> fields = {"acquisition date": "DATE(yyyy-mm-dd): 2024-06-14", "start time": "UTC TIME: 09:47:35"}
+    >>> recording_clock(xr.Dataset(attrs={"envi_header": json.dumps({**fields, "fps": "50.00"})}))
+    ('2024-06-14T09:47:35Z', 0.02)
+    """
+    fields = json.loads(opened.attrs.get("envi_header", "{}"))
+    day = _SPECIM_DATE.fullmatch(fields.get("acquisition date", ""))
+    clock = _SPECIM_TIME.fullmatch(fields.get("start time", ""))
+    rate = next((fields[key] for key in _RATE_KEYS if key in fields), "")
+    is_rate = re.fullmatch(r"\d+(\.\d*)?", rate) is not None and float(rate) > 0
+    start = f"{day[1]}T{clock[1]}Z" if day and clock else None
+    return start, 1.0 / float(rate) if is_rate else None
 
 
 def find_exposure(
     exposure_time: Any, cube: Path | None, name: str, opened: xr.Dataset, *, required: bool
 ) -> tuple[NDArray[np.float64] | None, str]:
-    # Return the exposure [s] and its source: the argument, ``settings.txt``, or the header's comments.
+    # Return the exposure [s] and its source: the argument, ``settings.txt``, or the header.
     argument = None if exposure_time is None else np.asarray(exposure_time, np.float64)
     if argument is not None:
         lines = opened.sizes.get(ALONG_TRACK, argument.size)
@@ -167,7 +192,7 @@ def find_exposure(
     # with an unreadable header, the exposure is not a problem of its own
     SchemaError.raise_if(
         required and opened.sizes,
-        f"{name}: no exposure in settings.txt beside the cube, or in the comments of the header",
+        f"{name}: no exposure in settings.txt beside the cube, or in the header (comments, tint, shutter)",
         mend="pass exposure_time= [s] (in collect.toml: exposure_time_ms)",
         code="exposure-missing",
     )
@@ -354,12 +379,14 @@ def match_frames(
 
 @dataclass(frozen=True)
 class DarkFrames:
-    # Exact sums over the lines of one dark cube.
+    # Exact sums over the lines of one cube of a dark or of a white tile.
 
     lines: int  #: Number of lines.
     # integers, so that the sums do not depend on the order of addition
     total: NDArray[np.uint64]  #: (band, cross_track): Sum of the counts.
     squares: NDArray[np.uint64]  #: (band, cross_track): Sum of the squared counts.
+    maximum: NDArray[Any]  #: (band, cross_track): Highest count.
+    line_mean: NDArray[np.float64]  #: (along_track,): Mean count of every line.
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -374,11 +401,11 @@ class DarkFrames:
 
 
 def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
-    # Sum the lines of a dark cube in blocks of lines.
+    # Sum the lines of a cube in blocks of lines.
     # ``counts``: raw counts (along_track, band, cross_track), lazily indexed; ``subject``: name of the cube
-    # in messages.
+    # in messages, such as "dark raw_0".
     # Raises `FormatError`: The counts are not a cube of unsigned integers with at least one line.
-    problems = Problems(f"{subject} cannot serve as dark reference", FormatError)
+    problems = Problems(f"{subject} cannot serve as {subject.partition(' ')[0]} reference", FormatError)
     if counts.dims != CUBE:
         problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
     elif counts.sizes[CUBE[0]] == 0:
@@ -392,8 +419,11 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
     problems.raise_if_any()
     shape = counts.shape[1:]
     total, squares = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
+    maximum, line_means = np.zeros(shape, counts.dtype), []
     for start in range(0, counts.shape[0], CHUNK_LINES):
         slab: NDArray[Any] = counts[start : start + CHUNK_LINES].to_numpy()
         total += slab.sum(axis=0, dtype=np.uint64)
         squares += np.square(slab, dtype=np.uint64).sum(axis=0)
-    return DarkFrames(int(counts.shape[0]), total, squares)
+        maximum = np.maximum(maximum, slab.max(axis=0))
+        line_means.append(slab.mean(axis=(1, 2), dtype=np.float64))
+    return DarkFrames(int(counts.shape[0]), total, squares, maximum, np.concatenate(line_means))

@@ -26,6 +26,8 @@ from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
 
 _MAX_EXPOSURE_S = 3600.0
 _DAY_US = 86_400_000_000
+#: Source of the times of lines without times.
+UNKNOWN_TIMES = "unknown"
 _MAX_INTERVAL_S = 1e4
 
 
@@ -61,6 +63,12 @@ class LineTimes:
     pose: Mapping[str, NDArray[np.float64]] = field(repr=False)
     dropped: int  #: Number of frames missing between the first and the last line, blank lines included.
     source: str  #: Source of the times.
+
+    @classmethod
+    def unknown(cls, lines: int) -> "LineTimes":
+        # Return the numbers of lines that have no times.
+        time = np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]")
+        return cls(np.arange(lines), np.ones(lines, bool), time, {}, 0, UNKNOWN_TIMES)
 
 
 def utc_of(value: Any, name: str) -> np.datetime64:

@@ -51,6 +51,7 @@ FORMS = {
     "irradiance noise": Form("triangle_relative", "bell_relative", "systematic"),
     "pedestal": Form("random", "systematic", "systematic"),
     "gain": Form("systematic", "systematic", "systematic"),
+    "white tile": Form("systematic", "systematic", "systematic"),
     "irradiance": Form("systematic", "systematic", "systematic"),
     "linearity": Form("systematic", "systematic", "systematic"),
     "panel": Form("systematic", "systematic", "systematic"),
@@ -67,6 +68,7 @@ COMPONENTS = {
     "irradiance noise": ("irradiance_u_random",),
     "pedestal": ("masked",),
     "gain": ("radiance_gain_u_systematic",),
+    "white tile": ("reflectance_gain_u_systematic",),
     "irradiance": ("irradiance_u_systematic",),
     "linearity": ("linearity_u",),
     "panel": ("panel",),
@@ -119,7 +121,13 @@ def line_errors(line: xr.Dataset) -> LineErrors | None:
     attrs = [line[name].attrs for name in UNCERTAINTIES]
     random, systematic = (str(texts.get("components", "")).split(", ") for texts in attrs)
     components = [name for name in systematic if name in SYSTEMATIC]
-    required = [*NOISE, *components, "dark_counts", "exposure_time", *(["time"] if components else [])]
+    required = [
+        *NOISE,
+        *components,
+        "dark_counts",
+        "exposure_time",
+        *(["time"] if components and "reflectance_gain" not in line.variables else []),
+    ]
     is_known_form = tuple(random) == NOISE and WHOLE_COUNTS in attrs[0]
     if not is_known_form or not set(required) <= set(line.variables):
         return None
@@ -144,7 +152,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
     is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
     floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
     masked = attrs.get(MASKED, masked_elements(line) if "masked" in line.variables else 0)
-    common = {name: COMPONENTS[name][0] for name in ("gain", "linearity")}
+    common = {name: COMPONENTS[name][0] for name in ("gain", "white tile", "linearity")}
     sources = {name: of(variable) for name, variable in common.items() if variable in values}
     if "irradiance_u_systematic" in values:
         channels = line[schema.IRRADIANCE_WAVELENGTH].values
@@ -168,7 +176,8 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         read_noise=of("read_noise"),
         dark=of("dark_counts_u_random"),
         dark_weights=dark_weights(times, count, exposure),
-        gain_of_elements=of("radiance_gain_u_random"),
+        # a line has one of both
+        gain_of_elements=of("radiance_gain_u_random") + of("reflectance_gain_u_random"),
         common=sources,
         dark_offset=of("dark_counts_u_systematic"),
         pedestal_variance=float(np.nanmean(floor + of("dark_counts_u_random") ** 2)) / masked

@@ -24,11 +24,22 @@ NOISE = ("electrons_per_count", "read_noise")
 SYSTEMATIC = (
     "dark_counts_u_random",
     "radiance_gain_u_random",
+    "reflectance_gain_u_random",
     "irradiance_u_random",
     "radiance_gain_u_systematic",
+    "reflectance_gain_u_systematic",
     "irradiance_u_systematic",
     "wavelength_u",
     "dark_counts_u_systematic",
+    "linearity_u",
+)
+OF_WHITE = ("reflectance_gain_u_random", "reflectance_gain_u_systematic")
+OF_LIGHT = (
+    "radiance_gain_u_random",
+    "radiance_gain_u_systematic",
+    "irradiance_u_random",
+    "irradiance_u_systematic",
+    "wavelength_u",
     "linearity_u",
 )
 #: Attributes of uncertainties, for inputs that are not variables of the line.
@@ -65,7 +76,9 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
                 code="variable-missing",
             )
     problems.raise_if_any()
-    names = [name for name in (*NOISE, *SYSTEMATIC) if name in dataset.variables]
+    # a white reference replaces calibration and irradiance, a calibration the white reference
+    others = OF_LIGHT if "reflectance_gain" in dataset.variables else OF_WHITE
+    names = [name for name in (*NOISE, *SYSTEMATIC) if name in dataset.variables and name not in others]
     arrays = schema.require(dataset, names, "uncertainties of reflectance")
     values = {name: slabs.small(array) for name, array in arrays.items()}
     return values if panel is None else {**values, "panel_u": panel}
@@ -139,7 +152,7 @@ def error_terms(
     dark_variance = of("dark_counts_u_systematic") ** 2 + element_dark
     if masked:
         dark_variance = dark_variance + float(np.nanmean(floor + element_dark)) / masked
-    squares = [of("radiance_gain_u_random") ** 2, of("linearity_u") ** 2]
+    squares = [of(name) ** 2 for name in ("radiance_gain_u_random", "linearity_u", *OF_WHITE)]
     if "panel_u" in uncertain:
         # the panel's uncertainty replaces those of gain and irradiance that all elements share
         squares.append(of("panel_u") ** 2)

@@ -1,0 +1,125 @@
+"""Reflectance relative to a white tile, against plain numpy and against known surfaces."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.refusals import expect_refusals
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.schema import Quality
+
+BANDS, COLUMNS, TILE = 5, 7, 0.95
+START = np.datetime64("2024-06-14T09:47:35", "ns")
+RNG = np.random.default_rng(5)
+RESPONSE = RNG.uniform(1.5e5, 3.5e5, (BANDS, COLUMNS))  # counts a second on a surface of reflectance 1
+
+
+def cube(
+    reflectance: float, *, ms: float = 9.0, start_s: float = 0.0, lines: int = 40, drift: float = 0.0
+) -> xr.Dataset:
+    """Counts of an even surface under a lamp that changes by ``drift`` per second; 50 electrons a count."""
+    seconds = start_s + 0.02 * np.arange(lines)
+    lamp = 1.0 + drift * seconds
+    mean = lamp[:, None, None] * RESPONSE * reflectance * ms * 1e-3
+    counts = np.rint(100.0 + RNG.normal(mean, np.sqrt(mean / 50.0 + 1.0))).clip(0, 4095).astype("u2")
+    return xr.Dataset(
+        {
+            "counts": (("along_track", "band", "cross_track"), counts, {"units": "count"}),
+            "exposure_time": ((), ms, {"units": "ms"}),
+        },
+        {
+            "wavelength": ("band", np.linspace(450.0, 850.0, BANDS), {"units": "nm"}),
+            "time": ("along_track", START + (seconds * 1e9).astype("timedelta64[ns]")),
+        },
+    )
+
+
+@pytest.mark.real_data
+def test_the_scene_of_a_real_specim_camera_equals_plain_numpy(shared_data: Path):
+    pytest.importorskip("h5netcdf", reason="the cubes are netCDF, which h5netcdf reads")
+    cubes, counts = {}, {}
+    for name in ("capture", "white", "black"):
+        array = xr.open_dataset(shared_data / "real_counts" / f"specim_fx10_{name}.nc")[name].astype("u2")
+        array = array.rename(sample="along_track", point="cross_track", wavelength="band").rename("counts")
+        cubes[name] = array.assign_attrs(units="count").to_dataset().reset_index("band", drop=True)
+        cubes[name]["exposure_time"] = ((), 9.0, {"units": "ms"})
+        counts[name] = array.transpose(..., "band", "cross_track").values.astype(np.float64)
+    dark = counts["black"].mean(axis=0)
+    expected = (counts["capture"] - dark) / (counts["white"].mean(axis=0) - dark)
+    line = cubes["capture"].paint.reflectance(white=cubes["white"], dark=cubes["black"], tile=1.0)
+    np.testing.assert_allclose(line.reflectance.values, expected, rtol=1e-6)
+    assert line.reflectance[0].max() == pytest.approx(0.7786328655500226, rel=1e-6)
+    assert not line.quality.any()
+
+
+def test_tile_exposure_and_lamp_are_accounted_for():
+    dark = cube(0.0)
+    # the tile at half the exposure of the scene, with a dark of its own
+    scene = cube(0.3, ms=12.0)
+    scene["counts"][3, 2, 4] = 4090  # glint
+    line = hp.radiometry.white_reference(
+        scene, cube(TILE, ms=6.0), tile=TILE, tile_uncertainty=0.01, dark=cube(0.0, ms=12.0),
+        white_dark=cube(0.0, ms=6.0),
+    )  # fmt: skip
+    product = line.paint.reflectance(uncertainty=True).compute()
+    values = product.reflectance.values
+    assert np.nanmean(values) == pytest.approx(0.3, rel=1e-3)
+    assert np.isnan(values).sum() == 1
+    assert product.quality.values[3, 4] == Quality.SATURATED
+    noise = product.reflectance_u_random.mean().item()
+    assert np.nanstd(values, axis=0).mean() == pytest.approx(noise, rel=0.2)
+    assert product.reflectance_u_systematic.mean().item() == pytest.approx(0.003, rel=0.1)
+    assert line.electrons_per_count.item() == pytest.approx(50.0, rel=0.3)
+    # a certificate over wavelength
+    certificate = xr.DataArray([0.9, 1.0], {"wavelength": ("wavelength", [450.0, 850.0], {"units": "nm"})},
+                               "wavelength", attrs={"units": "1"})  # fmt: skip
+    relative = cube(0.3).paint.reflectance(white=cube(1.0), dark=dark, tile=certificate).reflectance
+    means = relative.mean(("along_track", "cross_track")).values
+    assert means == pytest.approx(0.3 * np.linspace(0.9, 1.0, BANDS), rel=2e-3)
+    # the lamp fades by 9 % from the first white to the second
+    whites = [cube(TILE, start_s=at, drift=-0.001) for at in (0.0, 90.0)]
+    scene = cube(0.4, start_s=5.0, lines=4000, drift=-0.001).chunk(along_track=1000)
+    product = scene.paint.reflectance(white=whites, dark=dark, tile=TILE)
+    assert product.reflectance.chunks is not None
+    means = product.reflectance.mean(("band", "cross_track")).values
+    assert np.abs(means.reshape(40, -1).mean(axis=1) / 0.4 - 1.0).max() < 0.002
+    assert (product.quality == Quality.ILLUMINATION_UNSTABLE).all()
+    part = product.isel(along_track=slice(1500, 1532), band=slice(1, 3))
+    np.testing.assert_array_equal(part.paint.reflectance().reflectance, part.reflectance)
+    with pytest.warns(PaintWarning, match=r"4000 of 4000 lines .*white-held"):
+        scene.paint.reflectance(white=[w.assign_coords(time=w.time - np.timedelta64(1, "D")) for w in whites],
+                                dark=dark, tile=TILE)  # fmt: skip
+
+
+def test_a_white_reference_that_would_mislead_is_refused():
+    scene, dark, white = cube(0.3), cube(0.0), cube(TILE)
+
+    def refused(*, of: xr.Dataset = scene, white=white, dark=dark, tile=TILE, **options):
+        return lambda: hp.radiometry.white_reference(of, white, dark=dark, tile=tile, **options)
+
+    half = white.copy(deep=True)
+    half.counts[20:] = scene.counts[20:]
+    shifted = white.assign_coords(wavelength=(white.wavelength + 30.0).assign_attrs(units="nm"))
+    fading = [cube(TILE, start_s=at, drift=-0.001).drop_vars("time") for at in (0.0, 90.0)]
+    expect_refusals(
+        (SchemaError, "tile-missing", refused(tile=None)),
+        (SchemaError, "value-out-of-range", "95", refused(tile=95.0)),
+        (SchemaError, "white-saturated", "100 % of the elements", refused(white=cube(3.0))),
+        (SchemaError, "white-without-light", refused(white=dark)),
+        (SchemaError, "white-unsteady", "of 40 lines", refused(white=half)),
+        (SchemaError, "grid-mismatch", "5 bands x 6", refused(white=white.isel(cross_track=slice(6)))),
+        (SchemaError, "white-wavelength-differs", "30 nm", refused(white=shifted)),
+        (SchemaError, "exposure-missing", refused(white=white.drop_vars("exposure_time"))),
+        (SchemaError, "dark-exposure-differs", refused(white=cube(TILE, ms=6.0))),
+        (SchemaError, "dark-missing", refused(dark=None)),
+        (SchemaError, "white-times-missing", refused(white=fading)),
+        (SchemaError, "option-conflict", refused(of=scene.assign_attrs(linearity=[1e-6]))),
+        (SchemaError, "argument-missing", lambda: scene.paint.reflectance(tile=0.95)),
+    )  # fmt: skip
+    moved = [white, cube(TILE, start_s=90.0)]
+    moved[1].counts.values[:] = (moved[1].counts.values * np.linspace(0.8, 1.0, COLUMNS)).astype("u2")
+    with pytest.warns(PaintWarning, match="white-moved"):
+        refused(of=cube(0.3, start_s=5.0), white=moved)()
