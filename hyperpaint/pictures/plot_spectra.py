@@ -160,17 +160,24 @@ def spectrum(
     return save_figure(axes.figure, path)
 
 
-def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
-    # Return a line with the cube to show, and its name: reflectance, else radiance, else counts
+def shown_quantity(dataset: xr.Dataset) -> str:
+    # Return the name of the cube to show: reflectance, else radiance, else counts
     names = set(dataset.variables)
-    if "reflectance" in names:
-        return dataset, "reflectance"
-    if "values" in names and not {"counts", "radiance"} & names:  # the header does not name the quantity
-        return dataset, "values"
-    if "irradiance" in names or not {"counts", "radiance"} & names:
-        return reflectance(dataset), "reflectance"
-    has_radiance = bool({"radiance", "dark_counts", "radiance_gain"} & names)
-    return (radiance(dataset), "radiance") if has_radiance else (dataset, "counts")
+    if "reflectance" in names or not {"counts", "radiance", "values"} & names:
+        return "reflectance"
+    if not {"counts", "radiance"} & names:  # the header does not name the quantity
+        return "values"
+    if "irradiance" in names:
+        return "reflectance"
+    return "radiance" if {"radiance", "dark_counts", "radiance_gain"} & names else "counts"
+
+
+def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
+    # Return a line with the cube to show, and its name
+    name = shown_quantity(dataset)
+    if name not in dataset.variables:
+        dataset = {"reflectance": reflectance, "radiance": radiance}[name](dataset)
+    return dataset, name
 
 
 def quantity_label(cube: xr.DataArray) -> str:
