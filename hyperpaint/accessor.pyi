@@ -78,11 +78,13 @@ class PaintAccessor:
     def spectrum(
         self,
         regions: Any = None,
+        path: str | Path | None = None,
         *,
         pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
         paints: str | Iterable[str] | None = None,
         spread: str = "quantiles",
         exclude: Quality | int | None = None,
+        width: float = 8.0,
         axes: Any = None,
         dims: Dims | None = None,
     ) -> Any:
@@ -101,10 +103,12 @@ class PaintAccessor:
     def flag_overlay(
         self,
         flags: Quality | str | Iterable[str] | None = None,
+        path: str | Path | None = None,
         *,
         layer: str | None = None,
         lines: int = 1000,
         opacity: float = 0.75,
+        width: float = 6.8,
         axes: Any = None,
         dims: Dims | None = None,
     ) -> Any:
@@ -371,11 +375,13 @@ class PaintArrayAccessor:
     def spectrum(
         self,
         regions: Any = None,
+        path: str | Path | None = None,
         *,
         pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
         paints: str | Iterable[str] | None = None,
         spread: str = "quantiles",
         exclude: Quality | int | None = None,
+        width: float = 8.0,
         axes: Any = None,
         dims: Dims | None = None,
     ) -> Any:

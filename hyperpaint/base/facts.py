@@ -428,7 +428,7 @@ def key_line(facts: Facts, key: str, value: Any = None, note: str = "") -> str:
 
 #: Descriptions of the parameters that many functions share, by parameter or by a name of the meaning.
 PARAMETERS = {
-    "axes": "matplotlib axes to draw on; new ones by default.",
+    "axes": "matplotlib axes to draw on, whose figure is returned; a new figure by default.",
     "clock_offset_s": "Added to ``time`` to have the time of the navigation's clock [s].",
     "codec": (
         '``"compact"`` shuffles bits before lz4; ``"fast"`` shuffles bytes, which takes half the processor '
@@ -463,6 +463,7 @@ PARAMETERS = {
     "overwrite": "Replace the output where it exists.",
     "path": "The file.",
     "picture": "File for the picture (PNG, PDF, ...); none by default.",
+    "figure width": "Width of a new figure [inch].",
     "progress": "Called with the number of steps (lines, paints, slabs ...) done, and of all.",
     "rules": "Thresholds of the comparison.",
     "scheduler": (

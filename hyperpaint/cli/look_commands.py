@@ -178,6 +178,7 @@ def render(scene: Path, out: Path | None, picture: Path | None, **options: Any) 
     epilog="""\b
 Examples:
   hyperpaint view lot.zarr
+  hyperpaint view raw_0.hdr                    raw counts, radiance or reflectance of any ENVI cube
   hyperpaint view lot.zarr --line raw_1 --regions cars.geojson
   hyperpaint view lot.zarr --library paints.zarr --port 8000 --no-browser
 
@@ -185,7 +186,7 @@ Examples:
 Then, with the regions drawn:
   hyperpaint signatures lot.zarr --regions cars.geojson""",
 )
-@click.argument("store", metavar="STORE.zarr", type=EXISTING)
+@click.argument("store", metavar="STORE.zarr|CUBE.hdr", type=EXISTING)
 @takes(
     "pictures.exploring:serve_explorer",
     without=["announce"],
@@ -196,11 +197,12 @@ Then, with the regions drawn:
 )
 @click.option("--browser/--no-browser", default=True, help="Open a browser.")
 def view(store: Path, browser: bool, **options: Any) -> None:
-    """Look at the flight lines of a store in a browser, until Ctrl-C.
+    """Look at an ENVI cube, or the flight lines and maps of a store, in a browser, until Ctrl-C.
 
-    Click for the spectrum of a pixel, drag for the median of a box, each with flags, uncertainty and the
-    nearest paints of a library. Show true colour, colour infrared, single bands or flags; draw, name, edit
-    and save regions for `hyperpaint signatures --regions`.
+    Raw counts, radiance and reflectance are shown in their units, also without wavelengths. Click for the
+    spectrum of a pixel, drag for the median of a box, each with flags, uncertainty and the nearest paints of
+    a library. Show true colour, colour infrared, single bands or flags; draw, name, edit and save regions for
+    `hyperpaint signatures --regions`.
 
     The page is served to this machine only, at a new address in every call. It needs `python -m pip install
     'hyperpaint[interactive]'`. To see it from another machine: --port 8000 --no-browser here, and ssh -L

@@ -31,6 +31,7 @@ from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.base.old_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, rename_to_roles
+from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
@@ -49,7 +50,7 @@ from hyperpaint.regions.pixels_in_regions import contains, renumbered
 
 from .figures import map_dims, orientation_of
 from .plot import STRETCH, flag_label, linear_srgb, percent, reduced_lines, stored_picture, visible_bands
-from .plot_spectra import good_bands
+from .plot_spectra import good_bands, quantity_label, shown_quantity, with_shown_cube
 
 # Recipe of a picture: empty for true colour, else the wavelengths of one or three bands [nm]
 TRUE_COLOUR: tuple[float, ...] = ()
@@ -62,6 +63,9 @@ _VISIBLE_BANDS = 24  # bands read for a detailed true-colour picture: colour mat
 MAX_REGION_PIXELS = 20_000  # maximum number of pixels for a region's spectrum; larger regions are subsampled
 _MAX_UNCERTAINTY_PIXELS = 4096  # maximum size of a region whose uncertainty is computed on a click
 _FLAG_OPACITY = 170  # of 255
+MAX_NEAR_ANGLE = 5.0  # spectral angle up to which a paint of the library is near [degree]
+MAX_NEAR_FACTOR = 2.0  # factor of brightness up to which a paint is near
+_RECIPES = {"true colour": TRUE_COLOUR, "colour infrared": INFRARED}
 
 
 T = TypeVar("T")
@@ -111,20 +115,45 @@ class Explored:
         # positions on the picture count from 0; regions of the user have the line and column numbers of the
         # line
         self._numbered = rename_to_roles(line)
-        SchemaError.raise_if(
-            map_dims(self._numbered),
-            "this is a map",
-            expected="a flight line",
-            mend="explore the flight line",
-            code="line-is-map",
-        )
-        if not {"counts", "radiance", "reflectance"} & set(self._numbered.variables):
-            schema.require(self._numbered, ["reflectance"], "an explorer")
+        is_upright = False
+        self.is_map = bool(map_dims(self._numbered))
+        if self.is_map:
+            # columns of a map run to the right, as the lines of a flight
+            is_upright = self._numbered.sizes[ALONG_TRACK] > 1 and bool(np.diff(self._numbered["y"][:2]) > 0)
+            self._numbered = self._numbered.rename({ALONG_TRACK: CROSS_TRACK, CROSS_TRACK: ALONG_TRACK})
+            self._numbered = self._numbered.drop_vars(("x", "y", "spatial_ref"), errors="ignore")
         self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
+        if not {"counts", "radiance", "reflectance", "values"} & set(self.line.variables):
+            schema.require(self.line, ["reflectance"], "an explorer")
+        self.has_wavelength = "wavelength" in self.line.variables
+        if not self.has_wavelength:  # bands by their numbers, from 1
+            numbers = np.arange(1.0, self.line.sizes[BAND] + 1.0)
+            self.line = self.line.assign_coords(wavelength=(BAND, numbers, {"units": "nm"}))
+        quantity = shown_quantity(self.line)
+        self.is_reflectance = quantity == "reflectance"
+        if quantity in self.line.variables and not (self.is_reflectance and "irradiance" in self.line):
+            # the stored cube is read as it is; other cubes under the name of reflectance
+            cube = self.line[quantity]
+            self.quantity = quantity_label(cube)
+            others = ("counts", "radiance", "values", "reflectance")
+            stored = self.line.drop_vars(others, errors="ignore")
+            self.line = stored.assign(reflectance=cube.assign_attrs(units="1"))
+        elif self.is_reflectance:
+            self.quantity = "reflectance factor [1]"
+        else:
+            shown = with_shown_cube(self.line)[0]
+            self.quantity = quantity_label(shown[quantity])
+            self.line = shown.drop_vars("counts", errors="ignore").rename({quantity: "reflectance"})
+            self.line["reflectance"].attrs["units"] = "1"
         self.shape = self.line.sizes[ALONG_TRACK], self.line.sizes[CROSS_TRACK]
-        self.orientation = orientation_of(self._numbered)
+        orientation = orientation_of(self._numbered)
+        self.aspect, self.is_mirrored = orientation.aspect, is_upright or orientation.is_mirrored
         variable = schema.require(self.line, ["wavelength"], "an explorer")["wavelength"]
         self.wavelength = np.asarray(variable.values, np.float64)
+        self.recipes = {name: recipe for name, recipe in _RECIPES.items() if self.has_bands(recipe)}
+        if "true colour" not in self.recipes and self.wavelength.size > 2:
+            three = np.nanquantile(self.wavelength, (0.75, 0.5, 0.25), method="nearest").tolist()
+            self.recipes[", ".join(map(self.band_text, three))] = tuple(three)
         self.library = library
         self.flightline = flightline
         self._excluded = int(EXCLUDED if exclude is None else exclude)
@@ -154,8 +183,19 @@ class Explored:
         # Whether the regions are unchanged since they were read or last saved
         return self._all_regions.digest == self._saved_digest
 
+    def band_text(self, wavelength: float) -> str:
+        # Return a band by its wavelength, or by its number where no wavelengths are known
+        return f"{wavelength:.1f} nm" if self.has_wavelength else f"band {wavelength:.0f}"
+
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         # Write the regions of this and of other lines as GeoJSON; see `hyperpaint.write_regions`.
+        SchemaError.raise_if(
+            self.is_map,
+            "regions drawn on a map are not saved",
+            expected="a flight line",
+            mend="draw them on the flight line",
+            code="line-is-map",
+        )
         file = write_regions(self._all_regions, path, overwrite=overwrite)
         self._digests[os.path.realpath(file)] = _digest(file)
         self._saved_digest = self._all_regions.digest
@@ -251,13 +291,17 @@ class Explored:
             subsampling = f" (every {step}. line)" if step > 1 else ""
             text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: "
             text += _flag_text(flag_texts)
+            if np.isfinite(quantiles).any():
+                lower, upper = (f"{np.nanmedian(edge):.2g}" for edge in (quantiles[0], quantiles[-1]))
+                text += f"; 90 % of them from {lower} to {upper} in the median band"
             return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
         row, column = place
         pixel = pixels(self.line, row, column)
         shift = pixel["wavelength_shift"].values if "wavelength_shift" in pixel.coords else 0.0
         values = np.where(good_bands(self.line), pixel["reflectance"].values, np.float32(np.nan))
         rows, columns = (schema.numbers_of(self._numbered, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
-        text = f"line {rows[row]:g}, column {columns[column]:g}"
+        names = ("column", "row") if self.is_map else ("line", "column")
+        text = f"{names[0]} {rows[row]:g}, {names[1]} {columns[column]:g}"
         if "quality" in pixel:
             text += f": {_flag_text(schema.flag_names(int(pixel['quality'])))}"
         return Spectrum(self.wavelength + shift, values, None, text)
@@ -274,6 +318,12 @@ class Explored:
         return along[is_read], across[is_read], step
 
     def _uncertainty(self, place: Place) -> tuple[Floats, str]:
+        SchemaError.raise_if(
+            not self.is_reflectance,
+            f"this is {self.quantity}",
+            expected="reflectance",
+            code="variable-missing",
+        )
         if isinstance(place, Region):
             along, across, step = self._region_pixels(place)
         else:
@@ -300,21 +350,22 @@ class Explored:
         has_systematic = bool(np.isfinite(systematic).any())
         # without systematic errors, the random errors are shown
         u = np.hypot(random, np.nan_to_num(systematic)) if has_systematic else random
-        subject = "a pixel" if along.size == 1 else "the mean"
+        subject = "a pixel" if along.size == 1 else "the mean, without the differences of pixels,"
         text = f"± {np.nanmedian(u):.1g} [1], k = 1, of {subject} in the median band"
         return u, text + ("" if has_systematic else "; systematic errors are unknown")
 
     # --- paints --------------------------------------------------------------------------------------------
 
     def near_paints(self, spectrum: Spectrum, count: int = 5) -> list[NearPaint]:
-        # Return the paints at the smallest spectral angles; none with fewer than five good bands
+        # Return the paints that are near by spectral angle and brightness, the nearest first.
+        # None for other cubes than reflectance, and with fewer than five good bands.
+        if self.library is None or not self.is_reflectance or not self.has_wavelength:
+            return []
         wavelength = (BAND, spectrum.wavelength, {"units": "nm"})
         target = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": wavelength})
         try:
-            matches = None if self.library is None else search_library(self.library, like=target, limit=count)
+            matches = search_library(self.library, like=target, maximum_angle=np.radians(MAX_NEAR_ANGLE))
         except PaintError:
-            matches = None
-        if matches is None:
             return []
         # resample the spectrum to the bands of the library
         library_nm = np.asarray(matches["wavelength"].values, np.float64)
@@ -329,11 +380,11 @@ class Explored:
             power = max(paint[is_common] @ paint[is_common], np.finfo(float).tiny)
             factor = float((resampled[is_common] @ paint[is_common]) / power)
             name = str(matches[schema.SIGNATURE].values[number])
-            if np.isfinite(angle):
+            if np.isfinite(angle) and 1.0 / MAX_NEAR_FACTOR <= factor <= MAX_NEAR_FACTOR:
                 near_paints.append(
                     NearPaint(name, float(np.degrees(angle)), factor, library_nm, factor * paint)
                 )
-        return near_paints
+        return near_paints[:count]
 
     # --- pictures ------------------------------------------------------------------------------------------
 
@@ -425,7 +476,8 @@ class Explored:
         # Return whether the line has the bands of a recipe
         try:
             bands_at(self.line, list(recipe))
-            return recipe != TRUE_COLOUR or bool(visible_bands(self.wavelength).size)
+            has_colour = self.has_wavelength and bool(visible_bands(self.wavelength).size)
+            return has_colour if recipe == TRUE_COLOUR else self.has_wavelength
         except SchemaError:
             return False
 
@@ -555,13 +607,32 @@ INK = {"light": "#1a1a1a", "dark": "#f2f2f2"}  # text colour of each theme
 NEAR_COLOUR = "#8c8c8c"
 DASHES = ("dashed", "dotted", "dotdash", "dashdot", "solid")
 PICTURE_HEIGHT, NAVIGATOR_HEIGHT, SPECTRA_HEIGHT = 380, 60, 330
+_MAX_PICTURE_HEIGHT = 600  # of a short line
 
-# reports the lines in view 120 ms after the last change
+# keeps pixels square (by their aspect ratio on the ground) in every width, and short lines whole
+_FIT = """
+const {x_range, y_range, inner_width, inner_height} = plot;
+if (!inner_width || !inner_height) return;
+const whole = inner_width * columns / (lines * aspect);
+const height = Math.round(Math.min(most, Math.max(inner_width < 500 ? 220 : least, whole)));
+const tall = height + plot.height - inner_height;
+if (plot.sizing_mode && Math.abs(tall - plot.height) > 1) { plot.height = tall; return; }
+const across = Math.abs(y_range.end - y_range.start);
+const along = across * inner_width / inner_height / aspect;
+const first = along > lines ? (lines - along) / 2 - 0.5 : x_range.start;
+x_range.setv({start: first, end: first + along});
+"""
+# reports the lines in view 120 ms after the last change; the frame of the navigator changes the lines alone
 _WATCH = """
+const {x_range, y_range, inner_width, inner_height} = plot;
+const across = (x_range.end - x_range.start) * aspect * inner_height / inner_width;
+const middle = (y_range.start + y_range.end) / 2, sign = Math.sign(y_range.end - y_range.start);
+if (inner_width && Math.abs(across / Math.abs(y_range.end - y_range.start) - 1) > 1e-3)
+  y_range.setv({start: middle - sign * across / 2, end: middle + sign * across / 2});
 const timers = (window.hyperpaint_timers = window.hyperpaint_timers || {});
 clearTimeout(timers[plot.id]);
 timers[plot.id] = setTimeout(() => {
-  view.data = {along: [plot.x_range.start, plot.x_range.end], size: [plot.inner_width, plot.inner_height]};
+  view.data = {along: [plot.x_range.start, plot.x_range.end]};
 }, 120);
 """
 
@@ -574,7 +645,7 @@ _SOURCES = {
     # regions, the polygon in progress, handles of the selected region, and the last click
     "outlines": (*_PLACES, "name", "colour", "width"),
     **dict.fromkeys(("draft", "corners", "spot"), _PLACES),
-    "view": ("along", "size"),  # first and last line in view, and the size of the figure [pixel]
+    "view": ("along",),  # first and last line in view
     "curves": ("nm", "reflectance", "name", "colour", "width", "dash"),
     # spread over the pixels of regions, and uncertainty of a curve
     **dict.fromkeys(("spreads", "uncertainty"), ("nm", "reflectance", "colour")),
@@ -599,7 +670,6 @@ _HELP = {
     "edit": "Click a region to select it, drag its corners",
     "move": "Drag to move the picture; the wheel or two fingers zoom",
 }
-_RECIPES = {"true colour": TRUE_COLOUR, "colour infrared": INFRARED}
 _ONE_BAND = "one band"
 _UNIT_SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
 FULL_WIDTH = {"sizing_mode": "stretch_width"}
@@ -654,14 +724,17 @@ class Explorer:
 
         sources, (lines, columns) = self._sources, self._state.shape
         # the flight is to the right, so that columns on its right side are below
-        edges = (-0.5, columns - 0.5)[:: 1 if self._state.orientation.is_mirrored else -1]
+        edges = (-0.5, columns - 0.5)[:: 1 if self._state.is_mirrored else -1]
+        # a short line leaves no margin
+        width = int(_MAX_PICTURE_HEIGHT * lines * self._state.aspect / columns) + 120
         self._plot = plot = figure(
             name="picture",
             height=PICTURE_HEIGHT,
             tools="wheel_zoom,reset",
             active_scroll="wheel_zoom",
-            x_axis_label="line, flown to the right",
-            y_axis_label="column",
+            x_axis_label="column" if self._state.is_map else "line, flown to the right",
+            y_axis_label="row, north is up" if self._state.is_map else "column",
+            max_width=max(width, 300),
             x_range=Range1d(-0.5, min(lines, 2 * columns) - 0.5),
             y_range=Range1d(*edges),
             **FULL_WIDTH,
@@ -694,10 +767,13 @@ class Explorer:
         plot.toolbar.active_drag = self._tools["spectrum"]
         self._set_style(plot)
         plot.grid.visible = False
-        watch = CustomJS(args={"plot": plot, "view": sources["view"]}, code=_WATCH)
-        for name in ("start", "end"):
-            plot.x_range.js_on_change(name, watch)
-        plot.js_on_change("inner_width", watch)
+        size: dict[str, Any] = {"plot": plot, "view": sources["view"], "aspect": self._state.aspect}
+        size |= {"lines": lines, "columns": columns}
+        size |= {"least": PICTURE_HEIGHT - 60, "most": _MAX_PICTURE_HEIGHT}
+        calls = {_WATCH: (plot.x_range, "start", "end"), _FIT: (plot, "inner_width", "inner_height")}
+        for code, (model, *names) in calls.items():
+            for name in names:
+                model.js_on_change(name, CustomJS(args=size, code=code))
         # the complete line, with a draggable frame around the lines in view
         self._navigator = small = figure(
             name="navigator",
@@ -725,8 +801,8 @@ class Explorer:
             name="spectra",
             height=SPECTRA_HEIGHT,
             tools="pan,box_zoom,reset",
-            x_axis_label="wavelength [nm]",
-            y_axis_label="reflectance factor [1]",
+            x_axis_label="wavelength [nm]" if self._state.has_wavelength else "band",
+            y_axis_label=self._state.quantity.replace("$^{", "^").replace("}$", ""),
             **FULL_WIDTH,
         )
         axes = ("nm", "reflectance")
@@ -739,7 +815,9 @@ class Explorer:
         # the wavelength of the band shown in the picture
         self._shown_band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
         plot.add_layout(self._shown_band)
-        tips = [("", "@name"), ("nm", "$x{0.0}"), ("reflectance", "$y{0.000}")]
+        name = self._state.quantity.partition(" [")[0]
+        value = "$y{0.000}" if self._state.is_reflectance else "$y{0.[000]}"
+        tips = [("", "@name"), ("nm" if self._state.has_wavelength else "band", "$x{0.0}"), (name, value)]
         plot.add_tools(HoverTool(renderers=[curves], tooltips=tips))
         self._set_style(plot)
 
@@ -768,18 +846,17 @@ class Explorer:
 
         state = self._state
         bands = sorted(set(np.round(state.wavelength[np.isfinite(state.wavelength)], 1).tolist()))
-        recipes = [name for name, recipe in _RECIPES.items() if state.has_bands(recipe)]
         flags = {f"{flag_label(flag)}, {percent(share)}": flag for flag, share in state.flag_shares.items()}
         file = "regions.geojson" if self._save_to is None else str(self._save_to)
         self._widgets = SimpleNamespace(
             mode=make("RadioButtonGroup", "", options=_MODES, value="spectrum"),
-            recipe=make("Select", "Colours", options=[*recipes, _ONE_BAND]),
+            recipe=make("Select", "Colours", options=[*state.recipes, _ONE_BAND]),
             band=make(
                 "DiscreteSlider",
-                "Band [nm]",
+                "Band [nm]" if state.has_wavelength else "Band",
                 options=bands,
                 value=_nearest_option(bands, 650.0),
-                formatter="%.1f",
+                formatter="%.1f" if state.has_wavelength else "%.0f",
             ),
             stretch=make("RangeSlider", "Black and white [percentile]", start=0, end=100, value=(2, 98)),
             flag_boxes=make("CheckBoxGroup", "", options=flags),
@@ -791,7 +868,10 @@ class Explorer:
             file=make("TextInput", "File", value=file, disabled=self._save_to is not None),
             save_button=make("Button", "Save regions"),
             paint_boxes=make("CheckBoxGroup", "", options={}),
-            **{name: panel.pane.HTML("", **FULL_WIDTH) for name in ("spectrum", "message", "caption")},
+            **{
+                name: panel.pane.HTML("", **FULL_WIDTH)
+                for name in ("spectrum", "message", "caption", "paints")
+            },
         )
 
         # layout of the widgets
@@ -811,7 +891,6 @@ class Explorer:
             if state.flag_shares
             else panel.pane.HTML("no flags stored", **FULL_WIDTH)
         )
-        heading = panel.pane.HTML("<b>Nearest paints</b>: spectral angle, and scale factor", **FULL_WIDTH)
         buttons = panel.Row(
             self._widgets.box_button, self._widgets.undo_button, self._widgets.remove_button, **FULL_WIDTH
         )
@@ -822,7 +901,7 @@ class Explorer:
                     "2 1 320px",
                     self._widgets.spectrum,
                     pane(self._spectra),
-                    heading,
+                    self._widgets.paints,
                     self._widgets.paint_boxes,
                 ),
                 **FULL_WIDTH,
@@ -987,15 +1066,7 @@ class Explorer:
         self._show_message(text)
 
     def _view_changed(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002
-        (first, last), (width, height) = new["along"], new["size"]
-        if self._window is None and width and height:
-            # the size of the picture is new: show as many lines as give pixels their aspect ratio on the
-            # ground
-            lines, columns = self._state.shape
-            visible_lines = columns * width / height / self._state.orientation.aspect
-            first = -0.5 - max(0.0, visible_lines - lines) / 2
-            last = first + visible_lines
-            self._plot.x_range.update(start=first, end=last)
+        first, last = new["along"]
         window = int(np.floor(first)), int(np.ceil(last)) + 1
         if window != self._window:
             self._window = window
@@ -1015,7 +1086,7 @@ class Explorer:
 
     def _update_pictures(self, *, base: bool = True) -> None:
         # update the lines in view; with ``base`` also the picture of the complete line behind them
-        recipe = _RECIPES.get(self._widgets.recipe.value) or ()
+        recipe = self._state.recipes.get(self._widgets.recipe.value, ())
         if self._widgets.recipe.value == _ONE_BAND:
             recipe = (self._widgets.band.value,)
         try:
@@ -1026,12 +1097,11 @@ class Explorer:
             self._widgets.caption.object = html.escape(str(error))
             return
         self._show_picture("detail", detail)
-        self._caption = (
-            f"{recipe[0]:.1f} nm" if self._widgets.recipe.value == _ONE_BAND else self._widgets.recipe.value
-        )
-        self._caption += f", lines {detail.first} to {detail.last - 1}" + f", {detail.text}" * bool(
-            detail.text
-        )
+        self._caption = self._state.band_text(recipe[0]) if len(recipe) == 1 else self._widgets.recipe.value
+        self._caption += f" of {self._state.quantity.partition(' [')[0]}" * (not self._state.is_reflectance)
+        lines = "columns" if self._state.is_map else "lines"
+        self._caption += f", {lines} {detail.first} to {detail.last - 1}"
+        self._caption += f", {detail.text}" * bool(detail.text)
         self._update_caption()
         self._update_flags()
         is_one_band = len(recipe) == 1
@@ -1117,6 +1187,13 @@ class Explorer:
         curves = [_curve(spectrum, name, colour, width, "solid") for spectrum, name, colour, width in rows]
         # list the most similar paints, and draw the ticked ones
         near_paints = self._state.near_paints(spectrum_now) if isinstance(spectrum_now, Spectrum) else []
+        self._widgets.paints.object = (
+            "<b>Nearest paints</b>: spectral angle, and scale factor"
+            if near_paints
+            else f"<b>No paint is near</b>: within {MAX_NEAR_ANGLE:g}° and a factor of {MAX_NEAR_FACTOR:g}"
+            if self._state.is_reflectance and self._state.library is not None
+            else ""
+        )
         self._is_updating = True
         self._widgets.paint_boxes.options = {
             f"{paint.name}: {paint.angle:.1f}°, x {paint.factor:.2f}": i
@@ -1274,7 +1351,7 @@ def serve_explorer(
     port: int = 0,
     announce: Callable[[str], None],
 ) -> None:
-    """Serve the explorer of a store's flight lines on this machine until interrupted.
+    """Serve the explorer of a cube, or of a store's flight lines, on this machine until interrupted.
 
     The address contains a random token. Requests without it, for another host, or from a page of another
     origin are refused, so that other users of the machine and other pages in the browser have no access.
@@ -1282,7 +1359,8 @@ def serve_explorer(
     Parameters
     ----------
     store
-        A store with flight lines, or one line.
+        A store with flight lines or maps, or any Zarr with a cube; or an ENVI cube, by its header or data
+        file: raw counts, radiance or reflectance, also without wavelengths.
     line
         The flight line shown first; by default the first of the store. The page links to all lines.
     regions
@@ -1303,20 +1381,12 @@ def serve_explorer(
     MissingExtraError
         panel or bokeh is not installed.
     """
-    # groups of flight lines by name: those of the folder first, then other groups with a cube of pixels
-    groups = list_groups(store)
-    line_groups = [group for group in groups if group.startswith("flightlines/")]
-    for group in [group for group in groups if group not in line_groups]:
-        dataset = rename_to_roles(open_store(store, group))
-        has_cube = bool({"counts", "radiance", "reflectance"} & set(dataset.data_vars))
-        if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) and "wavelength" in dataset.variables and has_cube:
-            line_groups.append(group)
-    lines = {group.rpartition("/")[2] or Path(store).stem: group for group in line_groups}
+    lines = _lines_of(Path(store))
     first_name = next(iter(lines), "") if line is None else line.rpartition("/")[2]
     if first_name not in lines:
         raise StoreError(
             f"{store} has no flight line {line!r:.80}" if line else f"{store} has no flight line",
-            expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
+            expected=", ".join(lines) or "reflectance, radiance or counts of lines, bands and columns",
             code="flightline-unknown",
         )
     require_panel()
@@ -1334,7 +1404,7 @@ def serve_explorer(
     def line_state(name: str) -> Explored:
         # all pages of a line share its state, so that regions survive reloading a page
         file = region_file(name) if region_file(name).exists() else None
-        return Explored(open_store(store, lines[name]), file, library=paints, flightline=name)
+        return Explored(lines[name](), file, library=paints, flightline=name)
 
     def page() -> Any:
         arguments = panel.state.session_args
@@ -1363,6 +1433,20 @@ def serve_explorer(
     server.start()
     announce(f"http://localhost:{server.port}/{token}/")
     server.io_loop.start()
+
+
+def _lines_of(path: Path) -> dict[str, Callable[[], xr.Dataset]]:
+    # Return functions that open the cubes of a file or store, by name: first flight lines of the folder
+    if path.is_file() and path.suffix != ".zip":
+        return {path.stem: functools.partial(open_envi, path)}
+    groups: dict[str, Callable[[], xr.Dataset]] = {}
+    for group in sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/")):
+        is_line = group.startswith("flightlines/")
+        roles = xr.Dataset() if is_line else rename_to_roles(open_store(path, group))
+        has_cube = bool({"counts", "radiance", "reflectance", "values"} & set(roles.data_vars))
+        if is_line or (has_cube and {ALONG_TRACK, CROSS_TRACK, BAND} <= set(roles.dims)):
+            groups[group.rpartition("/")[2] or path.stem] = functools.partial(open_store, path, group)
+    return groups
 
 
 def _guard(server: Any, token: str) -> None:
@@ -1406,6 +1490,7 @@ def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
         f'<a style="color:inherit" href="?line={quote(name)}&colours={other_theme}">{other_theme}</a>'
     )
     size = f"{count:,} lines, {columns:,} columns, {nm.size} bands"
-    size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm"
+    size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm" if state.has_wavelength else ", no wavelengths"
+    size += f"; {state.quantity}".replace("$^{", "").replace("}$", "")
     text = f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}"
     return panel.pane.HTML(text, **FULL_WIDTH)

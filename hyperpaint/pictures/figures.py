@@ -34,12 +34,8 @@ def new_figure(purpose: str, **options: Any) -> Any:
 
 
 def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
-    # Return the axes passed, or new axes of pyplot, which a notebook displays
-    if axes is not None:
-        return axes
-    with needs_extra("matplotlib", "viz", purpose):
-        from matplotlib import pyplot
-    return pyplot.subplots(layout="constrained", **options)[1]
+    # Return the axes passed, or the axes of a new figure
+    return new_figure(purpose, layout="constrained", **options).subplots() if axes is None else axes
 
 
 def ink_of(axes: Any, strength: float = 1.0) -> tuple[float, float, float]:

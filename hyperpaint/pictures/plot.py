@@ -51,7 +51,7 @@ from .figures import (
     save_figure,
     show_picture,
 )
-from .plot_spectra import checked_places, draw_pixels, good_bands
+from .plot_spectra import checked_places, draw_pixels, good_bands, quantity_label, with_shown_cube
 
 OVERVIEW_SHAPE = (1000, 640)  # maximum lines and columns of the stored picture
 STRETCH = (2.0, 98.0)  # percentiles of brightness shown black and white
@@ -180,19 +180,6 @@ def visible_bands(wavelength: Array) -> Array:
         code="band-missing",
     )
     return visible
-
-
-def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
-    # Return a line with the cube to show, and its name: reflectance, else radiance, else counts
-    names = set(dataset.variables)
-    if "reflectance" in names:
-        return dataset, "reflectance"
-    if "values" in names and not {"counts", "radiance"} & names:  # the header does not name the quantity
-        return dataset, "values"
-    if "irradiance" in names or not {"counts", "radiance"} & names:
-        return reflectance(dataset), "reflectance"
-    has_radiance = bool({"radiance", "dark_counts", "radiance_gain"} & names)
-    return (radiance(dataset), "radiance") if has_radiance else (dataset, "counts")
 
 
 def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:
@@ -424,9 +411,8 @@ def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> No
     values = sample.transpose(..., BAND).astype(np.float32).values.reshape(-1, sample.sizes[BAND])
     styles = [{"color": ink_of(axes, strength)} for strength in (0.12, 0.3, 0.9)]
     draw_quantiles(axes, dataset["wavelength"].values, values, styles)
-    units = label_for(dataset[name].attrs.get("units", "count"))
-    unit = "reflectance factor [1]" if name == "reflectance" else f"{name} [{units}]"
-    axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=unit, ylim=(0, None))
+    label = quantity_label(dataset[name])
+    axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=label, ylim=(0, None))
     legend_below(axes)
 
 
@@ -456,14 +442,16 @@ def finite_quantiles(values: Array, levels: Sequence[float]) -> Array:
 # --- flags and layers --------------------------------------------------------------------------------------
 
 
-@documented()
+@documented(path="picture", width="figure width")
 def flag_overlay(
     dataset: xr.Dataset,
     flags: Quality | str | Iterable[str] | None = None,
+    path: str | Path | None = None,
     *,
     layer: str | None = None,
     lines: int = 1000,
     opacity: float = 0.75,
+    width: float = 6.8,
     axes: Any = None,
 ) -> Any:
     """Draw flags, or a continuous layer, over the true-colour picture of a flight line.
@@ -478,16 +466,18 @@ def flag_overlay(
     flags
         Flags to draw: `Quality`, or names such as ``"glint"``; by default all flags that occur, or with a
         layer no flags.
+    path
     layer
         Name of a variable (along_track, cross_track), such as a fraction of glint.
     lines
     opacity
         Opacity of flags or layer, from 0 to 1.
+    width
     axes
 
     Returns
     -------
-    matplotlib.axes.Axes
+    matplotlib.figure.Figure
         x is cross_track, y is along_track, flown upwards, in pixels of the flight line; for a map x and y of
         the map, north up. The picture is not mirrored; pixels have their aspect ratio on the ground where
         known.
@@ -503,8 +493,8 @@ def flag_overlay(
     --------
     >>> from hyperpaint.simulation import simulate_line
     >>> line = simulate_line(lines=32, bands=40, columns=24)
-    >>> axes = flag_overlay(line, ["saturated", "shadow"])
-    >>> axes.get_xlabel()
+    >>> figure = flag_overlay(line, ["saturated", "shadow"])
+    >>> figure.axes[0].get_xlabel()
     'cross_track [column]'
     """
     dataset = rename_to_roles(dataset)
@@ -529,15 +519,15 @@ def flag_overlay(
     require(dataset, ["quality"] if layer is None else [], "a picture of flags")
     step = max(1, -(-dataset.sizes[ALONG_TRACK] // max(lines, 1)))
     orientation = orientation_of(dataset)
-    height = min(max(orientation.height_of(4.0), 3.5), 12.0) + 1.0
-    axes = axes_or_new(axes, "a picture of flags", figsize=(6.8, height))
+    height = min(max(orientation.height_of(0.6 * width), 3.5), 12.0) + 1.0
+    axes = axes_or_new(axes, "a picture of flags", figsize=(width, height))
     show_picture(axes, background(dataset, step), orientation)
     axes.set(title=label_for(dataset.attrs.get("name", "flight line")))
     if layer is not None:
         _draw_layer(axes, dataset, orientation, layer, step, opacity)
     if layer is None or chosen:
         _draw_flags(axes, dataset, orientation, chosen, step, opacity)
-    return axes
+    return save_figure(axes.figure, path)
 
 
 def background(dataset: xr.Dataset, step: int) -> Array:
@@ -869,11 +859,6 @@ def _draw_bands(
 
 
 MAX_REGION_PIXELS = 4096  # pixels drawn in a triptych; larger regions are subsampled
-_LABELS = {
-    "counts": "counts [count]",
-    "radiance": "radiance [W m$^{-2}$ sr$^{-1}$ nm$^{-1}$]",
-    "reflectance": "reflectance factor [1]",
-}
 _BLUE = "#3399DD"  # visible on light and dark backgrounds
 _AXES_INCH = (4.3, 4.4)
 
@@ -998,7 +983,7 @@ def triptych(
         plots[0].axhline(float(saturation), color="#D55E00", lw=1, ls=":", label="saturation")
     _draw_white(plots[1], dataset, line_indices)
     for axes, name in zip(plots, cubes, strict=True):
-        axes.set(title=name, xlabel="wavelength [nm]", ylabel=_LABELS[name], ylim=(0, None))
+        axes.set(title=name, xlabel="wavelength [nm]", ylabel=quantity_label(cubes[name]), ylim=(0, None))
         legend_below(axes)
     return save_figure(figure, path)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,9 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import ciede2000, lab_of, paint_colours, srgb
 from hyperpaint.paints.signatures import extract_signatures
-from hyperpaint.paints.signatures.pixel_statistics import gather
-from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.paints.signatures.pixel_statistics import QUANTILES, gather, summarise
+from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
+from hyperpaint.regions import pixels_of, regions_from
 
 from .figures import axes_or_new, ink_of, label_for, legend_below, new_figure, save_figure
 
@@ -40,19 +42,22 @@ _MIN_DIFFERENCE = 12.0  # CIEDE2000 difference of colours below which curves get
 _DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
 
 
-@documented()
+@documented(path="picture", width="figure width")
 def spectrum(
     dataset: xr.Dataset,
     regions: Any = None,
+    path: str | Path | None = None,
     *,
     pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
     paints: str | Iterable[str] | None = None,
     spread: str = "quantiles",
     exclude: Quality | int | None = None,
+    width: float = 8.0,
     axes: Any = None,
 ) -> Any:
     """Draw reflectance over wavelength: of regions or pixels of a flight line, or of paints of a library.
 
+    Without irradiance the curves are radiance, and of a raw cube counts; the axis names quantity and unit.
     Curves have the colours of the paints in daylight, with a rim that is visible on light and dark
     backgrounds; curves of similar colours differ in dashes. Eager: of a flight line the blocks with the
     pixels are read.
@@ -60,10 +65,11 @@ def spectrum(
     Parameters
     ----------
     dataset
-        A flight line with reflectance, or with the variables to compute it; or a paint library.
+        A flight line with reflectance, or with the variables to compute it; a raw cube; or a paint library.
     regions
         Regions of the flight line, see `hyperpaint.read_regions`; the centre of their pixels is drawn, as in
-        `hyperpaint.extract_signatures`.
+        `hyperpaint.extract_signatures`; of a raw cube the median of all their pixels.
+    path
     pixels
         (along_track, cross_track) of a pixel, or several such pairs. A curve is drawn at the wavelengths of
         the pixel's column, with the standard uncertainty where known, and labelled with the flags.
@@ -73,11 +79,12 @@ def spectrum(
         For regions and paints: ``"quantiles"`` shades the middle half and 5 to 95 % of the pixels, ``"sd"``
         one standard deviation, ``"none"`` nothing.
     exclude
+    width
     axes
 
     Returns
     -------
-    matplotlib.axes.Axes
+    matplotlib.figure.Figure
 
     Raises
     ------
@@ -93,8 +100,8 @@ def spectrum(
     --------
     >>> from hyperpaint.simulation import simulate_line
     >>> line = simulate_line(lines=32, bands=40, columns=24)
-    >>> axes = spectrum(line, pixels=[(3, 4), (20, 10)])
-    >>> [curve.get_label() for curve in axes.lines]
+    >>> figure = spectrum(line, pixels=[(3, 4), (20, 10)])
+    >>> [curve.get_label() for curve in figure.axes[0].lines]
     ['(3, 4)', '(20, 10)']
     """
     dataset = rename_to_roles(dataset)
@@ -129,25 +136,97 @@ def spectrum(
     has_pixels = not is_library and pixels is not None
     places = checked_places(dataset, pixels, problems) if has_pixels else np.zeros((0, 2), int)
     problems.raise_if_any()
-    axes = axes_or_new(axes, "a picture of spectra", figsize=(8, 4.5))
+    axes = axes_or_new(axes, "a picture of spectra", figsize=(width, max(0.56 * width, 4.5)))
+    shown, name = (dataset, "reflectance") if is_library else with_shown_cube(dataset)
     if pixels is not None:
-        if "reflectance" not in dataset.variables:
-            dataset = reflectance(dataset)
-        names = [name for name in ("reflectance_u_random", "reflectance_u_systematic") if name in dataset]
-        cubes = require(dataset, ["reflectance", *names], "a picture of spectra")
-        planes = {"quality": dataset["quality"]} if "quality" in dataset else {}
+        u_names = [f"reflectance_u_{kind}" for kind in ("random", "systematic")]
+        names = [u_name for u_name in u_names if name == "reflectance" and u_name in shown]
+        cubes = require(shown, [name, *names], "a picture of spectra")
+        planes = {"quality": shown["quality"]} if "quality" in shown else {}
         spectra, values = gather(cubes, planes, places[:, 0], places[:, 1], slice(None), {})
-        u = np.sqrt(sum(spectra[name].astype(np.float64) ** 2 for name in names)) if names else None
-        cube = {"reflectance": spectra["reflectance"]}
-        draw_pixels([axes], dataset, cube, values.get("quality"), places, u)
+        u = np.sqrt(sum(spectra[u_name].astype(np.float64) ** 2 for u_name in names)) if names else None
+        draw_pixels([axes], shown, {name: spectra[name]}, values.get("quality"), places, u)
+    elif name != "reflectance":
+        library = _region_medians(shown, shown[name], regions)
+        colours = _curve_colours(library["reflectance"].values, library["wavelength"].values, name)
+        _draw_paints(axes, library, colours, None, spread)
     else:
         if not is_library:
             dataset = extract_signatures(dataset, regions, exclude=exclude, members=0, min_pixels=1)
-        _draw_paints(axes, dataset, paints, spread)
-    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
+        _draw_paints(axes, dataset, paint_colours(dataset), paints, spread)
+    axes.set(xlabel="wavelength [nm]", ylabel=quantity_label(shown[name]))
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     legend_below(axes)
-    return axes
+    return save_figure(axes.figure, path)
+
+
+def shown_quantity(dataset: xr.Dataset) -> str:
+    # Return the name of the cube to show: reflectance, else radiance, else counts
+    names = set(dataset.variables)
+    if "reflectance" in names or not {"counts", "radiance", "values"} & names:
+        return "reflectance"
+    if not {"counts", "radiance"} & names:  # the header does not name the quantity
+        return "values"
+    if "irradiance" in names:
+        return "reflectance"
+    return "radiance" if {"radiance", "dark_counts", "radiance_gain"} & names else "counts"
+
+
+def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
+    # Return a line with the cube to show, and its name
+    name = shown_quantity(dataset)
+    if name not in dataset.variables:
+        dataset = {"reflectance": reflectance, "radiance": radiance}[name](dataset)
+    return dataset, name
+
+
+def quantity_label(cube: xr.DataArray) -> str:
+    """Return the quantity of a cube with its unit, as the label of an axis.
+
+    Examples
+    --------
+    >>> quantity_label(xr.DataArray(0, name="counts"))
+    'raw counts [count]'
+    """
+    name = {"reflectance": "reflectance factor", "counts": "raw counts"}.get(str(cube.name), str(cube.name))
+    unit = {"reflectance": "1", "counts": "count"}.get(str(cube.name), cube.attrs.get("units", ""))
+    powers = unit if unit == "1" else re.sub(r"(-?\d+)", r"$^{\1}$", label_for(unit))
+    return f"{label_for(name)} [{powers}]" if unit else label_for(name)
+
+
+def _region_medians(dataset: xr.Dataset, cube: xr.DataArray, regions: Any) -> xr.Dataset:
+    # Return median and spread of a cube over all pixels of regions, in the form of a paint library
+    outlines = regions_from(regions)
+    summaries, counts = [], []
+    for region, (along, across) in zip(outlines, pixels_of(outlines, dataset), strict=True):
+        SchemaError.raise_if(
+            not along.size,
+            f"region {region.name!r} holds no pixel of the line",
+            mend="draw it larger, or elsewhere",
+            code="region-empty",
+        )
+        values, _ = gather({"values": cube}, {}, along, across, slice(0, cube.sizes[BAND]), {})
+        summaries.append(summarise(values["values"], "median"))
+        counts.append(along.size)
+    dims = {
+        name: (SIGNATURE, *((QUANTILE,) if values.ndim == 2 else ()), BAND)
+        for name, values in summaries[0].items()
+    }
+    variables = {name: (dims[name], np.stack([summary[name] for summary in summaries])) for name in dims}
+    axes = {name: dataset[name].variable for name in ("wavelength", "good") if name in dataset.variables}
+    coords = {SIGNATURE: list(outlines.names), QUANTILE: list(QUANTILES), "n": (SIGNATURE, counts), **axes}
+    return xr.Dataset(variables, coords)
+
+
+def _curve_colours(values: Array, wavelength: Array, name: str) -> Array:
+    # Return colours (curve, rgb) in daylight, white at the highest value for other cubes than reflectance;
+    # NaN for fewer than three visible bands
+    order = np.argsort(wavelength, kind="stable")
+    top = 1.0 if name == "reflectance" else max(1e-30, float(np.nanmax(values, initial=0.0)))
+    try:
+        return srgb(values[:, order] / top, wavelength[order])
+    except SchemaError:
+        return np.full((len(values), 3), np.nan)
 
 
 def styles_of(colours: Array) -> list[dict[str, Any]]:
@@ -177,7 +256,9 @@ def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str 
 # --- paints and regions ------------------------------------------------------------------------------------
 
 
-def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | None, spread: str) -> None:
+def _draw_paints(
+    axes: Any, library: xr.Dataset, colours: Array, paints: str | Iterable[str] | None, spread: str
+) -> None:
     names = [str(name) for name in library[SIGNATURE].values]
     chosen = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
     problems = Problems("paints cannot be drawn", SchemaError)
@@ -194,7 +275,7 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
     )
     problems.raise_if_any()
     indices = [names.index(name) for name in chosen]
-    for name, index, style in zip(chosen, indices, styles_of(paint_colours(library)[indices]), strict=True):
+    for name, index, style in zip(chosen, indices, styles_of(colours[indices]), strict=True):
         paint = library.isel({SIGNATURE: index})
         wavelength = require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
         is_good = good_bands(paint)
@@ -277,12 +358,8 @@ def draw_pixels(
     if "wavelength_shift" in dataset.variables:
         variable = require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
         shift = np.broadcast_to(variable.values, shift.shape)
-    # colours in daylight; with fewer than three visible bands colours of matplotlib's cycle
-    order = np.argsort(wavelength, kind="stable")
-    try:
-        colours = srgb(np.where(is_good, cubes["reflectance"], np.nan)[:, order], wavelength[order])
-    except SchemaError:
-        colours = np.full((len(places), 3), np.nan)
+    name = "reflectance" if "reflectance" in cubes else next(iter(cubes))
+    colours = _curve_colours(np.where(is_good, cubes[name], np.nan), wavelength, name)
     styles = styles_of(colours)
     for axes, cube in zip(plots, cubes.values(), strict=True):
         for number, (along, across) in enumerate(places.tolist()):

@@ -446,7 +446,8 @@ def _flags(
     line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str = "", layer: str | None = None
 ) -> Markup:
     # a layer, or all flags with the outlines of regions; lines are flown upwards
-    axes = flag_overlay(line, layer=layer, lines=lines, axes=_new_axes(7.0 if layer else 7.5))
+    axes = _new_axes(7.0 if layer else 7.5)
+    flag_overlay(line, layer=layer, lines=lines, axes=axes)
     draw_outlines(axes, regions)
     caption = (
         schema.VARIABLES[layer].meaning if layer else "Flagged pixels; of several flags the rarest is shown"

@@ -14,6 +14,7 @@ from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
+from hyperpaint.base.schema import CUBE
 from hyperpaint.pictures import exploring
 from hyperpaint.pictures.exploring import INFRARED, Explored, Explorer, Spectrum, corners_at
 
@@ -103,8 +104,40 @@ def test_what_cannot_be_explored_is_refused() -> None:
         (SchemaError, "region-coordinates", lambda: Explored(line, hp.Regions(tuple(BEGIN), "map"))),
         (SchemaError, r"ring.*region-holes", lambda: Explored(line, holed)),
         (SchemaError, "reflectance", lambda: Explored(line.drop_vars("counts"))),
-        (SchemaError, "wavelength", lambda: Explored(line.drop_vars("wavelength"))),
     )
+
+
+def test_raw_counts_radiance_and_maps_are_explored(tmp_path: Path) -> None:
+    line = flight().line
+    raw = line[["counts", "wavelength"]]
+    hp.io.write_envi(raw, tmp_path / "cube.hdr", interleave="bsq")
+    (opened,) = exploring._lines_of(tmp_path / "cube.hdr").values()
+    lit = line.drop_vars("irradiance").drop_dims(
+        ["irradiance_time", "irradiance_wavelength"], errors="ignore"
+    )
+    for cube, quantity, values in (
+        (opened(), "values", raw.counts),
+        (raw.drop_vars("wavelength"), "raw counts [count]", raw.counts),
+        (lit, "radiance", line.paint.radiance().radiance),
+    ):
+        state = Explored(cube, library=hp.paints.starter_library(members=0))
+        assert state.quantity.startswith(quantity)
+        spectrum = spectrum_of(state, (7, 3))
+        np.testing.assert_array_equal(spectrum.reflectance, values.transpose(*CUBE).values[7, :, 3])
+        assert state.near_paints(spectrum) == []
+        assert quantity in str(state.uncertainty_of((7, 3)))
+        assert state.picture(*state.recipes.values()).rgba.any()
+    # bands without wavelengths are named by their numbers
+    bands = Explored(raw.drop_vars("wavelength"))
+    assert next(iter(bands.recipes)).startswith("band ")
+    # a map is north up: its columns run to the right
+    numbers = {"y": ("y", np.arange(24.0, 0.0, -1.0)), "x": ("x", np.arange(6.0))}
+    chart = raw.rename(along_track="y", cross_track="x").drop_vars(("y", "x"), errors="ignore")
+    chart = chart.assign_coords(numbers)
+    state = Explored(chart)
+    assert (state.shape, state.is_mirrored) == ((6, 24), False)
+    assert "column 3, row 7" in spectrum_of(state, (3, 7)).text
+    expect_error(SchemaError, "line-is-map", lambda: state.save(tmp_path / "r.geojson"))
 
 
 def test_on_a_crop_regions_have_the_numbers_of_the_line() -> None:
@@ -257,6 +290,8 @@ def test_near_paints_are_those_of_the_search(state: Explored) -> None:
     assert near[0].name == str(library["signature"].values[7])
     assert (near[0].angle, near[0].factor) == (pytest.approx(0.0, abs=1e-3), pytest.approx(0.5))
     assert [one.angle for one in near] == sorted(one.angle for one in near)
+    assert max(one.angle for one in near) <= exploring.MAX_NEAR_ANGLE
+    assert state.near_paints(spectrum._replace(reflectance=8.0 * paint)) == []  # another brightness
     assert state.near_paints(spectrum._replace(reflectance=np.full(paint.shape, np.nan))) == []
 
 
@@ -329,7 +364,7 @@ def test_a_click_shows_the_spectrum_and_a_drag_the_median(shown: Any) -> None:
     pixel = flight().line.paint.pixels(7, 3)
     np.testing.assert_array_equal(curves["reflectance"][1], pixel.reflectance.values)
     assert "line 7, column 3" in shown._widgets.spectrum.object
-    assert len(shown._widgets.paint_boxes.options) == 5
+    assert len(shown._widgets.paint_boxes.options) <= 5
     shown.tap(40.0, 2.0)  # beside the picture
     assert "line 7, column 3" in shown._widgets.spectrum.object
     shown.drag({"type": "rect", "x0": 9.4, "x1": 1.6, "y0": 0.7, "y1": 3.2})
@@ -407,9 +442,7 @@ def test_bands_and_flags_are_chosen(shown: Any) -> None:
     assert f"{band:.1f} nm" in shown._widgets.caption.object
     shown._widgets.recipe.value = "true colour"
     assert not shown._shown_band.visible
-    shown._sources["view"].data = {"along": [-0.5, 47.5], "size": [800, 300]}
-    # pixels are square: 6 columns in 300 pixels of the screen, so 16 lines in 800
-    assert (shown._plot.x_range.end - shown._plot.x_range.start) == 16.0
+    shown._sources["view"].data = {"along": [-0.5, 15.5]}
     assert shown._sources["detail"].data["dw"] == [shown._window[1]]
 
 

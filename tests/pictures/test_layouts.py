@@ -61,18 +61,15 @@ def draw(
     def own(width: float | None) -> dict[str, float]:
         return {} if width is None else {"width": width}
 
-    def new_axes(width: float | None) -> Any:
-        return pyplot.subplots(figsize=(width or 7.0, 5.0), layout="constrained")[1]
-
     region = hp.Region("a roof", [(0, 0), (9, 0), (9, 9), (0, 9)])
     drawers: dict[str, Draw] = {
         "quicklook": lambda width: pictures.quicklook(line, **own(width)),
         "triptych": lambda width: pictures.triptych(line, region, exclude=0, **own(width)),
         "pixels": lambda width: pictures.triptych(line, pixels=PLACES, **own(width)),
-        "flags": lambda width: pictures.flag_overlay(line, axes=new_axes(width)),
-        "layer": lambda width: pictures.flag_overlay(line, layer="surface", axes=new_axes(width)),
-        "spectra": lambda width: pictures.spectrum(paints, axes=new_axes(width)),
-        "spectra of pixels": lambda width: pictures.spectrum(line, pixels=PLACES, axes=new_axes(width)),
+        "flags": lambda width: pictures.flag_overlay(line, **own(width)),
+        "layer": lambda width: pictures.flag_overlay(line, layer="surface", **own(width)),
+        "spectra": lambda width: pictures.spectrum(paints, **own(width)),
+        "spectra of pixels": lambda width: pictures.spectrum(line, pixels=PLACES, **own(width)),
         "library": lambda width: pictures.library_overview(paints, columns=1 if width else 4),
         "validation": lambda width: pictures.validation_figure(agreement, columns=1 if width else 3),
         "calibration": lambda width: pictures.calibration_report(calibration, **own(width)),

@@ -22,10 +22,6 @@ from hyperpaint.paints.colours import ciede2000, encode_srgb, lab_of
 from hyperpaint.pictures.plot import background, draw_outlines, flag_overlay
 
 
-def axes() -> object:
-    return Figure().add_subplot()
-
-
 def labels(made: Any) -> list[str]:
     return [text.get_text() for text in made.get_legend().get_texts()]
 
@@ -67,7 +63,7 @@ def test_colours_of_flags_are_told_apart(readers: str) -> None:
 
 
 def test_flagged_pixels_have_the_colour_of_their_rarest_flag(line: xr.Dataset) -> None:
-    drawn = flag_overlay(line, opacity=0.6, axes=axes()).images[1].get_array()
+    drawn = flag_overlay(line, opacity=0.6).axes[0].images[1].get_array()
     assert drawn.shape == (40, 6, 4)  # lines upwards, columns to the right
     expected = np.zeros((40, 6), bool)
     expected[3, 1] = expected[10:20, 2] = True
@@ -79,27 +75,27 @@ def test_flagged_pixels_have_the_colour_of_their_rarest_flag(line: xr.Dataset) -
 
 def test_the_legend_tells_shares_of_all_pixels(line: xr.Dataset) -> None:
     for lines in (1000, 7):
-        made = flag_overlay(line, axes=axes(), lines=lines)
+        made = flag_overlay(line, lines=lines).axes[0]
         assert labels(made) == ["saturated  0.42 %", "glint  0.83 %", "shadow  4.2 %"]
 
 
 def test_chosen_flags_alone(line: xr.Dataset) -> None:
-    by_name = flag_overlay(line, "glint", axes=axes()).images[1].get_array()
-    by_bit = flag_overlay(line, Quality.GLINT, axes=axes()).images[1].get_array()
+    by_name = flag_overlay(line, "glint").axes[0].images[1].get_array()
+    by_bit = flag_overlay(line, Quality.GLINT).axes[0].images[1].get_array()
     np.testing.assert_array_equal(by_name, by_bit)
     assert int((by_name[..., 3] > 0).sum()) == 2
-    assert labels(flag_overlay(line, ["low_sun"], axes=axes())) == ["low sun  0 %"]
+    assert labels(flag_overlay(line, ["low_sun"]).axes[0]) == ["low sun  0 %"]
 
 
 def test_a_picture_of_fewer_lines_loses_no_flag(line: xr.Dataset) -> None:
-    made = flag_overlay(line, "glint", lines=10, axes=axes())
+    made = flag_overlay(line, "glint", lines=10).axes[0]
     drawn = made.images[1].get_array()[..., 3] > 0
     assert (drawn.shape, np.argwhere(drawn).tolist()) == ((10, 6), [[0, 1], [3, 2]])
     assert made.images[1].get_extent() == [-0.5, 5.5, -0.5, 39.5]
 
 
 def test_layers_are_values_over_the_picture(line: xr.Dataset) -> None:
-    made = flag_overlay(line, layer="glint_fraction", axes=axes())
+    made = flag_overlay(line, layer="glint_fraction").axes[0]
     assert made.get_legend() is None
     layer = made.images[1]
     assert layer.get_array()[8, 4] == np.float32(0.5)
@@ -107,7 +103,7 @@ def test_layers_are_values_over_the_picture(line: xr.Dataset) -> None:
     alpha = layer.get_alpha()
     assert (alpha[8, 4], alpha[3, 3]) == (pytest.approx(0.75), 0)
     assert "glint_fraction [1]" in [other.get_ylabel() for other in made.figure.axes]
-    fewer = flag_overlay(line, "shadow", layer="glint_fraction", lines=10, axes=axes())
+    fewer = flag_overlay(line, "shadow", layer="glint_fraction", lines=10).axes[0]
     assert float(fewer.images[1].get_array()[:, 4].max()) == 0.5
     assert fewer.get_legend() is not None
 
@@ -116,12 +112,12 @@ def test_layers_below_zero_are_drawn_about_zero(line: xr.Dataset) -> None:
     both = np.zeros((40, 6), np.float32)
     both[:20], both[20:30] = -0.3, 0.6
     tilt = line.assign(blocked_direct=(("along_track", "cross_track"), both))
-    layer = flag_overlay(tilt, layer="blocked_direct", axes=axes()).images[1]
+    layer = flag_overlay(tilt, layer="blocked_direct").axes[0].images[1]
     assert (layer.norm.vmin, layer.norm.vmax) == pytest.approx((-0.6, 0.6))
     np.testing.assert_allclose(layer.get_alpha()[[0, 25, 35], 0], [0.75, 0.75, 0.0], atol=1e-6)
     # a little noise below zero is no sign
     both[:20] = -0.01
-    assert flag_overlay(tilt, layer="blocked_direct", axes=axes()).images[1].norm.vmin == 0
+    assert flag_overlay(tilt, layer="blocked_direct").axes[0].images[1].norm.vmin == 0
 
 
 def test_what_is_not_there_is_told(line: xr.Dataset) -> None:
@@ -129,17 +125,17 @@ def test_what_is_not_there_is_told(line: xr.Dataset) -> None:
         (
             SchemaError,
             r"'glitter'.*saturated.*choice-un",
-            lambda: flag_overlay(line, ["glitter"], axes=axes()),
+            lambda: flag_overlay(line, ["glitter"]),
         ),
-        (SchemaError, r"'wavelength'.*missing", lambda: flag_overlay(line, layer="wavelength", axes=axes())),
+        (SchemaError, r"'wavelength'.*missing", lambda: flag_overlay(line, layer="wavelength")),
     )
 
 
 def test_a_line_without_flags_says_so_and_quality_is_computed_where_it_is_missing(line: xr.Dataset) -> None:
     clean = line.assign(quality=line.quality * np.uint16(0))
-    assert labels(flag_overlay(clean, axes=axes())) == ["no flag set"]
+    assert labels(flag_overlay(clean).axes[0]) == ["no flag set"]
     assert flag_shares(clean.quality.values) == {}
-    made = flag_overlay(flight(lines=12).line, axes=axes())
+    made = flag_overlay(flight(lines=12).line).axes[0]
     assert made.get_ylabel() == "along_track [line], flown upwards"
 
 

@@ -29,10 +29,6 @@ LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
 RIGHT = hp.Region("_right $x", [(3, 0), (5, 0), (5, 19), (3, 19)])
 
 
-def axes() -> Any:
-    return Figure().add_subplot()
-
-
 @pytest.fixture(scope="module")
 def line() -> xr.Dataset:
     return flight(lines=20, bands=24, columns=6).line
@@ -50,7 +46,7 @@ def texts(made: Any) -> list[str]:
 def test_a_pixel_is_the_cube_at_its_own_wavelengths(line: xr.Dataset) -> None:
     shift = np.linspace(-1.0, 1.0, 6)
     smiling = line.assign_coords(wavelength_shift=("cross_track", shift, {"units": "nm"}))
-    made = spectrum(smiling, pixels=(3, 4), axes=axes())
+    made = spectrum(smiling, pixels=(3, 4)).axes[0]
     nm, values = made.lines[0].get_data()
     np.testing.assert_allclose(nm, line.wavelength.values + shift[4])
     np.testing.assert_array_equal(values, smiling.paint.reflectance().reflectance.values[3, :, 4])
@@ -64,7 +60,7 @@ def test_pixels_tell_their_flags_and_uncertainty(line: xr.Dataset) -> None:
     full["quality"] = (("along_track", "cross_track"), quality)
     u = xr.full_like(full.reflectance, 0.03)
     full["reflectance_u_random"], full["reflectance_u_systematic"] = u, u * np.float32(4 / 3)
-    made = spectrum(full, pixels=[(3, 4), (0, 0)], axes=axes())
+    made = spectrum(full, pixels=[(3, 4), (0, 0)]).axes[0]
     assert texts(made) == ["(3, 4): low sun, glint", "(0, 0)"]
     band = made.collections[0].get_paths()[0].vertices
     assert band[:, 1].max() == pytest.approx(full.reflectance.values[3, :, 4].max() + 0.05, abs=1e-6)
@@ -73,28 +69,28 @@ def test_pixels_tell_their_flags_and_uncertainty(line: xr.Dataset) -> None:
 def test_bands_that_are_not_good_are_left_out(line: xr.Dataset) -> None:
     good = np.ones(24, bool)
     good[5] = False
-    made = spectrum(line.assign_coords(good=("band", good)), pixels=(0, 0), axes=axes())
+    made = spectrum(line.assign_coords(good=("band", good)), pixels=(0, 0)).axes[0]
     assert np.isnan(made.lines[0].get_ydata()).nonzero()[0].tolist() == [5]
 
 
 def test_regions_are_signatures_with_their_quantiles(line: xr.Dataset, paints: xr.Dataset) -> None:
     regions = hp.Regions((LEFT, RIGHT))
-    made = spectrum(line, regions, exclude=0, axes=axes())
+    made = spectrum(line, regions, exclude=0).axes[0]
     for number, drawn in enumerate(made.lines):
         np.testing.assert_array_equal(drawn.get_ydata(), paints.reflectance.values[number])
     assert texts(made) == ["left (n = 60)", r" _right \$x (n = 60)"]
     outer = made.collections[0].get_paths()[0].vertices[:, 1]
     assert outer.min() == pytest.approx(paints.reflectance_quantiles.values[0, 0].min())
     assert outer.max() == pytest.approx(paints.reflectance_quantiles.values[0, -1].max())
-    assert not spectrum(line, regions, exclude=0, spread="none", axes=axes()).collections
+    assert not spectrum(line, regions, exclude=0, spread="none").axes[0].collections
 
 
 def test_paints_of_a_library_by_name(paints: xr.Dataset) -> None:
-    made = paints.paint.spectrum(paints="left", spread="sd", axes=axes())
+    made = paints.paint.spectrum(paints="left", spread="sd").axes[0]
     assert len(made.lines) == 1
     band = made.collections[0].get_paths()[0].vertices[:, 1]
     assert band.max() == pytest.approx(float((paints.reflectance + paints.reflectance_sd)[0].max()))
-    assert len(paints.paint.spectrum(axes=axes()).lines) == 2
+    assert len(paints.paint.spectrum().axes[0].lines) == 2
 
 
 def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset) -> None:
@@ -108,24 +104,16 @@ def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset)
             "paint-unknown",
             "'middle'",
             "left, _right $x",
-            lambda: spectrum(paints, paints="middle", axes=axes()),
+            lambda: spectrum(paints, paints="middle"),
         ),
     )
     with pytest.raises(SchemaError) as refused:
-        spectrum(line, pixels=[(20, 0), (0, -1)], axes=axes())
+        spectrum(line, pixels=[(20, 0), (0, -1)])
     assert refused.value.codes == ("pixel-outside",) * 2
     expect_errors(
         (SchemaError, r"whole.*type-wrong", lambda: spectrum(line, pixels=(0.5, 1.0))),
         (SchemaError, "curve-number", lambda: spectrum(line, pixels=[(0, 0)] * 25)),
     )
-
-
-def test_new_axes_are_those_of_pyplot(line: xr.Dataset) -> None:
-    from matplotlib import pyplot
-
-    made = spectrum(line, pixels=(0, 0))
-    assert made.figure is pyplot.gcf()
-    pyplot.close(made.figure)
 
 
 def test_without_matplotlib(line: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,7 +176,7 @@ def test_curves_have_the_colours_of_their_paints(paints: xr.Dataset) -> None:
         {"reflectance": (("signature", "band"), spectra.astype("f4"), {"units": "1"})},
         {"wavelength": ("band", nm, {"units": "nm"}), "signature": ["red", "like it", "white"]},
     )
-    drawn = spectrum(library, axes=axes()).lines
+    drawn = spectrum(library).axes[0].lines
     for curve, colour in zip(drawn, paint_colours(library), strict=True):
         np.testing.assert_allclose(curve.get_color(), colour, atol=1e-6)
     assert drawn[0].get_linestyle() == "-" != drawn[1].get_linestyle()
