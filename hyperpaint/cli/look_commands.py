@@ -231,6 +231,7 @@ Examples:
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
 @takes(
     "report.store_report:write_report",
+    without=("validation",),
     out={
         "metavar": "REPORT.html",
         "type": PLACE,

@@ -154,11 +154,15 @@ def check_picture(path: Path) -> None:
 
 def png_of(figure: Any, dpi: int = 110) -> bytes:
     # Return a figure as PNG
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         # names may be in any script; glyphs that the font lacks become boxes
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(buffer, format="png", dpi=dpi)
+        # savefig draws twice, the first time for the layout only
+        figure.dpi = dpi
+        FigureCanvasAgg(figure).print_png(buffer)
     return buffer.getvalue()
 
 

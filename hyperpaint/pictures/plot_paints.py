@@ -235,7 +235,8 @@ def paint_card(
     plots = figure.subplot_mosaic(mosaic, **ratios)
     plots["text"].set_axis_off()
     plots["text"].text(0.0, 1.0, "\n".join(lines_of_text), fontsize="small", va="top", in_layout=False)
-    show_picture(plots["place"], np.asarray(rgb(surroundings).values), orientation_of(surroundings))
+    colours = np.asarray(rgb(surroundings).values)
+    show_picture(plots["place"], colours, orientation_of(surroundings))
     draw_outlines(plots["place"], [region], width=1.2, named=False)
     plots["place"].set_title("region on the flight line", fontsize="small", loc="left")
     # flags that the library excluded
@@ -244,6 +245,7 @@ def paint_card(
     _draw_exclusions(
         plots["used"],
         surroundings,
+        colours,
         in_region,
         region,
         excluded_of(region, excluded if names else int(EXCLUDED)),
@@ -305,18 +307,20 @@ def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
     return cropped.assign_coords(numbers), in_region
 
 
-def _draw_exclusions(axes: Any, around: xr.Dataset, in_region: Bools, region: Region, excluded: int) -> None:
+def _draw_exclusions(
+    axes: Any, around: xr.Dataset, colours: Array, in_region: Bools, region: Region, excluded: int
+) -> None:
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
     orientation = orientation_of(around)
-    grey = np.asarray(rgb(around).values).mean(axis=2, keepdims=True)
+    grey = colours.mean(axis=2, keepdims=True)
     picture = np.broadcast_to(0.35 + 0.5 * np.nan_to_num(grey), (*in_region.shape, 3)).copy()
     bits = np.zeros(in_region.shape, np.uint16)
     if "quality" in around.variables:
         bits = around["quality"].transpose(ALONG_TRACK, CROSS_TRACK).values
     is_used = in_region & ((bits & np.uint16(excluded)) == 0)
-    picture[is_used] = np.asarray(rgb(around).values)[is_used]
+    picture[is_used] = colours[is_used]
     entries = {f"used  {is_used.sum()} px": Patch(facecolor="none", edgecolor="0.5", lw=0.5)}
     shares = {flag: float(((bits & int(flag)) != 0)[in_region].mean()) for flag in Quality if flag & excluded}
     for flag, share in sorted(shares.items(), key=lambda pair: -pair[1]):

@@ -32,7 +32,7 @@ from hyperpaint.pictures.plot import flag_label, rgb
 from hyperpaint.pictures.plot_spectra import find_usable
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
-from .store_report import Written, flagged, groups_to_show, message_of
+from .store_report import HIDDEN_VARIABLES, Written, flagged, groups_to_show, message_of
 
 _Picture: TypeAlias = "np.ndarray[Any, np.dtype[np.uint8]]"
 
@@ -42,7 +42,7 @@ _WEB = resources.files("hyperpaint") / "report" / "web"
 _MAX_INDEX_BYTES = 16 * 2**20
 _ORIGIN = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?")
 
-# variables of a line or map that the page reads, and variables of a library that it does not read
+# variables of a line or map that the page reads
 _SHOWN_VARIABLES = (
     "reflectance",
     "quality",
@@ -53,14 +53,6 @@ _SHOWN_VARIABLES = (
     "good",
     "spatial_ref",
     "time",
-)
-_HIDDEN_VARIABLES = (
-    "member_reflectance",
-    "member_along_track",
-    "member_cross_track",
-    "reflectance_errors",
-    "error_correlation",
-    "quality_share",
 )
 
 
@@ -175,7 +167,7 @@ def write_site(
         path = name if name in groups.groups else "library"
         usable, faults = find_usable(paints)
         problems.extend(f"/{name}: {text}" for text in faults)
-        shown[path] = usable.drop_vars(_HIDDEN_VARIABLES, errors="ignore")
+        shown[path] = usable.drop_vars(HIDDEN_VARIABLES, errors="ignore")
         colours = [srgb_hex(colour) for colour in paint_colours(usable)]
         names = sorted(map(str, shown[path].variables))
         libraries.append({"name": name, "group": path, "variables": names, "colours": colours})

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
     from hyperpaint.regions import Region
+    from hyperpaint.validation import Validation
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ def write_report(
     max_lines: int = 1000,
     flags: bool = True,
     cards: int = 60,
+    validation: Validation | None = None,
     sun_zenith: float | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -112,6 +114,8 @@ def write_report(
     cards
         Maximum number of paints of a flight line shown one by one: region, pixels used and excluded,
         signature (`hyperpaint.pictures.paint_card`). Each takes half a second and 60 kB.
+    validation
+        Agreement of ``library`` with the references; by default `hyperpaint.validate` compares them.
     sun_zenith
         Sun zenith angle for the flags [degree]; by default from time and position of each line.
     overwrite
@@ -172,7 +176,8 @@ def write_report(
     sections += [(name, map_section(group, max_lines)) for name, group in maps.items()]
     sections += [(name, library_section(paints)) for name, paints in libraries.items()]
     if has_validation:
-        sections.append(("validation", validation_section(libraries, references)))
+        known = {} if library is None or validation is None else {Path(library).name: validation}
+        sections.append(("validation", validation_section(libraries, references, known)))
     if calibration is not None:
         sections.append(("calibration", calibration_section(calibration)))
     drawn_sections = []
@@ -233,6 +238,15 @@ def _draw_section(name: str, parts: Iterator[Part], problems: list[str]) -> list
     return markups
 
 
+#: Variables of a library that pages do not show.
+HIDDEN_VARIABLES = (
+    "member_reflectance",
+    "member_along_track",
+    "member_cross_track",
+    "reflectance_errors",
+    "error_correlation",
+    "quality_share",
+)
 MAX_LINES = 64  # flight lines of one page: each takes some megabytes
 
 _SCENE_FLAGS = "Glint, shadow and light of neighbours"
@@ -389,10 +403,16 @@ def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: 
     # Yield the cards of the paints measured on a flight line, at most ``most`` of them.
     #
     # ``cards`` are pairs of a library and the name of one of its paints.
+    # once for all cards, without the variables that a card does not show
+    loaded = {
+        id(library): library.drop_vars(HIDDEN_VARIABLES, errors="ignore").load()
+        for library, _ in cards[:most]
+    }
     for number, (library, paint) in enumerate(cards[:most]):
         heading = "" if number else "Paint by paint"
         caption = f"{paint}: its region, the pixels used, and its signature."
-        yield f"card of {paint}", partial(_drawn, partial(paint_card, line, library, paint), caption, heading)
+        draw = partial(paint_card, line, loaded[id(library)], paint)
+        yield f"card of {paint}", partial(_drawn, draw, caption, heading)
     if len(cards) > most:
         text = f"and {len(cards) - most} more paints, without a card"
         yield "more cards", lambda: page_part("paragraph", text=text)
@@ -702,20 +722,19 @@ def _alignment(attrs: Mapping[Any, Any]) -> Markup:
 
 
 def validation_section(
-    libraries: Mapping[str, xr.Dataset], references: Sequence[xr.Dataset]
+    libraries: Mapping[str, xr.Dataset], references: Sequence[xr.Dataset], known: Mapping[str, Validation]
 ) -> Iterator[Part]:
-    # Yield the agreement of each library with the field spectra in the store.
+    # Yield the agreement of each library with the field spectra in the store; ``known``: results by library.
     for name, library in libraries.items():
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", PaintWarning)
-            try:
-                agreement = validate(library, list(references))
-            except SchemaError as error:
-                yield name, partial(page_part, "paragraph", text=f"{name} cannot be compared: {error}")
-                continue
+        try:
+            with warnings.catch_warnings(action="ignore", category=PaintWarning):  # the page has them
+                agreement = known[name] if name in known else validate(library, list(references))
+        except SchemaError as error:
+            yield name, partial(page_part, "paragraph", text=f"{name} cannot be compared: {error}")
+            continue
         yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
         caption = "Signatures over their references, and the differences with their standard uncertainty."
         yield "agreement", partial(_drawn, partial(validation_figure, agreement), caption)
         yield "statistics", partial(page_part, "preformatted", lines=agreement.table().splitlines())
-        for message in dict.fromkeys(str(warning.message) for warning in caught):
+        for message in agreement.remarks:
             yield "remark", partial(page_part, "paragraph", text=message)

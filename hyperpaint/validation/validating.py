@@ -9,6 +9,7 @@ The result has statistics, spectra, and a text table.
 
 from __future__ import annotations
 
+import functools
 import html
 import itertools
 from collections import Counter
@@ -131,6 +132,8 @@ class Validation:
     between
         Agreement of the references of one paint where several instruments measured it, one pair for two
         instruments. It does not decide whether signatures pass.
+    remarks
+        Texts of the warnings of the comparison.
 
     Examples
     --------
@@ -154,6 +157,7 @@ class Validation:
     missing: tuple[str, ...]
     tolerance: Mapping[str, float]
     between: Validation | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -472,10 +476,7 @@ class Measured:
         # uncertainty that other channels have.
         if self.covariance is not None:
             missing = np.isnan(np.diagonal(self.covariance))
-            # truncated correlations cause eigenvalues slightly below zero
-            variances, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
-            components = vectors * np.sqrt(np.maximum(variances, 0.0))
-            errors = rng.standard_normal((draws, variances.size)) @ components.T
+            errors = rng.standard_normal((draws, self.values.size)) @ self._components.T
             return np.asarray(np.where(missing, np.nan, errors))
         errors = np.zeros((draws, self.values.size))
         if self.u_random is not None:
@@ -486,6 +487,13 @@ class Measured:
         if systematic is not None:
             errors += systematic * rng.standard_normal((draws, 1))
         return errors
+
+    @functools.cached_property
+    def _components(self) -> Floats:
+        # Principal components of the covariance (channel, component), once for all pairs of a spectrum.
+        # Truncated correlations cause eigenvalues slightly below zero.
+        variances, vectors = np.linalg.eigh(np.nan_to_num(np.asarray(self.covariance)))
+        return np.asarray(vectors * np.sqrt(np.maximum(variances, 0.0)))
 
 
 def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
@@ -1861,7 +1869,8 @@ def validate(
             )
             for row in np.flatnonzero(outside.any(axis=1))
         ]
-    for code, text in dict.fromkeys(messages):
+    unique_messages = dict.fromkeys(messages)
+    for code, text in unique_messages:
         warn_user(text, code)
     return Validation(
         statistics=_statistics(compared, parts, limits, user_parts=user_parts),
@@ -1874,6 +1883,7 @@ def validate(
         missing=unpaired_signatures if require_all else missing,
         tolerance=limits,
         between=between_instruments,
+        remarks=tuple(f"{text} [{code}]" for code, text in unique_messages),
     )
 
 

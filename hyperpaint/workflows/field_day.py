@@ -22,6 +22,7 @@ from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.io.store.manifest import INPUTS
 from hyperpaint.regions import Regions, read_regions
 from hyperpaint.report.store_report import write_report
+from hyperpaint.validation import Validation
 
 from .library_files import validate_files, write_signatures, write_table
 from .maps import LINES, lines_of_store, map_of_store, mosaic_of_store, write_map
@@ -178,6 +179,7 @@ class FieldDayRun:
     shows_progress: bool
     outcomes: dict[str, StepOutcome] = field(default_factory=dict)
     passed: bool | None = None
+    validation: Validation | None = None  #: Result of the step, unless it was made by an earlier run.
 
     @property
     def store(self) -> Path:
@@ -275,7 +277,7 @@ def _signatures(day: FieldDayRun) -> str:
 
 def _validate(day: FieldDayRun) -> str:
 
-    validation = validate_files(day.library)
+    day.validation = validation = validate_files(day.library)
     day.passed = validation.passed
     table = day.out / "agreement.csv"
     write_table(validation, table, overwrite=True)
@@ -327,6 +329,7 @@ def _report(day: FieldDayRun) -> str:
         day.store,
         day.out / "report.html",
         library=library,
+        validation=day.validation,
         overwrite=True,
         progress=day.progress("report"),
     )
