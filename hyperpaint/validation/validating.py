@@ -1283,8 +1283,8 @@ def paired(
     )
     if not matched:
         mend = "name them with {}, or give regions a property reference"
-        texts = [match.text for match in by_place.values()]
-        at = f"; by place: {'; '.join(list(dict.fromkeys(texts))[:_MAX_LISTED_REASONS])}" if texts else ""
+        distinct = list(dict.fromkeys(match.text for match in by_place.values()))
+        at = f"; by place: {'; '.join(distinct[:_MAX_LISTED_REASONS])}" if distinct else ""
         raise SchemaError(
             "no paint has a reference of its name or place; paints are "
             f"{_listed([s.name for s in signatures])}, references "

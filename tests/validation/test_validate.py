@@ -268,9 +268,7 @@ def test_pairs_by_place_where_no_name_matches() -> None:
     # from the first paint: metres north [1e-5 degree = 1.1 m]
     def placed(data: xr.Dataset, dim: str, *north: float) -> xr.Dataset:
         at = np.array(north) * 1e-5
-        return data.assign_coords(
-            latitude=(dim, 43.0 + at), longitude=(dim, np.full(at.size, -77.0) + 0 * at)
-        )
+        return data.assign_coords(latitude=(dim, 43.0 + at), longitude=(dim, 0.0 * at - 77.0))
 
     paints = placed(
         library([smooth(NM)] * 4, ("red-01", "red-02", "hood", "roof")), "signature", 0, 20, 40, 60
@@ -294,7 +292,7 @@ def test_pairs_by_place_where_no_name_matches() -> None:
         again.unpaired_references
     )
     with pytest.raises(
-        SchemaError, match="by place: 2.2 m from red-01, .* as are 1 more: readings of it, or of"
+        SchemaError, match=r"by place: 2\.2 m from red-01, .* as are 1 more: readings of it, or of"
     ):
         hp.validate(paints, references.isel(spectrum=[0, 5]))
     # a name that is asked for, or that a region states, needs no place
