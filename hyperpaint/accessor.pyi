@@ -300,7 +300,7 @@ class PaintAccessor:
         brightness: float = 0.03,
         angle: float = 5.0,
         flightline: str = "",
-        name: str = "paint",
+        name: str = "",
         progress: Progress | bool | None = None,
         dims: Dims | None = None,
         **options: Any,

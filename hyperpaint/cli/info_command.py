@@ -457,13 +457,15 @@ def facts_of_field_folder(field: FieldFolder) -> Facts:
         }
         yield relative(cube.header), ", ".join(name if part else f"no {name}" for name, part in parts.items())
     has_toml = (field.folder / "collect.toml").exists()
-    references = (f"{instrument} in {relative(path)}" for instrument, path, _ in field.references)
+    references = (
+        f"{instrument} in {', '.join(map(relative, paths))}" for instrument, paths in field.references.items()
+    )
     yield from (
         ("dark", ", ".join(map(relative, field.darks)) or "none"),
         ("white", ", ".join(map(relative, field.whites))),
         ("calibration", relative(field.calibration)),
         ("lab sweep", relative(field.sweep)),
-        ("irradiance", ", ".join(relative(path) for path, _ in field.irradiance) or "none"),
+        ("irradiance", ", ".join(map(relative, field.irradiance)) or "none"),
         ("references", ", ".join(references)),
         ("not used", "\n".join(field.notes)),
         (

@@ -15,8 +15,9 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.light.daylight_colours import ciede2000, lab_of, parse_colour
 
-from .colours import ciede2000, lab_of, paint_colours, parse_colour
+from .colours import paint_colours
 
 #: Minimum number of common bands of two spectra that are compared.
 MIN_BANDS = 5

@@ -21,8 +21,9 @@ from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.light.daylight_colours import srgb_hex
 
-from .colours import paint_colours, srgb_hex
+from .colours import paint_colours
 from .mixing.synthetic_paints import (
     SPECULAR,
     Interface,

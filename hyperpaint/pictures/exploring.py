@@ -34,7 +34,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, rena
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
-from hyperpaint.paints.colours import encode_srgb, srgb_weights
+from hyperpaint.light.daylight_colours import encode_srgb, srgb_weights
 from hyperpaint.paints.paint_search import search_library
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise

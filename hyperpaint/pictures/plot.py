@@ -31,7 +31,7 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.kernels.overviews import mix_bands
-from hyperpaint.paints.colours import encode_srgb, srgb_weights
+from hyperpaint.light.daylight_colours import encode_srgb, srgb_weights
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES, gather
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance

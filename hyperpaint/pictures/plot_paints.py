@@ -27,7 +27,8 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.paints.colours import paint_colours, srgb
+from hyperpaint.light.daylight_colours import srgb
+from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of
 from hyperpaint.radiometry.panel_judging import PANEL_STATES

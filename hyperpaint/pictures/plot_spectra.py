@@ -27,7 +27,8 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.paints.colours import ciede2000, lab_of, paint_colours, srgb
+from hyperpaint.light.daylight_colours import ciede2000, lab_of, srgb
+from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.signatures import extract_signatures
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES, gather, summarise
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance

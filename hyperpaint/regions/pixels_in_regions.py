@@ -180,7 +180,7 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
     if regions.coordinates == "map":
         line = located_for(regions, line)
-        x, y, crs = _ground(line, regions.crs)
+        x, y, crs = ground_of(line, regions.crs)
         if crs is not None and regions.crs is not None:
             regions = _transformed(regions, crs)
         return _by_coordinates(regions, x, y, shape)
@@ -350,7 +350,7 @@ def _transformed(regions: Regions, crs: str) -> Regions:
     return _with_rings(regions, transformed, crs=crs)
 
 
-def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray, str | None]:
+def ground_of(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray, str | None]:
     # x and y of every pixel on the ground, and the reference system to transform regions to.
     # The latter is None where x and y are in the reference system of the regions.
     systems = {pair: _crs_of(line, pair) for pair in _GROUND if _has_pair(line, pair)}

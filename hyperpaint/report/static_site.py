@@ -26,7 +26,8 @@ from hyperpaint.base.old_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store import to_store
-from hyperpaint.paints.colours import paint_colours, srgb_hex
+from hyperpaint.light.daylight_colours import srgb_hex
+from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import encode_png, flown_right, orientation_of
 from hyperpaint.pictures.plot import flag_label, rgb
 from hyperpaint.pictures.plot_spectra import find_usable

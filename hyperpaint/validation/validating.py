@@ -40,6 +40,8 @@ from hyperpaint.light.responses import Responses, matching_operator
 from hyperpaint.light.sun import solar_position
 from hyperpaint.paints.band_ratios import covariance
 
+from .matching_by_place import Place, match_places
+
 #: Names of the two terms of a maximum RMSE that grows with the paint's level.
 RELATIVE, FLOOR = "relative", "floor"
 
@@ -101,6 +103,9 @@ _LEGEND = (
 #: Maximum tolerance of RMSE over the level of the paint for a part that is judged [1]: beyond, a paint with
 #: half the reflectance would pass.
 MAX_TOLERANCE_SHARE = 0.5
+
+#: Accuracy of positions by default [m]: of a handheld GPS receiver, beside a car whose roof is measured.
+PLACE_ACCURACY_M = 5.0
 
 _MAX_NAMES = 6
 _MAX_NAME_CHARS = 40
@@ -431,6 +436,7 @@ class Measured:
     covariance: Floats | None = (
         None  #: (channel, channel): Covariance of both uncertainties [1]; None if unknown.
     )
+    place: Place = None  #: Latitude and longitude of the measured surface [degree]; None if unknown.
 
     @property
     def name(self) -> str:
@@ -831,6 +837,7 @@ def _library_spectra(
             notes=(*channels.notes, *_light_notes(dataset, number)),
             finish=_text_of(dataset, "finish", number, SIGNATURE),
             aspecular=_aspecular_of(dataset, number, attrs),
+            place=_place_of(dataset, number, SIGNATURE),
             **(coat_of(attrs) | _uncorrected_coat(dataset, number, attrs)),
         )
 
@@ -921,6 +928,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
             aspecular=_aspecular_of(dataset, number, attrs),
+            place=_place_of(dataset, number, "spectrum"),
             **coat_of(attrs),
         )
 
@@ -950,6 +958,14 @@ def _aspecular_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any]) ->
     if "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all():
         return float("nan")
     return float(solar_position(time, *place)[0])
+
+
+def _place_of(dataset: xr.Dataset, number: int, dim: str) -> Place:
+    names = ("latitude", "longitude")
+    if any(name not in dataset.variables or dataset[name].dims != (dim,) for name in names):
+        return None
+    latitude, longitude = (float(dataset[name].values[number]) for name in names)
+    return (latitude, longitude) if np.isfinite(latitude + longitude) else None
 
 
 def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
@@ -1224,6 +1240,7 @@ def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
 # --- pairs ------------------------------------------------------------------------------------------------
 
 _MAX_LISTED_NAMES = 12
+_MAX_LISTED_REASONS = 3
 
 
 @dataclass(frozen=True)
@@ -1235,7 +1252,10 @@ class Pair:
 
 
 def paired(
-    signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None
+    signatures: Sequence[Measured],
+    references: Sequence[Measured],
+    pairs: Any = None,
+    place_accuracy: float = PLACE_ACCURACY_M,
 ) -> tuple[list[Pair], tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     # Return the pairs of signatures and references, and the names of those without a counterpart.
     #
@@ -1244,24 +1264,39 @@ def paired(
     #
     # ``signatures``, ``references``: spectra with their names; ``pairs``: one or several names of references
     # by name of a paint. By default a signature's property ``reference`` names them, and without this
-    # property the signature's name.
+    # property the signature's name, unless its place contradicts, then its place: see `match_places`.
     #
     # Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
     # datasets, share a name; or nothing can be paired. All problems of a kind are listed.
     names_of_paint = _named_pairs(signatures, references, pairs) if pairs is not None else None
     problems = Problems("paints and references cannot be paired by name", SchemaError)
     counts = Counter(signature.name for signature in signatures)
+    places = {k: s.place for k, s in enumerate(signatures) if s.place and not s.reference_name}
+    by_place = match_places(
+        places if names_of_paint is None else {},
+        {k: signature.name for k, signature in enumerate(signatures)},
+        [reference.place for reference in references],
+        [reference.instrument for reference in references],
+        place_accuracy,
+    )
     matched: list[Pair] = []
     unpaired: list[str] = []
     missing: list[str] = []
     paired_references: set[int] = set()
-    for signature in signatures:
+    for key, signature in enumerate(signatures):
         requested = signature.reference_name
         if names_of_paint is None:
             names: Sequence[str] = (requested or signature.name,)
         else:
             names = names_of_paint.get(signature.name, ())
         matching = sorted({k for name in names for k in _references_of_name(name, references, problems)})
+        if key in places and by_place:
+            # a place confirms a name, and replaces it where no name matches
+            here = {k: match.text for k, match in by_place.items() if match.paint == key}
+            matching = [k for k in matching if k not in by_place or key in by_place[k].near] or list(here)
+            here = {k: text for k, text in here.items() if k in matching}
+            texts = (f"matched by place: {references[k].name} is {text}" for k, text in here.items())
+            signature = replace(signature, notes=(*signature.notes, *texts))
         if not matching:
             is_missing = names_of_paint is None and bool(requested)
             unpaired.append(signature.name + (f" (no reference {requested!r})" if is_missing else ""))
@@ -1278,16 +1313,20 @@ def paired(
             group = tuple(references[k] for k in matching if references[k].instrument == instrument)
             matched.append(Pair(signature, group))
     problems.raise_if_any()
+    reasons = {k: f": {match.text}" for k, match in by_place.items() if match.paint is None}
     unpaired_references = tuple(
-        f"{reference.name} ({reference.instrument})"
+        f"{reference.name} ({reference.instrument}{reasons.get(k, '')})"
         for k, reference in enumerate(references)
         if k not in paired_references
     )
     if not matched:
         mend = "name them with {}, or give regions a property reference"
+        distinct = list(dict.fromkeys(match.text for match in by_place.values()))
+        at = f"; by place: {'; '.join(distinct[:_MAX_LISTED_REASONS])}" if distinct else ""
         raise SchemaError(
-            f"no paint has a reference of its name; paints are {_listed([s.name for s in signatures])}, "
-            f"references {_listed(unpaired_references)}",
+            "no paint has a reference of its name or place; paints are "
+            f"{_listed([s.name for s in signatures])}, references "
+            f"{_listed([f'{reference.name} ({reference.instrument})' for reference in references])}{at}",
             mend=mend.format("pairs={paint: reference}"),
             option=mend.format("--pairs"),
             code="reference-unmatched",
@@ -1674,6 +1713,7 @@ def validate(
     parts: Mapping[str, tuple[float, float]] | None = None,
     reference_fwhm: float | None = None,
     require_all: bool = False,
+    place_accuracy: float = PLACE_ACCURACY_M,
     seed: int = 0,
 ) -> Validation:
     r"""Compare paint signatures with reference measurements of the same paints.
@@ -1688,7 +1728,8 @@ def validate(
         `hyperpaint.open_asd` and ``open_svc``, or a paint library (signature, band).
     pairs
         One or several names of references by name of a paint. By default the region property ``reference``
-        names the reference of a paint; without it, the paint's name does. Names of files match with and
+        names the reference of a paint; without it, the paint's name does, else its place if both have one
+        (proposed regions of a line with navigation; files with GPS). Names of files match with and
         without folder and suffix; full names take precedence. Similar names do not match. Several readings of
         one instrument are averaged if they come from one folder and dataset, or if ``pairs`` names them all.
     tolerance
@@ -1711,6 +1752,11 @@ def validate(
         instrument, else twice the distance of channels; the result names the source.
     require_all
         Whether every paint must have a reference; by default only those whose region names one.
+    place_accuracy
+        Accuracy of the positions of paints and references [m]. A reference belongs to the nearest paint
+        within this distance. A tie is no match: the next paint is less than this farther away, or several
+        references of one instrument are there. The notes of a pair state its distances, and
+        ``unpaired_references`` the reasons.
     seed
         Seed of the random draws for uncertainties.
 
@@ -1810,7 +1856,7 @@ def validate(
     if panel is not None:
         reference_spectra = scaled_by_panel(reference_spectra, panel)
     matched, unpaired_signatures, unpaired_references, missing = paired(
-        signatures_from(signatures), reference_spectra, pairs
+        signatures_from(signatures), reference_spectra, pairs, place_accuracy
     )
     compared = [compare(pair, seed) for pair in matched]
     # references of one paint, measured by two instruments, against one another

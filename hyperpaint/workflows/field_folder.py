@@ -41,7 +41,8 @@ from hyperpaint.io.flightline.headwall import (
 )
 from hyperpaint.io.navigation.control_points import column_heading, metres_of
 from hyperpaint.io.navigation.navigation_records import read_imu_gps
-from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra
+from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra, sniff
+from hyperpaint.io.spectrometers.reference_files import open_spectra
 
 _MAX_SURVEY_BYTES = 1 << 20
 #: Maximum depth of subfolders that are searched.
@@ -92,9 +93,8 @@ class FieldFolder:
     whites: tuple[Path, ...]
     calibration: Path | None
     sweep: Path | None
-    #: Spectra of downwelling irradiance (folder, suffix), and of reflectance (instrument, folder, suffix).
-    irradiance: tuple[tuple[Path, str], ...]
-    references: tuple[tuple[str, Path, str], ...]
+    irradiance: tuple[Path, ...]  # patterns of spectra of downwelling irradiance
+    references: dict[str, list[Path]]  # files, or patterns of files, of reflectance by instrument
     #: Clock of the irradiance record minus UTC [h]; None if no file contains it.
     utc_offset_h: float | None
     #: Minimum and maximum correction of that clock [s] with which the record covers the flight; None if times
@@ -116,6 +116,7 @@ def find_field_files(
     asd: str | os.PathLike[str] | None = None,
     dark: str | os.PathLike[str] | None = None,
     calibration: str | os.PathLike[str] | None = None,
+    references: Sequence[str | os.PathLike[str]] = (),
 ) -> FieldFolder:
     """Find the files of a field day in a folder, by reading headers and small files, but no cubes.
 
@@ -129,11 +130,14 @@ def find_field_files(
         Folder of dark cubes, if it is outside ``folder``.
     calibration
         Calibration or lab sweep of the camera; by default the one in the folder.
+    references
+        Files of reference spectra (``.sig``, ``.asd``, text exports, tables in CSV), or folders of them, if
+        they are outside ``folder``.
 
     Raises
     ------
     CollectError
-        ``folder`` has no raw cube, is not a folder, or holds too many files.
+        ``folder`` has no raw cube, is not a folder, or holds too many files; ``references`` has no spectra.
 
     Notes
     -----
@@ -143,7 +147,8 @@ def find_field_files(
     """
     folder, notes = Path(folder), list[str]()
     raw, darks, whites, calibrations, surveys = (list[Path]() for _ in range(5))
-    spectra: dict[tuple[Path, str], list[Path]] = {}
+    # spectra by the file or the pattern of files that names them in the collect.toml
+    spectra: dict[Path, list[Path]] = {}
 
     def relative(path: Path) -> str:
         return os.path.relpath(path, folder)
@@ -178,7 +183,7 @@ def find_field_files(
                     is_white = any(_WHITE.search(part.split(".")[0]) for part in parts)
                     (darks if is_dark else whites if is_white else raw).append(path)
             elif suffix in (".asd", ".sig") and kind != "dark":
-                spectra.setdefault((path.parent, suffix), []).append(path)
+                spectra.setdefault(path.parent / f"*{path.suffix}", []).append(path)
             # a store with flight lines is a processed collect, not a calibration
             elif not kind and suffix in _STORES and not (path / "flightlines").is_dir():
                 calibrations.append(path)
@@ -193,10 +198,18 @@ def find_field_files(
         )
     chosen = calibrations if calibration is None else [Path(calibration)]
     camera, sweep = _calibration(chosen, relative, notes)
-    irradiance, references = _instruments(spectra, relative, notes)
+    spectra |= (named := _named_references(references))
+    irradiance, instruments = _instruments(spectra, relative, notes)
+    used = {path for paths in instruments.values() for path in paths}
+    if named and not used & set(named):
+        raise CollectError(
+            "; ".join([f"no reference spectra in {', '.join(map(str, references))}", *notes]),
+            expected="reflectance: SVC .sig, ASD .asd, text exports, or tables in CSV",
+            code="file-not-found",
+        )
     raw.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
     cubes = tuple(map(_flight_cube, raw))
-    record = [path for spectra_folder, _ in irradiance for path in spectra[spectra_folder, ".asd"]]
+    record = [path for pattern in irradiance for path in spectra[pattern]]
     utc_offset_h, clock_offsets_s = _record_times(record, cubes)
     survey = _survey(surveys, relative, notes)
     if whites and (irradiance or camera or sweep):
@@ -211,7 +224,7 @@ def find_field_files(
         calibration=camera,
         sweep=sweep,
         irradiance=tuple(irradiance),
-        references=tuple(references),
+        references=instruments,
         utc_offset_h=utc_offset_h,
         clock_offsets_s=clock_offsets_s,
         survey=survey,
@@ -281,24 +294,56 @@ def _calibration(
     return (candidates[0], None) if calibrations else (None, candidates[0] if sweeps else None)
 
 
+def _named_references(paths: Iterable[str | os.PathLike[str]]) -> dict[Path, list[Path]]:
+    # files of reference spectra outside the folder, by file or pattern; tables and exports singly
+    spectra: dict[Path, list[Path]] = {}
+    for place in map(Path, paths):
+        CollectError.raise_if(
+            not place.exists(),
+            f"references {place}: no such file or folder",
+            mend="check the path",
+            code="file-not-found",
+        )
+        for path in _walk(place) if place.is_dir() else [place]:
+            is_pattern = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
+            if is_pattern or place.is_file() or path.suffix.lower() in (".txt", ".csv", ".tsv"):
+                key = path.parent / f"*{path.suffix}" if is_pattern else path
+                spectra.setdefault(key, []).append(path)
+        CollectError.raise_if(
+            not spectra,
+            f"references {place}: no spectra in this folder",
+            expected="SVC .sig, ASD .asd, text exports, or tables in CSV",
+            code="file-not-found",
+        )
+    return spectra
+
+
 def _instruments(
-    spectra: dict[tuple[Path, str], list[Path]], relative: Callable[[Path], str], notes: list[str]
-) -> tuple[list[tuple[Path, str]], list[tuple[str, Path, str]]]:
-    # folders of irradiance, and folders of reflectance with their instruments
-    irradiance: list[tuple[Path, str]] = []
-    references: list[tuple[str, Path, str]] = []
-    for (folder, suffix), files in sorted(spectra.items()):
+    spectra: dict[Path, list[Path]], relative: Callable[[Path], str], notes: list[str]
+) -> tuple[list[Path], dict[str, list[Path]]]:
+    # patterns of irradiance, and patterns of reflectance by instrument; a table in CSV is its own instrument
+    irradiance: list[Path] = []
+    references: dict[str, list[Path]] = {}
+    for pattern, files in sorted(spectra.items()):
+        first = min(files)
+        kind = "scans" if pattern.suffix.lower() == ".sig" else sniff(first)
+        instrument, quantity = {"scans": "svc"}.get(kind, "asd"), "reflectance"
         try:
-            quantity = "svc" if suffix == ".sig" else _read_quietly(sorted(files)[:1])[1]
+            if kind in ("binary", "text"):
+                quantity = _read_quietly([first])[1]
+            elif kind != "scans":
+                (opened,) = open_spectra([first])
+                instrument = re.sub(r"[^A-Za-z0-9]+", "_", first.stem).strip("_") or "table"
+                quantity = str(next(iter(opened.data_vars), "nothing"))
         except PaintError as error:
-            notes.append(f"{relative(folder)}/*.asd is not used: {error}")
+            notes.append(f"{relative(pattern)} is not used: {error}")
             continue
         if quantity == "irradiance":
-            irradiance.append((folder, suffix))
-        elif quantity in ("svc", "reflectance"):
-            references.append(("svc" if quantity == "svc" else "asd", folder, suffix))
+            irradiance.append(pattern)
+        elif quantity == "reflectance":
+            references.setdefault(instrument, []).append(pattern)
         else:
-            notes.append(f"{relative(folder)}/*.asd is not used: it contains {quantity}")
+            notes.append(f"{relative(pattern)} is not used: it contains {quantity}")
     return irradiance, references
 
 
@@ -469,7 +514,7 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
         key("irradiance", "files", UNKNOWN, "files of the irradiance spectrometer (not needed for radiance)")
     ]
     if files.irradiance:
-        patterns = [_without_controls(f"{relative(folder)}/*{suffix}") for folder, suffix in files.irradiance]
+        patterns = [_without_controls(relative(pattern)) for pattern in files.irradiance]
         note = "logging PC minus UTC [h], such as -5: no file states it"
         irradiance = [
             key("irradiance", "files", patterns[0] if len(patterns) == 1 else patterns),
@@ -541,9 +586,10 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
             *(key("panels", name) for name in ("along_track", "cross_track", "reflectance", "uncertainty")),
         )
     )
-    for instrument, folder, suffix in files.references:
-        pattern = _quoted(f"{relative(folder)}/*{suffix}")
-        yield from ("", "[[references]]", f"instrument = {_quoted(instrument)}", f"files = {pattern}")
+    for instrument, paths in files.references.items():
+        names = [_without_controls(relative(path)) for path in paths]
+        yield from ("", "[[references]]", f"instrument = {_quoted(instrument)}")
+        yield f"files = {toml_text(names[0] if len(names) == 1 else names)}"
     if files.notes:
         yield from ("", "# Files without a use:")
     for note in files.notes:

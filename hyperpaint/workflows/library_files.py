@@ -206,14 +206,14 @@ def _propose(
     # with several lines, names of paints start with the name of the line
     proposals_by_line = {}
     for name, line in lines.items():
-        paint = "paint" if len(lines) == 1 else f"{name}_paint"
+        prefix = "" if len(lines) == 1 else name
         survey = flagged.get(name)
         surveyed, model = (line, None) if survey is None else (survey.surveyed, survey.model)
         # with the model of a survey, only the shared options remain
         names = _SHARED_OPTIONS if survey else set(options) - {"edge"}
         line_options = {key: options[key] for key in names if key in options}
         proposals_by_line[name] = propose_regions(
-            surveyed, model, flightline=name, name=paint, **line_options
+            surveyed, model, flightline=name, name=prefix, **line_options
         )
     regions = Regions(tuple(region for proposals in proposals_by_line.values() for region in proposals))
     refused = [

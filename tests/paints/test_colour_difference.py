@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.paints.colours import COLOURS, ciede2000, lab_of, parse_colour, srgb_hex
+from hyperpaint.light.daylight_colours import COLOURS, ciede2000, lab_of, parse_colour, srgb_hex
 
 PAIRS = [
     ((50.0, 2.6772, -79.7751), (50.0, 0.0, -82.7485), 2.0425),

@@ -11,7 +11,7 @@ from support.strategies import flight
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import Quality
-from hyperpaint.paints.colours import colour_matching
+from hyperpaint.light.daylight_colours import colour_matching
 from hyperpaint.pictures.plot import overview, quicklook, rgb
 
 NM = np.arange(385.0, 780.0, 5.0)

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from support.refusals import expect_errors
 
 from hyperpaint.base.schema import flag_shares
-from hyperpaint.paints.colours import ciede2000, encode_srgb, lab_of
+from hyperpaint.light.daylight_colours import ciede2000, encode_srgb, lab_of
 from hyperpaint.pictures.plot import background, draw_outlines, flag_overlay
 
 

@@ -13,7 +13,7 @@ from support.strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
 from hyperpaint.base.schema import Quality
-from hyperpaint.paints.colours import srgb
+from hyperpaint.light.daylight_colours import srgb
 
 pytest.importorskip("matplotlib")
 

@@ -141,7 +141,23 @@ def test_proposals__are_the_roof_with_reasons(car: tuple[xr.Dataset, Any]) -> No
     assert any("windows end it on both sides" in text for text in region.properties["reasons"])
     seen = remove_mirrored_sky(line, sun_zenith=ZENITH)["reflectance"].values[along, :, across]
     assert np.abs(np.median(seen, axis=0) - RED).max() < 0.01
-    assert "score" in found.table()
+    assert found.table().startswith("red-01  at line 3")
+    assert "latitude" not in region.properties  # the line has no positions
+    dims, (y, x) = (
+        ("along_track", "cross_track"),
+        np.indices((line.sizes["along_track"], line.sizes["cross_track"])),
+    )
+    places = {"north": (dims, 4_770_000.0 - y), "east": (dims, 282_000.0 + x)}
+    on_map = propose(line.assign_coords(places).assign_attrs(crs="EPSG:32618"), name="lot")[0]
+    assert on_map.name == "lot_red-01"
+    from pyproj import Transformer
+
+    at = Transformer.from_crs("EPSG:4326", "EPSG:32618", always_xy=True).transform(
+        on_map.properties["longitude"], on_map.properties["latitude"]
+    )
+    centre = on_map.polygon.mean(axis=0)
+    assert np.abs(np.array(at) - (282_000.0 + centre[0], 4_770_000.0 - centre[1])).max() < 3.0
+    assert on_map.properties["place"].endswith(f", {on_map.properties['longitude']:.6f}")
     unnamed = replace(found, regions=(replace(region, flightline=""),))
     assert int(hp.extract_signatures(line, unnamed)["n"][0]) == region.properties["pixels"]
 

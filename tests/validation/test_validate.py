@@ -264,6 +264,42 @@ def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
     expect_words(found.table(), "without a reference: door", "references without a paint: hood")
 
 
+def test_pairs_by_place_where_no_name_matches() -> None:
+    # from the first paint: metres north [1e-5 degree = 1.1 m]
+    def placed(data: xr.Dataset, dim: str, *north: float) -> xr.Dataset:
+        at = np.array(north) * 1e-5
+        return data.assign_coords(latitude=(dim, 43.0 + at), longitude=(dim, 0.0 * at - 77.0))
+
+    paints = placed(
+        library([smooth(NM)] * 4, ("red-01", "red-02", "hood", "roof")), "signature", 0, 20, 40, 60
+    )
+    spectra = [smooth(np.arange(380.0, 1021.0))] * 6
+    # beside the first; between the next two; far away; named, and at a tie; without a fix; named, elsewhere
+    names = ["a", "b", "c", "hood", "d", "roof"]
+    references = placed(field(spectra, names), "spectrum", 2, 29, 500, 38, np.nan, 0.5)
+    found = hp.validate(paints, references.isel(spectrum=slice(0, 5)))
+    pairs = list(zip(found.statistics["signature"].values, found.statistics.reference.values, strict=True))
+    assert pairs == [("red-01", "a"), ("hood", "hood")]
+    assert "signature: matched by place: a is 2.2 m from red-01, 20.0 m from the next paint" in found.notes[0]
+    assert found.unpaired_references == (
+        "b (ASD: 10.0 m from the nearest paint red-02, beyond 5 m)",
+        "c (ASD: 489.3 m from the nearest paint roof, beyond 5 m)",
+        "d (ASD)",
+    )
+    # within 15 m, b lies between two paints; a second reading at the first paint may be of another paint
+    again = hp.validate(paints, references.isel(spectrum=[1, 3]), place_accuracy=15.0)
+    assert "a tie: 10.0 m from red-02, 12.2 m from hood, and places are known to 15 m" in str(
+        again.unpaired_references
+    )
+    with pytest.raises(
+        SchemaError, match=r"by place: 2\.2 m from red-01, .* as are 1 more: readings of it, or of"
+    ):
+        hp.validate(paints, references.isel(spectrum=[0, 5]))
+    # a name that is asked for, or that a region states, needs no place
+    stated = hp.validate(paints, references, {"roof": "c"})
+    assert stated.statistics["reference"].values.tolist() == ["c"]
+
+
 def test_pairs_that_are_said() -> None:
     paints = library([smooth(NM)] * 2, ("hood", "roof"))
     references = field([smooth(np.arange(380.0, 1021.0))] * 2, ["a", "b"])

@@ -61,11 +61,11 @@ def test_everything_of_a_collect_is_found(folder: Path) -> None:
     assert (
         [path.parent.name for path in found.darks],
         found.calibration,
-        [path.name for path, _ in found.irradiance],
+        [path.parent.name for path in found.irradiance],
     ) == (["dark"], folder / "calibration.zarr", ["asd"])
-    assert {(instrument, path.name) for instrument, path, _ in found.references} <= {
-        ("asd", "asd_reflectance"),
-        ("svc", "svc"),
+    assert {name: [path.parent.name for path in paths] for name, paths in found.references.items()} == {
+        "asd": ["asd_reflectance"],
+        "svc": ["svc"],
     }
 
 
@@ -89,11 +89,13 @@ def test_the_collect_opens_to_what_its_author_wrote(simulated: Path, folder: Pat
 
 
 def test_what_lies_elsewhere_is_named(folder: Path, tmp_path: Path) -> None:
-    for name in ("asd", "dark", "calibration.zarr"):
+    for name in ("asd", "dark", "calibration.zarr", "svc"):
         shutil.move(folder / name, tmp_path / name)
-    found = find_field_files(
-        folder, asd=tmp_path / "asd", dark=tmp_path / "dark", calibration=tmp_path / "calibration.zarr"
-    )
+    table = tmp_path / "hoods.csv"
+    table.write_text("wavelength [nm],red,blue\n" + "".join(f"{nm},0.1,0.2\n" for nm in range(400, 1000)))
+    elsewhere = {name: tmp_path / path for name, path in (("asd", "asd"), ("dark", "dark"))}
+    elsewhere["calibration"] = tmp_path / "calibration.zarr"
+    found = find_field_files(folder, **elsewhere, references=[tmp_path / "svc", table])
     path = write_collect_toml(found)
     written = tomllib.loads(path.read_text(encoding="utf-8"))
     assert (written["irradiance"]["files"], written["dark"]["cubes"], written["calibration"]["path"]) == (
@@ -101,7 +103,20 @@ def test_what_lies_elsewhere_is_named(folder: Path, tmp_path: Path) -> None:
         ["../dark/raw_0.hdr"],
         "../calibration.zarr",
     )
-    assert set(hp.open_collect(path).children) >= {"flightlines", "irradiance", "calibration"}
+    assert {entry["instrument"]: entry["files"] for entry in written["references"]} == {
+        "svc": "../svc/*.sig",
+        "asd": "asd_reflectance/*.asd",
+        "hoods": "../hoods.csv",
+    }
+    opened = hp.open_collect(path)
+    assert set(opened.children) >= {"flightlines", "irradiance", "calibration"}
+    assert opened["references/hoods"]["signature"].values.tolist() == ["red", "blue"]
+    for references in (tmp_path / "dark", tmp_path / "asd", tmp_path / "nothing", folder / "survey.csv"):
+        expect_error(
+            hp.errors.CollectError,
+            "file-not-found",
+            partial(find_field_files, folder, references=[references]),
+        )
 
 
 def test_what_no_file_says_is_marked_and_refused_by_name(folder: Path) -> None:
@@ -122,6 +137,18 @@ def test_a_record_that_misses_the_flight_asks_for_its_clock(tmp_path: Path) -> N
     least, most = found.clock_offsets_s
     assert least <= 37.25 <= most
     assert any(line.startswith("clock_offset_s") for line in unknown_keys(write_collect_toml(found)))
+
+
+def test_a_wrong_zone_is_one_problem_of_all_cubes(folder: Path) -> None:
+    path = write_collect_toml(find_field_files(folder))
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("clock_offset_s = 0.0", "clock_offset_s = 0.0\nutc_offset_h = -6.5"))
+    with pytest.warns(hp.errors.PaintWarning, match="-5 h in .* more .utc-offset-conflict"):
+        error = expect_error(hp.errors.CollectError, "time-uncovered", lambda: hp.open_collect(path))
+    assert str(error).count("irradiance record covers") == 1
+    assert "all 2 cubes (raw_0, raw_20) were recorded 2021" in str(error)
+    # the nearest zone by a quarter of an hour, since no whole hour fits
+    assert "utc_offset_h = -5 instead of -6.5 would fit" in str(error)
 
 
 def test_files_without_a_use_are_said(folder: Path, tmp_path: Path) -> None:

@@ -35,8 +35,9 @@ from hyperpaint.io.flightline.flightline_opening import BLANK_COUNT, FlightlineI
 from hyperpaint.io.flightline.headwall import cube_number, frame_index_beside, navigation_beside
 from hyperpaint.io.flightline.timing import Timing, utc_of
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
-from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance
+from hyperpaint.io.spectrometers.irradiance import UncoveredError, cut_irradiance, open_irradiance
 from hyperpaint.io.spectrometers.reference_files import open_spectra
+from hyperpaint.io.spectrometers.spectrum_files import listed
 
 #: Keys of a flight line's files beside its cube.
 _SIDE_FILES = ("frame_index", "nav", "gps_time")
@@ -731,6 +732,7 @@ def open_with_settings(
         with findings.step():
             irradiance = _levelled(irradiance, tuple(navigation.values()), collect, level)
     lines: dict[str, xr.Dataset] = {}
+    uncovered: dict[str, UncoveredError] = {}
     for entry in collect.flightlines:
         line_findings, timing = Findings(str(entry.name)), entry.timing
         if isinstance(timing, Timing) and isinstance(timing.nav, Path):
@@ -746,6 +748,18 @@ def open_with_settings(
                 line = whiten(line, collect.white)
         lines[str(entry.name)] = line
         findings.errors += line_findings.errors
+        uncovered |= {
+            str(entry.name): error for error in line_findings.errors if isinstance(error, UncoveredError)
+        }
+    # a wrong clock of the record is one fault of all lines
+    if uncovered and len(lines) > 1 and isinstance(irradiance, xr.Dataset):
+        findings.errors = [error for error in findings.errors if error not in uncovered.values()]
+        times = [np.sort(line["time"].values) for line in lines.values() if "time" in line.coords]
+        some = "" if len(uncovered) == len(lines) else f"{len(uncovered)} of "
+        subject = f"{some or 'all '}{len(lines)} cubes ({listed(list(uncovered), 3)}) were"
+        spans = [span for error in uncovered.values() for span in error.lines]
+        others = [stamps[~np.isnat(stamps)] for stamps in times]
+        findings.errors.append(UncoveredError.of(irradiance, spans, subject, others))
     references = dict(_opened_references(collect.references, findings))
     # equal errors of several lines are reported once
     problems.extend(

@@ -900,7 +900,9 @@ def utc_offsets(
     for spectrum in spectra:
         if spectrum.utc_offset_h is not None:
             sources_by_offset.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
-    offsets_text = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in sources_by_offset.items())
+    offsets_text = "; ".join(
+        f"{hours:+g} h in {listed(names, 3)}" for hours, names in sources_by_offset.items()
+    )
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
         if set(sources_by_offset) - {utc_offset_h}:

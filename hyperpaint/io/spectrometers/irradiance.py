@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -798,6 +798,53 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
         )
 
 
+class UncoveredError(TimeError):
+    # An irradiance record of other times than the flight lines, with the clock that would fit.
+    lines: list[npt.NDArray[np.datetime64]] = []  # noqa: RUF012
+
+    @classmethod
+    def of(
+        cls,
+        irradiance: xr.Dataset,
+        lines: list[npt.NDArray[np.datetime64]],
+        subject: str = "the flight line was",
+        others: Sequence[npt.NDArray[np.datetime64]] = (),
+    ) -> Self:
+        # The error for all ``lines``, sorted times of lines outside the record; ``others``: inside it.
+        record = irradiance[IRRADIANCE_TIME].values.astype("datetime64[ns]")
+        flight = np.sort(np.concatenate([*lines, *others]))
+        covered, flown = (
+            "{} to {} UTC".format(*np.datetime_as_string(times[[0, -1]], "s")) if times.size else ""
+            for times in (record, np.sort(np.concatenate(lines)))
+        )
+        mend = "check utc_offset_h and clock_offset_s"
+        if record.size and flight.size:
+            # shifts of the record with which it covers all lines [s]; zones are whole hours, or quarters
+            least, most = (flight[[-1, 0]] - record[[-1, 0]]) / np.timedelta64(1, "s")
+            zones = np.ravel(irradiance.attrs.get("irradiance_utc_offset_h", [])).astype(np.float64)
+            clock = float(irradiance.attrs.get("irradiance_clock_offset_s", 0.0))
+            fitting: Floats = np.empty(0)
+            for step in (3600.0, 900.0) if zones.size == 1 else ():
+                shifts = step * np.arange(np.ceil(least / step), np.floor(most / step) + 1)
+                offsets = zones[0] - shifts[np.argsort(np.abs(shifts))] / 3600.0
+                fitting = fitting if fitting.size else offsets[np.abs(offsets) <= 14.0]
+            if fitting.size:
+                mend = f"utc_offset_h = {' or '.join(f'{h:g}' for h in fitting[:3])} instead of {zones[0]:g}"
+                mend += " would fit"
+            elif least <= most:
+                mend += f": clock_offset_s = {clock + least:.0f} to {clock + most:.0f} would fit"
+            else:
+                mend += f"; the record is {least - most:.0f} s shorter than the flight: files are missing"
+        error = cls(
+            f"the irradiance record covers {covered or 'nothing'}, {subject} recorded "
+            f"{flown or 'at unknown times'}",
+            mend=mend,
+            code="time-uncovered",
+        )
+        error.lines = lines
+        return error
+
+
 def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> xr.Dataset:
     # Cut an irradiance record to a flight line +- 60 s, or to its bracketing samples where these are wider.
     #
@@ -820,18 +867,7 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
     )
     lines = np.sort(time[~np.isnat(time)])
     if not lines.size or not stamps.size or stamps[-1] < lines[0] or stamps[0] > lines[-1]:
-        record, line = (
-            "{} to {} UTC".format(*np.datetime_as_string(times[[0, -1]], "s")) if times.size else ""
-            for times in (stamps, lines)
-        )
-        raise TimeError(
-            (
-                f"the irradiance record covers {record or 'nothing'}, the flight line was recorded "
-                f"{line or 'at unknown times'}"
-            ),
-            mend="check utc_offset_h and clock_offset_s",
-            code="time-uncovered",
-        )
+        raise UncoveredError.of(irradiance, [lines])
     first, last = lines[0], lines[-1]
     start = min(
         np.searchsorted(stamps, first - _LINE_MARGIN),

@@ -63,7 +63,7 @@ def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
 def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.Dataset]:
     # Open files of field spectrometers, grouped by instrument.
     #
-    # files: SVC ``.sig``, ASD binary or text exports, in any mixture.
+    # files: SVC ``.sig``, ASD binary or text exports, tables in CSV, in any mixture.
     # quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default the quantity in the files.
     # Raises FormatError: Files cannot be read, or are of unknown kind; all are named.
     return _open_by_kind(files, quantity, is_reference=False)
@@ -76,7 +76,8 @@ def _open_by_kind(files: Sequence[Path], quantity: str | None, *, is_reference: 
     openers: dict[str, Any] = {"scans": open_svc, "binary": open_asd, "text": open_asd}
     for path in files:
         opener = openers.get("scans" if is_named_as_scans(path) else sniff(path))
-        if opener is None and is_reference and path.suffix.lower() != ".asd":
+        is_table = path.suffix.lower() == ".csv" or (is_reference and path.suffix.lower() != ".asd")
+        if opener is None and is_table:
             opener = open_library
         if opener is not None:
             files_by_opener[opener].append(path)

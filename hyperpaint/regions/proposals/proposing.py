@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
@@ -13,13 +15,16 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import PaintError, Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.schema import Quality, flag_names
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.geometry import locate
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
+from hyperpaint.light.daylight_colours import colour_name
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
-from hyperpaint.regions.pixels_in_regions import renumbered
+from hyperpaint.regions.pixels_in_regions import ground_of, renumbered
 from hyperpaint.surroundings import SceneModel, survey
 from hyperpaint.surroundings.flags import flag
 from hyperpaint.surroundings.light_split import shadow_side_of, sun_zenith_of
@@ -80,6 +85,8 @@ def outline(mask: Bools, origin: tuple[int, int] = (0, 0)) -> tuple[Floats, tupl
 #: Flags that a signature of a proposed region excludes; brightness has already excluded glint and adjacency.
 _EXCLUDED_FLAGS = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.SHADOW
 
+_WGS84 = "EPSG:4326"
+_DIMS = (schema.ALONG_TRACK, schema.CROSS_TRACK)
 #: Variables of a flagged line that proposals use.
 _LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
 
@@ -100,10 +107,10 @@ class Proposals(Regions):
     Examples
     --------
     >>> from hyperpaint.regions import Region, Regions
-    >>> pane = Region("paint_02", [(6, 0), (9, 0), (9, 3)], properties={"refused": "it looks like a window"})
-    >>> proposals = Proposals((Region("paint_01", [(0, 0), (4, 0), (4, 3)]),), refused=Regions((pane,)))
+    >>> pane = Region("refused_01", [(6, 0), (9, 0), (9, 3)], properties={"refused": "a window"})
+    >>> proposals = Proposals((Region("red-01", [(0, 0), (4, 0), (4, 3)]),), refused=Regions((pane,)))
     >>> len(proposals), proposals.refused[0].properties["refused"]
-    (1, 'it looks like a window')
+    (1, 'a window')
     """
 
     refused: Regions = field(default_factory=lambda: Regions(()))
@@ -111,7 +118,7 @@ class Proposals(Regions):
     def table(self) -> str:
         """Return a line of text for every proposed and every refused region."""
         rows = [
-            f"{region.name}  score {region.properties['score']:.2f}  "
+            f"{region.name}  at {region.properties['place']}  score {region.properties['score']:.2f}  "
             f"{'; '.join(region.properties['reasons'])}"
             for region in self.regions
         ]
@@ -134,7 +141,7 @@ def propose_regions(
     brightness: float = 0.03,
     angle: float = 5.0,
     flightline: str = "",
-    name: str = "paint",
+    name: str = "",
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Proposals:
@@ -201,7 +208,9 @@ def propose_regions(
     flightline
         Name of the flight line, stored in the regions.
     name
-        Prefix of the names of the regions.
+        Prefix of the names of the regions, which are a colour and a number along the line: ``red-02`` is the
+        second red paint from the start, whatever ``most`` is; `hyperpaint.light.daylight_colours.COLOURS`
+        lists the words.
     progress
     **options
         Options of `hyperpaint.surroundings.survey`; ``sun_zenith`` also applies with ``model``.
@@ -210,11 +219,14 @@ def propose_regions(
     -------
     Proposals
         `Regions` with properties ``rank``, ``score``, ``kind`` ("roof", "panel", "metallic"), ``finish``
-        ("solid", "metallic", "unknown"), ``level_uncertainty`` (standard, relative) [1], ``lean`` (standard
-        deviation) [degree], ``pixels``, ``spectral_angle`` [degree], ``brightness_spread``,
-        ``brightness_slope``, ``glint``, ``blocked_direct``, ``adjacency`` [1], ``excluded_flags`` (see
-        `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused`` holds the refused pieces,
-        with objections in the property ``refused``; see `Proposals` for pieces in neither.
+        ("solid", "metallic", "unknown"), ``place`` (line and column of its centre, and position),
+        ``latitude``, ``longitude`` [degree, WGS 84] where the line has ground positions, or poses and the
+        height of the ground, as `hyperpaint.geometry.locate` takes them, ``level_uncertainty`` (standard,
+        relative) [1], ``lean`` (standard deviation) [degree], ``pixels``, ``spectral_angle`` [degree],
+        ``brightness_spread``, ``brightness_slope``, ``glint``, ``blocked_direct``, ``adjacency`` [1],
+        ``excluded_flags`` (see `hyperpaint.extract_signatures`) and ``reasons``; its attribute ``refused``
+        holds the refused pieces, with objections in the property ``refused``; see `Proposals` for pieces in
+        neither.
 
     Raises
     ------
@@ -247,7 +259,7 @@ def propose_regions(
     >>> line = xr.Dataset({"reflectance": cube}, {"wavelength": ("band", nm, {"units": "nm"})})
     >>> found = propose_regions(line, sun_zenith=30.0)
     >>> [(region.name, region.properties["kind"]) for region in found]
-    [('paint_01', 'roof')]
+    [('red-01', 'roof')]
     """
     line = schema.rename_to_roles(line)
     limits: dict[str, Any] = {
@@ -294,8 +306,57 @@ def propose_regions(
             painted.append(piece)
     for car in find_cars(painted, picture):
         judged += judge_car(car, picture, limits)
-    proposals = _ranked(judged, most, flightline, name)
+    proposals = _ranked(judged, _Places(line, scene.channel_wavelength, name), most, flightline)
     return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
+
+
+class _Places:
+    # Names of paints by colour and order along a line, and their places.
+
+    def __init__(self, line: xr.Dataset, wavelength: Floats, prefix: str) -> None:
+        self.line, self.wavelength, self.prefix = line, wavelength, prefix
+
+    def of(self, verdicts: list[Verdict]) -> list[tuple[str, dict[str, Any]]]:
+        # Return name and place of every verdict.
+        centres = np.array([_centre(verdict) for verdict in verdicts], np.int64).reshape(-1, 2)
+        lines, columns = (
+            schema.numbers_of(self.line, dim)[k] for dim, k in zip(_DIMS, centres.T, strict=True)
+        )
+        places: list[dict[str, Any]] = [
+            {"place": f"line {line:.0f}, column {column:.0f}"}
+            for line, column in zip(lines, columns, strict=True)
+        ]
+        for place, (longitude, latitude) in zip(places, self._positions(centres), strict=False):
+            if np.isfinite(latitude + longitude):
+                place["place"] += f", {latitude:.6f}, {longitude:.6f}"
+                place |= {"latitude": round(latitude, 7), "longitude": round(longitude, 7)}
+        colours = [
+            colour_name(verdict.measures.spectrum, self.wavelength).replace(" ", "-") for verdict in verdicts
+        ]
+        names, counts = [""] * len(verdicts), Counter[str]()
+        for k in np.lexsort(centres.T[::-1]):
+            counts[colours[k]] += 1
+            names[k] = f"{self.prefix}{'_' * bool(self.prefix)}{colours[k]}-{counts[colours[k]]:02}"
+        return list(zip(names, places, strict=True))
+
+    def _positions(self, centres: Array) -> list[list[float]]:
+        # Longitude and latitude of pixels (n, 2) [degree]; empty without the geometry of the line
+        with contextlib.suppress(PaintError):
+            is_located = {"east", "north"} <= set(self.line.variables)
+            x, y, crs = ground_of(self.line if is_located else locate(self.line), _WGS84)
+            at = {dim: xr.DataArray(k, dims="place") for dim, k in zip(_DIMS, centres.T, strict=True)}
+            ground = np.stack(dask.compute(x.isel(at).data, y.isel(at).data), axis=1)
+            if crs is not None or x.name in ("longitude", "lon"):
+                positions: list[list[float]] = between_maps(ground, crs_of(crs or _WGS84), _WGS84).tolist()
+                return positions
+        return []
+
+
+def _centre(verdict: Verdict) -> Array:
+    # Line and column of the usable pixel that is nearest to the mean of the usable pixels, (2,)
+    inside = np.argwhere(verdict.measures.usable) + np.array(verdict.piece.origin)
+    nearest: Array = inside[((inside - inside.mean(axis=0)) ** 2).sum(axis=1).argmin()]
+    return nearest
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
@@ -314,18 +375,18 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     return channels, layers
 
 
-def _ranked(judged: list[Verdict], max_regions: int | None, flightline: str, name: str) -> Proposals:
+def _ranked(judged: list[Verdict], places: _Places, max_regions: int | None, flightline: str) -> Proposals:
     accepted = [verdict for verdict in judged if not verdict.objections]
     accepted.sort(key=lambda verdict: (-verdict.score, verdict.piece.origin, verdict.piece.body))
     refused = [verdict for verdict in judged if verdict.objections]
     refused.sort(key=lambda verdict: verdict.scenery)
-    digits = len(str(max(len(accepted[:max_regions]), len(refused), 10)))
+    digits = len(str(max(len(refused), 10)))
     proposed = [
-        _region(
-            verdict, f"{name}_{rank:0{digits}}", flightline, {"rank": rank, "score": round(verdict.score, 4)}
+        _region(verdict, name, flightline, {"rank": rank, "score": round(verdict.score, 4), **place})
+        for rank, (verdict, (name, place)) in enumerate(
+            zip(accepted, places.of(accepted), strict=True), start=1
         )
-        for rank, verdict in enumerate(accepted[:max_regions], start=1)
-    ]
+    ][:max_regions]
     others = [
         _region(verdict, f"refused_{rank:0{digits}}", flightline, {"refused": verdict.objections})
         for rank, verdict in enumerate(refused, start=1)

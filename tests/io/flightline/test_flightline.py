@@ -1,6 +1,7 @@
 """A flight line from a Headwall folder made here by hand."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -175,6 +176,27 @@ def test_the_irradiance_is_cut_to_the_line(folder: Path) -> None:
     assert ((made["irradiance_time"].values - T0) / np.timedelta64(1, "s")).tolist() == [0, 500]
     made = cut_irradiance(sky, np.array([T0, np.datetime64("NaT", "ns")]))
     assert ((made["irradiance_time"].values - T0) / np.timedelta64(1, "s")).tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("zones", "minutes", "words"),
+    [
+        ([-4.0], (60, 80), "utc_offset_h = -3 instead of -4 would fit"),
+        ([-4.0], (60, 200), "utc_offset_h = -3 or -2 or -1 instead of -4 would fit"),
+        ([0.0], (-40, -20), "utc_offset_h = -0.5 instead of 0 would fit"),
+        ([-13.5], (-65, -55), "clock_offset_s = 3305 to 3900 would fit"),  # no zone of -14.5 h
+        ([], (2, 4), "clock_offset_s = -235 to -120 would fit"),
+        ([0.0], (1, 1.05), "the record is 2 s shorter than the flight"),
+    ],
+)
+def test_the_clock_that_would_fit_is_told(
+    zones: list[float], minutes: tuple[float, float], words: str
+) -> None:
+    # the record begins or ends some minutes from five seconds of flight
+    first, last = (round(60 * value) for value in minutes)
+    sky = make_irradiance(first, last + 1, 1).assign_attrs(irradiance_utc_offset_h=zones)
+    with pytest.raises(TimeError, match=re.escape(words)):
+        cut_irradiance(sky, T0 + np.array([0, 5]) * np.timedelta64(1, "s"))
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
