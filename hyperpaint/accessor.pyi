@@ -351,7 +351,7 @@ class PaintAccessor:
         variation: npt.ArrayLike | BrokenClouds | None = None,
         truth: bool = True,
         clip: bool = False,
-        hold_edges: bool = False,
+        hold_edges: bool | None = None,
         population: bool = True,
         dims: Dims | None = None,
     ) -> PaintDataset:

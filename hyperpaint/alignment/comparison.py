@@ -634,12 +634,12 @@ def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
 def _sentence(comparison: Comparison) -> str:
     shift_u, tilt_u, width_u = comparison.u
     changes = ", ".join(
-        f"{float(comparison.effect[nearest]):+.2%} at {comparison.wavelength[nearest]:.0f} nm"
+        f"{float(comparison.effect[nearest]):+z.2%} at {comparison.wavelength[nearest]:.0f} nm"
         for nearest in (int(np.abs(comparison.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
     )
     return (
-        f"camera minus record {comparison.shift:+.3f} +- {shift_u:.3f} nm at 600 nm, changing by "
-        f"{comparison.tilt:+.3f} +- {tilt_u:.3f} nm over 100 nm; width of the record "
+        f"camera minus record {comparison.shift:+z.3f} +- {shift_u:.3f} nm at 600 nm, changing by "
+        f"{comparison.tilt:+z.3f} +- {tilt_u:.3f} nm over 100 nm; width of the record "
         f"{comparison.width:.3f} +- "
         f"{width_u:.3f} of that declared; irradiance changes by {changes}, at most "
         f"{np.nanmax(np.abs(comparison.effect)):.2%}"

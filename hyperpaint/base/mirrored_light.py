@@ -1,7 +1,9 @@
-"""Declaration whether reflectance contains the light that a clear coat mirrors."""
+"""Declaration whether reflectance contains the light that a clear coat mirrors, and how flakes change it."""
 
+import numpy as np
 import xarray as xr
 
+from .arrays import Bools, Floats
 from .facts import one_of
 
 #: Values of the attribute ``mirror_reflection``.
@@ -63,3 +65,42 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     # a library of several flight lines states the subtraction of each of them
     sources = [text.strip() for text in str(attrs[_REMOVAL_ATTRIBUTE]).split(";")]
     return INCLUDED if any(text in ("", "none") for text in sources) else EXCLUDED
+
+
+#: Maximum range of angles between view and mirrored sun that a change of brightness infers [degree].
+MAX_ASPECULAR_RANGE_DEG = 30.0
+
+#: Minimum mean change between the two ends of a body part for a paint with flakes [1].
+MIN_FLAKE_FLOP = 0.25
+
+
+def shows_flakes(flop: Floats, aspecular_range: Floats) -> Bools:
+    """Return whether paints (signature,) change with the angle to the mirrored sun as only flakes do.
+
+    The change is at least `MIN_FLAKE_FLOP`, and more than the largest lean of a solid paint explains.
+
+    Takes ``flop`` (signature, band) [1] and ``aspecular_range`` (signature,) [degree] of a library.
+
+    Examples
+    --------
+    >>> shows_flakes(np.array([[0.5, 0.7], [0.1, 0.1], [0.5, 0.7]]), np.array([30.0, 30.0, 18.0]))
+    array([ True, False, False])
+    """
+    known = np.isfinite(flop)
+    mean = np.where(known, flop, 0.0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
+    return np.asarray((mean >= MIN_FLAKE_FLOP) & (aspecular_range >= MAX_ASPECULAR_RANGE_DEG - 1e-6))
+
+
+def flake_exponents(flop: Floats) -> Floats:
+    """Return ln(bright / dark) of the two ends of a body part from its flop; 0 where it is unknown.
+
+    A paint with flakes changes by ``exp(s g)`` from its stated angle to the mirrored sun, with these
+    exponents g and s from -0.5 at the dark end to 0.5 at the bright end.
+
+    Examples
+    --------
+    >>> flake_exponents(np.array([0.0, 2.0 / 3.0, np.nan])).round(3)
+    array([0.   , 0.693, 0.   ])
+    """
+    known = np.where(np.isfinite(flop), flop, 0.0)
+    return np.asarray(2.0 * np.arctanh(np.clip(known, -1.9, 1.9) / 2.0))

@@ -320,7 +320,7 @@ _LIBRARY_TABLE = (
     Variable(ERROR_SOURCE, (ERROR_SOURCE,), "", "str", "Source of an error", coordinate=True),
     Variable(LAG, (LAG,), "1", "int64", "Distance in bands", coordinate=True),
     Variable("error_form", (ERROR_SOURCE,), "", "str", "Correlation form of the error in each dim, in the terms of FIDUCEO and obsarray", coordinate=True),
-    Variable("member_reflectance", (SIGNATURE, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, NaN beyond the last"),
+    Variable("member_reflectance", (SIGNATURE, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, of paints with flakes at the stated geometry; NaN beyond the last"),
     Variable("member_along_track", (SIGNATURE, MEMBER), "1", "int64", "Line of a member, -1 beyond the last", gap=-1),
     Variable("member_cross_track", (SIGNATURE, MEMBER), "1", "int64", "Column of a member, -1 beyond the last", gap=-1),
     Variable("n", (SIGNATURE,), "1", "int64", "Pixels used"),

@@ -468,6 +468,7 @@ MAX_PAIRS = 24  # of one figure
 
 _AXES_INCH = (3.6, 3.9)
 _SIGNATURE = "#3399DD"
+_FAILED = "#C0392B"  # title and frame of a paint outside the tolerance
 # colours (of Okabe and Ito) and dashes of the references of one paint, one per instrument
 _REFERENCES = (("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#E69F00", (0, (6, 1, 1, 1))))
 _MIN_SPAN = 0.005  # half range of the axis of differences [1]
@@ -495,7 +496,8 @@ def validation_figure(
     -------
     matplotlib.figure.Figure
         At most 24 paints, those with the largest RMSE, as the title notes. Shades are a standard deviation of
-        pixels or readings; for differences, the standard uncertainty. Bands not compared are blank.
+        pixels or readings; for differences, the standard uncertainty. Bands not compared are blank. A paint
+        with a pair outside the tolerance has a red frame and "FAIL" in its title.
 
     Raises
     ------
@@ -596,7 +598,12 @@ def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
         str(signature.attrs["signature"]),
         *(str(validation.spectra[pair].attrs["reference"]) for pair in pairs),
     ]
-    axes.set_title(label_for(" / ".join(dict.fromkeys(names)), longest=34), fontsize="small", loc="left")
+    title = label_for(" / ".join(dict.fromkeys(names)), longest=34)
+    fails = not all(bool(validation.statistics["passes"].isel(pair=pair).all()) for pair in pairs)
+    style = {"color": _FAILED, "fontweight": "bold"} if fails else {}
+    axes.set_title(f"FAIL  {title}" if fails else title, fontsize="small", loc="left", **style)
+    if fails:
+        axes.spines[:].set(color=_FAILED, linewidth=2.0)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     axes.tick_params(labelsize="small")
 

@@ -10,6 +10,7 @@ import contextlib
 import datetime
 import json
 import os
+import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.manifest import store_state
 from hyperpaint.io.store.reader import place_of
 from hyperpaint.paints.colours import paint_colours
-from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of, png_of
+from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, orientation_of, png_of
 from hyperpaint.pictures.plot import (
     background,
     draw_irradiance,
@@ -54,7 +55,7 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.surroundings.scratch import compute_into, release, scratch_array, survey_planned
-from hyperpaint.validation import validate
+from hyperpaint.validation import Validation, validate
 
 from .summaries import Part, facts_of_bands, facts_of_line, facts_of_map, page_part
 
@@ -85,7 +86,7 @@ def write_report(
     library: str | os.PathLike[str] | None = None,
     max_lines: int = 1000,
     flags: bool = True,
-    cards: int = 60,
+    cards: int = 12,
     validation: Validation | None = None,
     sun_zenith: float | None = None,
     overwrite: bool = False,
@@ -113,7 +114,7 @@ def write_report(
         `hyperpaint.surroundings.flag`; if detection fails, the page gives the reason. Flags are not stored.
     cards
         Maximum number of paints of a flight line shown one by one: region, pixels used and excluded,
-        signature (`hyperpaint.pictures.paint_card`). Each takes half a second and 60 kB.
+        signature (`hyperpaint.pictures.paint_card`); the table has all. Each takes half a second and 60 kB.
     validation
         Agreement of ``library`` with the references; by default `hyperpaint.validate` compares them.
     sun_zenith
@@ -360,6 +361,7 @@ def message_of(error: Exception) -> str:
 
 
 MAX_ROWS = 500  # paints in a table
+MAX_PLACES = 3  # places of refused regions listed for a reason
 
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency")  # continuous layers drawn if the store has them
 
@@ -380,8 +382,9 @@ def line_section(
         yield "flags", lambda: _flags(line, lines, regions, heading)
     chain = {"counts", "radiance_gain", "exposure_time", "irradiance", "wavelength"}
     can_be_mapped = {"east", "north"} <= names or (names >= _POSE and "ground" in line.attrs)
-    shares_heading = "" if pictures else heading
+    shares_heading = "Shares of flags" if pictures else heading
     rows: list[tuple[bool, str, Callable[[], Markup]]] = [
+        ("reflectance" in names and can_be_mapped, "map", partial(_map, line)),
         ("quality" in names, "shares of flags", lambda: _table_of_flags(flags_of(line), shares_heading)),
         *(
             (bool(pictures) and layer in names, layer, partial(_flags, line, lines, (), layer=layer))
@@ -392,7 +395,6 @@ def line_section(
         ("panel_factor" in names, "panels", partial(_chart, "panels", line)),
         (bool({"reflectance", "irradiance"} & names), "reflectance", partial(_reflectance, line)),
         (chain <= names, "counts to reflectance", partial(_triptych, line, regions)),
-        ("reflectance" in names and can_be_mapped, "map", partial(_map, line)),
         ("alignment_state" in line.attrs, "alignment", partial(_alignment, line.attrs)),
         (True, "provenance", partial(_provenance, line.attrs)),
     ]
@@ -412,7 +414,7 @@ def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: 
         heading = "" if number else "Paint by paint"
         caption = f"{paint}: its region, the pixels used, and its signature."
         draw = partial(paint_card, line, loaded[id(library)], paint)
-        yield f"card of {paint}", partial(_drawn, draw, caption, heading)
+        yield f"card of {paint}", partial(_drawn, draw, caption, heading, "wide card")
     if len(cards) > most:
         text = f"and {len(cards) - most} more paints, without a card"
         yield "more cards", lambda: page_part("paragraph", text=text)
@@ -451,38 +453,44 @@ def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
         picture = background(line, max(1, -(-line.sizes[ALONG_TRACK] // lines)))
     except SchemaError as error:  # no reflectance, no visible bands
         return page_part("paragraph", text=f"There is no picture: {error}", heading="True colour")
+    # flown upwards, as in all pictures of a line
     orientation = orientation_of(line)
-    oriented = flown_right((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), orientation)
-    columns = "upwards" if orientation.is_mirrored else "downwards"
+    upright = (picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)[::-1]
+    columns = "left" if orientation.is_mirrored else "right"
+    upright = upright[:, ::-1] if orientation.is_mirrored else upright
     caption = (
-        f"{line.sizes[ALONG_TRACK]} lines, flown to the right;"
-        f" {line.sizes[CROSS_TRACK]} columns, counted {columns}."
+        f"{line.sizes[ALONG_TRACK]} lines, flown upwards;"
+        f" {line.sizes[CROSS_TRACK]} columns, counted to the {columns}."
     )
     pictures.append(True)
-    return page_part("true_colour", src=data_uri(encode_png(np.ascontiguousarray(oriented))), caption=caption)
+    src = data_uri(encode_png(np.ascontiguousarray(upright)))
+    return page_part("true_colour", src=src, caption=caption, kind="half")
 
 
 def _flags(
     line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str = "", layer: str | None = None
 ) -> Markup:
     # a layer, or all flags with the outlines of regions; lines are flown upwards
-    axes = _new_axes(7.0 if layer else 7.5)
+    width = 3.9 if layer else 4.9
+    height = min(max(orientation_of(line).height_of(width - 0.8), 1.5), 9.0) + (0.9 if layer else 1.7)
+    axes = _new_axes(height, width)
     flag_overlay(line, layer=layer, lines=lines, axes=axes)
+    axes.set(title="", xlabel="" if layer else axes.get_xlabel(), ylabel="" if layer else axes.get_ylabel())
     draw_outlines(axes, regions)
     caption = (
         schema.VARIABLES[layer].meaning if layer else "Flagged pixels; of several flags the rarest is shown"
     )
-    return figure_part(axes.figure, f"{caption}.", heading)
+    return figure_part(axes.figure, f"{caption}.", heading, kind="third" if layer else "half")
 
 
 def _reflectance(line: xr.Dataset) -> Markup:
-    axes = _new_axes(3.6, _CHART_INCH)
+    axes = _new_axes(3.2, _CHART_INCH)
     step = max(1, line.sizes[ALONG_TRACK] // 50)
     sample = line.isel({ALONG_TRACK: slice(None, None, step)})
     draw_spread(axes, sample if "reflectance" in sample else reflectance(sample))
     every = "all lines" if step == 1 else f"one line in {step}"
     caption = f"Spread of reflectance over the pixels of {every}, band by band."
-    return figure_part(axes.figure, caption, "Reflectance", kind="chart")
+    return figure_part(axes.figure, caption, "Reflectance", kind="chart half")
 
 
 def _table_of_flags(quality: Array, heading: str) -> Markup:
@@ -510,9 +518,25 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
         yield "uncertainty", partial(_chart, "uncertainty", usable)
     yield "paints", lambda: _table_of_paints(usable)
     if refused := library.attrs.get("refused"):
-        pairs = [str(text).partition(": ")[::2] for text in np.atleast_1d(refused)]
-        yield "refused", lambda: page_part("facts", pairs=pairs, heading="Refused regions")
+        yield "refused", partial(_refusals, [str(text) for text in np.atleast_1d(refused)])
     yield "provenance", lambda: _provenance({k: text for k, text in library.attrs.items() if k != "refused"})
+
+
+def _refusals(refused: Sequence[str]) -> Markup:
+    # refused regions by reason, the most frequent first; reasons that differ in numbers only are one
+    places: dict[str, list[str]] = {}
+    reasons: dict[str, str] = {}
+    for text in refused:
+        place, _, reason = text.partition(": ")
+        key = re.sub(r"\d+(\.\d+)?", "#", reason)
+        places.setdefault(key, []).append(place)
+        reasons.setdefault(key, reason)
+    rows = []
+    for key, found in sorted(places.items(), key=lambda pair: -len(pair[1])):
+        more = f" and {len(found) - MAX_PLACES} more" if len(found) > MAX_PLACES else ""
+        rows.append((len(found), reasons[key], "; ".join(found[:MAX_PLACES]) + more))
+    heading = f"Refused regions: {len(refused)}"
+    return page_part("table", heads=("regions", "reason", "where"), rows=rows, numbers=1, heading=heading)
 
 
 def _raise(problem: str) -> Markup:
@@ -591,7 +615,7 @@ _CHARTS: Mapping[str, tuple[Callable[[Any, xr.Dataset], None], tuple[float, floa
         (_CHART_INCH, 3.2),
         "Irradiance over time",
         "Downwelling irradiance around the line; the time of the line is shaded.",
-        "chart",
+        "chart half",
     ),
     "panels": (
         draw_panels,
@@ -599,7 +623,7 @@ _CHARTS: Mapping[str, tuple[Callable[[Any, xr.Dataset], None], tuple[float, floa
         "Panels",
         "Ratio of measured to certified reflectance of the panels, with twice the combined standard "
         "uncertainty: where the shade misses 1, calibration, irradiance or panel is wrong.",
-        "chart",
+        "chart half",
     ),
     "uncertainty": (
         draw_uncertainties,
@@ -618,8 +642,8 @@ def _chart(name: str, dataset: xr.Dataset) -> Markup:
     return figure_part(axes.figure, caption, heading, kind)
 
 
-def _drawn(draw: Callable[[], Any], caption: str, heading: str = "") -> Markup:
-    return figure_part(draw(), caption, heading)
+def _drawn(draw: Callable[[], Any], caption: str, heading: str = "", kind: str = "wide") -> Markup:
+    return figure_part(draw(), caption, heading, kind)
 
 
 def _gain(calibration: xr.Dataset) -> Markup:
@@ -694,7 +718,8 @@ def _map(line: xr.Dataset) -> Markup:
         f"{y.min():.0f} to {y.max():.0f} m."
     )
     picture = picture_bytes(rgb(rename_to_roles(orthomap)))
-    return page_part("true_colour", src=data_uri(encode_png(picture)), caption=caption, heading="Map")
+    src = data_uri(encode_png(picture))
+    return page_part("true_colour", src=src, caption=caption, heading="Map", kind="half")
 
 
 def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide") -> Markup:
@@ -718,7 +743,20 @@ def _alignment(attrs: Mapping[Any, Any]) -> Markup:
             rows.append((label, f"{value:.4g} \u00b1 {u:.2g}" if has_u else f"{value:.4g}"))
         elif value is not None:
             rows.append((label, value))
-    return page_part("facts", pairs=rows, heading="Alignment of camera and irradiance record")
+    return page_part("provenance", pairs=rows, summary="Alignment of camera and irradiance record")
+
+
+def _pairs(agreement: Validation) -> Markup:
+    # agreement of every pair over the part of the spectrum with most bands
+    rows = []
+    for number in range(agreement.statistics.sizes["pair"]):
+        pair = agreement.statistics.isel(pair=number)
+        part = pair.isel(part=int(pair["bands"].values.argmax()))
+        names = [str(pair[name].item()) for name in ("signature", "reference", "instrument")]
+        numbers = [f"{float(part[name]):.4f}" for name in ("rmse", "rmse_limit", "scale")]
+        rows.append((*numbers, *names, "pass" if bool(pair["passes"].all()) else "FAIL"))
+    heads = ("RMSE", "limit", "scale", "paint", "reference", "instrument", "")
+    return page_part("table", heads=heads, rows=rows, numbers=3)
 
 
 def validation_section(
@@ -734,7 +772,9 @@ def validation_section(
             continue
         yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
         caption = "Signatures over their references, and the differences with their standard uncertainty."
-        yield "agreement", partial(_drawn, partial(validation_figure, agreement), caption)
-        yield "statistics", partial(page_part, "preformatted", lines=agreement.table().splitlines())
+        yield "agreement", partial(_drawn, partial(validation_figure, agreement, columns=4), caption)
+        yield "pairs", partial(_pairs, agreement)
+        lines = agreement.table().splitlines()
+        yield "statistics", partial(page_part, "preformatted", lines=lines, summary="All statistics")
         for message in agreement.remarks:
             yield "remark", partial(page_part, "paragraph", text=message)

@@ -275,7 +275,10 @@ class RenderedFlight(Flight):
         texture = None
         if self._populations is not None:
             members, (x, y, z) = self._populations, np.moveaxis(block.position, 1, 0)
-            rows = member_rows(block.material, block.instance, x, y, z, members.grain, self.settings.seed)
+            rows = member_rows(
+                block.material, block.instance, x, y, z, block.incidence[:, 0],
+                sun_zenith=self.settings.sun[0], grain=members.grain, seed=self.settings.seed,
+            )  # fmt: skip
             texture = members.of_rows(rows)
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor

@@ -309,7 +309,7 @@ def render_scene(
         file takes precedence. The scene is not traced again.
     hold_edges
         Extend spectra by their first and last value, and interpolate bands without a value; by default as in
-        the file.
+        the file, else over at most 25 nm at the ends, with a warning.
     scheduler
     overwrite
     progress

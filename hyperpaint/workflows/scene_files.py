@@ -41,6 +41,7 @@ from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, pre
 from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes, Material, coat_of_gloss
 from hyperpaint.simulation.rendering.mesh_files import read_mesh
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, Platform, note_pushbroom_faults, pushbroom
+from hyperpaint.simulation.rendering.relighting import PAINT_VARIABLES
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS, Instance, Scene, plane
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
 from hyperpaint.simulation.settings import CAMERA_FIELDS, SimulationSettings
@@ -90,11 +91,11 @@ class SceneFile:
     product: str = fact("radiance", "physical quantity of the cube", choices=PRODUCTS)
     #: Whether the reflectance without noise is stored as well.
     true_reflectance: bool = fact(True, "whether to store the true reflectance, without noise, with the cube")
-    #: Whether spectra are held beyond their ends, and over bands without values.
-    hold_edges: bool = fact(
-        False,
+    #: Whether spectra are held beyond their ends, and over bands without values; None: over a short range.
+    hold_edges: bool | None = fact(
+        None,
         "whether to continue spectra with constant values beyond their first and last band, and to "
-        "interpolate bands without values",
+        "interpolate bands without values; without this key up to 25 nm at the ends, with a warning",
     )
 
 
@@ -557,7 +558,7 @@ def spectra_digest(spectra: Mapping[str, Any]) -> str:
         if isinstance(value, Mapping) and not hasattr(value, "data_vars"):
             digest.update(spectra_digest(value).encode())
         elif hasattr(value, "data_vars"):
-            stored_names = ("signature", "wavelength", "good", "reflectance", "member_reflectance")
+            stored_names = ("signature", "wavelength", "good", *PAINT_VARIABLES)
             for variable in (variable for variable in stored_names if variable in value.variables):
                 values = np.asarray(value[variable].values)
                 digest.update(

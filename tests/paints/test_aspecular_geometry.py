@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, strategies as st
 
 import hyperpaint as hp
@@ -69,6 +70,29 @@ def test_solid_paint_changes_with_the_light_and_flakes_with_their_own_colour() -
     middle = float(direct[GOOD].mean())
     assert 4.8 < lean_range(solid[1], 45.0, middle) < 5.6
     assert lean_range(flakes[1], 45.0, middle) > 5.6
+
+
+def test_members_of_flakes_have_the_stated_angle_and_others_stay() -> None:
+    def extracted(part: np.ndarray) -> xr.Dataset:
+        # signatures of a body part of 32 lines x 24 columns (pixel, band), with noise of 1 %
+        line = simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
+        noise = 1.0 + 0.01 * np.random.default_rng(2).normal(size=part.shape)
+        cube = (part * noise).reshape(32, 24, 40).transpose(0, 2, 1).astype(np.float32)
+        line = line.paint.reflectance().compute()
+        line["reflectance"] = line.reflectance.dims, cube, line.reflectance.attrs
+        corners = [(0, 0), (0, 31), (23, 31), (23, 0)]
+        return hp.extract_signatures(line, Regions((Region("bonnet", corners),)), exclude=0)
+
+    nm = np.linspace(400.0, 1000.0, 40)
+    body, leans = 0.2 + 0.1 * np.sin(nm / 90.0), np.linspace(-0.5, 0.5, 32 * 24)[:, None]
+    lobe = extracted(body * np.exp(leans * (1.4 + 0.6 * np.cos(nm / 70.0))))
+    ratio = lobe.member_reflectance.values[0] / lobe.reflectance.values[0]
+    assert 0.85 < np.nanmin(ratio) < np.nanmax(ratio) < 1.15
+    assert float(lobe.reflectance_quantiles.sel(quantile=0.95).max() / lobe.reflectance.max()) > 1.5
+    # a region of several materials is no paint with flakes
+    others = np.where(leans < 0.3, 0.5 + 0.3 * np.cos(nm / 60.0), 0.6 - 0.3 * np.cos(nm / 40.0))
+    mixed = extracted(np.where(leans < 0.1, body, others))
+    assert np.nanmax(mixed.member_reflectance.values[0] / mixed.reflectance.values[0]) > 1.5
 
 
 def test_noise_and_few_pixels_make_no_flop() -> None:

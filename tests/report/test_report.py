@@ -127,7 +127,13 @@ def paints(line: xr.Dataset) -> xr.Dataset:
         hp.Region(name, [(3, 0), (5, 0), (5, 9), (3, 9)], flightline="raw_0"),
     )
     library = hp.extract_signatures({"raw_0": line}, hp.Regions(regions), exclude=0)
-    return library.assign_attrs(refused=["raw_0, line 7, column 3: it is a window: <b>"])
+    window = "it is a window: <b> of"
+    places = (
+        ("line 7, column 3", f"{window} 4 m"),
+        ("line 1, column 1", "too dark"),
+        ("line 9, column 1", f"{window} 5 m"),
+    )
+    return library.assign_attrs(refused=[f"raw_0, {place}: {reason}" for place, reason in places])
 
 
 @pytest.mark.slow
@@ -145,7 +151,8 @@ def test_a_page_of_everything(lot: Path, tmp_path: Path) -> None:
         "4.167 %", "95.83 % of 240 pixels have no flag.",  # of 240 pixels 10 have glint
         "red hood", "Ours & Co", "Paint by paint",
         "flags of the pixels used age colour make",  # sorted, not as the folder is listed
-        "Refused regions raw_0, line 7, column 3 it is a window: <b>",
+        "Refused regions: 3", "2 it is a window: <b> of 4 m raw_0, line 7, column 3; raw_0, line 9, column 1",
+        "1 too dark raw_0, line 1, column 1",
     )  # fmt: skip
     # true colour, flags, irradiance, reflectance and its steps of two lines; the layer and two cards of one;
     # the paints and their uncertainty

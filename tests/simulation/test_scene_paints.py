@@ -437,16 +437,27 @@ def test_only_the_painted_car_changes() -> None:
 
 
 def grain(length: float, count: int = 1000, *, is_averaged: bool = False) -> Grain:
-    return Grain(
-        np.array([0]), np.array([count]), np.array([[length]]), np.array([[1.0]]), np.array([is_averaged])
-    )
+    return grains([count], length, is_averaged)
+
+
+def grains(counts: list[int], length: float = 1.0, is_averaged: bool = False) -> Grain:
+    # Return fields of several materials without an order by angle
+    size, zero = len(counts), np.zeros(len(counts))
+    one = np.ones((size, 1))
+    first = np.zeros(size, int)
+    return Grain(first, np.array(counts), length * one, one, np.full(size, is_averaged), zero, zero)
+
+
+def rows(label: np.ndarray, instance: np.ndarray, place: Any, made: Grain, seed: int) -> np.ndarray:
+    shade = np.full(label.shape, np.nan, np.float32)
+    return member_rows(label, instance, *place, shade, sun_zenith=30.0, grain=made, seed=seed)
 
 
 def field(spacing: float, made: Grain, seed: int = 3, instance: int = 0) -> np.ndarray:
     east, north = np.meshgrid(np.arange(200) * spacing, np.arange(150) * spacing)
     label = np.zeros(east.shape, np.int32)
     place = np.stack([east + 0.123, north - 7.77, 0.0 * east])
-    return member_rows(label, label + np.int32(instance), *place, made, seed) / 1000.0
+    return rows(label, label + np.int32(instance), place, made, seed) / 1000.0
 
 
 def test_ranks_are_even_and_alike_over_the_length() -> None:
@@ -472,10 +483,34 @@ def test_what_is_smaller_than_a_pixel_averages_out() -> None:
 
 def test_the_sky_and_plain_surfaces_have_no_member() -> None:
     label = np.array([[-1, 0, 1]], np.int32)
-    made = Grain(np.array([0, 0]), np.array([0, 9]), np.ones((2, 1)), np.ones((2, 1)), np.zeros(2, bool))
+    made = grains([0, 9])
     place = np.array([[[np.nan, 0.0, 1.0]]] * 3)
-    assert member_rows(label, label, *place, made, 0).tolist()[0][:2] == [-1, -1]
-    assert member_rows(label, label, *place, made, 0)[0, 2] >= 0
+    assert rows(label, label, place, made, 0).tolist()[0][:2] == [-1, -1]
+    assert rows(label, label, place, made, 0)[0, 2] >= 0
+
+
+@pytest.mark.slow
+def test_a_measured_paint_with_flakes_is_drawn_by_its_geometry() -> None:
+    # members at one angle; rendered on a level panel, where all pixels have the angle of the sun
+    speckled = library(spread_members(spread=0.04))
+    traced, dark = panel(0.1, lines=12, columns=12), {"white": (MEMBER_NM, 0.0 * MEMBER_NM)}
+
+    def body(stated_angle: float, light: Any) -> np.ndarray:
+        geometry = {"aspecular_angle": [stated_angle], "aspecular_range": [30.0]}
+        paints = speckled.assign({name: ("signature", value) for name, value in geometry.items()})
+        paints["flop"] = 0.0 * paints.reflectance + 2.0 / 3.0  # the bright end has twice the dark end
+        options = {"paints": {"white": "measured"}, "spectra": paints, "atmosphere": light}
+        line = traced.paint.relight(FEW_BANDS, **options).reflectance
+        return np.asarray(line - traced.paint.relight(FEW_BANDS, paints=dark, atmosphere=light).reflectance)
+
+    sunlight = flat_light(sky=0.0)
+    middle = body(SUN[0], sunlight)
+    assert (middle.std(axis=(0, 2)) / middle.mean(axis=(0, 2))).max() < 1e-3
+    np.testing.assert_allclose(body(SUN[0] + 7.5, sunlight) / middle, 2.0**0.25, rtol=0.03)
+    np.testing.assert_allclose(body(SUN[0] + 50.0, sunlight) / middle, 2.0**0.5, rtol=0.05)
+    np.testing.assert_allclose(body(SUN[0] - 50.0, sunlight) / middle, 2.0**-0.5, rtol=0.03)
+    overcast = flat_light(sun=0.0)
+    np.testing.assert_array_equal(body(SUN[0] + 50.0, overcast), body(SUN[0], overcast))
 
 
 # --- pearl ---

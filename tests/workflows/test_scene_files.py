@@ -881,21 +881,29 @@ def test_bands_without_values_are_named_and_held_on_request() -> None:
     hole = (nm < 430.0) | ((nm > 755.0) & (nm < 765.0))
     paints["reflectance"] = paints.reflectance.where(xr.DataArray(~hole, dims="band"))
     record = SceneRecord.of(two_cars())
+    strict = {"hold_edges": False}
     caught = expect_error(
-        SchemaError, None, lambda: factor_spectra(record, BANDS, {"car_0": "red, matt"}, paints)
+        SchemaError, None, lambda: factor_spectra(record, BANDS, {"car_0": "red, matt"}, paints, **strict)
     )
     assert caught.codes == ("spectrum-coverage", "not-finite")
     assert "424.4 to 428.8, 756.5 to 763.1 nm" in caught.problems[1].found
     held = factor_spectra(record, BANDS, {"car_0": "red, matt"}, paints, hold_edges=True)
     known = np.interp(np.array([425.0, 760.0]), nm[~hole], paints.reflectance.values[0][~hole])
     np.testing.assert_allclose(held.spectra["red, matt"](np.array([425.0, 760.0])), known, rtol=1e-6)
+    # by default the first bands are held, with a warning, and the gap between bands is refused
+    whole = paints.where((paints.wavelength < 430.0) | paints.reflectance.notnull(), 0.2)
+    with pytest.warns(hp.errors.PaintWarning, match="held constant there, over up to .* nm"):
+        factor_spectra(record, BANDS, {"car_0": "red, matt"}, whole)
+    expect_error(
+        SchemaError, "not-finite", lambda: factor_spectra(record, BANDS, {"car_0": "red, matt"}, paints)
+    )
     short = paints.isel(band=slice(60, 200))
     expect_error(
         SchemaError, "spectrum-coverage", lambda: factor_spectra(record, BANDS, {"car_0": "red, matt"}, short)
     )
     bad = library_rendered().isel(signature=[0]).assign_coords(good=("band", nm < 900.0))
     expect_error(
-        SchemaError, "not-finite", lambda: factor_spectra(record, BANDS, {"car_0": "red, matt"}, bad)
+        SchemaError, "spectrum-coverage", lambda: factor_spectra(record, BANDS, {"car_0": "red, matt"}, bad)
     )
 
 

@@ -23,9 +23,12 @@ from hyperpaint.base.mirrored_light import (
     BODY,
     EXCLUDED as MIRROR_EXCLUDED,
     INCLUDED,
+    MAX_ASPECULAR_RANGE_DEG,
     OUTSIDE,
     THROUGH_COAT,
+    flake_exponents,
     mirror_reflection,
+    shows_flakes,
 )
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import (
@@ -140,8 +143,12 @@ MIN_FLOP_MEMBERS = 20
 #: Minimum share of a body part's pixels with a value in a band, for this band to be used [1].
 MIN_BAND_SHARE = 0.9
 
-#: Maximum lean inferred from a change of brightness [degree].
-MAX_LEAN_DEG = 15.0
+#: Maximum relative difference from the centre of nine tenths of the values of members of a paint with flakes,
+#: after they are brought to the stated angle [1].
+MAX_FLAKE_MISFIT = 0.1
+
+#: Maximum lean inferred from a change of brightness [degree]; the mirrored sun turns by twice the lean.
+MAX_LEAN_DEG = MAX_ASPECULAR_RANGE_DEG / 2.0
 
 
 def aspecular_angle(
@@ -239,11 +246,14 @@ def lean_range(contrast: npt.ArrayLike, sun_zenith: npt.ArrayLike, direct: npt.A
 def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
     # Return a library with the angles between view and mirrored sun of its body parts, and their flop.
     #
+    # Members of a paint with flakes are brought to the stated angle: the change over the body part is the
+    # flop's, and would be noise in a renderer that draws members at random.
+    #
     # Adds ``aspecular_angle`` (signature) of a level body part; ``aspecular_range`` (signature), twice
     # `lean_range`, its possible variation between the ends of the body part [degree]; and ``flop``
     # (signature, band), `flop_of` of the members [1]; NaN where members, sun or view are unknown.
     good = library["good"].values.astype(bool)
-    members = library["member_reflectance"].transpose(SIGNATURE, ..., BAND).values
+    members = library["member_reflectance"].transpose(SIGNATURE, ..., BAND).values.copy()
     # bands that many pixels lack, such as bands without irradiance, are excluded instead of the pixels
     has_value = np.isfinite(members)
     band_is_used = has_value.sum(axis=1) > MIN_BAND_SHARE * has_value.any(axis=2).sum(axis=1)[:, None]
@@ -254,12 +264,25 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
     sun_zenith, view_zenith, relative_azimuth = (
         library[name].values for name in ("sun_zenith", "view_zenith", "relative_azimuth")
     )
+    ranges = 2.0 * lean_range(contrast, sun_zenith, direct)
     variables = {
         "aspecular_angle": (SIGNATURE, aspecular_angle(sun_zenith, view_zenith, relative_azimuth)),
-        "aspecular_range": (SIGNATURE, 2.0 * lean_range(contrast, sun_zenith, direct)),
+        "aspecular_range": (SIGNATURE, ranges),
         "flop": ((SIGNATURE, BAND), np.array(flops, np.float32)),
     }
-    return library.assign(
+    for number in np.flatnonzero(shows_flakes(np.array(flops), ranges)):
+        centre, used = library["reflectance"].values[number], good & band_is_used[number]
+        used &= np.isfinite(centre)
+        rows = np.flatnonzero(np.isfinite(members[number][:, used]).all(axis=1))
+        level = members[number][np.ix_(rows, used)].mean(axis=1) / centre[used].mean()
+        # place of a member between the dark and the bright end, by its level
+        place = np.log(np.maximum(level, 1e-3)) / flake_exponents(np.array(contrast[number]))
+        turned = members[number, rows] * np.exp(-place[:, None] * flake_exponents(flops[number]))
+        # several materials in a region do not become alike
+        misfit = np.abs(turned[:, used] / centre[used] - 1.0)
+        if misfit.size and float(np.quantile(misfit, 0.9)) <= MAX_FLAKE_MISFIT:
+            members[number, rows] = turned
+    return library.assign(member_reflectance=library["member_reflectance"].copy(data=members)).assign(
         {
             name: xr.DataArray(values, dims=dims, attrs=LIBRARY_VARIABLES[name].attrs)
             for name, (dims, values) in variables.items()
@@ -507,7 +530,8 @@ def extract_signatures(
     Dataset
         ``reflectance``, ``reflectance_sd``, ``reflectance_u_random``, ``reflectance_u_systematic``
         (signature, band), ``reflectance_quantiles`` (signature, quantile, band), ``member_reflectance``
-        (signature, member, band), all float32 [1], NaN where unknown; ``n``, ``n_eff`` and ``n_excluded``
+        (signature, member, band), for paints with flakes at the stated ``aspecular_angle``, all float32 [1],
+        NaN where unknown; ``n``, ``n_eff`` and ``n_excluded``
         (signature) pixels; ``quality`` (signature), the flags of the pixels that were used; ``quality_share``
         (signature, flag), the share of all pixels with each flag [1]; ``sun_zenith``, ``sun_azimuth``,
         ``view_zenith``, ``view_azimuth``, ``relative_azimuth`` [degree] and ``irradiance_age`` [s]

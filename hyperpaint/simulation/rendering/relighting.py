@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, warn_user
 from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.mirrored_light import INCLUDED, mirror_reflection
+from hyperpaint.base.mirrored_light import INCLUDED, flake_exponents, mirror_reflection, shows_flakes
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -354,7 +354,22 @@ MAX_MEMBERS = 512
 #: Maximum excess of measured reflectance beyond 0 or 1 by noise [1]; more is an error of scale or light.
 _NOISE = 0.05
 
+#: Maximum range at an end of the bands over which a spectrum is held constant by default [nm].
+HELD_NM = 25.0
+
 _MAX_RANGES_SHOWN = 6
+
+#: Variables of a library that the change of a paint with flakes needs.
+_FLAKES = frozenset(("flop", "aspecular_angle", "aspecular_range"))
+
+#: Variables of a library that the renderer reads.
+PAINT_VARIABLES = ("reflectance", "member_reflectance", *sorted(_FLAKES))
+
+#: Maximum relative standard deviation of the level of members at one angle [1].
+_MAX_SPREAD = 0.05
+
+#: Number of angles for which the change of a paint with flakes is tabulated; odd, so that one is the middle.
+_ANGLES = 65
 
 #: Minimum mean by which members are divided [1].
 _MIN_MEAN = 1e-4
@@ -372,6 +387,9 @@ class Table:
     wavelength: Floats  # (point,): increasing wavelengths [nm]
     reflectance: Floats  # (point,): reflectance [1]
     members: Floats | None = None  # (member, point): population [1]; None without a population
+    # angle between view and mirrored sun of the middle member, and range of the angles [degree], for members
+    # in the order of this angle; a range of 0 for others
+    angles: tuple[float, float] = (0.0, 0.0)
 
     octaves = MEASURED
 
@@ -410,7 +428,7 @@ def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
             mend="rename them, or select one with library.isel(signature=...)",
             code="paint-ambiguous",
         )
-    variables = [name for name in ("reflectance", "member_reflectance") if name in library.variables]
+    variables = [name for name in PAINT_VARIABLES if name in library.variables]
     reduced = library[variables].reset_coords(drop=True)
     reduced = reduced.assign_coords(
         {name: library[name].variable for name in (("wavelength", "good")) if name in library.variables}
@@ -454,16 +472,24 @@ class SpectrumReader:
     clip
         Limit reflectances to 0 to 1 instead of an error.
     hold_edges
-        Extend spectra by their first and last good value, and interpolate bands without a value.
+        Extend spectra by their first and last good value, and interpolate bands without a value; None extends
+        by at most `HELD_NM`, with a warning.
     """
 
     def __init__(
-        self, given: Mapping[str, Any], bands: BandSet, problems: Problems, *, clip: bool, hold_edges: bool
+        self,
+        given: Mapping[str, Any],
+        bands: BandSet,
+        problems: Problems,
+        *,
+        clip: bool,
+        hold_edges: bool | None,
     ) -> None:
         self._given, self._bands, self._problems = given, bands, problems
         self._clip, self._hold_edges = clip, hold_edges
         self._clipped: list[str] = []
         self._mirroring: list[str] = []
+        self._held: dict[str, float] = {}  # longest range without values at an end [nm]
 
     def read(self, name: str) -> Spectrum | None:
         # spectrum by name as a function of wavelength; None after a problem
@@ -525,6 +551,13 @@ class SpectrumReader:
                 "render",
             ),
             (
+                "edge-bands-held",
+                list(self._held),
+                "{} have no values at the ends of the bands and are held constant there, over up to "
+                f"{max(self._held.values(), default=0.0):.1f} nm; pass hold_edges=True to accept this "
+                "(--hold-edges), or False to refuse it",
+            ),
+            (
                 "mirror-counted-twice",
                 self._mirroring,
                 "{} contain the mirror reflection of the coat, which the renderer adds again; extract "
@@ -555,8 +588,13 @@ class SpectrumReader:
         first_centre, last_centre = bands.wavelength[[0, -1]]
         first_needed, last_needed = first_centre + bands.fwhm[0] / 2, last_centre - bands.fwhm[-1] / 2
         is_used = np.isfinite(reflectance)
+        most_held = {None: HELD_NM, False: 0.0, True: np.inf}[self._hold_edges]
         if not self._hold_edges:
-            is_used |= (nm >= first_needed) & (nm <= last_needed)
+            missing = ~is_used & (nm >= first_needed) & (nm <= last_needed)
+            if self._hold_edges is None and is_used.any():  # bands at the ends are held
+                first, last = nm[is_used][[0, -1]]
+                missing &= (nm > first) & (nm < last)
+            is_used |= missing
         if is_used.sum() < 2:
             gaps = _ranges_text(nm, ~np.isfinite(reflectance))
             problems.add(
@@ -564,7 +602,8 @@ class SpectrumReader:
             )
             return None
         nm, reflectance = nm[is_used], reflectance[is_used]
-        if not self._hold_edges and (nm[0] > first_needed or nm[-1] < last_needed):
+        held = max(nm[0] - first_needed, last_needed - nm[-1])
+        if held > most_held:
             problems.add(
                 f"spectrum {name!r} covers {nm[0]:.1f} to {nm[-1]:.1f} nm",
                 expected=f"the range of the bands, {first_centre:.1f} to {last_centre:.1f} nm",
@@ -572,6 +611,8 @@ class SpectrumReader:
                 option="pass --hold-edges to extend it by its first and last value",
                 code="spectrum-coverage",
             )
+        elif held > 0.0 and self._hold_edges is None:
+            self._held[name] = float(held)
         start = min(max(int(np.searchsorted(nm, bands.limits[0])) - 1, 0), nm.size - 1)
         points = slice(start, max(int(np.searchsorted(nm, bands.limits[1])) + 1, start + 1))
         is_missing = ~np.isfinite(reflectance[points])
@@ -589,7 +630,7 @@ class SpectrumReader:
             members = members[:, is_used]
             members = members[np.isfinite(members).all(axis=1)][:, points]
             members = members if len(members) > 1 else None
-        return Table(nm[points], reflectance[points], members)
+        return Table(nm[points], reflectance[points], members, table.angles)
 
     def _library_table(self, paint: xr.Dataset, name: str) -> Table:
         # table of a library paint: bands by wavelength, NaN in bands that are not good
@@ -597,7 +638,7 @@ class SpectrumReader:
         order = np.argsort(nm, kind="stable")
         is_good = np.asarray(paint["good"].values, bool) if "good" in paint.coords else np.ones(nm.size, bool)
         values = np.where(is_good, reflectance, np.nan)[order]
-        members = None
+        members, angles, spread = None, (0.0, 0.0), 0.0
         if "member_reflectance" in paint:
             population = paint["member_reflectance"].transpose(MEMBER, BAND)
             rows = np.asarray(
@@ -607,13 +648,24 @@ class SpectrumReader:
             members = members[np.isfinite(members).any(axis=1)]
             if len(members) > MAX_MEMBERS:  # keep evenly spaced members
                 members = members[np.linspace(0, len(members) - 1, MAX_MEMBERS).round().astype(np.int64)]
+            level = np.nansum(members, axis=1)
+            spread = float(level.std() / max(level.mean(), _MIN_MEAN)) if level.size else 0.0
+        if (
+            set(paint.variables) >= _FLAKES
+            and spread <= _MAX_SPREAD
+            and shows_flakes(paint["flop"].values, paint["aspecular_range"].values)
+        ):
+            # members at the angles of the measurement, from the dark to the bright end
+            exponents = np.where(is_good, flake_exponents(paint["flop"].values), 0.0)[order]
+            members = values * np.exp(np.linspace(-0.5, 0.5, _ANGLES)[:, None] * exponents)
+            angles = float(paint["aspecular_angle"]), float(paint["aspecular_range"])
         if mirror_reflection(paint) == INCLUDED:
             self._mirroring.append(name)
         is_outside = (values < 0.0) | (values > 1.0)
         if is_outside.any() and bool((np.abs(values[is_outside] - 0.5) <= 0.5 + _NOISE).all()):
             self._clipped.append(name)
             values = np.clip(values, 0.0, 1.0)
-        return Table(nm[order], values, members)
+        return Table(nm[order], values, members, angles)
 
 
 def _columns(value: Any) -> tuple[Floats, Floats]:
@@ -678,7 +730,7 @@ def factor_spectra(
     spectra: Mapping[str, Any] | xr.Dataset | None = None,
     *,
     clip: bool = False,
-    hold_edges: bool = False,
+    hold_edges: bool | None = None,
 ) -> FactorSpectra:
     # Return the spectra of all factors of a scene.
     #
@@ -860,34 +912,41 @@ class Populations(NamedTuple):
 
 def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) -> Populations | None:
     # populations of a scene's materials; None if no spectrum has one.
-    # The mean over the members of a population is the spectrum itself, in every band.
+    # The mean over the members of a population is the spectrum itself, in every band; of members by angle
+    # the middle one.
     count = np.zeros((2, len(record.materials)), np.int64)
-    members: list[tuple[Octaves, int, int, Floats]] = []
+    members: list[tuple[Any, int, int, Floats]] = []
     for factor_number, (factor, name) in enumerate(zip(record.factors, painted.names, strict=True)):
         spectrum: Any = painted.spectra[name]
         if factor.flakes or factor.through or getattr(spectrum, "population", None) is None:
             continue
         rows = spectrum.population(bands.wavelength)
         if rows is not None:
-            members.append((spectrum.octaves, factor.material, factor_number, rows))
+            members.append((spectrum, factor.material, factor_number, rows))
     if not members:
         return None
-    shape = len(record.materials), max(len(octaves.lengths) for octaves, *_ in members)
+    shape = len(record.materials), max(len(spectrum.octaves.lengths) for spectrum, *_ in members)
     lengths, shares, is_averaged = np.ones(shape), np.zeros(shape), np.zeros(shape[0], bool)
+    angles = np.zeros((2, shape[0]))
     ratios, factors, first_row = [], [], 0
-    for octaves, material, factor_number, rows in members:
+    for spectrum, material, factor_number, rows in members:
+        octaves: Octaves = spectrum.octaves
+        angles[:, material] = getattr(spectrum, "angles", 0.0)
         # members over their mean, darkest first
-        ratio = np.minimum(np.clip(rows, 0.0, 1.0) / np.maximum(rows.mean(axis=0), _MIN_MEAN), _MAX_RATIO)
-        # clipping to 0 and 1 must not change the mean
-        ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
-        ratios.append(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
+        mean = rows[len(rows) // 2] if angles[1, material] else rows.mean(axis=0)
+        ratio = np.minimum(np.clip(rows, 0.0, 1.0) / np.maximum(mean, _MIN_MEAN), _MAX_RATIO)
+        if angles[1, material] == 0.0:
+            # clipping to 0 and 1 must not change the mean
+            ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
+            ratio = ratio[np.argsort(rows.mean(axis=1), kind="stable")]
+        ratios.append(ratio)
         factors.append(np.full(len(rows), factor_number, np.int64))
         count[:, material] = first_row, len(rows)
         first_row += len(rows)
         lengths[material, : len(octaves.lengths)] = octaves.lengths
         shares[material, : len(octaves.shares)] = octaves.shares
         is_averaged[material] = octaves.is_averaged
-    grain = Grain(count[0], count[1], lengths, shares, is_averaged)
+    grain = Grain(count[0], count[1], lengths, shares, is_averaged, *angles)
     return Populations(grain, np.concatenate(factors), np.concatenate(ratios).astype(np.float32))
 
 
@@ -933,7 +992,7 @@ def relight(
     variation: npt.ArrayLike | BrokenClouds | None = None,
     truth: bool = True,
     clip: bool = False,
-    hold_edges: bool = False,
+    hold_edges: bool | None = None,
     population: bool = True,
 ) -> xr.Dataset:
     r"""Return the radiance of a traced scene under an atmosphere in the bands of a camera.
@@ -969,7 +1028,8 @@ def relight(
         Limit reflectances to 0 to 1 instead of an error.
     hold_edges
         Hold tabulated spectra constant beyond their ends and their last bands with values, and interpolate
-        bands without values, or not ``good``, linearly, instead of an error.
+        bands without values, or not ``good``, linearly, instead of an error. By default spectra are held over
+        at most 25 nm, with a warning; False refuses this, too.
     population
         Show in every pixel a member of the population of its paint, if a library has
         ``member_reflectance``; False shows the mean.
@@ -994,8 +1054,8 @@ def relight(
     Warns
     -----
     PaintWarning
-        Paints of a library exceed 0 to 1 by noise and are clipped; or a library contains the mirror
-        reflection of coats, which the renderer adds again.
+        Paints of a library exceed 0 to 1 by noise and are clipped; spectra are held at the ends of the
+        bands; or a library contains the mirror reflection of coats, which the renderer adds again.
 
     Notes
     -----
@@ -1011,6 +1071,11 @@ def relight(
     1.25 cm, each with a third of the variance: pixels of any size have the spread of the members, and
     neighbours are similar. Light from other surfaces has their mean spectra. The mean over all members is
     the reflectance of the library. The member depends only on seed, position and instance.
+
+    A measured paint with flakes (``flop``, ``aspecular_angle`` and ``aspecular_range`` of the library) has
+    the reflectance of the angle at which a pixel is lit instead: between the view from above and the
+    mirrored sun, from the pixel's incidence. Beyond the measured angles it is held; in shade and without
+    direct sunlight a pixel shows the library's reflectance.
 
     Examples
     --------
@@ -1068,7 +1133,14 @@ def relight(
     shared = (camera, record.codes(settings), sky, settings, painted(BandResponses(camera).grid))
     light = dask.delayed(make_lighting, pure=True)(*shared)
     populations = populations_of(record, painted, camera) if population else None
-    cubes = _lazy_cubes(traced, light, camera, variation, populations, settings.seed, truth=truth)
+    # direct sunlight of pixels, which the angle of a paint with flakes needs
+    incidence = xr.full_like(traced["material"], np.nan, np.float32)
+    if "sun_incidence" in traced.variables and sky.sun.any():
+        lit = traced[["sun_incidence", "sun_visibility"]].isel({SUN: sun}, drop=True)
+        incidence = lit["sun_incidence"].where(lit["sun_visibility"] > 0.5)
+    placed = traced.assign(incidence=incidence)
+    rows = {"sun_zenith": settings.suns[sun][0], "seed": settings.seed}
+    cubes = _lazy_cubes(placed, light, camera, variation, populations, rows, truth=truth)
     names = [""] * len(record.materials)  # spectra of the bases
     for factor, name in zip(record.factors, painted.names, strict=True):
         if not (factor.flakes or factor.through):
@@ -1100,7 +1172,7 @@ def _whole_lines(array: xr.DataArray) -> da.Array:
     return cast("da.Array", array.chunk(dict.fromkeys(split, -1)).data if split else array.data)
 
 
-_PIXEL_LAYERS = ("material", "instance", "east", "north", "up")
+_PIXEL_LAYERS = ("material", "instance", "east", "north", "up", "incidence")
 
 
 def _lazy_cubes(
@@ -1109,7 +1181,7 @@ def _lazy_cubes(
     bands: BandSet,
     variation: Floats | BrokenClouds | None,
     populations: Populations | None,
-    seed: int,
+    chosen: Mapping[str, float],
     *,
     truth: bool,
 ) -> dict[str, da.Array]:
@@ -1135,7 +1207,7 @@ def _lazy_cubes(
         # population member of every pixel as row of a table, and the table
         layers = [_whole_lines(traced[name].reset_coords(drop=True)) for name in _PIXEL_LAYERS]
         inputs = [part for layer in layers for part in (layer, "lx")]
-        options = {"grain": populations.grain, "seed": seed, "meta": np.empty((0, 0), np.int32)}
+        options = {"grain": populations.grain, **chosen, "meta": np.empty((0, 0), np.int32)}
         rows = da.blockwise(member_rows, "lx", *inputs, **options, dtype=np.int32)
         textured = (*lit, rows, "lx", dask.delayed(populations, pure=True, traverse=False), None)
 

@@ -40,6 +40,10 @@ class Grain(NamedTuple):
     # (material,) bool: whether octaves shorter than a pixel are averaged; False for members measured on
     # pixels
     is_averaged: Array
+    # aspecular_angle, angle_range: (material,) float64: angle between view and mirrored sun of the middle
+    # member, and range of these angles [degree]; a range of 0 where a random field selects the member
+    aspecular_angle: Array
+    angle_range: Array
 
 
 # Ratios from the mean spectra of pixels to the spectra of members
@@ -51,9 +55,22 @@ class Texture(NamedTuple):
 
 
 def member_rows(
-    material: Array, instance: Array, east: Array, north: Array, up: Array, grain: Grain, seed: int
+    material: Array,
+    instance: Array,
+    east: Array,
+    north: Array,
+    up: Array,
+    incidence: Array,
+    *,
+    sun_zenith: float,
+    grain: Grain,
+    seed: int,
 ) -> Array:
     """Return the member row of every pixel, (line, column) int32; -1 for no member.
+
+    Members of a paint with flakes are ordered by the angle between view and mirrored sun. The pixel is seen
+    from above and leans towards or away from the sun, as its incidence tells; in shade it shows the middle
+    member.
 
     Parameters
     ----------
@@ -61,6 +78,10 @@ def member_rows(
         Labels of a pixel; -1 for the sky.
     east, north, up : (line, column) float64
         Position of a pixel [m].
+    incidence : (line, column) float32
+        Cosine between normal and sun; NaN without direct sunlight.
+    sun_zenith
+        Of the sun [degree].
     grain
         Spatial variation of every material.
     seed
@@ -68,11 +89,11 @@ def member_rows(
 
     Examples
     --------
-    >>> grain = Grain(*map(np.array, ([0], [9], [[0.1]], [[1.0]], [False])))
+    >>> grain = Grain(*map(np.array, ([0], [9], [[0.1]], [[1.0]], [False], [40.0], [20.0])))
     >>> label = np.zeros((1, 4), np.int32)
-    >>> place = np.array([[0.0, 0.01, 3.0, 9.0]]), 0.0 * label, 0.0 * label
-    >>> member_rows(label, label, *place, grain, 0).shape
-    (1, 4)
+    >>> incidence = np.cos(np.radians([[35.0, 40.0, 45.0, np.nan]]))
+    >>> member_rows(label, label, label, label, label, incidence, sun_zenith=40.0, grain=grain, seed=0)
+    array([[8, 4, 0, 4]], dtype=int32)
     """
     rows = np.full(material.shape, -1, np.int32)
     place = np.stack([east, north, up])
@@ -84,6 +105,16 @@ def member_rows(
                 pixel[line] = np.median(distances[np.isfinite(distances)])
     labels = np.ascontiguousarray(material, np.int32), np.ascontiguousarray(instance, np.int32)
     _write_rows(*labels, np.ascontiguousarray(place, np.float64), pixel, grain, int(seed) & _MASK, rows)
+    shown = np.where(rows >= 0, material, 0)
+    by_angle = (rows >= 0) & (grain.angle_range[shown] > 0.0)
+    if by_angle.any():
+        surface, cosine = shown[by_angle], np.minimum(incidence[by_angle], 1.0)
+        # a lean turns the mirrored sun by twice its angle
+        angle = np.abs(2.0 * np.degrees(np.arccos(cosine)) - sun_zenith)
+        turn = (grain.aspecular_angle[surface] - angle) / grain.angle_range[surface]
+        place_in_range = 0.5 + np.nan_to_num(np.clip(turn, -0.5, 0.5))
+        last = grain.members[surface] - 1
+        rows[by_angle] = grain.first[surface] + np.rint(place_in_range * last).astype(np.int32)
     return rows
 
 
