@@ -169,8 +169,9 @@ def _fit_line(
     chi2 = _normal_equations(line, p, shape, triangular, matrix, right)
     converged = False
     for _ in range(_MAX_STEPS):
-        damped[:] = matrix
         for j in range(4):
+            for k in range(4):  # numba compiles assignments of whole arrays slowly
+                damped[j, k] = matrix[j, k]
             damped[j, j] *= 1.0 + damping
         if not _solve4(damped, right, change):
             break
@@ -180,7 +181,8 @@ def _fit_line(
         trial_chi2 = _chi2(line, trial, shape, triangular)
         if trial_chi2 <= chi2:
             change_size = abs(trial[CENTRE] - p[CENTRE]) + abs(trial[WIDTH] - p[WIDTH])
-            p[:] = trial
+            for j in range(4):
+                p[j] = trial[j]
             decrease = chi2 - trial_chi2
             chi2 = _normal_equations(line, p, shape, triangular, matrix, right)
             damping = max(damping * 0.1, 1e-12)
@@ -199,7 +201,8 @@ def _fit_line(
         if not _solve4(matrix, unit, change):
             covariance[:] = np.nan
             return chi2, False
-        covariance[j] = change
+        for k in range(4):
+            covariance[j, k] = change[k]
     return chi2, converged
 
 

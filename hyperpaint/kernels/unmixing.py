@@ -200,6 +200,13 @@ def _normal_equations(
 
 
 @kernel
+def _copy(values: Array, out: Array) -> None:
+    # numba compiles ``out[:] = values`` with a formatted error message, which takes a second
+    for i in range(out.size):
+        out[i] = values[i]
+
+
+@kernel
 def _neighbour_lowers_residual(gram: Array, right: Array, used: Any, amount: Array) -> Any:
     for i in range(_OWN_PARTS, used):
         slope = right[i]
@@ -225,7 +232,7 @@ def _minimise_with_neighbours(
         minimise(gram, right, most, fixed, trial)
         trial_cost = zero_cost + _cost(gram, right, trial)
         if cost - trial_cost > evidence * max(1.0, trial_cost / (_INDEPENDENT_SHARE * equations.valid)):
-            amount[:] = trial
+            _copy(trial, amount)
             cost = trial_cost
     return cost
 
@@ -265,7 +272,7 @@ def _solve(
     cost_without_glint = _minimise_with_neighbours(equations, zero_cost, most, evidence, is_fixed, trial)
     is_weak = cost_without_glint - cost <= evidence * max(1.0, cost / (_INDEPENDENT_SHARE * equations.valid))
     if is_weak or amount[_GLINT] <= 0.0 or amount[0] < _MIN_SUNLIT_DIRECT:
-        amount[:] = trial
+        _copy(trial, amount)
 
 
 @kernel
@@ -322,7 +329,7 @@ def unmix_lines(
             weight = 1.0 / tilt[number] ** 2
             additions = Glinting(min(glinting.direct, tilt[number]), glinting.sunward)
             _solve(equations, zero_cost, prior, evidence, additions, weight, amount)
-            out.amount[line, x] = amount
+            _copy(amount, out.amount[line, x])
             out.misfit[line, x] = _misfit(spectrum[line, x], parts, amount, errors)
             max_first, max_second, max_both = 0.0, 0.0, 0.0
             for k in range(channels):
