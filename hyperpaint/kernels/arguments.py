@@ -78,12 +78,17 @@ class LightCells(NamedTuple):
     #: (line, band, cell, 1 or 4) float32: a factor, or the coefficients of a cubic in ``shift`` that is the
     #: divisor
     coefficients: Array
-    #: (1 or band, column) float32: position of a column inside its cell; not read without smile
-    shift: Array
+    #: (1 or band, column) float32: position of a column inside its cell; None without smile
+    shift: Array | None
     #: edges (1 or band, run + 1), cells (1 or band, run) int64: a run is a range of columns of the same cell;
-    #: its first column and its cell. Not read without smile
-    edges: Array
-    cells: Array
+    #: its first column and its cell. None without smile
+    edges: Any
+    cells: Any
+
+
+def light_cells(coefficients: Array, shift: Array, edges: Array, cells: Array) -> LightCells:
+    # Return `LightCells`; column positions are stored only for cubic coefficients.
+    return LightCells(coefficients, *((shift, edges, cells) if coefficients.shape[3] > 1 else (None,) * 3))
 
 
 # Counts beyond which a sample is flagged.
@@ -110,15 +115,15 @@ def count_limits(
 
 # Bit masks that round float32 values to nearest-even, as numcodecs' BitRound does.
 class Rounding(NamedTuple):
-    last: Any  #: Lowest kept bit; 0 where all are kept
+    last: Any  #: Lowest kept bit
     half: Any  #: Half of ``last``
     mask: Any  #: All kept bits
 
 
-def rounding(cleared_bits: int) -> Rounding:
-    # Return the masks that clear this number of mantissa bits; for 0, masks that keep every value.
+def rounding(cleared_bits: int) -> Rounding | None:
+    # Return the masks that clear this number of mantissa bits; None for 0.
     if not cleared_bits:
-        return Rounding(np.uint32(0), np.uint32(1), np.uint32(2**32 - 1))
+        return None
     last = 1 << int(cleared_bits)
     return Rounding(*(np.uint32(bits) for bits in (last, last >> 1, 2**32 - last)))
 
@@ -129,7 +134,7 @@ class LineCounts(NamedTuple):
     dark: Array  #: (band, column)
     gain: Array  #: (band, column)
     saturation_limit: Any  #: float32: counts from which a value is NaN
-    rounding: Rounding
+    rounding: Rounding | None
 
 
 # Quality bits of whole lines (line,) and columns (column,), and the bit of a line without data.

@@ -70,16 +70,17 @@ def value_row(
     samples: LineCounts,
     signal: Array | None,
     light: LightCells,
+    shift: Array | None,
     line_and_band: tuple[Any, Any],
     out: Array,
 ) -> None:
     # Write the values of ``line_and_band`` from counts, or from the linear ``signal`` above dark.
     #
-    # ``signal`` is (column,). Arrays are indexed by line and band: four row
+    # ``signal`` is (column,); ``shift`` is ``light.shift``. Arrays are indexed by line and band: four row
     # views would cost a quarter of the loop's time.
     line, band = line_and_band
-    counts, dark, gain, shift = samples.counts, samples.dark, samples.gain, light.shift
-    if light.coefficients.shape[3] == 1:
+    counts, dark, gain = samples.counts, samples.dark, samples.gain
+    if shift is None:
         scale = light.coefficients[line, band, 0, 0]
         for x in range(counts.shape[2]):
             raw = np.float32(counts[line, band, x])
@@ -147,7 +148,7 @@ def calibrate_slab(
     limits: CountLimits,
     flags: FixedFlags | None,
     terms: ErrorTerms | None,
-    rounding: Rounding,
+    rounding: Rounding | None,
     out: SlabOutputs,
 ) -> None:
     # Calibrate whole lines of counts (line, band, column), uint16 or float32, with flags and uncertainties.
@@ -177,8 +178,6 @@ def calibrate_slab(
             np.empty(n_column, np.float32),
             rounding,
         )
-    # uncertainties follow from values that are not rounded yet
-    unrounded = Rounding(np.uint32(0), np.uint32(1), np.uint32(0xFFFFFFFF))
     for line in range(n_line):
         dark = dark_of_line(
             counts[line],
@@ -197,17 +196,14 @@ def calibrate_slab(
             for x in range(n_column):
                 tally.peak[x] = 0
                 tally.negative[x] = 0
+        # uncertainties follow from values that are not rounded yet
         samples = LineCounts(
-            counts,
-            dark,
-            calibration.gain,
-            np.float32(limits.highest),
-            rounding if terms is None else unrounded,
+            counts, dark, calibration.gain, np.float32(limits.highest), rounding if terms is None else None
         )
         for band in range(n_band):
             line_and_band = (line, band)
             signal_row(counts, detector, linear, line_and_band)
-            value_row(samples, signal, light, line_and_band, out.cube)
+            value_row(samples, signal, light, light.shift, line_and_band, out.cube)
             limit_row(counts, limits.saturation, line_and_band, out.cube)
             if terms is not None:
                 propagate_band(samples, linear, detector, light, terms, memory, line_and_band, out)

@@ -22,7 +22,7 @@ class ErrorMemory(NamedTuple):
     irradiance: Array
     inverse: Array
     slope: Array  #: (column,) float32: linear counts per count of the current band
-    rounding: Rounding
+    rounding: Rounding | None
 
 
 @inlined_kernel
@@ -35,13 +35,14 @@ def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
 
 
 @inlined_kernel
-def light_row(light: LightCells, line_and_band: tuple[Any, Any], irradiance: Array, inverse: Array) -> None:
+def light_row(
+    light: LightCells, shift: Array | None, line_and_band: tuple[Any, Any], irradiance: Array, inverse: Array
+) -> None:
     # Write the irradiance E of ``line_and_band``, and 1 / E (column,).
     #
-    # Values are gain x (counts - dark) / E.
+    # Values are gain x (counts - dark) / E. ``shift`` is ``light.shift``.
     line, band = line_and_band
-    shift = light.shift
-    if light.coefficients.shape[3] == 1:
+    if shift is None:
         scale = light.coefficients[line, band, 0, 0]
         for x in range(inverse.size):
             inverse[x] = scale
@@ -166,7 +167,7 @@ def propagate_band(
     line, band = line_and_band
     values = out.cube[line]
     last = values.shape[0] - 1
-    light_row(light, line_and_band, memory.irradiance[band % 3], memory.inverse[band % 3])
+    light_row(light, light.shift, line_and_band, memory.irradiance[band % 3], memory.inverse[band % 3])
     random_row(samples, linear, detector, terms, memory, line_and_band, out)
     for done in range(max(band - 1, 0), band + (band == last)):
         systematic_row(

@@ -124,7 +124,7 @@ def subtract_stray_light(
     calibration: Calibration,
     light: LightCells,
     stray: StrayLight,
-    rounding: Rounding,
+    rounding: Rounding | None,
     out: SlabOutputs,
 ) -> None:
     # Subtract stray light from calibrated lines, not yet rounded, of counts (line, band, column).
@@ -158,7 +158,7 @@ def subtract_stray_light(
         replace_bad(net, stray.replacements)
         sum_line(net, stray, stray.smear[line], memory, stray_counts)
         for band in range(n_band):
-            light_row(light, (line, band), irradiance, inverse)
+            light_row(light, light.shift, (line, band), irradiance, inverse)
             subtract_row(
                 stray_counts[band], calibration.gain[band], inverse, stray.relative, out, (line, band)
             )

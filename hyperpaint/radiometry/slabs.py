@@ -25,10 +25,10 @@ from hyperpaint.kernels.arguments import (
     DetectorModel,
     ErrorTerms,
     FixedFlags,
-    LightCells,
     SlabOutputs,
     StrayLight,
     count_limits,
+    light_cells,
     rounding,
     without_empty_arrays,
 )
@@ -256,7 +256,7 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
         plan.gain,
         without_empty_arrays(plan.detector),
     )
-    light = LightCells(
+    light = light_cells(
         plan.light(lines.start, lines.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells
     )
     is_integer = np.issubdtype(counts.dtype, np.integer)
@@ -273,7 +273,7 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
         ),
         flags if out.quality.size else None,
         without_empty_arrays(plan.error_terms) if plan.error_terms is not None and has_uncertainty else None,
-        rounding(plan.cleared_bits if plan.stray is None else 0),
+        rounding(plan.cleared_bits) if plan.stray is None else None,
         out,
     )
     if plan.stray is not None:

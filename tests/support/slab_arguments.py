@@ -9,9 +9,9 @@ from hyperpaint.kernels.arguments import (
     DetectorModel,
     ErrorTerms,
     FixedFlags,
-    LightCells,
     SlabOutputs,
     count_limits,
+    light_cells,
     rounding,
     without_empty_arrays,
 )
@@ -122,7 +122,7 @@ def calibrate(
     calibrate_slab(
         p["counts"],
         calibration,
-        LightCells(p["light"], p["shift"], p["edges"], p["cells"]),
+        light_cells(p["light"], p["shift"], p["edges"], p["cells"]),
         count_limits(p["limit"], p["noise_margin"], p["most_negative"], p["whole"]),
         FixedFlags(p["line_flags"], p["column_flags"], p["no_data"]) if out.quality.size else None,
         None if terms is None else without_empty_arrays(terms),
