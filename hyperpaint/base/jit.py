@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar, cast
 
 import numba
 from numba import types
-from numba.core.caching import FunctionCache, NullCache
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    InTreeCacheLocator,
+    NullCache,
+    UserProvidedCacheLocator,
+    UserWideCacheLocator,
+)
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
@@ -30,8 +39,8 @@ def kernel(function: Function) -> Function:
     # process there. The numpy error model lets the compiler vectorise divisions. No fast-math: the same bits
     # must result from any chunking.
     #
-    # Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else beside the package,
-    # else, where that is read-only, in the user's cache folder. Where none can be written (a container with a
+    # Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else in the user's cache
+    # folder, else, where that is read-only, beside the package. Where none can be written (a container with a
     # read-only disk, a full disk) every process compiles its kernels, with a warning.
     return _compiled(function, {"nogil": True, "error_model": "numpy"})
 
@@ -58,7 +67,33 @@ def _borrowing_options() -> dict[str, Any]:
     return options
 
 
+@functools.cache
+def _name_by_content(py_file: str) -> str:
+    # Return the name of the cache folder of a module: every clone, environment and container finds it.
+    #
+    # numba names it by the path of the package, and does not see that a kernel in another module has changed.
+    digest = hashlib.sha256(numba.__version__.encode())
+    folder = Path(py_file).resolve().parent
+    for path in (Path(__file__), *sorted(folder.glob("*.py"))):
+        digest.update(path.read_bytes())
+    return f"{folder.name}_{digest.hexdigest()[:24]}"
+
+
+class _ProvidedFolder(UserProvidedCacheLocator):  # type: ignore[misc]
+    get_suitable_cache_subpath = staticmethod(_name_by_content)
+
+
+class _UserFolder(UserWideCacheLocator):  # type: ignore[misc]
+    get_suitable_cache_subpath = staticmethod(_name_by_content)
+
+
+class _CacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_ProvidedFolder, _UserFolder, InTreeCacheLocator)
+
+
 class _Cache(FunctionCache):  # type: ignore[misc]
+    _impl_class = _CacheImpl
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         # numba would first register everything that it can compile, which takes longer than the load.
         rtsys.initialize(target_context)

@@ -229,7 +229,7 @@ def linear_srgb(values: Array, *, weights: Array) -> Array:
     *lines, bands, columns = values.shape
     colours = np.empty((math.prod(lines), columns, 3), np.float32)
     cube = np.ascontiguousarray(values, np.float32).reshape(-1, bands, columns)
-    mix_bands(cube, np.ascontiguousarray(np.broadcast_to(weights, (3, bands, columns))), colours)
+    mix_bands(cube, np.array(np.broadcast_to(weights, (3, bands, columns)), order="C"), colours)
     return colours.reshape(*lines, columns, 3)
 
 

@@ -43,12 +43,13 @@ pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing 
 
 
 def imported(folder: Path, name: str, source: str, monkeypatch: pytest.MonkeyPatch) -> Any:
-    # Import a module anew, as another process would, with its cache beside it
-    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    # Import a module anew, as another process would, with its cache in the same folder
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
     monkeypatch.syspath_prepend(folder)
     monkeypatch.delitem(sys.modules, name, raising=False)
-    if not (path := folder / f"{name}.py").exists():  # the cache belongs to a file of one age
-        path.write_text(source)
+    (folder / f"{name}.py").write_text(source)
+    jit._name_by_content.cache_clear()
     return importlib.import_module(name)
 
 
@@ -63,10 +64,20 @@ def _files(folder: Path, ending: str) -> list[Path]:
     return sorted(folder.rglob(f"*.{ending}"))
 
 
-def test_the_second_process_compiles_nothing(doubled: Callable[[], Any], tmp_path: Path) -> None:
+def test_the_same_sources_are_compiled_once_wherever_they_lie(
+    doubled: Callable[[], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert (doubled()(3), len(_files(tmp_path, "nbc"))) == (6, 1)
     again = doubled()
     assert (again(4), list(again.stats.cache_hits.values())) == (8, [1])
+    clone = tmp_path / "clone" / tmp_path.name  # later and elsewhere
+    clone.mkdir(parents=True)
+    for change, hits in (("", [1]), ("# a module that the kernel may import", [])):
+        module = imported(clone, "doubling", SOURCE, monkeypatch)
+        if change:
+            (clone / "other.py").write_text(change)
+        monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+        assert (module.doubled(5), list(module.doubled.stats.cache_hits.values())) == (10, hits)
 
 
 @pytest.mark.parametrize("owner", [IndexDataCacheFile, _CacheLocator])

@@ -152,10 +152,17 @@ def _best_split(
 
 
 @borrowing_kernel
+def _push(waiting: Array, index: int, start: int, stop: int, level: int, child: int) -> None:
+    # numba compiles the assignment of a tuple to a row slowly
+    waiting[index, 0], waiting[index, 1] = start, stop
+    waiting[index, 2], waiting[index, 3] = level, child
+
+
+@borrowing_kernel
 def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _Workspace) -> int:
     # split runs into nodes and sort ``order`` by leaf; return the number of nodes
     node_count, size = 1, min(order.size, 1)
-    room.waiting[0] = 0, order.size, 0, 0
+    _push(room.waiting, 0, 0, order.size, 0, 0)
     while size > 0:
         size -= 1
         run = room.waiting[size]
@@ -190,8 +197,8 @@ def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _W
                     order[middle], order[last] = order[last], order[middle]
                     last -= 1
         links[child] = node_count
-        room.waiting[size] = start, middle, level + 1, 2 * node_count
-        room.waiting[size + 1] = middle, stop, level + 1, 2 * node_count + 1
+        _push(room.waiting, size, start, middle, level + 1, 2 * node_count)
+        _push(room.waiting, size + 1, middle, stop, level + 1, 2 * node_count + 1)
         node_count, size = node_count + 1, size + 2
     return node_count
 
