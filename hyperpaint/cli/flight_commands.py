@@ -313,6 +313,7 @@ SHARE = click.FloatRange(0.0, 1.0)
     epilog="""\b
 Examples:
   hyperpaint calibrate lab/sweep.zarr --picture calibration.png
+  hyperpaint calibrate lab --out calibration.zarr            cubes, and power_meter.csv that names them
   hyperpaint calibrate lab/sweep.zarr --out calibration.zarr --flux-uncertainty 0.02 --overwrite
 
 \b
