@@ -83,7 +83,7 @@ def table_of(sweep: xr.Dataset, path: Path, form: str) -> Path:
     for wavelength, flux, counts in [("", "", sweep.dark_counts.values), *steps]:
         light = f"{wavelength},{float(flux) * 1e6!r}" if flux else ","
         if form == "cubes":
-            frames = np.rint(counts + np.arange(-1, 2)[:, None, None]).astype(np.uint16)
+            frames = (np.rint(counts) + np.arange(-1, 2)[:, None, None]).astype(np.uint16)
             name = f"scan_{wavelength or 'dark'}.hdr"
             cube = xr.DataArray(frames, dims=("along_track", "band", "cross_track"), attrs={"units": "count"})
             hp.io.write_envi(cube.to_dataset(name="counts"), path / name)
