@@ -415,13 +415,13 @@ class Measured:
     mirror: str  #: Whether the mirror image of sky and surroundings is included, excluded, or unknown.
     absolute: bool  #: Whether reflectance is relative to a perfect diffuser, not to a panel.
     notes: tuple[str, ...]  #: Remarks for the reader of results.
-    place: Place = None  #: Latitude and longitude of the measured surface [degree]; None if unknown.
     quantity: str = ""  #: Body under a coat or outside of the coat, see base.mirrored_light.
     geometry: str = ""  #: Measurement geometry of the instrument, such as d/8.
     coat_index: float = 1.5  #: Refractive index of the coat.
     covariance: Floats | None = (
         None  #: (channel, channel): Covariance of both uncertainties [1]; None if unknown.
     )
+    place: Place = None  #: Latitude and longitude of the measured surface [degree]; None if unknown.
 
     @property
     def name(self) -> str:
@@ -806,7 +806,6 @@ def _library_spectra(
             spreads,
             next((count for count in counts if np.isfinite(count)), None),
             names=Names(str(name), (frozenset({str(name)}), frozenset(), frozenset()), (dataset_number, "")),
-            place=_place_of(dataset, number, SIGNATURE),
             reference_name=_text_of(dataset, "reference", number, SIGNATURE),
             instrument=str(attrs.get("instrument", "")) or default_instrument,
             serial="",
@@ -817,6 +816,7 @@ def _library_spectra(
             if covariances is None
             else covariances[number][np.ix_(channels.order, channels.order)],
             notes=(*channels.notes, *_light_notes(dataset, number)),
+            place=_place_of(dataset, number, SIGNATURE),
             **(coat_of(attrs) | _uncorrected_coat(dataset, number, attrs)),
         )
 
@@ -899,7 +899,6 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             {name: array[number] for name, array in spreads.items()},
             None if count is None else float(count),
             names=names_of_spectrum(texts[0], texts[1], texts[2], number, dataset_number),
-            place=_place_of(dataset, number, "spectrum"),
             reference_name="",
             instrument=str(attrs.get("instrument") or attributes["instrument"] or "spectrometer"),
             serial=_text_of(dataset, "instrument", number, "spectrum"),
@@ -907,16 +906,9 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             **_overlap_of(attributes["overlap"], _flag_of(dataset, "overlap_matched", number)),
             mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
+            place=_place_of(dataset, number, "spectrum"),
             **coat_of(attrs),
         )
-
-
-def _place_of(dataset: xr.Dataset, number: int, dim: str) -> Place:
-    names = ("latitude", "longitude")
-    if any(name not in dataset.variables or dataset[name].dims != (dim,) for name in names):
-        return None
-    latitude, longitude = (float(dataset[name].values[number]) for name in names)
-    return (latitude, longitude) if np.isfinite(latitude + longitude) else None
 
 
 def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
@@ -928,6 +920,14 @@ def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
         return ""
     value = array.values[number] if array.dims else array.values.item()
     return value if isinstance(value, str) else ""
+
+
+def _place_of(dataset: xr.Dataset, number: int, dim: str) -> Place:
+    names = ("latitude", "longitude")
+    if any(name not in dataset.variables or dataset[name].dims != (dim,) for name in names):
+        return None
+    latitude, longitude = (float(dataset[name].values[number]) for name in names)
+    return (latitude, longitude) if np.isfinite(latitude + longitude) else None
 
 
 def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
