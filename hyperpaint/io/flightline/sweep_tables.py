@@ -21,7 +21,7 @@ from hyperpaint.io.files.reading import number, read_limited_text
 #: Maximum size of a table [byte]; larger sweeps are cubes, or a Zarr store.
 _MAX_BYTES = 64 << 20
 _MAX_SHOWN = 8
-_HEADING = re.compile(r"\s*(.*?)\s*(?:\[([^\]]*)\])?\s*")
+_HEADING = re.compile(r"^\s*(.*?)\s*(?:\[([^\]]*)\])?\s*$")
 _WIDE = re.compile(r"column (\d+)")
 #: Columns of a step; a row without any of `_LIGHT` is of a dark.
 _LIGHT = ("step_wavelength", "flux", "level")
@@ -45,23 +45,20 @@ def read_sweep_table(path: Path) -> xr.Dataset:
     lines = text.decode("utf-8-sig", "replace").splitlines()
     numbered = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     cells = list(csv.reader(line for _, line in numbered)) or [[]]
-    headings = [_heading(cell) for cell in cells[0]]
+    headings = [_HEADING.findall(cell.replace("\n", " "))[0] for cell in cells[0]]
     columns = {name: k for k, (name, _) in enumerate(headings)}
-    wide = {int(match[1]): k for name, k in columns.items() if (match := _WIDE.fullmatch(name))}
+    wide = [name for name in columns if _WIDE.fullmatch(name)]
     factors = _factors(headings, problems)
-    for names in ((BAND, "counts", CROSS_TRACK), (BAND,), ("cube",)):
-        is_complete = set(names) <= set(columns) and (names != (BAND,) or bool(wide))
-        if is_complete:
-            break
+    of_elements = BAND in columns and (bool(wide) or {"counts", CROSS_TRACK} <= set(columns))
     problems.add_if(
-        not is_complete or "exposure_time" not in columns or len(columns) < len(headings),
+        ("cube" in columns) == of_elements or "exposure_time" not in columns or len(columns) < len(headings),
         f"columns {', '.join(name for name, _ in headings)[:200]}",
         expected="each once: exposure_time; cube, or band, cross_track, counts, or band, column 0, ...",
         code="column-missing",
     )
     problems.raise_if_any()
     # counts, or cubes, by the values of a step: all rows with these values are of one step
-    steps: dict[tuple[float, ...], dict[tuple[int, int], float] | str] = {}
+    steps: dict[tuple[float, ...], dict[tuple[float, float], Any]] = {}
     of_step = [name for name in _OF_STEP if name in columns]
     for (line, _), row in zip(numbered[1:], cells[1:], strict=True):
         problems.add_if(
@@ -77,45 +74,45 @@ def read_sweep_table(path: Path) -> xr.Dataset:
                 if name != "cube"
             }
             key = tuple(values[name] if values[name] == values[name] else -1.0 for name in of_step)
-            if "cube" in columns:
+            counts = steps.setdefault(key, {})
+            # the only element of a cube is its name
+            across: list[tuple[float, Any]] = [(float(name[7:]), values[name]) for name in wide]
+            if not wide:
+                cube = row[columns.get("cube", 0)].strip()
+                across = [(values.get(CROSS_TRACK, 0.0), values.get("counts", cube))]
+            for column, value in across:
+                at = (values.get(BAND, 0.0), column)
+                is_number = all(n == n and n >= 0 and n == int(n) for n in at)
                 problems.add_if(
-                    key in steps, f"row {line}: this step again", mend="remove it", code="row-duplicate"
+                    not is_number or at in counts,
+                    f"row {line}: band {at[0]:g}, column {at[1]:g}{' again' * (at in counts)}",
+                    expected="whole numbers from 0, each element, or one cube, once a step",
+                    code="row-duplicate",
                 )
-                steps[key] = row[columns["cube"]].strip()
-            else:
-                counts: Any = steps.setdefault(key, {})
-                across = [(float(c), values[f"column {c}"]) for c in wide]
-                for column, value in across or [(values[CROSS_TRACK], values["counts"])]:
-                    at = (values[BAND], column)
-                    is_number = all(n == n and n >= 0 and n == int(n) for n in at)
-                    problems.add_if(
-                        not is_number or at in counts,
-                        f"row {line}: band {at[0]:g}, column {at[1]:g}" + " again" * (at in counts),
-                        expected="whole numbers from 0, each element once a step",
-                        code="row-duplicate",
-                    )
-                    counts[at] = value
+                counts[at] = value
         if len(problems) >= _MAX_SHOWN:
             problems.raise_if_any()
     problems.raise_if_any()
-    arrays = {key: _array(path, key, of_step, value, problems) for key, value in steps.items()}
-    shapes = {array.shape[1:] for array, _ in arrays.values() if array.size}
+    arrays = {}
+    for key, counts in steps.items():
+        stated = (f"{name} {value:g}" for name, value in zip(of_step, key, strict=True) if value >= 0)
+        try:
+            is_cube = "cube" in columns
+            arrays[key] = _cube(path.parent / counts[0, 0]) if is_cube else _array(", ".join(stated), counts)
+        except FormatError as error:
+            problems.add_error("", error)
+    shapes = {array.shape[1:] for array in arrays.values()}
     problems.add_if(
-        len(shapes) != 1 and not problems,
-        f"steps of {' and '.join(map(str, sorted(shapes))) or 'no'} bands and columns",
+        len(shapes) > 1,
+        f"steps of {' and '.join(map(str, sorted(shapes)))} bands and columns",
         expected="one size",
         code="shape-mismatch",
     )
     problems.raise_if_any()
-    return _sweep(of_step, arrays, problems)
+    return _sweep(of_step, arrays, problems, has_frames="cube" in columns)
 
 
-def _heading(cell: str) -> tuple[str, str | None]:
-    match = _HEADING.fullmatch(cell)
-    return (cell, None) if match is None else (match[1], match[2])
-
-
-def _factors(headings: list[tuple[str, str | None]], problems: Problems) -> dict[str, float]:
+def _factors(headings: list[tuple[str, str]], problems: Problems) -> dict[str, float]:
     # factors from the units of the columns to those of the variables of a sweep
     factors = {}
     known = (*_OF_STEP, "counts", *_INDICES, "cube")
@@ -153,37 +150,35 @@ def _cell(row: list[str], k: int, line: int, heading: list[str], problems: Probl
     return np.nan if value is None else value
 
 
-def _array(
-    path: Path, key: tuple[float, ...], names: list[str], value: Any, problems: Problems
-) -> tuple[xr.DataArray, float]:
-    # frames (frame, band, cross_track) of a step, and their number, NaN where unknown
-    empty = xr.DataArray(np.empty((0, 0, 0), np.float32), dims=("frame", *_INDICES))
-    if isinstance(value, str):
-        try:
-            cube = open_envi(path.parent / value, unsaid="counts")
-            counts = cube["counts"].reset_coords(drop=True).drop_attrs()
-            frames = counts.chunk({ALONG_TRACK: CHUNK_LINES}).rename({ALONG_TRACK: "frame"})
-        except (PaintError, OSError, KeyError) as error:
-            problems.add(f"cube {value!r}: {error}", expected="an ENVI cube of counts", code="cube-missing")
-            return empty, np.nan
-        return frames, float(frames.sizes["frame"])
-    bands, columns = (int(max(at[axis] for at in value)) + 1 for axis in (0, 1))
-    if len(value) != bands * columns:
-        step = ", ".join(f"{name} {number:g}" for name, number in zip(names, key, strict=True) if number >= 0)
-        problems.add(
-            f"the step with {step} has {len(value)} counts",
-            expected=f"{bands} bands times {columns} columns",
-            code="shape-mismatch",
-        )
-        return empty, np.nan
-    values = np.empty((1, bands, columns), np.float32)
-    for (band, column), count in value.items():
-        values[0, int(band), int(column)] = count
-    return xr.DataArray(values, dims=("frame", *_INDICES)), np.nan
+def _cube(path: Path) -> xr.DataArray:
+    # frames (frame, band, cross_track) of a cube
+    try:
+        counts = open_envi(path, unsaid="counts")["counts"].reset_coords(drop=True).drop_attrs()
+    except (PaintError, OSError, KeyError) as error:
+        text = f"cube {path.name!r}: {error}"
+        raise FormatError(text, expected="an ENVI cube of counts", code="cube-missing") from error
+    return counts.chunk({ALONG_TRACK: CHUNK_LINES}).rename({ALONG_TRACK: "frame"})
+
+
+def _array(step: str, counts: Mapping[tuple[float, float], float]) -> xr.DataArray:
+    # counts (frame, band, cross_track) of a step, by band and column
+    bands, columns = (int(max(at[axis] for at in counts)) + 1 for axis in (0, 1))
+    FormatError.raise_if(
+        len(counts) != bands * columns,
+        f"the step with {step} has {len(counts)} counts",
+        expected=f"{bands} bands times {columns} columns",
+        code="shape-mismatch",
+    )
+    values = [[[counts[band, column] for column in range(columns)] for band in range(bands)]]
+    return xr.DataArray(np.array(values, np.float32), dims=("frame", *_INDICES))
 
 
 def _sweep(
-    names: list[str], arrays: Mapping[tuple[float, ...], tuple[xr.DataArray, float]], problems: Problems
+    names: list[str],
+    arrays: Mapping[tuple[float, ...], xr.DataArray],
+    problems: Problems,
+    *,
+    has_frames: bool,
 ) -> xr.Dataset:
     # light and darks by their keys, in the order of wavelengths
     light = [k for k, name in enumerate(names) if name in _LIGHT]
@@ -197,31 +192,23 @@ def _sweep(
         code="dark-missing",
     )
     problems.raise_if_any()
-    table = np.array(lit).T
     sweep = xr.Dataset()
-    for name, values in zip(names, table, strict=True):
-        values = np.where(values < 0, np.nan, values)
+    for name, values in zip(names, np.where(np.array(lit) < 0, np.nan, lit).T, strict=True):
         is_constant = name not in _LIGHT and (values == values[0]).all()
         sweep[name] = ((), values[0]) if is_constant else (STEP, values)
-        sweep[name].attrs["units"] = SWEEP_VARIABLES[name].units
-
-    def means(keys: list[tuple[float, ...]]) -> xr.DataArray:
-        frames = [arrays[key][0].astype(np.float32).mean("frame") for key in keys]
-        return xr.concat(frames, STEP).assign_attrs(units="count")
-
-    sweep["counts"] = means(lit)
     # of every step the dark at the nearest exposure; a single dark is that of all steps
     nearest = [min(darks, key=lambda dark: abs(dark[exposure] - key[exposure])) for key in lit]
-    dark_counts, at = means(nearest), [dark[exposure] for dark in nearest]
-    is_single = len(set(nearest)) == 1
-    sweep["dark_counts"] = dark_counts[0] if is_single else dark_counts
-    sweep["dark_exposure_time"] = ((), at[0], {"units": "s"}) if is_single else (STEP, at, {"units": "s"})
-    counts = np.array([arrays[key][1] for key in lit])
-    if np.isfinite(counts).all():
-        frames = [arrays[key][0].astype(np.float32) for key in lit]
-        if (counts > 1).all():
-            variance = xr.concat([cube.var("frame", ddof=1) for cube in frames], STEP)
-            sweep["counts_variance"] = variance.assign_attrs(units="count2")
-        sweep["frame_count"] = STEP, counts.astype(np.int64), {"units": "1"}
-        sweep["dark_frame_count"] = STEP, np.array([arrays[key][1] for key in nearest], int), {"units": "1"}
+    shared = {STEP: 0} if len(set(nearest)) == 1 else {}
+    for prefix, keys in (("", lit), ("dark_", nearest)):
+        frames = [arrays[key].astype(np.float32) for key in keys]
+        sweep[f"{prefix}counts"] = xr.concat([cube.mean("frame") for cube in frames], STEP)
+        if has_frames:
+            sweep[f"{prefix}frame_count"] = STEP, [cube.sizes["frame"] for cube in frames]
+            if not prefix and min(cube.sizes["frame"] for cube in frames) > 1:
+                sweep["counts_variance"] = xr.concat([cube.var("frame", ddof=1) for cube in frames], STEP)
+    sweep["dark_exposure_time"] = STEP, [dark[exposure] for dark in nearest]
+    for name in ("dark_counts", "dark_exposure_time"):
+        sweep[name] = sweep[name].isel(shared)
+    for name in map(str, sweep.variables):
+        sweep[name].attrs = {"units": SWEEP_VARIABLES[name].units}
     return sweep.transpose(*_DIMS, missing_dims="ignore")
