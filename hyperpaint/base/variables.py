@@ -302,6 +302,7 @@ _SWEEP_TABLE = (
     Variable("step_wavelength", (STEP,), "nm", "float64", "Wavelength of the monochromator", coordinate=True),
     Variable("flux", (STEP,), "W", "float64", "Radiant flux of the whole beam, equal in all lit columns", alternatives=(_LINE_FIT,)),
     Variable("capture_fraction", (), "1", "float64", "Share of flux that enters slit width by one column, all bands", alternatives=((STEP,), _LINE_FIT)),
+    Variable("level", (STEP,), "1", "float64", "Light of a lamp or sphere, in any constant proportion to it"),
     Variable("exposure_time", (), "s", "float64", "Exposure time", alternatives=((STEP,),)),
     Variable("monochromator_fwhm", (), "nm", "float64", "Full width at half maximum of the monochromator", alternatives=((STEP,),)),
     Variable("etendue", (), "m2 sr", "float64", "Filled slit width times pixel pitch times projected solid angle", alternatives=((CROSS_TRACK,),)),

@@ -97,7 +97,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 Examples:
   hyperpaint init 2021_07_20
   hyperpaint init 2021_07_20 --asd ../asd/morning --dark ../dark --calibration ../camera.zarr
-  hyperpaint init 2021_07_20 --references ../svc --references ../paints.csv
+  hyperpaint init 2021_07_20 --references '../svc/*.sig' --references ../paints.csv
   hyperpaint run 2021_07_20/collect.toml""",
 )
 @click.argument("folder", metavar="FOLDER", type=_FOLDER)
@@ -106,7 +106,12 @@ Examples:
     asd={"metavar": "DIR", "type": _FOLDER},
     dark={"metavar": "DIR", "type": _FOLDER},
     calibration={"metavar": "PATH", "type": EXISTING},
-    references={"metavar": "PATH", "type": EXISTING, "multiple": True, "spelling": "--references --svc"},
+    references={
+        "metavar": "PATH",
+        "type": click.Path(path_type=Path),
+        "multiple": True,
+        "spelling": "--references --svc",
+    },
 )
 @click.option("--out", metavar="FILE", type=FILE, help="The file.  [default: collect.toml in FOLDER]")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
@@ -316,6 +321,7 @@ SHARE = click.FloatRange(0.0, 1.0)
     epilog="""\b
 Examples:
   hyperpaint calibrate lab/sweep.zarr --picture calibration.png
+  hyperpaint calibrate lab --out calibration.zarr            cubes, and power_meter.csv that names them
   hyperpaint calibrate lab/sweep.zarr --out calibration.zarr --flux-uncertainty 0.02 --overwrite
 
 \b

@@ -27,7 +27,7 @@ from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.io.collect.collect_toml import SCHEMA
 from hyperpaint.io.envi.envi_cubes import find_pair, open_envi, read_header
 from hyperpaint.io.files.publishing import publish_file
-from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.io.files.reading import is_pattern, read_limited_text, unique_names
 from hyperpaint.io.files.toml_tables import UNKNOWN
 from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 from hyperpaint.io.flightline.headwall import (
@@ -43,6 +43,7 @@ from hyperpaint.io.navigation.control_points import column_heading, metres_of
 from hyperpaint.io.navigation.navigation_records import read_imu_gps
 from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra, sniff
 from hyperpaint.io.spectrometers.reference_files import open_spectra
+from hyperpaint.io.spectrometers.spectrum_files import find_paths
 
 _MAX_SURVEY_BYTES = 1 << 20
 #: Maximum depth of subfolders that are searched.
@@ -51,6 +52,7 @@ MAX_DEPTH = 6
 MAX_ENTRIES = 50_000
 
 _STORES = (".zarr", ".nc")
+_SPECTRA = "SVC .sig, ASD .asd, text exports, or tables in CSV"
 _SURVEY = re.compile(r"survey|gcp|control.?point", re.IGNORECASE)
 #: Names of cubes of a white tile: Specim's WHITEREF_<scene>, Headwall's whiteReference, a plain white.
 _WHITE = re.compile(r"^white[ _-]*\d*$|(?:^|[^a-z])white[ _-]*(?:ref|tile|panel|cal|standard)", re.IGNORECASE)
@@ -131,8 +133,8 @@ def find_field_files(
     calibration
         Calibration or lab sweep of the camera; by default the one in the folder.
     references
-        Files of reference spectra (``.sig``, ``.asd``, text exports, tables in CSV), or folders of them, if
-        they are outside ``folder``.
+        Files of reference spectra (``.sig``, ``.asd``, text exports, tables in CSV), patterns, or folders of
+        them, if they are outside ``folder``.
 
     Raises
     ------
@@ -204,7 +206,7 @@ def find_field_files(
     if named and not used & set(named):
         raise CollectError(
             "; ".join([f"no reference spectra in {', '.join(map(str, references))}", *notes]),
-            expected="reflectance: SVC .sig, ASD .asd, text exports, or tables in CSV",
+            expected=f"reflectance: {_SPECTRA}",
             code="file-not-found",
         )
     raw.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
@@ -298,6 +300,9 @@ def _named_references(paths: Iterable[str | os.PathLike[str]]) -> dict[Path, lis
     # files of reference spectra outside the folder, by file or pattern; tables and exports singly
     spectra: dict[Path, list[Path]] = {}
     for place in map(Path, paths):
+        if not place.exists() and is_pattern(str(place)):
+            spectra[place] = find_paths(place, list, _SPECTRA)
+            continue
         CollectError.raise_if(
             not place.exists(),
             f"references {place}: no such file or folder",
@@ -305,14 +310,14 @@ def _named_references(paths: Iterable[str | os.PathLike[str]]) -> dict[Path, lis
             code="file-not-found",
         )
         for path in _walk(place) if place.is_dir() else [place]:
-            is_pattern = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
-            if is_pattern or place.is_file() or path.suffix.lower() in (".txt", ".csv", ".tsv"):
-                key = path.parent / f"*{path.suffix}" if is_pattern else path
+            in_folder = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
+            if in_folder or place.is_file() or path.suffix.lower() in (".txt", ".csv", ".tsv"):
+                key = path.parent / f"*{path.suffix}" if in_folder else path
                 spectra.setdefault(key, []).append(path)
         CollectError.raise_if(
             not spectra,
             f"references {place}: no spectra in this folder",
-            expected="SVC .sig, ASD .asd, text exports, or tables in CSV",
+            expected=_SPECTRA,
             code="file-not-found",
         )
     return spectra
@@ -333,7 +338,9 @@ def _instruments(
                 quantity = _read_quietly([first])[1]
             elif kind != "scans":
                 (opened,) = open_spectra([first])
-                instrument = re.sub(r"[^A-Za-z0-9]+", "_", first.stem).strip("_") or "table"
+                stem = re.sub(r"[^A-Za-z0-9]+", "_", first.stem).strip("_") or "table"
+                taken = ("asd", "svc", *references)
+                (instrument,) = unique_names([stem], taken, suffix="_{}", fold=str.lower)
                 quantity = str(next(iter(opened.data_vars), "nothing"))
         except PaintError as error:
             notes.append(f"{relative(pattern)} is not used: {error}")

@@ -66,6 +66,94 @@ def test_command_line_says_what_is_wrong(lab: Path, tmp_path: Path) -> None:
     assert not out.exists()
 
 
+# --- tables ------------------------------------------------------------------------------------------------
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "formats" / "examples"
+STEP = "flux [uW],exposure_time [ms],monochromator_fwhm [nm],capture_fraction,etendue [m2 sr]"
+CONSTANTS = "50,2,1e-6,1.86e-11"
+
+
+def table_of(sweep: xr.Dataset, path: Path, form: str) -> Path:
+    # Write a sweep as a table: "wide", "long", or three frames a step in cubes that it names
+    path.mkdir()
+    columns = range(sweep.sizes["cross_track"])
+    names = {"wide": ["band", *(f"column {c}" for c in columns)], "long": ["band", "cross_track", "counts"]}
+    rows = ["# a scan", ",".join(["step_wavelength [nm]", STEP, *names.get(form, ["cube"])])]
+    steps = zip(sweep.step_wavelength.values, sweep.flux.values, sweep.counts.values, strict=True)
+    for wavelength, flux, counts in [("", "", sweep.dark_counts.values), *steps]:
+        light = f"{wavelength},{float(flux) * 1e6!r}" if flux else ","
+        if form == "cubes":
+            frames = (np.rint(counts) + np.arange(-1, 2)[:, None, None]).astype(np.uint16)
+            name = f"scan_{wavelength or 'dark'}.hdr"
+            cube = xr.DataArray(frames, dims=("along_track", "band", "cross_track"), attrs={"units": "count"})
+            hp.io.write_envi(cube.to_dataset(name="counts"), path / name)
+            rows.append(f"{light},{CONSTANTS},{name}")
+        for band, values in enumerate(counts.tolist() if form != "cubes" else []):
+            start = f"{light},{CONSTANTS},{band}"
+            cells = [",".join(map(repr, values))] if form == "wide" else enumerate(values)
+            rows += [
+                f"{start},{cell}" if form == "wide" else f"{start},{cell[0]},{cell[1]!r}" for cell in cells
+            ]
+    (path / "power_meter.csv").write_text("\n".join(rows) + "\n")
+    return path / "power_meter.csv"
+
+
+@pytest.mark.parametrize("form", ["wide", "long", "cubes"])
+def test_a_table_holds_what_a_store_holds(lab: Path, tmp_path: Path, form: str) -> None:
+    sweep = open_sweep(lab / "sweep.zarr").isel(step=slice(0, 8), band=slice(0, 20)).load()
+    path = table_of(sweep, tmp_path / "scan", form)
+    opened = open_sweep(path.parent if form == "cubes" else path)
+    names = ("step_wavelength", "flux", "exposure_time", "monochromator_fwhm", "capture_fraction", "etendue")
+    for name in names:
+        np.testing.assert_allclose(opened[name], sweep[name], rtol=1e-4 if name == "etendue" else 1e-12)
+        assert opened[name].attrs["units"] == sweep[name].attrs["units"]
+    for name in ("counts", "dark_counts"):
+        assert opened[name].dims == sweep[name].dims
+        np.testing.assert_allclose(opened[name], sweep[name], atol=0.51 if form == "cubes" else 0, rtol=0)
+    if form == "cubes":
+        assert opened["counts"].chunks is not None
+        assert (opened.frame_count.values.tolist(), float(opened.counts_variance.max())) == ([3] * 8, 1.0)
+
+
+def test_a_sphere_gives_linearity_and_flat_field() -> None:
+    sphere = open_sweep(EXAMPLES / "sphere_levels.csv")
+    assert (float(sphere.saturation_count), sphere.level.values.tolist()) == (4095, [0.5, 0.5, 1, 1])
+    net = (sphere.counts - sphere.dark_counts).isel(band=0, cross_track=0)
+    assert net.values.tolist() == [200, 400, 400, 800]
+    coefficients = hp.calibration.linearity(sphere.level * sphere.exposure_time, net, degree=2)
+    assert coefficients == pytest.approx((0.0,), abs=1e-9)
+    flat = hp.calibration.flat_field(sphere.counts - sphere.dark_counts)
+    assert flat.values[0].tolist() == pytest.approx([1.0, 0.98, 1.02], abs=0.002)
+    one = open_sweep(EXAMPLES / "sphere_levels_long.csv")
+    assert one.dark_counts.dims == ("band", "cross_track")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[ms]", "[V]", "column 'exposure_time' has the unit 'V', expected a unit such as [s]"),
+        (" [ms]", "", "column 'exposure_time' has no unit"),
+        ("level", "levle", "unknown column 'levle'"),
+        ("column 2", "column 1", "each once"),
+        (",501,", ",5o1,", "row 11, column 'column 0': '5o1', expected a number"),
+        ("0.5,5,4095,1,403", "0.5,5,4095,0,403", "row 8: band 0, column 0 again"),
+        ("0.5,5,4095,1,403,397,402\n", "", "(1, 3) and (2, 3) bands and columns, expected one size"),
+        (",103,101,102", ",103,101", "row 4: 6 cells, expected 7"),
+        ("\n,", "\n1,", "again"),
+        ("0,512", "2,512", "the step with level 0.5, exposure_time 0.01"),
+    ],
+)
+def test_faults_of_a_table_name_row_column_and_unit(tmp_path: Path, old: str, new: str, words: str) -> None:
+    text = (EXAMPLES / "sphere_levels.csv").read_text()
+    assert old in text
+    (tmp_path / "sphere.csv").write_text(text.replace(old, new))
+    error = expect_error(FormatError, None, lambda: open_sweep(tmp_path / "sphere.csv"))
+    assert words in str(error)
+    for name in ("dark", "scan_400", "scan_460"):
+        with pytest.raises(FormatError, match=rf"cube '{name}.hdr': no such file.*cube-missing"):
+            open_sweep(EXAMPLES / "power_meter.csv")
+
+
 def test_other_stores_are_no_sweeps(tmp_path: Path) -> None:
     expect_error(FormatError, "no such sweep", lambda: open_sweep(tmp_path / "nothing.zarr"))
     plain_zarr(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "a.zarr")

@@ -91,11 +91,11 @@ def test_the_collect_opens_to_what_its_author_wrote(simulated: Path, folder: Pat
 def test_what_lies_elsewhere_is_named(folder: Path, tmp_path: Path) -> None:
     for name in ("asd", "dark", "calibration.zarr", "svc"):
         shutil.move(folder / name, tmp_path / name)
-    table = tmp_path / "hoods.csv"
+    table = tmp_path / "svc.csv"  # a table with the name of an instrument
     table.write_text("wavelength [nm],red,blue\n" + "".join(f"{nm},0.1,0.2\n" for nm in range(400, 1000)))
     elsewhere = {name: tmp_path / path for name, path in (("asd", "asd"), ("dark", "dark"))}
     elsewhere["calibration"] = tmp_path / "calibration.zarr"
-    found = find_field_files(folder, **elsewhere, references=[tmp_path / "svc", table])
+    found = find_field_files(folder, **elsewhere, references=[tmp_path / "svc" / "*.sig", table])
     path = write_collect_toml(found)
     written = tomllib.loads(path.read_text(encoding="utf-8"))
     assert (written["irradiance"]["files"], written["dark"]["cubes"], written["calibration"]["path"]) == (
@@ -106,17 +106,16 @@ def test_what_lies_elsewhere_is_named(folder: Path, tmp_path: Path) -> None:
     assert {entry["instrument"]: entry["files"] for entry in written["references"]} == {
         "svc": "../svc/*.sig",
         "asd": "asd_reflectance/*.asd",
-        "hoods": "../hoods.csv",
+        "svc_2": "../svc.csv",
     }
     opened = hp.open_collect(path)
     assert set(opened.children) >= {"flightlines", "irradiance", "calibration"}
-    assert opened["references/hoods"]["signature"].values.tolist() == ["red", "blue"]
-    for references in (tmp_path / "dark", tmp_path / "asd", tmp_path / "nothing", folder / "survey.csv"):
-        expect_error(
-            hp.errors.CollectError,
-            "file-not-found",
-            partial(find_field_files, folder, references=[references]),
-        )
+    assert opened["references/svc_2"]["signature"].values.tolist() == ["red", "blue"]
+    folders = find_field_files(folder, **elsewhere, references=[tmp_path / "svc"])
+    assert folders.references["svc"] == [tmp_path / "svc" / "*.sig"]
+    for name in ("*.sig", "dark", "asd", "nothing"):
+        refused = partial(find_field_files, folder, references=[tmp_path / name])
+        expect_error(hp.PaintError, "file-not-found", refused)
 
 
 def test_what_no_file_says_is_marked_and_refused_by_name(folder: Path) -> None:

@@ -29,6 +29,8 @@ from hyperpaint.io.files.reading import load_netcdf
 from hyperpaint.io.store import list_groups, load_group, open_unverified
 from hyperpaint.io.store.reader import is_zarr
 
+from .sweep_tables import read_sweep_table
+
 _ELEMENT = (BAND, CROSS_TRACK)
 #: Required and optional variables of a calibration; `hyperpaint.base.schema` has their units and dims.
 _REQUIRED = ("radiance_gain", "wavelength", "fwhm")
@@ -321,15 +323,54 @@ def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
 
 
 def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
-    # Open a lab sweep, lazily from a Zarr store; its content is checked at calibration.
-    #
-    # ``path``: A Zarr store, as of `open_calibration`, or netCDF file with the rows of
-    # `hyperpaint.base.schema.SWEEP_VARIABLES`. ``group``: Group of the sweep; by default the root.
-    #
-    # Returns: Variables of the table; others, such as the truth of a simulated sweep, are dropped.
-    #
-    # Raises `FormatError`: The file cannot be read, or has no counts of steps.
+    """Open a lab sweep, lazily from a store or cubes.
+
+    Its content is checked by `hyperpaint.calibrate`. The documentation describes the format of tables and has
+    example files (Formats, Lab sweeps).
+
+    Parameters
+    ----------
+    path
+        A Zarr store or netCDF file; a table in CSV with counts, or with a column ``cube`` of ENVI headers and
+        the readings of a power meter; or a folder with such cubes and one table.
+    group
+        Group of the sweep in the store; by default the root.
+
+    Returns
+    -------
+    xarray.Dataset
+        The variables of `hyperpaint.base.schema.SWEEP_VARIABLES`, such as ``counts`` (step, band,
+        cross_track) [count], ``exposure_time`` [s], ``flux`` [W]; others are dropped.
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read, or has no counts of steps; faults of a table are listed with row, column and
+        unit.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> table = pathlib.Path(tempfile.mkdtemp(), "sphere.csv")
+    >>> rows = ["level [1],exposure_time [ms],band,column 0,column 1", ",5,0,101,102", "1,5,0,501,510"]
+    >>> _ = table.write_text(chr(10).join(rows))
+    >>> sphere = open_sweep(table)
+    >>> (sphere.counts - sphere.dark_counts).values.tolist(), float(sphere.exposure_time)
+    ([[[400.0, 408.0]]], 0.005)
+    """
     # in chunks of steps: the calibration processes few steps at a time
+    table = path if str(path).lower().endswith(".csv") else None
+    if isinstance(path, str | os.PathLike) and os.path.isdir(path) and not is_zarr(path):
+        tables = sorted(Path(path).glob("*.csv"))
+        FormatError.raise_if(
+            len(tables) > 1,
+            f"{path}: {len(tables)} tables of a lab sweep",
+            expected="one .csv, with a row for every cube",
+            code="sweep-missing",
+        )
+        table = tables[0] if tables else None
+    if table is not None:
+        return read_sweep_table(Path(table))
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:
         variables = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
