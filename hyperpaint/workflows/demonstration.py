@@ -274,7 +274,7 @@ def run_demonstration(
     lines: int = 160,
     bands: int = 136,
     columns: int = 200,
-    seed: int = 3,
+    seed: int = 9,
     scene: str = "rendered",
     samples: int | None = None,
     overwrite: bool = False,
