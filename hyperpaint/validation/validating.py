@@ -69,6 +69,7 @@ MEANINGS: Mapping[str, str] = {
     "instrument": "Instrument of the references",
     "overlap": "Treatment of overlapping detectors of the reference",
     "overlap_matched": "Whether the reference's values were changed to make detectors meet",
+    "uncertainty": "Unknown parts of the signature's uncertainty; empty where all parts are known",
     "exclusion": "Reason why a pair cannot be judged; empty without one",
     "mirror_reflection": "Whether the reference includes the mirror image of sky and surroundings",
     "first_wavelength": "Wavelength that a part begins at",
@@ -263,7 +264,9 @@ class Validation:
                     continue
                 cells = []
                 for name in STATISTICS:
-                    cells.append(_with_uncertainty(float(part[name]), float(part[f"{name}_u"])))
+                    # no digits in brackets where a part of the signature's uncertainty is unknown
+                    u = float(part[f"{name}_u"]) if part["uncertainty"].item() == "" else np.nan
+                    cells.append(_with_uncertainty(float(part[name]), u))
                     if name == "rmse":
                         cells.append(_plain(float(part["rmse_limit"]), 4))
                 verdict = "FAIL" if not part["passes"] else "pass" if part["judged"] else "not judged"
@@ -2080,6 +2083,7 @@ def _statistics(
         "overlap": [comparison.common("overlap") for comparison in compared],
         "mirror_reflection": [comparison.common("mirror") for comparison in compared],
         "exclusion": reasons,
+        "uncertainty": ["; ".join(comparison.pair.signature.gaps()) for comparison in compared],
     }
     matched = np.array([comparison.matched for comparison in compared], bool)
     coords: dict[str, Any] = {

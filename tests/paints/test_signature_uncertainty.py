@@ -172,3 +172,18 @@ def test_uncertainties_that_are_not_known_are_not_zero() -> None:
     assert np.isnan(library.reflectance_u_systematic).all()
     assert (library.reflectance_u_random[:, 1:-1] > 0).all()
     np.testing.assert_array_equal(np.isnan(library.reflectance_u_random), np.isnan(library.reflectance))
+
+
+def test_reflectance_without_uncertainty_gets_that_of_its_counts() -> None:
+    line = simulate_line(lines=48, bands=24, columns=48, smile_nm=0.0, gain_u=0.01, seed=1)
+    line = line.drop_vars([name for name in line.variables if str(name).startswith("reflectance")])
+    grass = Regions((patch_of(line, "grass"),))
+    wanted, found = line.paint.signatures(grass), line.paint.reflectance().paint.signatures(grass)
+    for name in ("reflectance", "reflectance_u_random", "reflectance_u_systematic"):
+        np.testing.assert_array_equal(found[name], wanted[name])
+    share = found.reflectance_u_systematic / found.reflectance
+    np.testing.assert_allclose(share.dropna("band"), 0.01, rtol=0.01)
+    # a changed reflectance has an uncertainty that the counts do not tell
+    changed = line.paint.reflectance()
+    changed["reflectance"] = changed["reflectance"].assign_attrs(smoothing="median")
+    assert changed.paint.signatures(grass).reflectance_u_systematic.isnull().all()

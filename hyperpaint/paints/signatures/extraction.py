@@ -572,7 +572,8 @@ def extract_signatures(
     from ``look_across`` or ``look_angle``, ``roll``, ``pitch`` and ``heading`` in the line's declared
     convention, and its ``boresight``; without these it is NaN, and the attribute ``view_geometry`` names the
     missing variables. The standard uncertainties hold for the mean of these pixels. For a flight line with
-    its calibration they are propagated source by source, see `hyperpaint.radiometry.mean_uncertainty`:
+    its counts and calibration they are propagated source by source, also where the line's reflectance has
+    none, see `hyperpaint.radiometry.mean_uncertainty`:
     ``reflectance_u_random`` is the part that bands do not share, ``reflectance_u_systematic`` the part that
     they share, ``reflectance_errors`` (signature, error_source, band) has each source, and
     ``error_correlation`` (signature, lag, band) is the correlation of neighbouring bands, nominal wavelengths

@@ -316,6 +316,8 @@ Smoothing = str | Mapping[str, Any] | None
 
 #: Variables from which the noise of reflectance can be computed.
 _NOISE_VARIABLES = {"counts", "electrons_per_count", "read_noise"}
+#: Attributes of reflectance without corrections, smoothing or a panel.
+_PLAIN_ATTRS = {"long_name", "units", "standard_name", "keep_bits"}
 #: Variables of lines that signatures use.
 _LINE_VARIABLES = ("time", "latitude", "longitude", "irradiance_age")
 
@@ -379,8 +381,15 @@ def source_of(
     # already, or its mirrored sky removed; or the position of the sun is unknown.
     line = schema.rename_to_roles(line)
     map_centre = centre_of_map(line)
+    has_noise = set(line.variables) >= _NOISE_VARIABLES
     if "reflectance" not in line.variables:
-        line = reflectance(line, uncertainty=set(line.variables) >= _NOISE_VARIABLES)
+        line = reflectance(line, uncertainty=has_noise)
+    elif has_noise and not set(UNCERTAINTIES) & set(line.variables):
+        # reflectance of the line's own counts, without corrections, has the uncertainties of these counts
+        attrs = line["reflectance"].attrs
+        if attrs.get("long_name") == schema.VARIABLES["reflectance"].meaning and set(attrs) <= _PLAIN_ATTRS:
+            again = reflectance(line.drop_vars("reflectance"), uncertainty=True)
+            line = line.assign({name: again[name] for name in UNCERTAINTIES})
     names = ["reflectance", *(name for name in UNCERTAINTIES if name in line.variables)]
     # time and age of the irradiance belong to cells in a map, to lines in a flight line
     cell_variables = {
