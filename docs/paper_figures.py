@@ -81,9 +81,9 @@ def draw(demo: Path, out: Path) -> None:
         variable={"flown": "counts", "rendered": "radiance"},
         together=False,
     )
-    hp.pictures.rgb(orthomap).plot.imshow(rgb="rgb", aspect=1.3, size=5.0).figure.savefig(
-        out / "paper_2a.png"
-    )
+    mapped = hp.pictures.rgb(orthomap).plot.imshow(rgb="rgb", aspect=1.3, size=5.0)
+    mapped.axes.set_title("")
+    mapped.figure.savefig(out / "paper_2a.png")
     # pixels of a white bonnet, and the pixels of its glint
     white = [(line_number, 75) for line_number in range(28, 35, 2)]
     glint = np.argwhere((line.quality.values & int(hp.Quality.GLINT)) != 0)
