@@ -4,6 +4,7 @@ from .plot import (
     flag_overlay as flag_overlay,
     quicklook as quicklook,
     rgb as rgb,
+    scenes_and_spectra as scenes_and_spectra,
     straightening as straightening,
     triptych as triptych,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.regions import Region, pixels_of, regions_from
 
 from .figures import (
+    COLOURS,
     Orientation,
     axes_or_new,
     axes_width,
@@ -538,7 +539,9 @@ def background(dataset: xr.Dataset, step: int) -> Array:
     return np.asarray(overview.values)
 
 
-def draw_outlines(axes: Any, regions: Iterable[Region], *, width: float = 1.0, named: bool = True) -> None:
+def draw_outlines(
+    axes: Any, regions: Iterable[Region], *, width: float = 1.0, colour: str = "white", named: bool = True
+) -> None:
     # Outline regions (sensor coordinates) with their names on axes of `flag_overlay`
     from matplotlib.patheffects import withStroke
 
@@ -546,7 +549,7 @@ def draw_outlines(axes: Any, regions: Iterable[Region], *, width: float = 1.0, n
     for region in regions:
         for ring in (region.polygon, *region.holes):
             x, y = np.vstack([ring, ring[:1]]).T
-            axes.plot(x, y, color="white", lw=width, path_effects=rim)
+            axes.plot(x, y, color=colour, lw=width, path_effects=rim)
         if named:
             across, along = region.polygon.mean(axis=0)
             style = {"color": "white", "fontsize": "x-small", "ha": "center", "va": "center", "clip_on": True}
@@ -620,6 +623,100 @@ def _draw_layer(
     caption = f"{label_for(layer)} [{label_for(units)}]" if units else label_for(layer)
     options = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
     axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **options)
+
+
+# --- scenes above the spectra of their cars ----------------------------------------------------------------
+
+#: Line styles of scenes that share a plot.
+_STYLES = ("-", ":", "--", "-.")
+
+
+@documented(path="picture")
+def scenes_and_spectra(
+    lines: Mapping[str, xr.Dataset],
+    regions: Any,
+    path: str | Path | None = None,
+    *,
+    variable: str | Mapping[str, str] = "radiance",
+    together: bool = True,
+    width: float = 11.0,
+) -> Any:
+    """Draw scenes side by side, and below them mean spectra of their regions.
+
+    These are figures 1 and 6 of the paper, and S1 to S4 of its supplement. Eager: the pixels of the regions
+    and the visible bands are read.
+
+    Parameters
+    ----------
+    lines
+        Flight lines or renders by name, such as the name of their light; at most four.
+    regions
+        Regions of all scenes, see `hyperpaint.read_regions`; or a mapping with the regions of every scene.
+    path
+    variable
+        Variable (along_track, band, cross_track) whose mean over a region is drawn; or a mapping with the
+        variable of every scene.
+    together
+        Draw all spectra in one plot, with a line style for every scene; False draws them below their scene.
+    width
+        Width of the figure [inch].
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Regions have the colours of their spectra.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        There is no scene, or more than four; a scene lacks its variable; a region contains no pixel; or
+        matplotlib cannot write this type of picture.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, bands=40, columns=24)
+    >>> grass = Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)])
+    >>> figure = scenes_and_spectra({"noon": line}, [grass], variable="counts")
+    >>> [axes.get_ylabel() for axes in figure.axes][1]
+    'counts [count]'
+    """
+    SchemaError.raise_if(
+        not 1 <= len(lines) <= len(_STYLES),
+        f"{len(lines)} scenes",
+        expected=f"1 to {len(_STYLES)}",
+        code="value-out-of-range",
+    )
+    figure = new_figure("a picture of scenes", figsize=(width, 0.75 * width), layout="constrained")
+    grid, below = figure.add_gridspec(2, len(lines)), None
+    for number, (name, scene) in enumerate(lines.items()):
+        line = rename_to_roles(scene)
+        quantity = variable if isinstance(variable, str) else variable[name]
+        require(line, [quantity], "spectra of a scene")
+        places = regions_from(regions[name] if isinstance(regions, Mapping) else regions)
+        above = figure.add_subplot(grid[0, number])
+        show_picture(above, np.asarray(rgb(line).values), orientation_of(line))
+        above.set(title=label_for(name), xlabel="", ylabel="")
+        if below is None or not together:
+            below = figure.add_subplot(grid[1, :] if together else grid[1, number])
+        for index, (region, (along, across)) in enumerate(zip(places, pixels_of(places, line), strict=True)):
+            SchemaError.raise_if(
+                not along.size, f"region {region.name!r} contains no pixel of {name!r}", code="region-empty"
+            )
+            colour = COLOURS[index % len(COLOURS)]
+            draw_outlines(above, [region], colour=colour, named=False)
+            style = _STYLES[number] if together else "-"
+            label = label_for(region.name) if style == "-" else None
+            mean = _mean(_spectra_at(line[quantity], along, across), axis=0)
+            below.plot(line["wavelength"].values, mean, style, color=colour, label=label)
+        units = line[quantity].attrs.get("units", "")
+        below.set(xlabel="wavelength [nm]", ylabel=f"{quantity} [{units}]", ylim=(0.0, None))
+        if together:
+            below.plot([], [], _STYLES[number], color=ink_of(below), label=label_for(name))
+        legend_below(below)
+    return save_figure(figure, path)
 
 
 # --- light of neighbours -------------------------------------------------------------------------------

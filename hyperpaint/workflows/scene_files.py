@@ -96,6 +96,7 @@ class SceneFile:
         None,
         "whether to continue spectra with constant values beyond their first and last band, and to "
         "interpolate bands without values; without this key up to 25 nm at the ends, with a warning",
+        kind="flag",
     )
 
 

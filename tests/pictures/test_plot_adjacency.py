@@ -1,5 +1,6 @@
 """A red car reddens a grey one: what is drawn, and whether light says so."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -98,4 +99,20 @@ def test_what_cannot_be_drawn() -> None:
             "'reflectance' is missing",
             lambda: adjacency_figure(line.drop_vars("reflectance"), NEAR, FAR),
         ),
+    )
+
+
+def test_scenes_stand_above_the_spectra_of_their_regions() -> None:
+    scenes = {"noon": hood(), "cloudy": 0.5 * hood(0.0)}
+    for scene in scenes.values():
+        scene.reflectance.attrs["units"] = "1"
+    draw = partial(hp.pictures.scenes_and_spectra, scenes, variable="reflectance")
+    *_, spectra = draw([NEAR, FAR]).axes[:2]
+    assert [line.get_linestyle() for line in spectra.lines[:2]] == ["-", "-"]
+    apart = draw({"noon": [NEAR], "cloudy": [FAR]}, together=False).axes
+    assert len(apart) == 4
+    np.testing.assert_allclose(apart[3].lines[0].get_ydata(), 0.1, rtol=1e-5)
+    expect_errors(
+        (SchemaError, "value-out-of-range", lambda: hp.pictures.scenes_and_spectra({}, [NEAR])),
+        (SchemaError, "region-empty", lambda: draw([rectangle("off", (40, 50), (2, 4))])),
     )
