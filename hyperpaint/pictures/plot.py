@@ -189,7 +189,7 @@ def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
         return dataset, "reflectance"
     if "values" in names and not {"counts", "radiance"} & names:  # the header does not name the quantity
         return dataset, "values"
-    if "irradiance" in names or not {"counts", "radiance"} & names:
+    if {"irradiance", "reflectance_gain"} & names or not {"counts", "radiance"} & names:
         return reflectance(dataset), "reflectance"
     has_radiance = bool({"radiance", "dark_counts", "radiance_gain"} & names)
     return (radiance(dataset), "radiance") if has_radiance else (dataset, "counts")

@@ -31,7 +31,14 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.flightline.calibration_store import saturation_of
-from hyperpaint.io.flightline.dark import MIN_NOISE_LINES, Reference, check_shape, open_dark, read_reference
+from hyperpaint.io.flightline.dark import (
+    MIN_NOISE_LINES,
+    Reference,
+    check_shape,
+    open_dark,
+    own_dark,
+    read_reference,
+)
 from hyperpaint.io.flightline.headwall import find_exposure, recording_clock
 from hyperpaint.io.flightline.timing import Timing, utc_of
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
@@ -152,12 +159,12 @@ def white_reference(
     >>> line.paint.reflectance().reflectance.values.round(4).ravel()
     array([0.95, 0.95, 0.95], dtype=float32)
     """
-    line = rename_to_roles(dataset)
+    line = _with_counts(dataset)
     SchemaError.raise_if(
         "counts" not in line.data_vars,
         f"white reference of {', '.join(map(str, line.data_vars)) or 'no variable'}",
-        expected="raw 'counts' (along_track, band, cross_track)",
-        mend="open the raw cube; for integers of an undeclared quantity: dataset.rename(values='counts')",
+        expected="raw 'counts' (along_track, band, cross_track), whole numbers without a sign",
+        mend="open the raw cube; for signed integers: dataset.astype('uint16')",
         code="counts-missing",
     )
     SchemaError.raise_if(
@@ -265,6 +272,14 @@ def problems_of(subject: str) -> Iterator[None]:
         problems.raise_if_any()
 
 
+def _with_counts(dataset: xr.Dataset) -> xr.Dataset:
+    # Return a dataset with integers of an undeclared quantity as counts: beside a white they are raw.
+    line = rename_to_roles(dataset)
+    if "values" not in line.data_vars or line["values"].dtype.kind != "u":
+        return line
+    return line.rename(values="counts").assign(counts=label(line["values"], "counts"))
+
+
 def _sources(white: Any) -> list[Any]:
     # Return the cubes of white references: paths of headers, and Datasets.
     if isinstance(white, str | os.PathLike):
@@ -290,7 +305,7 @@ def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth:
     if "saturation_count" not in line.variables:
         added["saturation_count"] = saturation_of(None, bit_depth, None)
     if dark is not None or "dark_counts" not in line.variables:
-        opened = open_dark(dark, Timing(), None, line["counts"])
+        opened = open_dark(own_dark(dark, path, line), Timing(), None, line["counts"])
         if opened is not None:
             line = line.drop_vars([name for name in _DARK_VARIABLES if name in line.variables])
             added |= opened.variables(needs_noise="read_noise" not in line.variables)
@@ -304,10 +319,7 @@ def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth:
 def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: float | None) -> _White:
     # Read one white reference, and subtract the dark of its exposure.
     sizes = (line.sizes[BAND], line.sizes[CROSS_TRACK])
-    if isinstance(source, xr.Dataset):
-        source = rename_to_roles(source)
-        if "values" in source:
-            source = source.rename(values="counts")
+    source = _with_counts(source) if isinstance(source, xr.Dataset) else source
     reference = source if isinstance(source, Reference) else read_reference(source, Timing(), None, "white")
     check_shape(reference.frames.mean.shape, sizes, f"white {reference.name}", "white")
     exposure = reference.exposure if white_exposure_time is None else white_exposure_time

@@ -39,6 +39,7 @@ def facts_of_line(line: xr.Dataset) -> Facts:
         ("times", times_of(line["time"].values) if "time" in line.coords else ""),
         ("exposure", exposure),
         ("dark", str(line.attrs.get("dark_source", ""))),
+        ("white", "; tile ".join(line.attrs[k] for k in ("white_source", "white_tile") if k in line.attrs)),
         ("irradiance", samples and f"{samples} around the line"),
         ("alignment", str(line.attrs.get("alignment", ""))),
     )
@@ -302,14 +303,13 @@ def _flags(line: xr.Dataset) -> str:
 
 def _abilities(line: xr.Dataset) -> Iterator[str]:
     names = set(line.variables)
-    has_irradiance = "irradiance" in names
-    if {"counts", "radiance_gain", "exposure_time"} <= names:
+    has_light = bool({"irradiance", "reflectance_gain"} & names)
+    has_radiance = {"counts", "radiance_gain", "exposure_time"} <= names
+    if has_radiance:
         yield ".radiance()"
-        if has_irradiance:
-            yield ".reflectance()"
-    elif "radiance" in names and has_irradiance:
+    if has_light and (has_radiance or {"radiance", "reflectance_gain"} & names):
         yield ".reflectance()"
-    if "reflectance" in names or has_irradiance:
+    if "reflectance" in names or has_light:
         yield from (".rgb()", ".quicklook()", ".spectrum(regions)", ".signatures(regions)")
     elif {"counts", "radiance"} & names:
         yield from (".rgb()", ".quicklook()")
