@@ -8,9 +8,8 @@ irradiance; several white references in time add the change of the light, ``whit
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -261,17 +260,6 @@ class _White(NamedTuple):
             )
 
 
-@contextlib.contextmanager
-def problems_of(subject: str) -> Iterator[None]:
-    # Name the subject of an error.
-    problems = Problems(subject, SchemaError)
-    try:
-        yield
-    except SchemaError as error:
-        problems.add_error("", error)
-        problems.raise_if_any()
-
-
 def _with_counts(dataset: xr.Dataset) -> xr.Dataset:
     # Return a dataset with integers of an undeclared quantity as counts: beside a white they are raw.
     line = rename_to_roles(dataset)
@@ -331,22 +319,14 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
             option="state exposure_time_ms in [reference]",
             code="exposure-missing",
         )
-    if white_dark is None:
-        darks = {name: line[name] for name in _DARK_VARIABLES if name in line.variables}
-        dark_u = line.get("dark_counts_u_random", 0.0)
-    else:
-        opened = open_dark(white_dark, Timing(), None, line["counts"])
-        darks = {} if opened is None else opened.variables(needs_noise=False)
-        dark_u = darks.pop("dark_counts_u_random", 0.0)
-        if "dark_time" in darks["dark_counts"].coords:
-            darks["dark_time"] = darks["dark_counts"]["dark_time"]
+    darks: Any = line
+    if white_dark is not None and (opened := open_dark(white_dark, Timing(), None, line["counts"])):
+        darks = xr.Dataset(opened.variables(needs_noise=False))
     of_scene = np.asarray(line["exposure_time"].values, np.float64)
-    differs = np.abs(exposure / of_scene - 1.0).max() > SAME_EXPOSURE_SHARE
     SchemaError.raise_if(
         white_dark is None
-        and differs
-        and "dark_exposure_time" not in darks
-        and line.attrs.get("dark_source") != "none"
+        and "dark_exposure_time" not in darks.variables
+        and np.abs(exposure / of_scene - 1.0).max() > SAME_EXPOSURE_SHARE
         and bool(darks["dark_counts"].values.any()),
         f"white {reference.name} was taken at {exposure * 1e3:g} ms, the scene at "
         f"{of_scene.flat[0] * 1e3:g} ms, and the exposure of the dark is unknown",
@@ -354,12 +334,11 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
         option="state dark in [reference]",
         code="dark-exposure-differs",
     )
-    cube = {name: array.values for name, array in darks.items()}
+    cube = {name: darks[name].values for name in _DARK_VARIABLES if name in darks.variables}
     cube["dark_counts"] = darks["dark_counts"].transpose(..., *CUBE[1:]).values
     if reference.time is not None:
         cube["time"] = np.array([reference.time])
-    with problems_of(f"white {reference.name}"):
-        counts, index, weight = darks_of_lines(cube, np.array([exposure]))
+    counts, index, weight = darks_of_lines(cube, np.array([exposure]), f"white {reference.name}")
     before = counts[index[0]].astype(np.float64)
     dark = before + float(weight[0]) * (counts[min(index[0] + 1, len(counts) - 1)] - before)
     frames = reference.frames
@@ -369,8 +348,8 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
         freedom = frames.lines - 1
         pooled = max(0, MIN_NOISE_LINES - frames.lines)
         variance = (freedom * frames.variance + pooled * frames.variance.mean()) / (freedom + pooled)
-    variance = variance / frames.lines + np.square(np.asarray(dark_u, np.float64))
-    return _White(reference, exposure, frames.mean - dark, variance)
+    dark_u = darks.variables.get("dark_counts_u_random", np.zeros(()))
+    return _White(reference, exposure, frames.mean - dark, variance / frames.lines + np.square(dark_u))
 
 
 def _gain_variables(
@@ -435,9 +414,9 @@ def _check_change(rates: Floats, level: Floats, *, is_timed: bool) -> None:
         mend="give scene and white a coordinate time, or name one white reference",
         code="white-times-missing",
     )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        columns = np.nanmedian(rates / rates[:1] / level[:, :, None], axis=1)
-    column_change = float(np.nanmax(np.abs(columns - 1.0)))
+    lit = np.isfinite(rates[0]).any(axis=0)
+    columns = np.nanmedian((rates / rates[:1] / level[:, :, None])[:, :, lit], axis=1)
+    column_change = float(np.abs(columns - 1.0).max())
     if column_change > MAX_COLUMN_CHANGE:
         warn_user(
             f"between white references the light of a column changes by {100 * column_change:.3g} % beside "
