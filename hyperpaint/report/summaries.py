@@ -33,13 +33,14 @@ def facts_of_line(line: xr.Dataset) -> Facts:
         text = range_of(np.unique(line["exposure_time"].values) * 1e3, "ms")
         exposure = f"{text} ({source})" if source else text
     samples = counted(line.sizes[IRRADIANCE_TIME], "sample") if "irradiance" in line else ""
+    whites = [line.attrs["white_source"]] if "white_tile" in line.attrs else []
     yield from (
         *((name, form_of(line[name])) for name in ("counts", "radiance", "reflectance") if name in line),
         *facts_of_bands(line),
         ("times", times_of(line["time"].values) if "time" in line.coords else ""),
         ("exposure", exposure),
         ("dark", str(line.attrs.get("dark_source", ""))),
-        ("white", "; tile ".join(line.attrs[k] for k in ("white_source", "white_tile") if k in line.attrs)),
+        *(("white", f"{source}; tile {line.attrs['white_tile']}") for source in whites),
         ("irradiance", samples and f"{samples} around the line"),
         ("alignment", str(line.attrs.get("alignment", ""))),
     )
