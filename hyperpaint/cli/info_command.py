@@ -372,7 +372,7 @@ def _collect(path: Path) -> Facts:
     for reference in collect.references:
         yield "references", f"{reference.instrument}: {counted(len(reference.files), 'file')}"
     product, options = "reflectance", ""
-    if not has_irradiance:
+    if not has_irradiance and collect.white is None:
         product, options = "radiance only, because there is no irradiance", " --to radiance"
     products = f"{lines_text} ({size_of(total)} of cubes), quality and {product}"
     yield "process", f"would store {products}:\nhyperpaint process {path} --out STORE.zarr{options}"

@@ -168,7 +168,7 @@ def shown_quantity(dataset: xr.Dataset) -> str:
         return "reflectance"
     if not {"counts", "radiance"} & names:  # the header does not name the quantity
         return "values"
-    if "irradiance" in names:
+    if {"irradiance", "reflectance_gain"} & names:
         return "reflectance"
     return "radiance" if {"radiance", "dark_counts", "radiance_gain"} & names else "counts"
 

@@ -397,6 +397,7 @@ def _require_one_of(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -
         raise SchemaError(
             f"cannot compute {purpose} from {variables}",
             expected=f"'counts' with {', '.join(COUNTED[1:])}, or {' or '.join(map(repr, names[1:]))}",
+            mend="pass white=, tile= and dark= for raw counts" if purpose == "reflectance" else "",
             code="variable-missing",
         )
 

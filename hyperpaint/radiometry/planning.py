@@ -397,7 +397,9 @@ def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Float
     return np.asarray(shares, np.float64)
 
 
-def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Array]:
+def darks_of_lines(
+    cube: Mapping[str, Any], exposure: Floats, subject: str = "the line"
+) -> tuple[Array, Array, Array]:
     # Return darks (n, band, column), and for every line its earlier dark and the weight of the later.
     #
     # Darks at the line's exposure are interpolated in time. Without such darks, or if lines differ in
@@ -411,7 +413,7 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
         dark_exposure = np.broadcast_to(np.asarray(dark_exposure_time, np.float64), len(dark))
         is_usable = np.abs(dark_exposure[:, None] / exposure - 1.0) <= SAME_EXPOSURE_SHARE
         if not is_usable.all(axis=1).any():
-            return _darks_in_exposure(dark, dark_exposure, exposure)
+            return _darks_in_exposure(dark, dark_exposure, exposure, subject)
         dark = dark[is_usable.all(axis=1)]
         times = None if times is None else np.asarray(times)[is_usable.all(axis=1)]
     elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():
@@ -458,13 +460,15 @@ def _between_whites(cube: Mapping[str, Any], time: Array) -> tuple[Floats, LineL
     return series, LineLight(before, before + 1, weight, unknown, unknown, flags)
 
 
-def _darks_in_exposure(dark: Array, dark_exposure: Floats, exposure: Floats) -> tuple[Array, Array, Array]:
+def _darks_in_exposure(
+    dark: Array, dark_exposure: Floats, exposure: Floats, subject: str
+) -> tuple[Array, Array, Array]:
     if np.ptp(dark_exposure) <= SAME_EXPOSURE_SHARE * dark_exposure.max():
         exposures_ms = np.unique(exposure.round(9)) * 1e3
         raise SchemaError(
-            f"the dark was taken at {dark_exposure[0] * 1e3:g} ms, the line at "
+            f"the dark was taken at {dark_exposure[0] * 1e3:g} ms, {subject} at "
             f"{', '.join(f'{ms:g}' for ms in exposures_ms[:4])} ms",
-            mend="take a dark at the line's exposure, or darks at two exposures, for bias and rate",
+            mend="take a dark at this exposure, or darks at two exposures, for bias and rate",
             code="dark-exposure-differs",
         )
     # lines beyond the exposures of the darks

@@ -8,9 +8,8 @@ irradiance; several white references in time add the change of the light, ``whit
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +30,14 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.flightline.calibration_store import saturation_of
-from hyperpaint.io.flightline.dark import MIN_NOISE_LINES, Reference, check_shape, open_dark, read_reference
+from hyperpaint.io.flightline.dark import (
+    MIN_NOISE_LINES,
+    Reference,
+    check_shape,
+    open_dark,
+    own_dark,
+    read_reference,
+)
 from hyperpaint.io.flightline.headwall import find_exposure, recording_clock
 from hyperpaint.io.flightline.timing import Timing, utc_of
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
@@ -152,12 +158,12 @@ def white_reference(
     >>> line.paint.reflectance().reflectance.values.round(4).ravel()
     array([0.95, 0.95, 0.95], dtype=float32)
     """
-    line = rename_to_roles(dataset)
+    line = _with_counts(dataset)
     SchemaError.raise_if(
         "counts" not in line.data_vars,
         f"white reference of {', '.join(map(str, line.data_vars)) or 'no variable'}",
-        expected="raw 'counts' (along_track, band, cross_track)",
-        mend="open the raw cube; for integers of an undeclared quantity: dataset.rename(values='counts')",
+        expected="raw 'counts' (along_track, band, cross_track), whole numbers without a sign",
+        mend="open the raw cube; for signed integers: dataset.astype('uint16')",
         code="counts-missing",
     )
     SchemaError.raise_if(
@@ -254,15 +260,12 @@ class _White(NamedTuple):
             )
 
 
-@contextlib.contextmanager
-def problems_of(subject: str) -> Iterator[None]:
-    # Name the subject of an error.
-    problems = Problems(subject, SchemaError)
-    try:
-        yield
-    except SchemaError as error:
-        problems.add_error("", error)
-        problems.raise_if_any()
+def _with_counts(dataset: xr.Dataset) -> xr.Dataset:
+    # Return a dataset with integers of an undeclared quantity as counts: beside a white they are raw.
+    line = rename_to_roles(dataset)
+    if "values" not in line.data_vars or line["values"].dtype.kind != "u":
+        return line
+    return line.rename(values="counts").assign(counts=label(line["values"], "counts"))
 
 
 def _sources(white: Any) -> list[Any]:
@@ -290,7 +293,7 @@ def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth:
     if "saturation_count" not in line.variables:
         added["saturation_count"] = saturation_of(None, bit_depth, None)
     if dark is not None or "dark_counts" not in line.variables:
-        opened = open_dark(dark, Timing(), None, line["counts"])
+        opened = open_dark(own_dark(dark, path, line), Timing(), None, line["counts"])
         if opened is not None:
             line = line.drop_vars([name for name in _DARK_VARIABLES if name in line.variables])
             added |= opened.variables(needs_noise="read_noise" not in line.variables)
@@ -304,10 +307,7 @@ def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth:
 def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: float | None) -> _White:
     # Read one white reference, and subtract the dark of its exposure.
     sizes = (line.sizes[BAND], line.sizes[CROSS_TRACK])
-    if isinstance(source, xr.Dataset):
-        source = rename_to_roles(source)
-        if "values" in source:
-            source = source.rename(values="counts")
+    source = _with_counts(source) if isinstance(source, xr.Dataset) else source
     reference = source if isinstance(source, Reference) else read_reference(source, Timing(), None, "white")
     check_shape(reference.frames.mean.shape, sizes, f"white {reference.name}", "white")
     exposure = reference.exposure if white_exposure_time is None else white_exposure_time
@@ -319,22 +319,14 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
             option="state exposure_time_ms in [reference]",
             code="exposure-missing",
         )
-    if white_dark is None:
-        darks = {name: line[name] for name in _DARK_VARIABLES if name in line.variables}
-        dark_u = line.get("dark_counts_u_random", 0.0)
-    else:
-        opened = open_dark(white_dark, Timing(), None, line["counts"])
-        darks = {} if opened is None else opened.variables(needs_noise=False)
-        dark_u = darks.pop("dark_counts_u_random", 0.0)
-        if "dark_time" in darks["dark_counts"].coords:
-            darks["dark_time"] = darks["dark_counts"]["dark_time"]
+    darks: Any = line
+    if white_dark is not None and (opened := open_dark(white_dark, Timing(), None, line["counts"])):
+        darks = xr.Dataset(opened.variables(needs_noise=False))
     of_scene = np.asarray(line["exposure_time"].values, np.float64)
-    differs = np.abs(exposure / of_scene - 1.0).max() > SAME_EXPOSURE_SHARE
     SchemaError.raise_if(
         white_dark is None
-        and differs
-        and "dark_exposure_time" not in darks
-        and line.attrs.get("dark_source") != "none"
+        and "dark_exposure_time" not in darks.variables
+        and np.abs(exposure / of_scene - 1.0).max() > SAME_EXPOSURE_SHARE
         and bool(darks["dark_counts"].values.any()),
         f"white {reference.name} was taken at {exposure * 1e3:g} ms, the scene at "
         f"{of_scene.flat[0] * 1e3:g} ms, and the exposure of the dark is unknown",
@@ -342,12 +334,11 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
         option="state dark in [reference]",
         code="dark-exposure-differs",
     )
-    cube = {name: array.values for name, array in darks.items()}
+    cube = {name: darks[name].values for name in _DARK_VARIABLES if name in darks.variables}
     cube["dark_counts"] = darks["dark_counts"].transpose(..., *CUBE[1:]).values
     if reference.time is not None:
         cube["time"] = np.array([reference.time])
-    with problems_of(f"white {reference.name}"):
-        counts, index, weight = darks_of_lines(cube, np.array([exposure]))
+    counts, index, weight = darks_of_lines(cube, np.array([exposure]), f"white {reference.name}")
     before = counts[index[0]].astype(np.float64)
     dark = before + float(weight[0]) * (counts[min(index[0] + 1, len(counts) - 1)] - before)
     frames = reference.frames
@@ -357,8 +348,8 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
         freedom = frames.lines - 1
         pooled = max(0, MIN_NOISE_LINES - frames.lines)
         variance = (freedom * frames.variance + pooled * frames.variance.mean()) / (freedom + pooled)
-    variance = variance / frames.lines + np.square(np.asarray(dark_u, np.float64))
-    return _White(reference, exposure, frames.mean - dark, variance)
+    dark_u = darks.variables.get("dark_counts_u_random", np.zeros(()))
+    return _White(reference, exposure, frames.mean - dark, variance / frames.lines + np.square(dark_u))
 
 
 def _gain_variables(
@@ -423,9 +414,9 @@ def _check_change(rates: Floats, level: Floats, *, is_timed: bool) -> None:
         mend="give scene and white a coordinate time, or name one white reference",
         code="white-times-missing",
     )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        columns = np.nanmedian(rates / rates[:1] / level[:, :, None], axis=1)
-    column_change = float(np.nanmax(np.abs(columns - 1.0)))
+    lit = np.isfinite(rates[0]).any(axis=0)
+    columns = np.nanmedian((rates / rates[:1] / level[:, :, None])[:, :, lit], axis=1)
+    column_change = float(np.abs(columns - 1.0).max())
     if column_change > MAX_COLUMN_CHANGE:
         warn_user(
             f"between white references the light of a column changes by {100 * column_change:.3g} % beside "

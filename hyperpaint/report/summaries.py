@@ -34,12 +34,14 @@ def facts_of_line(line: xr.Dataset) -> Facts:
         text = range_of(np.unique(line["exposure_time"].values) * 1e3, "ms")
         exposure = f"{text} ({source})" if source else text
     samples = counted(line.sizes[IRRADIANCE_TIME], "sample") if "irradiance" in line else ""
+    whites = [line.attrs["white_source"]] if "white_tile" in line.attrs else []
     yield from (
         *((name, form_of(line[name])) for name in ("counts", "radiance", "reflectance") if name in line),
         *facts_of_bands(line),
         ("times", times_of(line["time"].values) if "time" in line.coords else ""),
         ("exposure", exposure),
         ("dark", str(line.attrs.get("dark_source", ""))),
+        *(("white", f"{source}; tile {line.attrs['white_tile']}") for source in whites),
         ("irradiance", samples and f"{samples} around the line"),
         ("alignment", str(line.attrs.get("alignment", ""))),
     )
@@ -303,14 +305,13 @@ def _flags(line: xr.Dataset) -> str:
 
 def _abilities(line: xr.Dataset) -> Iterator[str]:
     names = set(line.variables)
-    has_irradiance = "irradiance" in names
-    if {"counts", "radiance_gain", "exposure_time"} <= names:
+    has_light = bool({"irradiance", "reflectance_gain"} & names)
+    has_radiance = {"counts", "radiance_gain", "exposure_time"} <= names
+    if has_radiance:
         yield ".radiance()"
-        if has_irradiance:
-            yield ".reflectance()"
-    elif "radiance" in names and has_irradiance:
+    if has_light and (has_radiance or {"radiance", "reflectance_gain"} & names):
         yield ".reflectance()"
-    if "reflectance" in names or has_irradiance:
+    if "reflectance" in names or has_light:
         yield from (".rgb()", ".quicklook()", ".spectrum(regions)", ".signatures(regions)")
     elif {"counts", "radiance"} & names:
         yield from (".rgb()", ".quicklook()")

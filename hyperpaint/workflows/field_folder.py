@@ -84,6 +84,7 @@ class FlightCube:
     #: Angle between the outer edges of the columns [degree], and the lens; None: missing in the header, or
     #: pixels are binned.
     lens: tuple[float, str] | None = None
+    has_dark: bool = False  # whether dark lines are at the end of the cube
 
 
 @dataclass(frozen=True)
@@ -235,19 +236,21 @@ def find_field_files(
 
 
 def _flight_cube(header: Path) -> FlightCube:
-    exposure_s = lens = None
+    exposure_s, lens, has_dark = None, None, False
     clock: tuple[str | None, float | None] = (None, None)
     with contextlib.suppress(PaintError), warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
         dataset = open_envi(header)
-        clock = recording_clock(dataset)
+        clock, has_dark = recording_clock(dataset), "dark_lines" in dataset.attrs
         exposure = find_exposure(None, header, header.name, dataset, required=False)[0]
         exposure_s = None if exposure is None else float(exposure)
         if lengths := lens_lengths(read_header(header).comments):
             (focal_mm, pitch_um), columns = lengths, dataset.sizes[CROSS_TRACK]
             angle = 2.0 * math.degrees(math.atan(columns / 2 * pitch_um * 1e-3 / focal_mm))
             lens = angle, f"{focal_mm:g} mm, {columns} pixels of {pitch_um:g} um"
-    return FlightCube(header, frame_index_beside(header), navigation_beside(header), exposure_s, clock, lens)
+    return FlightCube(
+        header, frame_index_beside(header), navigation_beside(header), exposure_s, clock, lens, has_dark
+    )
 
 
 def _survey(paths: list[Path], relative: Callable[[Path], str], notes: list[str]) -> Survey | None:
@@ -495,12 +498,14 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
         return UNKNOWN if path is None else _without_controls(relative(path))
 
     name, survey, lens = files.folder.resolve().name, files.survey, files.cubes[0].lens
-    camera = [key("camera", "bit_depth", 12), key("camera", "stamp", "end")]
+    stamp = "start" if all(cube.clock[0] for cube in files.cubes) else "end"
+    camera = [key("camera", "bit_depth", 12), key("camera", "stamp", stamp)]
     exposures = {cube.exposure_s for cube in files.cubes}
     periods = {cube.clock[1] for cube in files.cubes}
     is_indexed = all(cube.frame_index for cube in files.cubes)
     # reflectance relative to a white tile needs no times
     unknown_time = None if files.has_white else UNKNOWN
+    unknown_dark = None if all(cube.has_dark for cube in files.cubes) else UNKNOWN
     if None in exposures:
         note = "exposure [ms]: no settings.txt and no header states it"
         camera.append(key("camera", "exposure_time_ms", UNKNOWN, note))
@@ -539,7 +544,7 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
         *("", "[camera]", *camera),
         *(() if files.has_white else ("", "[calibration]")),
         *(() if files.has_white else [key("calibration", calibration[0], of_path(calibration[1]))]),
-        *("", "[dark]", key("dark", "cubes", list(map(of_path, files.darks)) or UNKNOWN)),
+        *("", "[dark]", key("dark", "cubes", list(map(of_path, files.darks)) or unknown_dark)),
     )
     if files.has_white:
         note = "reflectance of the tile, such as 0.95; 1.0 gives reflectance relative to the tile"

@@ -18,17 +18,22 @@ FIXED = RNG.normal(100.0, 3.0, (BANDS, COLUMNS))
 RESPONSE = RNG.uniform(1500.0, 3500.0, (BANDS, COLUMNS))
 
 
-def write(path: Path, reflectance: float, clock: str, lines: int = 30, lamp: float = 1.0) -> None:
+def write(
+    path: Path, reflectance: float, clock: str, lines: int = 30, lamp: float = 1.0, scene: int | None = None
+) -> None:
     # a cube of an even surface, with the header of a Specim camera; without a clock as of another camera
     path.parent.mkdir(parents=True, exist_ok=True)
-    mean = np.broadcast_to(lamp * reflectance * RESPONSE, (lines, BANDS, COLUMNS))
+    # after ``scene`` lines of the scene follow dark lines
+    mean = np.tile(lamp * reflectance * RESPONSE, (lines, 1, 1))
+    mean[scene or lines :] = 0.0
+    own_dark = f"autodarkstartline = {scene}\n" if scene else ""
     counts = np.rint(FIXED + RNG.normal(mean, np.sqrt(mean / 40.0 + 1.5))).clip(0, 4095)
     counts.astype("u2").tofile(path.with_suffix(".raw"))
     clock = clock and f"acquisition date = DATE(yyyy-mm-dd): 2024-06-14\nStart Time = UTC TIME: {clock}\n"
     clock = clock and f"{clock}fps = 50.00\n"
     nm = ", ".join(f"{500 + 50 * band}" for band in range(BANDS))
     path.with_suffix(".hdr").write_text(
-        f"ENVI\n{clock}samples = {COLUMNS}\nbands = {BANDS}\nlines = {lines}\ninterleave = bil\n"
+        f"ENVI\n{clock}{own_dark}samples = {COLUMNS}\nbands = {BANDS}\nlines = {lines}\ninterleave = bil\n"
         f"data type = 12\nheader offset = 0\nbyte order = 0\ntint = 9.00\nwavelength = {{{nm}}}\n"
     )
 
@@ -37,8 +42,11 @@ def write(path: Path, reflectance: float, clock: str, lines: int = 30, lamp: flo
 def test_a_folder_of_a_line_scanner_is_processed(tmp_path: Path, clocks: tuple[str, str, str]) -> None:
     capture = tmp_path / "day/lot1/capture"
     before, during, after = clocks
-    write(capture / "lot1", 0.4, during, 40, lamp=0.98 if during else 1.0)
-    write(capture / "DARKREF_lot1", 0.0, during)
+    if during:
+        write(capture / "lot1", 0.4, during, 40, lamp=0.98)
+        write(capture / "DARKREF_lot1", 0.0, during)
+    else:
+        write(capture / "lot1", 0.4, during, 70, scene=40)
     write(capture / "WHITEREF_lot1", TILE, before)
     if after:
         write(capture / "WHITEREF_end", TILE, after, lamp=0.96)

@@ -376,19 +376,24 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
     return IrradianceEntry(files, options, table.get("mount") == "aircraft")
 
 
+def _target_reflectance(reader: _Reader, subject: str, table: Mapping[str, Any]) -> float | Path | None:
+    # Reflectance of a panel or a white tile, or the file of its certificate; None where both are missing
+    reader.exclude(subject, table, "reflectance", "certificate")
+    reader.problems.add_if(
+        not {"reflectance", "certificate"} & table["?"],
+        f"{subject} reflectance is missing",
+        mend="state reflectance=, or certificate= with the file of a certificate",
+        code="key-missing",
+    )
+    return reader.path(subject, "certificate", table.get("certificate")) or table.get("reflectance")
+
+
 def _white(reader: _Reader) -> WhiteEntry | None:
     table = reader.one("reference")
     if not reader.tables["reference"]:
         return None
     _note_missing_keys(reader, "[reference]", "reference", table)
-    reader.exclude("[reference]", table, "reflectance", "certificate")
-    reader.problems.add_if(
-        not {"reflectance", "certificate"} & table["?"],
-        "[reference] reflectance is missing",
-        mend="state reflectance=, or certificate= with the file of a certificate; 1.0 gives reflectance "
-        "relative to the tile",
-        code="tile-missing",
-    )
+    tile = _target_reflectance(reader, "[reference]", table)
     for other in ("irradiance", "calibration"):
         reader.problems.add_if(
             other in reader.given,
@@ -397,7 +402,6 @@ def _white(reader: _Reader) -> WhiteEntry | None:
             code="option-conflict",
         )
     files = {key: reader.files("[reference]", key, table[key]) for key in ("white", "dark") if key in table}
-    tile = reader.path("[reference]", "certificate", table.get("certificate")) or table.get("reflectance")
     options = {
         "tile": tile,
         "tile_uncertainty": table.get("uncertainty"),
@@ -572,16 +576,7 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
     for number, table in enumerate(reader.tables["panels"]):
         subject = f"[[panels]] {number + 1}"
         _note_missing_keys(reader, subject, "panels", table)
-        reader.exclude(subject, table, "reflectance", "certificate")
-        reader.problems.add_if(
-            not {"reflectance", "certificate"} & table["?"],
-            f"{subject} reflectance is missing",
-            mend="state reflectance=, or certificate= with the file of a certificate",
-            code="key-missing",
-        )
-        reflectance = reader.path(subject, "certificate", table.get("certificate")) or table.get(
-            "reflectance"
-        )
+        reflectance = _target_reflectance(reader, subject, table)
         if reflectance is None or not set(position_keys) <= set(table):
             continue
         along, across = (tuple(table[key]) for key in position_keys[1:])

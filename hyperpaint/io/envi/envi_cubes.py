@@ -743,6 +743,7 @@ def open_envi(
     keep_whole_lines: bool = False,
     quantity: str | None = None,
     unsaid: str = "values",
+    dark_lines: bool = False,
 ) -> xr.Dataset:
     """Open an ENVI cube lazily.
 
@@ -760,6 +761,9 @@ def open_envi(
         does not state it. A header that contradicts it is refused.
     unsaid
         Quantity of integers, used where neither the header nor ``quantity`` states one; for readers of darks.
+    dark_lines
+        Return the dark lines that a line scanner appended to the cube, from ``autodarkstartline`` of the
+        header on, instead of the lines of the scene.
 
     Returns
     -------
@@ -861,6 +865,19 @@ def open_envi(
         doubts.append(f"{lines} whole lines are kept where the header says {header.lines}")
     if doubts:
         warn_user(f"{data_path.name}: {'; '.join(doubts)}", "header-doubtful")
+    # dark lines at the end of the scene
+    recorded, offset = lines, header.header_offset
+    start = header.fields.get("autodarkstartline", "")
+    has_dark = start.isdecimal() and 0 < int(start) < lines and header.interleave != "bsq"
+    if has_dark:
+        lines = recorded - int(start) if dark_lines else int(start)
+        offset += int(start) * header.line_bytes if dark_lines else 0
+    FormatError.raise_if(
+        dark_lines and not has_dark,
+        f"{data_path.name}: no dark lines",
+        expected="autodarkstartline below the number of lines, in a cube of lines (bil, bip)",
+        code="dark-missing",
+    )
     # axes of the file, and of the array
     name, attrs = _quantity(header, quantity, unsaid, data_path)
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
@@ -871,7 +888,7 @@ def open_envi(
         path=os.path.abspath(data_path),
         file_size=status.st_size,
         modified_ns=status.st_mtime_ns,
-        offset=header.header_offset,
+        offset=offset,
         stored=header.dtype,
         file_shape=(sizes[file_axes[0]], sizes[file_axes[1]], sizes[file_axes[2]]),
         axes=(file_axes.index(order[0]), file_axes.index(order[1]), file_axes.index(order[2])),
@@ -918,7 +935,8 @@ def open_envi(
         "envi_header": json.dumps(header.fields),
         "envi_comments": json.dumps(header.comments) if header.comments else "",
         "envi_notes": "; ".join(header.notes),
-        "lines_declared": header.lines if lines != header.lines else "",
+        "lines_declared": header.lines if recorded != header.lines else "",
+        "dark_lines": f"{start} to {recorded - 1}" if has_dark else "",
         **{key.replace(" ", "_"): header.fields.get(key, "") for key in map_keys},
     }
     line_attrs = {key: value for key, value in line_attrs.items() if value != ""}

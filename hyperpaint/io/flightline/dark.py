@@ -112,6 +112,13 @@ def open_dark(
     return _combine([read_reference(reference, timing, shape) for reference in sources])
 
 
+def own_dark(source: Any, path: Path | None, opened: xr.Dataset) -> Any:
+    # Return the source of a dark: ``source``, else the dark lines at the end of the scene, else None.
+    if source is not None or path is None or "dark_lines" not in opened.attrs:
+        return source
+    return open_envi(path, unsaid="counts", dark_lines=True)
+
+
 def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
     exposure = dataset.get("dark_exposure_time")
     names = ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"])

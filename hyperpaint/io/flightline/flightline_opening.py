@@ -30,7 +30,7 @@ from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance
 
 from .calibration_store import calibration_parts, open_calibration, saturation_of, scale_attrs
-from .dark import Dark, open_dark
+from .dark import Dark, open_dark, own_dark
 from .headwall import find_exposure, recording_clock
 from .timing import UNKNOWN_TIMES, LineTimes, Timing, line_times
 
@@ -258,7 +258,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
                 inputs.cube,
                 keep_whole_lines=inputs.keep_whole_lines,
                 quantity=inputs.quantity,
-                unsaid="counts" if inputs.dark is not None else "values",
+                unsaid="counts" if inputs.dark is not None or inputs.has_white else "values",
             )
         else:
             opened = rename_to_roles(inputs.cube)
@@ -291,7 +291,8 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         )
     dark: Dark | None = None
     if is_counts and not isinstance(inputs.dark, Unavailable):
-        dark = findings.attempt(open_dark, inputs.dark, timing, calibration, cube)
+        source = own_dark(inputs.dark, on_disk, opened)
+        dark = findings.attempt(open_dark, source, timing, calibration, cube)
     irradiance: xr.Dataset | None = None
     with findings.step():
         if inputs.irradiance is not None and not isinstance(inputs.irradiance, Unavailable):
