@@ -292,8 +292,8 @@ class Explored:
             text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: "
             text += _flag_text(flag_texts)
             if np.isfinite(quantiles).any():
-                lower, upper = (f"{np.nanmedian(edge):.2g}" for edge in (quantiles[0], quantiles[-1]))
-                text += f"; 90 % of them from {lower} to {upper} in the median band"
+                lower, upper = (float(f"{np.nanmedian(edge):.2g}") for edge in (quantiles[0], quantiles[-1]))
+                text += f"; 90 % of them from {lower:g} to {upper:g} in the median band"
             return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
         row, column = place
         pixel = pixels(self.line, row, column)
@@ -1098,7 +1098,8 @@ class Explorer:
             return
         self._show_picture("detail", detail)
         self._caption = self._state.band_text(recipe[0]) if len(recipe) == 1 else self._widgets.recipe.value
-        self._caption += f" of {self._state.quantity.partition(' [')[0]}" * (not self._state.is_reflectance)
+        quantity = self._state.quantity.partition(" [")[0]
+        self._caption += "" if self._state.is_reflectance else f" of {quantity}"
         lines = "columns" if self._state.is_map else "lines"
         self._caption += f", {lines} {detail.first} to {detail.last - 1}"
         self._caption += f", {detail.text}" * bool(detail.text)
@@ -1228,7 +1229,7 @@ class Explorer:
     def _update_uncertainty(self) -> None:
         clicked = self._selected_place
         spectrum = None if clicked is None else self._state.spectrum_of(clicked)
-        if clicked is None or not isinstance(spectrum, Spectrum):
+        if clicked is None or not isinstance(spectrum, Spectrum) or not self._state.is_reflectance:
             return
         uncertainty = self._state.uncertainty_of(clicked)
         name = f"{self._selected}: " if isinstance(self._selected, str) else ""

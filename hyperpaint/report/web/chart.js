@@ -78,8 +78,16 @@ export function drawChart(host, curves, read) {
   svg.append(element("line", { class: "axis", x1: LEFT, x2: width - RIGHT, y1: height - BOTTOM, y2: height - BOTTOM }));
   svg.append(element("text", { x: (LEFT + width) / 2, y: height - 4, "text-anchor": "middle" }, "Wavelength [nm]"));
   svg.append(element("text", { x: 12, y: height / 2, "text-anchor": "middle", transform: `rotate(-90 12 ${height / 2})` }, "Reflectance factor [1]"));
-  for (const curve of curves) if (curve.sd) svg.append(element("path", { class: `spread ${curve.look}`, d: spread(curve, x, y) }));
-  for (const curve of curves) svg.append(element("path", { class: `curve ${curve.look}`, d: path(curve, x, y) }));
+  const draw = (curve, kind, d) => {
+    const drawn = element("path", { class: `${kind} ${curve.look}`, d });
+    if (curve.colour) drawn.style.setProperty("--own", curve.colour);
+    svg.append(drawn);
+  };
+  for (const curve of curves) if (curve.sd) draw(curve, "spread", spread(curve, x, y));
+  for (const curve of curves) {
+    if (curve.colour) svg.append(element("path", { class: "rim", d: path(curve, x, y) })); // seen on every ground
+    draw(curve, "curve", path(curve, x, y));
+  }
   const guide = element("line", { class: "guide", y1: TOP, y2: height - BOTTOM, visibility: "hidden" });
   svg.append(guide);
   svg.addEventListener("pointermove", (event) => {
