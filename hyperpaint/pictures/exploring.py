@@ -62,6 +62,7 @@ SPARSE_STEP = 64  # step [lines] from which `pixels` reads single chunks
 _VISIBLE_BANDS = 24  # bands read for a detailed true-colour picture: colour matching functions are smooth
 MAX_REGION_PIXELS = 20_000  # maximum number of pixels for a region's spectrum; larger regions are subsampled
 _MAX_UNCERTAINTY_PIXELS = 4096  # maximum size of a region whose uncertainty is computed on a click
+_CUBES = {"counts", "radiance", "reflectance", "values"}  # "values": quantity unknown
 _FLAG_OPACITY = 170  # of 255
 MAX_NEAR_ANGLE = 5.0  # spectral angle up to which a paint of the library is near [degree]
 MAX_NEAR_FACTOR = 2.0  # factor of brightness up to which a paint is near
@@ -123,7 +124,7 @@ class Explored:
             self._numbered = self._numbered.rename({ALONG_TRACK: CROSS_TRACK, CROSS_TRACK: ALONG_TRACK})
             self._numbered = self._numbered.drop_vars(("x", "y", "spatial_ref"), errors="ignore")
         self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
-        if not {"counts", "radiance", "reflectance", "values"} & set(self.line.variables):
+        if not _CUBES & set(self.line.variables):
             schema.require(self.line, ["reflectance"], "an explorer")
         self.has_wavelength = "wavelength" in self.line.variables
         if not self.has_wavelength:  # bands by their numbers, from 1
@@ -135,8 +136,7 @@ class Explored:
             # the stored cube is read as it is; other cubes under the name of reflectance
             cube = self.line[quantity]
             self.quantity = quantity_label(cube)
-            others = ("counts", "radiance", "values", "reflectance")
-            stored = self.line.drop_vars(others, errors="ignore")
+            stored = self.line.drop_vars(_CUBES, errors="ignore")
             self.line = stored.assign(reflectance=cube.assign_attrs(units="1"))
         elif self.is_reflectance:
             self.quantity = "reflectance factor [1]"
@@ -1440,14 +1440,22 @@ def _lines_of(path: Path) -> dict[str, Callable[[], xr.Dataset]]:
     # Return functions that open the cubes of a file or store, by name: first flight lines of the folder
     if path.is_file() and path.suffix != ".zip":
         return {path.stem: functools.partial(open_envi, path)}
-    groups: dict[str, Callable[[], xr.Dataset]] = {}
-    for group in sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/")):
-        is_line = group.startswith("flightlines/")
-        roles = xr.Dataset() if is_line else rename_to_roles(open_store(path, group))
-        has_cube = bool({"counts", "radiance", "reflectance", "values"} & set(roles.data_vars))
-        if is_line or (has_cube and {ALONG_TRACK, CROSS_TRACK, BAND} <= set(roles.dims)):
-            groups[group.rpartition("/")[2] or path.stem] = functools.partial(open_store, path, group)
-    return groups
+    groups = sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/"))
+    openers = {group: functools.partial(_open_cube, path, group) for group in groups}
+    return {
+        group.rpartition("/")[2] or path.stem: opener
+        for group, opener in openers.items()
+        if group.startswith("flightlines/") or _CUBES & set(opener().data_vars)
+    }
+
+
+def _open_cube(path: Path, group: str) -> xr.Dataset:
+    # Open a group; of other programs, the only variable of lines, columns and bands is the cube
+    dataset = rename_to_roles(open_store(path, group))
+    cubes = {str(name) for name, array in dataset.data_vars.items() if set(schema.CUBE) == set(array.dims)}
+    if len(cubes) == 1 and not cubes & _CUBES:
+        return dataset.rename({cubes.pop(): "values"})
+    return dataset if group.startswith("flightlines/") else dataset.drop_vars(_CUBES - cubes, errors="ignore")
 
 
 def _guard(server: Any, token: str) -> None:

@@ -130,6 +130,10 @@ def test_raw_counts_radiance_and_maps_are_explored(tmp_path: Path) -> None:
     # bands without wavelengths are named by their numbers
     bands = Explored(raw.drop_vars("wavelength"))
     assert next(iter(bands.recipes)).startswith("band ")
+    # of another program, the only cube is shown
+    raw.rename(counts="rad").to_zarr(tmp_path / "other.zarr", zarr_format=2)
+    (other,) = exploring._lines_of(tmp_path / "other.zarr").values()
+    np.testing.assert_array_equal(Explored(other()).line["reflectance"], raw.counts)
     # a map is north up: its columns run to the right
     numbers = {"y": ("y", np.arange(24.0, 0.0, -1.0)), "x": ("x", np.arange(6.0))}
     chart = raw.rename(along_track="y", cross_track="x").drop_vars(("y", "x"), errors="ignore")

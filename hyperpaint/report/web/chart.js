@@ -1,7 +1,7 @@
 // Curves over wavelength as SVG. A curve: {name, nm, values, sd?, good?, look}; texts are only ever text.
 
 const SVG = "http://www.w3.org/2000/svg";
-const [LEFT, RIGHT, TOP, BOTTOM] = [46, 20, 8, 38];
+const [LEFT, RIGHT, TOP, BOTTOM] = [56, 20, 8, 38];
 
 function element(name, attributes, ...children) {
   const made = document.createElementNS(SVG, name);
