@@ -398,7 +398,7 @@ class Explored:
         # Up to 1536 lines are read completely. Of more lines, the picture is the stored overview (true
         # colour), else the stored means of blocks of pixels, else a subsample of lines. Black and white are
         # percentiles (``stretch``) of brightness over the complete flight line; pixels without a value are
-        # transparent.
+        # transparent, saturated pixels white.
         first, last = self._window(window)
         is_sparse = last - first > DETAIL_LINES
         if is_sparse and recipe == TRUE_COLOUR and stretch == STRETCH:
@@ -421,7 +421,13 @@ class Explored:
         black, white = self._levels(recipe, stretch)
         colours = encode_srgb(((linear - black) / np.maximum(white - black, 1e-6)).clip(0.0, 1.0))
         last = first + step * len(linear)
-        return Picture(_rgba(colours, np.asarray(np.isfinite(linear).all(axis=-1))), first, last, text)
+        is_opaque = np.asarray(np.isfinite(linear).all(axis=-1))
+        if self._quality is not None and len(self._quality[first:last:step]) == len(linear):
+            # saturated pixels, such as glints, are white
+            is_saturated = (self._quality[first:last:step] & int(Quality.SATURATED)) != 0
+            colours[is_saturated & ~is_opaque] = 1.0
+            is_opaque |= is_saturated
+        return Picture(_rgba(colours, is_opaque), first, last, text)
 
     def _window(self, window: tuple[int, int] | None) -> tuple[int, int]:
         first, last = (0, self.shape[0]) if window is None else window
@@ -1498,7 +1504,8 @@ def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
     links.append(
         f'<a style="color:inherit" href="?line={quote(name)}&colours={other_theme}">{other_theme}</a>'
     )
-    size = f"{count:,} lines, {columns:,} columns, {nm.size} bands"
+    sizes = (columns, "rows", count, "columns") if state.is_map else (count, "lines", columns, "columns")
+    size = "{:,} {}, {:,} {}, ".format(*sizes) + f"{nm.size} bands"
     size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm" if state.has_wavelength else ", no wavelengths"
     size += f"; {state.quantity}".replace("$^{", "").replace("}$", "")
     text = f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}"

@@ -333,6 +333,11 @@ def test_flags_are_drawn_in_their_colours() -> None:
     quality[3:5, 2] = hp.Quality.SHADOW
     quality[4, 2] |= np.uint16(hp.Quality.GLINT)
     line["quality"] = line["quality"].copy(data=quality)
+    glint = line[["reflectance", "quality"]].copy(deep=True)
+    glint["reflectance"][{"along_track": 6, "cross_track": 1}] = np.nan
+    glint["quality"][6, 1] = np.uint16(hp.Quality.SATURATED)
+    bands = Explored(glint).picture((550.0,)).rgba.view(np.uint8).reshape(6, 24, 4)
+    assert bands[1, 6].tolist() == [255] * 4  # saturated pixels are white
     state = Explored(line)
     assert state.flag_shares == {hp.Quality.GLINT: 1 / 144, hp.Quality.SHADOW: 2 / 144}
     drawn = state.flag_picture(state.flag_shares).rgba.view(np.uint8).reshape(6, 24, 4)
