@@ -132,19 +132,13 @@ class Explored:
             self.line = self.line.assign_coords(wavelength=(BAND, numbers, {"units": "nm"}))
         quantity = shown_quantity(self.line)
         self.is_reflectance = quantity == "reflectance"
-        if quantity in self.line.variables and not (self.is_reflectance and "irradiance" in self.line):
-            # the stored cube is read as it is; other cubes under the name of reflectance
-            cube = self.line[quantity]
-            self.quantity = quantity_label(cube)
-            stored = self.line.drop_vars(_CUBES, errors="ignore")
-            self.line = stored.assign(reflectance=cube.assign_attrs(units="1"))
-        elif self.is_reflectance:
-            self.quantity = "reflectance factor [1]"
-        else:
-            shown = with_shown_cube(self.line)[0]
+        self.quantity = "reflectance factor [1]"
+        if not self.is_reflectance or ("reflectance" in self.line and "irradiance" not in self.line):
+            # a cube that is not computed from counts and light, under the name of reflectance
+            shown, _ = with_shown_cube(self.line)
             self.quantity = quantity_label(shown[quantity])
-            self.line = shown.drop_vars("counts", errors="ignore").rename({quantity: "reflectance"})
-            self.line["reflectance"].attrs["units"] = "1"
+            cube = shown[quantity].assign_attrs(units="1")
+            self.line = shown.drop_vars(_CUBES, errors="ignore").assign(reflectance=cube)
         self.shape = self.line.sizes[ALONG_TRACK], self.line.sizes[CROSS_TRACK]
         orientation = orientation_of(self._numbered)
         self.aspect, self.is_mirrored = orientation.aspect, is_upright or orientation.is_mirrored
