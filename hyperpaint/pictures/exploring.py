@@ -62,6 +62,7 @@ SPARSE_STEP = 64  # step [lines] from which `pixels` reads single chunks
 _VISIBLE_BANDS = 24  # bands read for a detailed true-colour picture: colour matching functions are smooth
 MAX_REGION_PIXELS = 20_000  # maximum number of pixels for a region's spectrum; larger regions are subsampled
 _MAX_UNCERTAINTY_PIXELS = 4096  # maximum size of a region whose uncertainty is computed on a click
+_CUBES = {"counts", "radiance", "reflectance", "values"}  # "values": quantity unknown
 _FLAG_OPACITY = 170  # of 255
 MAX_NEAR_ANGLE = 5.0  # spectral angle up to which a paint of the library is near [degree]
 MAX_NEAR_FACTOR = 2.0  # factor of brightness up to which a paint is near
@@ -123,7 +124,7 @@ class Explored:
             self._numbered = self._numbered.rename({ALONG_TRACK: CROSS_TRACK, CROSS_TRACK: ALONG_TRACK})
             self._numbered = self._numbered.drop_vars(("x", "y", "spatial_ref"), errors="ignore")
         self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
-        if not {"counts", "radiance", "reflectance", "values"} & set(self.line.variables):
+        if not _CUBES & set(self.line.variables):
             schema.require(self.line, ["reflectance"], "an explorer")
         self.has_wavelength = "wavelength" in self.line.variables
         if not self.has_wavelength:  # bands by their numbers, from 1
@@ -131,20 +132,13 @@ class Explored:
             self.line = self.line.assign_coords(wavelength=(BAND, numbers, {"units": "nm"}))
         quantity = shown_quantity(self.line)
         self.is_reflectance = quantity == "reflectance"
-        if quantity in self.line.variables and not (self.is_reflectance and "irradiance" in self.line):
-            # the stored cube is read as it is; other cubes under the name of reflectance
-            cube = self.line[quantity]
-            self.quantity = quantity_label(cube)
-            others = ("counts", "radiance", "values", "reflectance")
-            stored = self.line.drop_vars(others, errors="ignore")
-            self.line = stored.assign(reflectance=cube.assign_attrs(units="1"))
-        elif self.is_reflectance:
-            self.quantity = "reflectance factor [1]"
-        else:
-            shown = with_shown_cube(self.line)[0]
+        self.quantity = "reflectance factor [1]"
+        if not self.is_reflectance or ("reflectance" in self.line and "irradiance" not in self.line):
+            # a cube that is not computed from counts and light, under the name of reflectance
+            shown, _ = with_shown_cube(self.line)
             self.quantity = quantity_label(shown[quantity])
-            self.line = shown.drop_vars("counts", errors="ignore").rename({quantity: "reflectance"})
-            self.line["reflectance"].attrs["units"] = "1"
+            cube = shown[quantity].assign_attrs(units="1")
+            self.line = shown.drop_vars(_CUBES, errors="ignore").assign(reflectance=cube)
         self.shape = self.line.sizes[ALONG_TRACK], self.line.sizes[CROSS_TRACK]
         orientation = orientation_of(self._numbered)
         self.aspect, self.is_mirrored = orientation.aspect, is_upright or orientation.is_mirrored
@@ -292,8 +286,8 @@ class Explored:
             text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: "
             text += _flag_text(flag_texts)
             if np.isfinite(quantiles).any():
-                lower, upper = (f"{np.nanmedian(edge):.2g}" for edge in (quantiles[0], quantiles[-1]))
-                text += f"; 90 % of them from {lower} to {upper} in the median band"
+                lower, upper = (float(f"{np.nanmedian(edge):.2g}") for edge in (quantiles[0], quantiles[-1]))
+                text += f"; 90 % of them from {lower:g} to {upper:g} in the median band"
             return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
         row, column = place
         pixel = pixels(self.line, row, column)
@@ -398,7 +392,7 @@ class Explored:
         # Up to 1536 lines are read completely. Of more lines, the picture is the stored overview (true
         # colour), else the stored means of blocks of pixels, else a subsample of lines. Black and white are
         # percentiles (``stretch``) of brightness over the complete flight line; pixels without a value are
-        # transparent.
+        # transparent, saturated pixels white.
         first, last = self._window(window)
         is_sparse = last - first > DETAIL_LINES
         if is_sparse and recipe == TRUE_COLOUR and stretch == STRETCH:
@@ -421,7 +415,13 @@ class Explored:
         black, white = self._levels(recipe, stretch)
         colours = encode_srgb(((linear - black) / np.maximum(white - black, 1e-6)).clip(0.0, 1.0))
         last = first + step * len(linear)
-        return Picture(_rgba(colours, np.asarray(np.isfinite(linear).all(axis=-1))), first, last, text)
+        is_opaque = np.asarray(np.isfinite(linear).all(axis=-1))
+        if self._quality is not None and len(self._quality[first:last:step]) == len(linear):
+            # saturated pixels, such as glints, are white
+            is_saturated = (self._quality[first:last:step] & int(Quality.SATURATED)) != 0
+            colours[is_saturated & ~is_opaque] = 1.0
+            is_opaque |= is_saturated
+        return Picture(_rgba(colours, is_opaque), first, last, text)
 
     def _window(self, window: tuple[int, int] | None) -> tuple[int, int]:
         first, last = (0, self.shape[0]) if window is None else window
@@ -1098,7 +1098,8 @@ class Explorer:
             return
         self._show_picture("detail", detail)
         self._caption = self._state.band_text(recipe[0]) if len(recipe) == 1 else self._widgets.recipe.value
-        self._caption += f" of {self._state.quantity.partition(' [')[0]}" * (not self._state.is_reflectance)
+        quantity = self._state.quantity.partition(" [")[0]
+        self._caption += "" if self._state.is_reflectance else f" of {quantity}"
         lines = "columns" if self._state.is_map else "lines"
         self._caption += f", {lines} {detail.first} to {detail.last - 1}"
         self._caption += f", {detail.text}" * bool(detail.text)
@@ -1228,7 +1229,7 @@ class Explorer:
     def _update_uncertainty(self) -> None:
         clicked = self._selected_place
         spectrum = None if clicked is None else self._state.spectrum_of(clicked)
-        if clicked is None or not isinstance(spectrum, Spectrum):
+        if clicked is None or not isinstance(spectrum, Spectrum) or not self._state.is_reflectance:
             return
         uncertainty = self._state.uncertainty_of(clicked)
         name = f"{self._selected}: " if isinstance(self._selected, str) else ""
@@ -1439,14 +1440,22 @@ def _lines_of(path: Path) -> dict[str, Callable[[], xr.Dataset]]:
     # Return functions that open the cubes of a file or store, by name: first flight lines of the folder
     if path.is_file() and path.suffix != ".zip":
         return {path.stem: functools.partial(open_envi, path)}
-    groups: dict[str, Callable[[], xr.Dataset]] = {}
-    for group in sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/")):
-        is_line = group.startswith("flightlines/")
-        roles = xr.Dataset() if is_line else rename_to_roles(open_store(path, group))
-        has_cube = bool({"counts", "radiance", "reflectance", "values"} & set(roles.data_vars))
-        if is_line or (has_cube and {ALONG_TRACK, CROSS_TRACK, BAND} <= set(roles.dims)):
-            groups[group.rpartition("/")[2] or path.stem] = functools.partial(open_store, path, group)
-    return groups
+    groups = sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/"))
+    openers = {group: functools.partial(_open_cube, path, group) for group in groups}
+    return {
+        group.rpartition("/")[2] or path.stem: opener
+        for group, opener in openers.items()
+        if group.startswith("flightlines/") or _CUBES & set(opener().data_vars)
+    }
+
+
+def _open_cube(path: Path, group: str) -> xr.Dataset:
+    # Open a group; of other programs, the only variable of lines, columns and bands is the cube
+    dataset = rename_to_roles(open_store(path, group))
+    cubes = {str(name) for name, array in dataset.data_vars.items() if set(schema.CUBE) == set(array.dims)}
+    if len(cubes) == 1 and not cubes & _CUBES:
+        return dataset.rename({cubes.pop(): "values"})
+    return dataset if group.startswith("flightlines/") else dataset.drop_vars(_CUBES - cubes, errors="ignore")
 
 
 def _guard(server: Any, token: str) -> None:
@@ -1489,7 +1498,8 @@ def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
     links.append(
         f'<a style="color:inherit" href="?line={quote(name)}&colours={other_theme}">{other_theme}</a>'
     )
-    size = f"{count:,} lines, {columns:,} columns, {nm.size} bands"
+    sizes = (columns, "rows", count, "columns") if state.is_map else (count, "lines", columns, "columns")
+    size = "{:,} {}, {:,} {}, ".format(*sizes) + f"{nm.size} bands"
     size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm" if state.has_wavelength else ", no wavelengths"
     size += f"; {state.quantity}".replace("$^{", "").replace("}$", "")
     text = f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}"

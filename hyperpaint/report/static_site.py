@@ -23,7 +23,7 @@ from hyperpaint.base.errors import FormatError, SchemaError, StoreError, warn_us
 from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.old_names import renamed
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, Quality, numbers_of, rename_to_roles
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store import to_store
 from hyperpaint.light.daylight_colours import srgb_hex
@@ -33,7 +33,7 @@ from hyperpaint.pictures.plot import flag_label, rgb
 from hyperpaint.pictures.plot_spectra import find_usable
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
-from .store_report import HIDDEN_VARIABLES, Written, flagged, groups_to_show, message_of
+from .store_report import HIDDEN_VARIABLES, Written, flagged, groups_to_show, message_of, regions_of
 
 _Picture: TypeAlias = "np.ndarray[Any, np.dtype[np.uint8]]"
 
@@ -171,7 +171,15 @@ def write_site(
         shown[path] = usable.drop_vars(HIDDEN_VARIABLES, errors="ignore")
         colours = [srgb_hex(colour) for colour in paint_colours(usable)]
         names = sorted(map(str, shown[path].variables))
-        libraries.append({"name": name, "group": path, "variables": names, "colours": colours})
+        # polygons on the lines where the paints were measured, by paint
+        outlines: dict[str, list[dict[str, Any]]] = {str(paint): [] for paint in usable[SIGNATURE].values}
+        for flightline, paint, region in regions_of(usable):
+            outline = {"polygon": region.polygon.tolist()}
+            outlines[paint] += [
+                {"line": entry["name"], **outline} for entry in lines if flightline in ("", entry["name"])
+            ]
+        drawn = {"colours": colours, "outlines": list(outlines.values())}
+        libraries.append({"name": name, "group": path, "variables": names, **drawn})
     for name, note in notes.items():
         if note:
             warn_user(f"/{name}: {note}", "group-not-shown")

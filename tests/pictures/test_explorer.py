@@ -130,6 +130,10 @@ def test_raw_counts_radiance_and_maps_are_explored(tmp_path: Path) -> None:
     # bands without wavelengths are named by their numbers
     bands = Explored(raw.drop_vars("wavelength"))
     assert next(iter(bands.recipes)).startswith("band ")
+    # of another program, the only cube is shown
+    raw.rename(counts="rad").to_zarr(tmp_path / "other.zarr", zarr_format=2)
+    (other,) = exploring._lines_of(tmp_path / "other.zarr").values()
+    np.testing.assert_array_equal(Explored(other()).line["reflectance"], raw.counts)
     # a map is north up: its columns run to the right
     numbers = {"y": ("y", np.arange(24.0, 0.0, -1.0)), "x": ("x", np.arange(6.0))}
     chart = raw.rename(along_track="y", cross_track="x").drop_vars(("y", "x"), errors="ignore")
@@ -329,6 +333,11 @@ def test_flags_are_drawn_in_their_colours() -> None:
     quality[3:5, 2] = hp.Quality.SHADOW
     quality[4, 2] |= np.uint16(hp.Quality.GLINT)
     line["quality"] = line["quality"].copy(data=quality)
+    glint = line[["reflectance", "quality"]].copy(deep=True)
+    glint["reflectance"][{"along_track": 6, "cross_track": 1}] = np.nan
+    glint["quality"][6, 1] = np.uint16(hp.Quality.SATURATED)
+    bands = Explored(glint).picture((550.0,)).rgba.view(np.uint8).reshape(6, 24, 4)
+    assert bands[1, 6].tolist() == [255] * 4  # saturated pixels are white
     state = Explored(line)
     assert state.flag_shares == {hp.Quality.GLINT: 1 / 144, hp.Quality.SHADOW: 2 / 144}
     drawn = state.flag_picture(state.flag_shares).rgba.view(np.uint8).reshape(6, 24, 4)

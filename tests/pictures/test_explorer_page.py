@@ -90,7 +90,7 @@ def opened(browser: Any, served: Served, width: int = 1400, query: str = "") -> 
     page.on("pageerror", lambda error: page.problems.append(str(error)))
     page.goto(served.address + query)
     # pixels are square, once the size of the figure is known there
-    page.get_by_text(re.compile(r"true colour, lines 0 to (5|6|1\d)")).wait_for(timeout=60_000)
+    page.get_by_text(re.compile(r"true colour, lines 0 to (\d|1\d)\b")).wait_for(timeout=60_000)
     return page
 
 

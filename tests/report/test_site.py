@@ -26,6 +26,8 @@ from hyperpaint.report import write_site
 
 CHROMIUM = Path("/usr/bin/chromium")
 HOSTILE = "<img src=x onerror=alert(1)>\"'</script>"
+# on column 2 and line 8 (the line begins at 5)
+HOOD = hp.Region("red hood", [(2, 8), (6, 8), (6, 14)], flightline="raw_0")
 DIMS = ("along_track", "band", "cross_track")
 
 
@@ -64,6 +66,8 @@ def paints(line: xr.Dataset) -> xr.Dataset:
             "signature": ["red hood", HOSTILE, "Lack, grün"],
             "wavelength": line["wavelength"],
             "good": line["good"],
+            "region": ("signature", [json.dumps(HOOD.feature()), "no region", ""]),
+            "flightline": ("signature", ["raw_0", "raw_0", ""]),
         },
     )
 
@@ -310,6 +314,7 @@ def test_a_click_reads_what_python_reads_bit_for_bit(tab: Any, served: str, page
             assert (read["nm"], read["good"], read["quality"]) == (
                 (expected.wavelength + expected.wavelength_shift).values.tolist(),
                 expected.good.values.astype(int).tolist(),
+                int(expected.quality),
             )
 
 
@@ -332,6 +337,19 @@ def test_a_map_copied_or_where_it_is(tab: Any, tmp_path: Path, link: str | None)
 
 
 @pytest.mark.slow
+def test_paints_are_outlined_and_drawn_in_their_colours(tab: Any, served: str, page: Path) -> None:
+    visit(tab, served + "#line=raw_0&x=8&y=12&paint=red%20hood")
+    colour = json.loads((page / "site.json").read_text("utf-8"))["libraries"][0]["colours"][0]
+    assert tab.locator("#outlines g.ticked").count() == tab.locator("#outlines g").count() == 1
+    # corners are pixel centres, lines run to the right
+    assert tab.locator("#outlines .own").get_attribute("points").split()[0] == "3.5,2.5"
+    styles = "[...document.querySelectorAll('#chart .curve')].map(one => one.style.getPropertyValue('--own'))"
+    assert tab.evaluate(styles) == ["", colour]
+    tab.uncheck("#outlining")
+    assert tab.locator("#outlines g").count() == 0
+
+
+@pytest.mark.slow
 def test_click_keys_flags_and_address(tab: Any, served: str, page: Path) -> None:
     visit(tab, served + "#line=raw_0")
     assert (tab.title(), tab.inner_text("#flagged")) == (HOSTILE, "No pixel is chosen yet.")
@@ -340,13 +358,13 @@ def test_click_keys_flags_and_address(tab: Any, served: str, page: Path) -> None
     scale = box["width"] / 70
     tab.mouse.click(box["x"] + (line - 5 + 0.5) * scale, box["y"] + (column + 0.5) * scale)
     tab.wait_for_selector("#chart svg")
-    assert (tab.inner_text("#place"), tab.inner_text("#flagged")) == ("column 12, line 8", "Flags: glint")
+    assert (tab.inner_text("#place"), tab.inner_text("#flagged")) == ("line 8, column 12", "Flags: glint")
     assert "kB read in" in tab.inner_text("#status")
-    assert "x=12&y=8" in tab.url
+    assert "x=8&y=12" in tab.url
     tab.focus("#stage")
     for key in ("ArrowRight", "ArrowRight", "Shift+ArrowDown", "ArrowUp"):
         tab.keyboard.press(key)
-    assert tab.inner_text("#place") == "column 21, line 10"
+    assert tab.inner_text("#place") == "line 10, column 21"
     tab.click("#keep")
     tab.keyboard.press("ArrowLeft")
     tab.check("#flags")
@@ -364,7 +382,7 @@ def test_click_keys_flags_and_address(tab: Any, served: str, page: Path) -> None
     # what the address says is shown again
     visit(tab, tab.url)
     assert tab.is_checked("#flags")
-    assert (tab.locator("#curves li").count(), tab.inner_text("#place")) == (2, "column 21, line 10")
+    assert (tab.locator("#curves li").count(), tab.inner_text("#place")) == (2, "line 10, column 21")
     # a spectrum as a table has every digit
     with tab.expect_download() as download:
         tab.click("#csv")
@@ -376,8 +394,8 @@ def test_click_keys_flags_and_address(tab: Any, served: str, page: Path) -> None
 
 @pytest.mark.slow
 def test_names_stay_texts_and_paints_stand_beside(tab: Any, served: str) -> None:
-    visit(tab, served + "#line=raw%20%231%20%25%20%3Cb%3E&x=3&y=2&paint=red%20hood")
-    assert tab.locator("#curves li").all_inner_texts() == ["raw #1 % <b>, column 3, line 2", "red hood"]
+    visit(tab, served + "#line=raw%20%231%20%25%20%3Cb%3E&x=2&y=3&paint=red%20hood")
+    assert tab.locator("#curves li").all_inner_texts() == ["raw #1 % <b>, line 2, column 3", "red hood"]
     assert tab.locator("#paints .name").all_inner_texts() == ["red hood", HOSTILE, "Lack, grün"]
     tab.get_by_text(HOSTILE).last.click()
     tab.wait_for_function("document.querySelectorAll('#curves li').length === 3")
@@ -385,7 +403,7 @@ def test_names_stay_texts_and_paints_stand_beside(tab: Any, served: str) -> None
     assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
     for address in (
         "#line=<img src=x onerror=alert(1)>&x=1e9&y=%00&keep=1,2,x&paint=no&zoom=-4",
-        "#x=999&y=2&line=raw_0",
+        "#x=2&y=999&line=raw_0",
     ):
         visit(tab, served + address)
     assert "has no pixel 999, 2" in tab.inner_text("#status")
@@ -405,7 +423,7 @@ def test_damage_and_gaps_are_said_and_never_shown_as_values(
     damaged[-9] ^= 4
     for content, said in ((bytes(damaged), "checksum"), (whole[:-7], "checksum"), (None, "is missing")):
         chunk.unlink() if content is None else chunk.write_bytes(content)
-        visit(tab, served + "#line=raw_0&x=20&y=45")
+        visit(tab, served + "#line=raw_0&x=45&y=20")
         assert said in tab.inner_text("#status")
         assert tab.locator("#chart svg").count() == 0
     complaints = tab.context.complaints

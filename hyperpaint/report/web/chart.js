@@ -1,7 +1,7 @@
 // Curves over wavelength as SVG. A curve: {name, nm, values, sd?, good?, look}; texts are only ever text.
 
 const SVG = "http://www.w3.org/2000/svg";
-const [LEFT, RIGHT, TOP, BOTTOM] = [46, 20, 8, 38];
+const [LEFT, RIGHT, TOP, BOTTOM] = [56, 20, 8, 38];
 
 function element(name, attributes, ...children) {
   const made = document.createElementNS(SVG, name);
@@ -78,8 +78,16 @@ export function drawChart(host, curves, read) {
   svg.append(element("line", { class: "axis", x1: LEFT, x2: width - RIGHT, y1: height - BOTTOM, y2: height - BOTTOM }));
   svg.append(element("text", { x: (LEFT + width) / 2, y: height - 4, "text-anchor": "middle" }, "Wavelength [nm]"));
   svg.append(element("text", { x: 12, y: height / 2, "text-anchor": "middle", transform: `rotate(-90 12 ${height / 2})` }, "Reflectance factor [1]"));
-  for (const curve of curves) if (curve.sd) svg.append(element("path", { class: `spread ${curve.look}`, d: spread(curve, x, y) }));
-  for (const curve of curves) svg.append(element("path", { class: `curve ${curve.look}`, d: path(curve, x, y) }));
+  const draw = (curve, kind, d) => {
+    const drawn = element("path", { class: `${kind} ${curve.look}`, d });
+    if (curve.colour) drawn.style.setProperty("--own", curve.colour);
+    svg.append(drawn);
+  };
+  for (const curve of curves) if (curve.sd) draw(curve, "spread", spread(curve, x, y));
+  for (const curve of curves) {
+    if (curve.colour) svg.append(element("path", { class: "rim", d: path(curve, x, y) })); // seen on every ground
+    draw(curve, "curve", path(curve, x, y));
+  }
   const guide = element("line", { class: "guide", y1: TOP, y2: height - BOTTOM, visibility: "hidden" });
   svg.append(guide);
   svg.addEventListener("pointermove", (event) => {

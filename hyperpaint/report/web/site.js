@@ -122,7 +122,7 @@ async function loadPaints() {
     for (let number = 0; number < cube.shape[0]; number += 1) {
       paints.push({
         name: String(names.data[number]), nm: numbers(nm), good: numbers(good), values: row(cube, number), sd: row(sd, number),
-        count: counts ? Number(counts.data[number]) : null, colour: entry.colours[number],
+        count: counts ? Number(counts.data[number]) : null, colour: entry.colours[number], outlines: entry.outlines[number],
       });
     }
   }
@@ -137,7 +137,9 @@ const wholeNumber = (text) => (/^-?\d{1,9}$/.test(text ?? "") ? Number(text) : n
 function readAddress() {
   const asked = new URLSearchParams(location.hash.slice(1));
   const names = site.lines.map((entry) => entry.name);
-  const pixel = (line, x, y) => ({ line, x: wholeNumber(x), y: wholeNumber(y) });
+  // x is horizontal and y vertical on the picture: line and column of a flight line, column and row of a map
+  const lies = (line) => site.lines.find((entry) => entry.name === line)?.lies;
+  const pixel = (line, x, y) => ({ line, x: wholeNumber(lies(line) ? y : x), y: wholeNumber(lies(line) ? x : y) });
   state.line = names.includes(asked.get("line")) ? asked.get("line") : (names[0] ?? null);
   Object.assign(state, pixel(state.line, asked.get("x"), asked.get("y")));
   state.kept = asked.getAll("keep").map((text) => text.split(",")).map(([x, y, ...line]) => pixel(line.join(","), x, y));
@@ -150,8 +152,9 @@ function readAddress() {
 function writeAddress() {
   const address = new URLSearchParams();
   if (state.line !== null) address.set("line", state.line);
-  for (const key of ["x", "y"]) if (state[key] !== null) address.set(key, state[key]);
-  for (const each of state.kept) address.append("keep", `${each.x},${each.y},${each.line}`);
+  const places = ({ line, x, y }) => (site.lines.find((entry) => entry.name === line).lies ? [y, x] : [x, y]);
+  if (state.x !== null && state.y !== null) places(state).forEach((number, axis) => address.set("xy"[axis], number));
+  for (const each of state.kept) address.append("keep", [...places(each), each.line].join(","));
   for (const name of state.paints) address.append("paint", name);
   if (state.flags) address.set("flags", "1");
   if (state.zoom) address.set("zoom", state.zoom);
@@ -160,7 +163,7 @@ function writeAddress() {
 
 // --- picture ------------------------------------------------------------------------------------------------
 
-const placeOf = ({ line, x, y }) => `column ${x}, ${site.lines.find((each) => each.name === line).lies ? "line" : "row"} ${y}`;
+const placeOf = ({ line, x, y }) => (site.lines.find((each) => each.name === line).lies ? `line ${y}, column ${x}` : `column ${x}, row ${y}`);
 const entryOf = () => site.lines.find((each) => each.name === state.line);
 
 // Lines are flown to the right, maps have north up.
@@ -203,6 +206,40 @@ function layOut() {
     const [left, top] = onPicture(entry, state.y - entry.first[0], state.x - entry.first[1]);
     style(parts.cross, { left: (left + 0.5) * scale, top: (top + 0.5) * scale });
   }
+}
+
+// Draw where the paints were measured; polygons go through pixel centres, as columns and lines.
+function showOutlines() {
+  const entry = entryOf();
+  const shown = paints.filter((paint) => entry && paint.outlines.some((each) => each.line === entry.name));
+  parts.outlined.hidden = !shown.length;
+  const [width, height] = entry ? sizeOf(entry) : [1, 1];
+  parts.outlines.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  const place = ([x, y]) => onPicture(entry, y - entry.first[0], x - entry.first[1]).map((each) => each + 0.5);
+  const polygons = shown.flatMap((paint) => paint.outlines.filter((each) => each.line === entry.name).map((each) => {
+    const group = svgNode("g", state.paints.includes(paint.name) ? "ticked" : "");
+    group.style.setProperty("--own", paint.colour);
+    for (const name of ["rim", "own"]) {
+      const polygon = svgNode("polygon", name);
+      polygon.setAttribute("points", each.polygon.map(place).join(" "));
+      group.append(polygon);
+    }
+    return group;
+  }));
+  parts.outlines.replaceChildren(...(parts.outlining.checked ? polygons : []));
+}
+
+function svgNode(name, className) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  made.setAttribute("class", className);
+  return made;
+}
+
+// Return whether two colours (#rrggbb) are hard to tell apart.
+function isNear(one, other) {
+  const parts = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  const [mine, theirs] = [parts(one), parts(other)];
+  return Math.hypot(...mine.map((value, part) => value - theirs[part])) < 60;
 }
 
 function zoomBy(factor) {
@@ -319,8 +356,17 @@ async function showSpectra() {
   curves = [...read.map((each, number) => ({ ...each, name: labelOf(pixels[number]) })), ...named]
     .slice(0, MAX_CURVES)
     .map((curve, number) => ({ ...curve, look: `c${number}` }));
+  curves.forEach((curve, number) => {
+    if (!curve.colour) return;
+    const isLike = curves.slice(0, number).some((other) => other.colour && isNear(other.colour, curve.colour));
+    curve.look = isLike ? "paint near" : "paint";
+  });
   drawChart(parts.chart, curves, readOut);
-  parts.curves.replaceChildren(...curves.map((curve) => node("li", { className: curve.look, textContent: curve.name })));
+  parts.curves.replaceChildren(...curves.map((curve) => {
+    const item = node("li", { className: curve.look, textContent: curve.name });
+    if (curve.colour) item.style.setProperty("--own", curve.colour);
+    return item;
+  }));
   const isChosen = state.x !== null && state.y !== null;
   const names = isChosen ? flagNames(read[0].quality) : [];
   const unflagged = isChosen && read[0].quality === null ? "There are no flags here." : "No flag is set on this pixel.";
@@ -360,6 +406,7 @@ function showPaints() {
       state.paints = state.paints.filter((name) => name !== paint.name);
       if (box.checked) state.paints.push(paint.name);
       writeAddress();
+      showOutlines();
       guarded(showSpectra());
     });
     const count = paint.count === null ? "" : `${paint.count} pixels`;
@@ -386,6 +433,7 @@ function showAll() {
   }
   parts.flags.checked = state.flags;
   showPaints();
+  showOutlines();
   layOut();
   return Promise.all([guarded(showFlags()), guarded(showSpectra())]);
 }
@@ -419,6 +467,7 @@ function listen() {
     writeAddress();
     guarded(showFlags());
   });
+  parts.outlining.addEventListener("change", showOutlines);
   parts.line.addEventListener("change", () => {
     Object.assign(state, { line: parts.line.value, x: null, y: null });
     writeAddress();
