@@ -130,8 +130,8 @@ def test_before_and_after_straightening(width: float) -> None:
     line["quality"][30, 15], line["reflectance"][30, :, 15] = hp.Quality.SATURATED, np.nan
     figure = pictures.straightening(line, width=width)
     raw, straight = figure.axes
-    assert raw.images[0].get_array()[30, 15].min() == 1.0
-    assert (straight.images[0].get_array().min(axis=-1) == 1.0).any()
+    assert raw.images[0].get_array()[30, 15].min() > 0.99
+    assert (straight.images[0].get_array().min(axis=-1) > 0.99).any()
     assert raw.images[0].get_array().shape == (60, 30, 3)
     left, right, *vertical = straight.images[0].get_extent()
     assert left < flown.east.mean() < right
