@@ -29,6 +29,7 @@ from nbclient import NotebookClient
 from PIL import Image
 
 FOLDER = Path(__file__).resolve().parent
+README_PICTURES = {"01": "card.png", "03": "straight.png", "09": "skies.png"}  # first pictures, kept in docs/_static
 MAX_KB = 300.0  # size of a notebook with its outputs
 RELATIVE, ABSOLUTE = 0.02, 0.002  # largest difference of numbers in texts
 _NUMBER = re.compile(r"[-\N{MINUS SIGN}]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -68,6 +69,14 @@ def run(path: Path) -> Any:
     notebook.metadata.pop("widgets", None)
     notebook.metadata.language_info = {"name": "python"}
     return notebook
+
+
+def keep_picture(path: Path, notebook: Any) -> None:
+    """Write the first picture of a notebook to docs/_static, if the README shows it."""
+    if name := README_PICTURES.get(path.name[:2]):
+        outputs = (output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", []))
+        png = next(data["image/png"] for data in outputs if "image/png" in data)
+        (FOLDER.parent / "docs" / "_static" / name).write_bytes(base64.b64decode(png))
 
 
 def outputs_of(notebook: Any) -> Iterator[tuple[str, str]]:
@@ -134,6 +143,7 @@ def main() -> int:
             faults += len(told)
             if not options.check:
                 path.write_text(text + "\n", encoding="utf-8")
+                keep_picture(path, notebook)
     return min(faults, 1)
 
 
