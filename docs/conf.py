@@ -82,16 +82,25 @@ def _copy_notebooks(target: Path) -> None:
         shutil.copyfile(notebook, target / notebook.name)
         cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
         title, promise = "".join(cells[0]["source"]).removeprefix("# ").split("\n\n")[:2]
-        outputs = [one for cell in cells for one in cell.get("outputs", []) if "image/png" in one.get("data", {})]
+        outputs = [
+            one for cell in cells for one in cell.get("outputs", []) if "image/png" in one.get("data", {})
+        ]
         card = [f":::{{grid-item-card}} {title}", f":link: {notebook.stem}", ":link-type: doc"]
         if outputs:
             png = "".join(outputs[0]["data"]["image/png"])
             (thumbnails / f"{notebook.stem}.png").write_bytes(base64.b64decode(png))
-            card += [f":img-top: thumbnails/{notebook.stem}.png", f":img-alt: First picture of the page {title}"]
+            card += [
+                f":img-top: thumbnails/{notebook.stem}.png",
+                f":img-alt: First picture of the page {title}",
+            ]
         is_page = notebook.name[0].isdigit()
-        grids["gallery" if is_page else "background"].append("\n".join([*card, "", " ".join(promise.split()), ":::"]))
+        grids["gallery" if is_page else "background"].append(
+            "\n".join([*card, "", " ".join(promise.split()), ":::"])
+        )
     for name, cards in grids.items():
-        text = "\n\n".join(["::::{grid} 1 2 2 3", ":gutter: 3", *cards, "::::"]).replace("3\n\n:gutter", "3\n:gutter")
+        text = "\n\n".join(["::::{grid} 1 2 2 3", ":gutter: 3", *cards, "::::"]).replace(
+            "3\n\n:gutter", "3\n:gutter"
+        )
         (target / f"{name}.cards").write_text(text + "\n", encoding="utf-8")
 
 
