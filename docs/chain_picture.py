@@ -16,7 +16,7 @@ from matplotlib.patches import Polygon
 
 import hyperpaint as hp
 
-FLAGS = {hp.Quality.GLINT: "#e8b400", hp.Quality.SHADOW: "#3b5bdb", hp.Quality.MIXED_EDGE: "#9e9e9e"}
+FLAGS = (hp.Quality.GLINT, hp.Quality.SHADOW, hp.Quality.MIXED_EDGE)
 
 
 def draw(folder: Path, path: Path) -> None:
@@ -45,11 +45,11 @@ def draw(folder: Path, path: Path) -> None:
 
     quality = line.quality.values
     axes[3].imshow(0.35 * colour + 0.65, origin="lower")
-    for flag, shade in FLAGS.items():
+    for flag in FLAGS:
         layer = np.zeros((*quality.shape, 4))
-        layer[(quality & int(flag)) != 0] = (*plt.matplotlib.colors.to_rgb(shade), 0.8)
+        layer[(quality & int(flag)) != 0] = (*plt.matplotlib.colors.to_rgb(flag.colour), 0.8)
         axes[3].imshow(layer, origin="lower")
-        axes[3].plot([], [], "s", color=shade, label=str(flag.name).lower().replace("_", " "))
+        axes[3].plot([], [], "s", color=flag.colour, label=str(flag.name).lower().replace("_", " "))
     shades = dict(zip(paints["signature"].values, hp.paints.paint_colours(paints), strict=True))
     for region in regions:
         ring = region.polygon

@@ -1,13 +1,15 @@
 """The site: pages of this folder, the notebooks as a gallery, and a page for every public name.
 
 python -m pip install -e '.[docs]'
-python -m sphinx -W --keep-going -b html docs docs/_build                  everything; runs the notebooks
-python -m sphinx -b html -D nb_execution_mode=off docs docs/_build         without running them, a minute
+python -m sphinx -W --keep-going -b html docs docs/_build
+
+The notebooks have their outputs; `python notebooks/refresh.py` runs them, with --check it compares.
 """
 
 from __future__ import annotations
 
-import os
+import base64
+import json
 import re
 import shutil
 import sys
@@ -39,12 +41,7 @@ myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"
 myst_heading_anchors = 3
 suppress_warnings = ["config.cache"]
 
-# the gallery is run when the site is built, so that no output is older than its code
-nb_execution_mode = "force"
-# where the notebook of real files finds them: beside the clone, as the tests do
-os.environ.setdefault("HYPERPAINT_REAL_DATA", str(HERE.parents[1] / "shared" / "data"))
-nb_execution_timeout = 600
-nb_execution_raise_on_error = True
+nb_execution_mode = "off"  # stored outputs are shown; notebooks/refresh.py compares them with new ones
 nb_merge_streams = True
 
 autosummary_generate = True
@@ -77,12 +74,34 @@ linkcheck_allowed_redirects = {r"https://doi\.org/.*": r".*"}
 
 
 def _copy_notebooks(target: Path) -> None:
-    """Copy the notebooks, whose folder lies beside this one, to where Sphinx looks."""
-    target.mkdir(exist_ok=True)
+    """Copy the notebooks to where Sphinx looks, and write a card for each: thumbnail, title, promise."""
+    thumbnails = target / "thumbnails"
+    thumbnails.mkdir(parents=True, exist_ok=True)
+    grids: dict[str, list[str]] = {"gallery": [], "background": []}
     for notebook in sorted((HERE.parent / "notebooks").glob("*.ipynb")):
-        copy = target / notebook.name
-        if not copy.exists() or copy.read_bytes() != notebook.read_bytes():
-            shutil.copyfile(notebook, copy)
+        shutil.copyfile(notebook, target / notebook.name)
+        cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+        title, promise = "".join(cells[0]["source"]).removeprefix("# ").split("\n\n")[:2]
+        outputs = [
+            one for cell in cells for one in cell.get("outputs", []) if "image/png" in one.get("data", {})
+        ]
+        card = [f":::{{grid-item-card}} {title}", f":link: {notebook.stem}", ":link-type: doc"]
+        if outputs:
+            png = "".join(outputs[0]["data"]["image/png"])
+            (thumbnails / f"{notebook.stem}.png").write_bytes(base64.b64decode(png))
+            card += [
+                f":img-top: thumbnails/{notebook.stem}.png",
+                f":img-alt: First picture of the page {title}",
+            ]
+        is_page = notebook.name[0].isdigit()
+        grids["gallery" if is_page else "background"].append(
+            "\n".join([*card, "", " ".join(promise.split()), ":::"])
+        )
+    for name, cards in grids.items():
+        text = "\n\n".join(["::::{grid} 1 2 2 3", ":gutter: 3", *cards, "::::"]).replace(
+            "3\n\n:gutter", "3\n:gutter"
+        )
+        (target / f"{name}.cards").write_text(text + "\n", encoding="utf-8")
 
 
 #: A link from a source back to the page of a name: file, the dotted name, the last of it, what is inside.

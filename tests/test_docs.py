@@ -7,6 +7,7 @@ import doctest
 import functools
 import importlib.util
 import inspect
+import json
 import re
 import shlex
 import sys
@@ -72,6 +73,20 @@ def test_links_between_pages_lead_somewhere(name):
 
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_notebooks_hold_trimmed_outputs_and_alternative_texts():
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        text = path.read_text(encoding="utf-8")
+        assert len(text.encode()) <= 300_000, path.name
+        shown = [
+            (cell, {kind for output in cell["outputs"] for kind in output.get("data", {})})
+            for cell in json.loads(text)["cells"]
+            if cell["cell_type"] == "code"
+        ]
+        assert any("image/png" in kinds for _, kinds in shown), f"{path.name}: run notebooks/refresh.py"
+        for cell, kinds in shown if path.name[0].isdigit() else []:
+            assert "image/png" not in kinds or cell["metadata"]["mystnb"]["image"]["alt"], path.name
 
 
 @functools.cache

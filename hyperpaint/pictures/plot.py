@@ -1163,7 +1163,9 @@ def straightening(
         )
         nm = require(line, ["wavelength"], "a map")["wavelength"].values
         visible = line.isel({BAND: np.flatnonzero((nm > 380) & (nm < 780))})
-        orthomap = orthorectify(visible, grid="north", variables=["reflectance"])
+        # quality tells saturated glint, which is white, from missing pixels, which are black
+        names = [name for name in ("reflectance", "quality") if name in line.variables]
+        orthomap = orthorectify(visible, grid="north", variables=names)
     columns = columns_for(width, 3.0, 2)
     datasets = (("as recorded", line), ("straightened", rename_to_roles(orthomap)))
     orientations = [orientation_of(dataset) for _, dataset in datasets]

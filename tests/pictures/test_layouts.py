@@ -122,8 +122,13 @@ def test_before_and_after_straightening(width: float) -> None:
     line = located(flown, reflectance=cube).assign_coords(
         wavelength=("band", [450.0, 550.0, 650.0, 900.0], {"units": "nm"})
     )
+    # a saturated pixel without values is a white glint in both pictures
+    line["quality"] = xr.zeros_like(line.reflectance.isel(band=0), dtype="u4")
+    line["quality"][30, 15], line["reflectance"][30, :, 15] = hp.Quality.SATURATED, np.nan
     figure = pictures.straightening(line, width=width)
     raw, straight = figure.axes
+    assert raw.images[0].get_array()[30, 15].min() > 0.99
+    assert (straight.images[0].get_array().min(axis=-1) > 0.99).any()
     assert raw.images[0].get_array().shape == (60, 30, 3)
     left, right, *vertical = straight.images[0].get_extent()
     assert left < flown.east.mean() < right
