@@ -39,9 +39,10 @@ from .rasters import TIFF, open_raster
 # Number of rows from which the brightness range of a picture is computed.
 _SAMPLED_ROWS = 64
 _BLOCK_BYTES = 64 * 2**20
+_RGB = ("red", "green", "blue")
 # GDAL's default, 5 % of the machine's memory, would fill with bands that are written once. Rasterio takes
 # bytes, where GDAL itself takes small numbers as megabytes.
-_CACHE_BYTES = 256 * 2**20
+CACHE_BYTES = 256 * 2**20
 
 
 @takes_quantities()
@@ -68,7 +69,8 @@ def write_geotiff(
     variable
     bands
         ``"all"``; indices; or ``"rgb"``: an 8-bit picture of the bands nearest to 640, 550 and 460 nm,
-        brightness between the percentiles of ``stretch``, sRGB curve, 0 where a band is unknown.
+        brightness between the percentiles of ``stretch``, sRGB curve, transparent (alpha) where a band is
+        unknown.
     cog
         Write a cloud-optimised GeoTIFF: tiled, with overviews, deflated.
     stretch
@@ -94,7 +96,8 @@ def write_geotiff(
     Notes
     -----
     Floats are float32 (positions such as ``east`` and ``glt_line`` float64), unknown samples NaN;
-    integers keep their type. The wavelength is the description of a band, and a tag.
+    integers keep their type. The wavelength is the description of a band, and a tag. The bands nearest to
+    640, 550 and 460 nm are interpreted as red, green and blue, so that a GIS opens the map in true colour.
 
     Examples
     --------
@@ -150,11 +153,18 @@ def draw_geotiff(
         nm = axis.values.astype(np.float64)[band_numbers].tolist()
         names = [f"{value:.6g} nm" for value in nm]
         tags = [{"wavelength": repr(value), "wavelength_units": "Nanometers"} for value in nm]
+    # how a GIS shows the bands
+    colours = ["gray", *["undefined"] * (len(names) - 1)]
+    if is_picture:
+        colours, names, tags = [*_RGB, "alpha"], [*names, "alpha"], [*tags, {}]
+    elif tags[0] and (nearest := nearest_bands(axis.values[band_numbers], RGB_WAVELENGTHS)) is not None:
+        by_band = dict(zip(nearest, _RGB, strict=True))
+        colours = [by_band.get(band, "undefined") for band in range(len(names))]
     form = RASTER_FORMATS.get(final_path.suffix.lower(), RASTER_FORMATS[".tif"])
     uncompressed = target.with_name(f"plain-{target.name}") if cog else target
     try:
-        with rasterio.Env(GDAL_CACHEMAX=_CACHE_BYTES):
-            _write(uncompressed, stored, grid, is_picture, names, tags, progress)
+        with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
+            _write(uncompressed, stored, grid, colours, list(zip(names, tags, strict=True)), progress)
             if cog:
                 options = form.picture_options if is_picture else form.options
                 copy(uncompressed, target, driver=form.driver, **options)
@@ -230,7 +240,7 @@ def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
-    # Return 8-bit sRGB (y, x, band); 0 where a band is unknown.
+    # Return 8-bit sRGB and alpha (y, x, band); 0 where a band is unknown.
     SchemaError.raise_if(
         not 0.0 <= stretch[0] < stretch[1] <= 100.0,
         f"stretch {stretch}",
@@ -249,7 +259,8 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
         share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
         # IEC 61966-2-1
         encoded = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-        return np.where(is_complete, np.round(1.0 + 254.0 * encoded), 0.0).astype(np.uint8)
+        coloured = np.concatenate([np.round(1.0 + 254.0 * encoded), np.full_like(encoded[..., :1], 255.0)], -1)
+        return np.where(is_complete, coloured, 0.0).astype(np.uint8)
 
     picture: xr.DataArray = xr.apply_ufunc(
         encode,
@@ -258,7 +269,8 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
         output_core_dims=[[BAND]],
         dask="parallelized",
         output_dtypes=[np.uint8],
-        dask_gufunc_kwargs={"allow_rechunk": True},
+        exclude_dims={BAND},
+        dask_gufunc_kwargs={"allow_rechunk": True, "output_sizes": {BAND: 4}},
     )
     return picture
 
@@ -270,16 +282,17 @@ def _write(
     path: Path,
     stored: xr.DataArray,
     grid: Grid,
-    is_picture: bool,
-    names: list[str],
-    tags: list[dict[str, str]],
+    colours: list[str],
+    bands: list[tuple[str, dict[str, str]]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
     import dask.threaded
     import rasterio
     from rasterio.windows import Window
 
+    # ``colours``: interpretation of every band; ``bands``: description and tags of every band.
     height, width, count = stored.shape
+    is_picture = colours[-1] == "alpha"
     a, b, c, d, e, f = grid.transform
     profile = {
         "driver": "GTiff",
@@ -294,8 +307,8 @@ def _write(
         "blockysize": TILE,
         "bigtiff": "if_safer",
         "interleave": "pixel" if is_picture else "band",
-        "nodata": 0 if is_picture else np.nan if stored.dtype.kind == "f" else None,
-        **({"photometric": "rgb"} if is_picture else {}),
+        "nodata": np.nan if stored.dtype.kind == "f" else None,
+        **({"photometric": "rgb", "alpha": "yes"} if is_picture else {}),
     }
     # the blocks of a lazy map (y, x, band), one row of tiles after another, in this process
     rows = max(TILE, _BLOCK_BYTES // max(1, width * count * stored.dtype.itemsize) // TILE * TILE)
@@ -326,7 +339,8 @@ def _write(
     stages = {(writes.name, *index): index[axis] for index in np.ndindex(writes.numblocks)}
     graph = dict(writes.__dask_optimize__(writes.__dask_graph__(), list(stages)))
     with rasterio.open(path, "w", **profile) as raster:
-        for number, (name, band_tags) in enumerate(zip(names, tags, strict=True), start=1):
+        raster.colorinterp = [rasterio.enums.ColorInterp[colour] for colour in colours]
+        for number, (name, band_tags) in enumerate(bands, start=1):
             raster.set_band_description(number, name)
             raster.update_tags(number, **band_tags)
         for _ in in_stages(dask.threaded.get, graph, stages):
