@@ -377,6 +377,9 @@ def test_lines_make_one_map(folder_day: Path, tmp_path: Path) -> None:
     one, both = (read_geotiff_header(day.out / f"{name}.tif") for name in ("raw_0", "mosaic"))
     assert one.shape == pytest.approx(both.shape, rel=0.1)  # cells of a mosaic are of the mean spacing
     assert (one.bands, one.dtype) == (both.bands, both.dtype)
+    pictures = [read_geotiff_header(day.out / f"{name}_colour.tif") for name in ("raw_0", "mosaic")]
+    assert [(picture.shape, picture.bands) for picture in pictures] == [(one.shape, 4), (both.shape, 4)]
+    assert "of the line" in said["map"].text
 
 
 @pytest.mark.slow

@@ -126,8 +126,10 @@ def draw_geotiff(
     cog: bool = True,
     stretch: tuple[float, float] = (2.0, 98.0),
     progress: Callable[[int, int], None] | None = None,
+    picture: Path | None = None,
 ) -> list[int]:
     # Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`.
+    # ``picture``: also write the map's picture here, as ``bands="rgb"`` does.
     # Return the reduction factors of its overviews.
     with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
         import rasterio
@@ -144,7 +146,6 @@ def draw_geotiff(
     band_numbers = _band_indices(map, array, bands)
     array = array.isel({BAND: band_numbers})
     is_picture = isinstance(bands, str) and bands == "rgb"
-    stored = _picture(array, stretch) if is_picture else storable(array)
     # descriptions and tags of the bands
     axis = map.variables.get("wavelength")
     names = [str(array.name)] if len(band_numbers) == 1 else [f"band {band + 1}" for band in band_numbers]
@@ -153,18 +154,27 @@ def draw_geotiff(
         nm = axis.values.astype(np.float64)[band_numbers].tolist()
         names = [f"{value:.6g} nm" for value in nm]
         tags = [{"wavelength": repr(value), "wavelength_units": "Nanometers"} for value in nm]
+    described = list(zip(names, tags, strict=True))
+    nearest = nearest_bands(axis.values[band_numbers], RGB_WAVELENGTHS) if axis is not None and tags[0] else None
     # how a GIS shows the bands
-    colours = ["gray", *["undefined"] * (len(names) - 1)]
-    if is_picture:
-        colours, names, tags = [*_RGB, "alpha"], [*names, "alpha"], [*tags, {}]
-    elif tags[0] and (nearest := nearest_bands(axis.values[band_numbers], RGB_WAVELENGTHS)) is not None:
-        by_band = dict(zip(nearest, _RGB, strict=True))
-        colours = [by_band.get(band, "undefined") for band in range(len(names))]
+    by_band = {} if nearest is None else dict(zip(nearest, _RGB, strict=True))
+    colours = [by_band.get(band, "undefined" if band or by_band else "gray") for band in range(len(names))]
     form = RASTER_FORMATS.get(final_path.suffix.lower(), RASTER_FORMATS[".tif"])
     uncompressed = target.with_name(f"plain-{target.name}") if cog else target
+
+    def save_picture(linear: xr.DataArray, plain: Path, bands: list[tuple[str, dict[str, str]]]) -> None:
+        _write(plain, _picture(linear, stretch), grid, [*_RGB, "alpha"], [*bands, ("alpha", {})], progress)
+
     try:
         with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
-            _write(uncompressed, stored, grid, colours, list(zip(names, tags, strict=True)), progress)
+            if is_picture:
+                save_picture(array, uncompressed, described)
+            else:
+                _write(uncompressed, storable(array), grid, colours, described, progress)
+            if picture is not None and nearest is not None:
+                plain = picture.with_name(f"plain-{picture.name}")
+                save_picture(_bands_in(uncompressed, nearest), plain, [described[band] for band in nearest])
+                copy(plain, picture, driver=form.driver, **form.picture_options)
             if cog:
                 options = form.picture_options if is_picture else form.options
                 copy(uncompressed, target, driver=form.driver, **options)
@@ -239,6 +249,26 @@ def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]
     return [band % count for band in chosen]
 
 
+def _bands_in(path: Path, bands: list[int]) -> xr.DataArray:
+    # Return bands of a plain GeoTIFF (y, x, band), read lazily row of tiles by row of tiles.
+    import dask.array as da
+    import rasterio
+    from rasterio.windows import Window
+
+    def read(block_info: Any = None) -> NDArray[Any]:
+        (first, last), (_, width), _ = block_info[None]["array-location"]
+        with rasterio.open(path) as raster:
+            window = Window(0, first, width, last - first)
+            return np.moveaxis(raster.read([band + 1 for band in bands], window=window), 0, -1)
+
+    with rasterio.open(path) as raster:
+        (height, width), dtype = raster.shape, raster.dtypes[0]
+    rows = tuple(min(TILE, height - start) for start in range(0, height, TILE))
+    chunks = (rows, (width,), (len(bands),))
+    values = da.map_blocks(read, chunks=chunks, dtype=dtype, name=f"read-{uuid.uuid4().hex}")
+    return xr.DataArray(values, dims=("y", "x", BAND))
+
+
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     # Return 8-bit sRGB and alpha (y, x, band); 0 where a band is unknown.
     SchemaError.raise_if(
@@ -259,7 +289,9 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
         share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
         # IEC 61966-2-1
         encoded = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-        coloured = np.concatenate([np.round(1.0 + 254.0 * encoded), np.full_like(encoded[..., :1], 255.0)], -1)
+        coloured = np.concatenate(
+            [np.round(1.0 + 254.0 * encoded), np.full_like(encoded[..., :1], 255.0)], -1
+        )
         return np.where(is_complete, coloured, 0.0).astype(np.uint8)
 
     picture: xr.DataArray = xr.apply_ufunc(
