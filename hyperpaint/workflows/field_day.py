@@ -257,6 +257,7 @@ def _process(day: FieldDayRun) -> StepOutcome:
         day.settings.path,
         day.store,
         alignment=day.alignment,
+        flags=True,
         accept=day.accept,
         overwrite=day.overwrite,
         progress=day.shows_progress,

@@ -155,7 +155,9 @@ def draw_geotiff(
         names = [f"{value:.6g} nm" for value in nm]
         tags = [{"wavelength": repr(value), "wavelength_units": "Nanometers"} for value in nm]
     described = list(zip(names, tags, strict=True))
-    nearest = nearest_bands(axis.values[band_numbers], RGB_WAVELENGTHS) if axis is not None and tags[0] else None
+    nearest = (
+        nearest_bands(axis.values[band_numbers], RGB_WAVELENGTHS) if axis is not None and tags[0] else None
+    )
     # how a GIS shows the bands
     by_band = {} if nearest is None else dict(zip(nearest, _RGB, strict=True))
     colours = [by_band.get(band, "undefined" if band or by_band else "gray") for band in range(len(names))]
