@@ -18,6 +18,7 @@ from support.refusals import expect_error, expect_errors, expect_refusals, expec
 import hyperpaint as hp
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.maps.geotiff import read_geotiff_header
+from hyperpaint.surroundings.flags import flag_line, without_scene_flags
 from hyperpaint.workflows import field_day
 from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day
 from hyperpaint.workflows.field_folder import (
@@ -263,6 +264,12 @@ def test_every_step_is_done(day: FieldDay) -> None:
     assert set(states.values()) == {"done"}, str(day)
     for outcome in day.outcomes:
         assert all(path.exists() for path in outcome.paths)
+    # the flags of the scene are stored, and are those of the stored reflectance
+    line = hp.open_store(day.out / "lot.zarr", "flightlines/raw_0")
+    assert line["quality"].attrs["flags_from"] in hp.open_library(day.out / "paints.zarr").attrs["flags"]
+    bare = line.drop_vars("counts")
+    bare["quality"] = without_scene_flags(line)["quality"]
+    xr.testing.assert_equal(flag_line(bare).line["quality"], line["quality"])
 
 
 @pytest.mark.slow
