@@ -306,6 +306,15 @@ def is_flagged(line: xr.Dataset) -> bool:
     return "flags_from" in quality.attrs or bool((quality & np.uint16(_SURVEYED_FLAGS)).any())
 
 
+def without_scene_flags(line: xr.Dataset) -> xr.Dataset:
+    # Return a line without bits of glint, shadow, adjacency and mixed edges.
+    if "quality" not in line.variables:
+        return line
+    return line.assign(
+        quality=(line["quality"] & np.uint16(~_SURVEYED_FLAGS & 0xFFFF)).assign_attrs(line["quality"].attrs)
+    )
+
+
 def flag_line(
     line: xr.Dataset, *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> Flagged:

@@ -18,6 +18,7 @@ from hyperpaint.geometry.orthorectification.mapping import describe_swath
 from hyperpaint.io.collect.collect_toml import Collect, read_collect
 from hyperpaint.io.dirsig import write_dirsig
 from hyperpaint.io.library import open_library
+from hyperpaint.io.maps.map_grids import RGB_WAVELENGTHS, nearest_bands
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.io.store.manifest import INPUTS
 from hyperpaint.regions import Regions, read_regions
@@ -208,6 +209,12 @@ class FieldDayRun:
         return tuple(name for name, line in lines if "latitude" in line.variables)
 
     @property
+    def is_visible(self) -> bool:
+        # Whether maps have the bands of a picture in true colours; all lines were flown with one camera.
+        line = open_store(self.store, f"{LINES}{self.located_lines[0]}")
+        return nearest_bands(line["wavelength"].values, RGB_WAVELENGTHS) is not None
+
+    @property
     def heights(self) -> dict[str, Any]:
         # Height model of ``[geometry]``; the lines of the store have all of its other keys.
         geometry = self.settings.geometry
@@ -224,6 +231,8 @@ class FieldDayRun:
                 return StepOutcome(name, "left out", reason)
         lines = self.located_lines if "{line}" in step.product else ("",)
         paths = tuple(self.out / step.product.format(line=line) for line in lines)
+        if step.inputs == _OF_MAPS and self.is_visible:
+            paths += tuple(map(colours_of, paths))
         groups = {
             group: open_store(self.store, group).attrs.get(INPUTS)
             for group in list_groups(self.store)
@@ -251,6 +260,7 @@ def _process(day: FieldDayRun) -> StepOutcome:
         day.settings.path,
         day.store,
         alignment=day.alignment,
+        flags=True,
         accept=day.accept,
         overwrite=day.overwrite,
         progress=day.shows_progress,
@@ -290,6 +300,11 @@ def _validate(day: FieldDayRun) -> str:
     return f"{table}: {verdict}"
 
 
+def colours_of(path: Path) -> Path:
+    # Return the path of the picture in true colours of a map.
+    return path.with_name(f"{path.stem}_colour{path.suffix}")
+
+
 def _map(day: FieldDayRun) -> str:
 
     lines, texts = day.located_lines, []
@@ -299,7 +314,7 @@ def _map(day: FieldDayRun) -> str:
             day.store, line, gsd=None, grid="north", method="nearest", progress=share, **day.heights
         )
         path = day.out / f"{line}.tif"
-        write_map(orthomap, path, overwrite=True)
+        write_map(orthomap, path, colours=colours_of(path), overwrite=True)
         texts.append(f"{path}: {describe_swath(orthomap.attrs)}")
     return "\n".join(texts)
 
@@ -308,7 +323,7 @@ def _mosaic(day: FieldDayRun) -> str:
     path = day.out / "mosaic.tif"
     # lines without navigation cannot be mapped
     mosaic = mosaic_of_store(day.store, day.located_lines, progress=day.progress("mosaic"), **day.heights)
-    write_map(mosaic, path, overwrite=True)
+    write_map(mosaic, path, colours=colours_of(path), overwrite=True)
     return f"{path}: lines {', '.join(mosaic.attrs['flightlines'])}, the steepest view on top"
 
 

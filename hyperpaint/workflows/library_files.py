@@ -35,7 +35,7 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.planning import has_white
 from hyperpaint.regions import Regions, regions_from
 from hyperpaint.regions.proposals import propose_regions
-from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
+from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged, without_scene_flags
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.validation import Validation, validate
 
@@ -101,9 +101,11 @@ def write_signatures(
     maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
     if location or (maps and outlines is None):
         lines = _located(lines, outlines, location or {}, maps)
+    # proposals need the survey of the flags, which stores do not hold
+    kept = flagged_lines if outlines is not None else frozenset()
     # glint, shadow and adjacency are of sun and sky; a white reference without a place is of a lamp
     lamp_lit = {name for name, line in lines.items() if has_white(line) and "latitude" not in line.variables}
-    without_flags = flagged_lines | maps | (lamp_lit if sun_zenith is None else set())
+    without_flags = kept | maps | (lamp_lit if sun_zenith is None else set())
     unflagged = [name for name in lines if flags is not False and name not in without_flags]
     survey_options = {} if flags is True or flags is False else dict(flags)
     survey_options.setdefault("sun_zenith", sun_zenith)
@@ -112,7 +114,8 @@ def write_signatures(
         step_progress = part_of(progress, number, len(unflagged) + 1)
         with survey_planned(lines[name], f"the survey of {name or store}"):
             try:
-                new_flags[name] = flag_line(lines[name], **{**survey_options, "progress": step_progress})
+                line = without_scene_flags(lines[name])
+                new_flags[name] = flag_line(line, **{**survey_options, "progress": step_progress})
             except PaintError as error:
                 error.note(
                     f"flight line {name!r} has no flags of glint or shadow",
@@ -124,9 +127,10 @@ def write_signatures(
     for name in flagged_lines & set(lines):
         text = lines[name]["quality"].attrs.get("flags_from", "not said from what")
         origins[name] = f"those of the store, {text}"
-    origins |= {name: str(new.line["quality"].attrs["flags_from"]) for name, new in new_flags.items()}
+    found = {name: new.line for name, new in new_flags.items() if name not in flagged_lines}
+    origins |= {name: str(line["quality"].attrs["flags_from"]) for name, line in found.items()}
     targets, refused = _propose(lines, new_flags, survey_options) if outlines is None else (outlines, [])
-    lines |= {name: flagged.line for name, flagged in new_flags.items()}
+    lines |= found
     if options.get("specular_sky"):
         options["sun_zenith"] = sun_zenith
         diffuse = survey_options.get("diffuse")

@@ -17,8 +17,15 @@ from hyperpaint.geometry.georeference.cameras import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, published_files
-from hyperpaint.io.maps.geotiff import draw_geotiff
-from hyperpaint.io.maps.map_grids import RASTER_FORMATS, geozarr_attrs, stac_item, with_own_transform
+from hyperpaint.io.maps.geotiff import CACHE_BYTES, draw_geotiff
+from hyperpaint.io.maps.map_grids import (
+    RASTER_FORMATS,
+    RGB_WAVELENGTHS,
+    geozarr_attrs,
+    nearest_bands,
+    stac_item,
+    with_own_transform,
+)
 from hyperpaint.io.maps.rasters import read_heights
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 
@@ -165,6 +172,7 @@ def write_map(
     *,
     stac: bool = False,
     seams: Path | None = None,
+    colours: Path | None = None,
     geozarr: bool = False,
     overwrite: bool = False,
     progress: bool = False,
@@ -181,6 +189,9 @@ def write_map(
         Write a STAC item beside the map, ``<name>.json``.
     seams
         GeoJSON file for the area that each line of a mosaic shows.
+    colours
+        GeoTIFF for a picture of the map in true colours, 8 bits with transparency, beside a GeoTIFF of all
+        bands; a map without visible bands has none.
     geozarr
         Write the attributes of GeoZarr into the store.
     overwrite
@@ -201,11 +212,14 @@ def write_map(
     MissingExtraError
         A GeoTIFF needs rasterio (extra ``geo``).
     """
+    nm = orthomap["wavelength"].values if "wavelength" in orthomap.variables else ()
+    if colours is not None and nearest_bands(nm, RGB_WAVELENGTHS) is None:
+        colours = None
     item, is_file = path.with_suffix(".json"), path.suffix.lower() in RASTER_FORMATS
-    companions = ([item] if stac else []) + ([] if seams is None else [seams])
+    companions = ([item] if stac else []) + [place for place in (seams, colours) if place is not None]
     if stac:
         check_place(item, "the STAC item", example="map.json", overwrite=overwrite)
-    plan = map_planned(orthomap, str(path))
+    plan = map_planned(orthomap, str(path), is_file=is_file)
     orthomap = with_own_transform(orthomap)
     if geozarr and not is_file:
         orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
@@ -223,7 +237,9 @@ def write_map(
     with plan, product as (*companion_paths, target):
         texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
         if is_file:
-            factors = ", ".join(f"1:{factor}" for factor in draw_geotiff(orthomap, target, path))
+            picture = None if colours is None else companion_paths.pop()
+            reductions = draw_geotiff(orthomap, target, path, picture=picture)
+            factors = ", ".join(f"1:{factor}" for factor in reductions)
             notes.append(f"overviews {factors}" if factors else "too small for overviews")
         else:
             to_store(orthomap, target, progress=progress)
@@ -236,12 +252,12 @@ def write_map(
     return ", ".join(notes)
 
 
-def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
+def map_planned(orthomap: xr.Dataset, subject: str, *, is_file: bool) -> AbstractContextManager[None]:
     # Return a context in which the tiles of a map are computed within the memory limit.
     #
     # A thread holds the spectra of a tile, rotated and encoded. All threads share the flight lines' lines
     # below a row of tiles: for a flight to the north or east those of the row, for an oblique flight up to as
-    # many as the map has columns.
+    # many as the map has columns. A file (``is_file``) is written through the cache of GDAL.
     #
     # Entering the context raises `StoreError` if memory does not suffice for one thread.
     cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
@@ -250,7 +266,8 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
     obliqueness = min(rows, cols) / max(rows, cols, 1)
     # a line is about a cell wide; computing its slab from counts takes twice the bytes
     shared = int(tile * (1.0 + obliqueness * min(rows, cols) / 256.0) * 2)
-    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + shared)
+    cache = min(CACHE_BYTES, sum(cube.nbytes for cube in cubes)) if is_file else 0
+    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + shared + cache)
 
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:

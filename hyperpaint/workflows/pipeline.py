@@ -34,7 +34,7 @@ from hyperpaint.base.errors import (
     warn_user,
 )
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares
+from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares, flags_set_from
 from hyperpaint.geometry.navigation_checking import navigation_findings
 from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.io.envi.envi_cubes import find_pair, read_header
@@ -52,6 +52,8 @@ from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
 from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 from hyperpaint.radiometry.panels import declared_panels
 from hyperpaint.radiometry.planning import has_white
+from hyperpaint.surroundings.flags import flag_line
+from hyperpaint.surroundings.scratch import survey_planned
 
 from .laboratory import opened_collect
 from .products import Outcome, computing_on, digest_of, local_folder, refuse_to_write_over, write_groups
@@ -179,7 +181,8 @@ def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
         quality = zarr.open_array(store / name / "quality", mode="r", zarr_format=3)
         shares: Counter[str] = Counter()
         for start in range(0, quality.shape[0], _LINES_A_READ):
-            values = np.asarray(quality[start : start + _LINES_A_READ])
+            # every scene has shadows and edges
+            values = np.asarray(quality[start : start + _LINES_A_READ]) & ~np.uint16(flags_set_from("scene"))
             part = values.size / quality.size
             shares.update({str(flag.name): part * share for flag, share in flag_shares(values).items()})
         if flags := [f"{100 * n:.0f} % {flag.lower()}" for flag, n in shares.items() if n > MANY_FLAGGED]:
@@ -206,6 +209,7 @@ def process(
     to: Product = "reflectance",
     reflectance: Kept = "stored",
     alignment: Alignment | None = None,
+    flags: bool = False,
     scheduler: str | None = None,
     memory_limit: str | int | None = None,
     accept: Collection[str] = (),
@@ -244,6 +248,10 @@ def process(
         Differences between camera and irradiance record in wavelength and band width are corrected if
         significant (``"auto"``), ``"never"``, or whenever they can be measured (``"always"``); by default
         ``[alignment] apply`` of the collect, else ``"auto"``.
+    flags
+        Detect glint, shadow, light of neighbours and mixed edges on every line, and store them in ``quality``
+        with their layers, see `hyperpaint.surroundings.flag`. The line is read once more. Signatures,
+        reports, sites and viewers then use these flags. A warning names lines where detection fails.
     scheduler
     memory_limit
         Maximum memory of this process, or of each worker: bytes, or text such as ``"2 GiB"``; by default 80 %
@@ -293,6 +301,7 @@ def process(
         to=to,
         reflectance=reflectance,
         alignment=alignment,
+        flags=flags,
         scheduler=scheduler,
         memory_limit=memory_limit,
         accept=accept,
@@ -310,6 +319,7 @@ def run(
     to: Product = "reflectance",
     reflectance: Kept = "stored",
     alignment: Alignment | None = None,
+    flags: bool = False,
     scheduler: str | None = None,
     memory_limit: str | int | None = None,
     accept: Collection[str] = (),
@@ -331,11 +341,19 @@ def run(
         if name not in KINDS or isinstance(accept, str):
             expected = f"a list of some of {', '.join(KINDS)}"
             problems.add(f"accept={name!r}", expected=expected, code="choice-unknown")
+    problems.add_if(
+        flags and to == "radiance",
+        "flags need reflectance",
+        mend="leave out flags=True, or to='radiance'",
+        option="leave out --flags, or --to radiance",
+        code="option-conflict",
+    )
     problems.raise_if_any()
     check_codec(codec)
     out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
-    parameters = {"to": to, "reflectance": reflectance, "alignment": alignment}
+    parameters: dict[str, Any] = {"to": to, "reflectance": reflectance, "alignment": alignment}
+    parameters |= {"flags": True} if flags else {}
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot process {collect}"))
@@ -343,6 +361,7 @@ def run(
         opened, groups = opened_groups(collect, lines_a_task, parameters)
         refuse_to_write_over(out, (opened.settings, list(opened.cubes.values())), "process")
         aligned: dict[str, xr.Dataset] = {}
+        products: dict[str, xr.Dataset] = {}
 
         def planned(pending: list[str]) -> dict[str, xr.Dataset]:
             # groups to write, in tasks that fit into the memory
@@ -354,12 +373,23 @@ def run(
                 sources = opened_groups(opened.settings, demand.lines, parameters)[1]
             apply = alignment or opened.settings.alignment
             aligned.update({name: aligned_group(sources[name], name, to, apply) for name in pending})
-            return {
-                name: with_layout(_product(aligned[name], name, to, reflectance), layout).assign_attrs(
-                    accepted.get(name, {})
-                )
-                for name in pending
-            }
+            products.update(
+                {
+                    name: _product(aligned[name], name, to).assign_attrs(accepted.get(name, {}))
+                    for name in pending
+                }
+            )
+            return {name: stored(products[name]) for name in pending}
+
+        def stored(product: xr.Dataset) -> xr.Dataset:
+            # only a cube that is computed is left out
+            is_left_out = reflectance == "none" and (to == "reflectance" or "counts" in product)
+            left_out = [to] if is_left_out else []
+            return with_layout(product.drop_vars(left_out, errors="ignore"), layout)
+
+        def flagged(name: str, _: Any) -> xr.Dataset:
+            # the line is surveyed when its turn comes
+            return stored(_with_flags(products[name], name) if flags else products[name])
 
         def announced(name: str) -> str:
             lines = [group for group in aligned if ALONG_TRACK in aligned[group].dims]
@@ -376,6 +406,7 @@ def run(
             options={
                 "--to": None if to == "reflectance" else to,
                 "--alignment": alignment,
+                "--flags": flags,
                 "--overwrite": overwrite,
                 "--reflectance": None if reflectance == "stored" else reflectance,
                 "--accept": sorted(accept),
@@ -383,6 +414,7 @@ def run(
                 "--layout": {"cube": None}.get(layout, layout),
             },
             only=("flightlines/", "this collect"),
+            from_stored=flagged,
             announce=announced if progress else None,
             overwrite=overwrite,
             codec=codec,
@@ -437,21 +469,35 @@ def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr
     return align(dataset, apply=apply) if is_aligned else dataset
 
 
-def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:
+def _with_flags(line: xr.Dataset, name: str) -> xr.Dataset:
+    # Return a flight line with the flags of its scene, or unchanged with a warning where detection fails.
+    # glint, shadow and adjacency are of sun and sky; a white reference without a place is of a lamp
+    if ALONG_TRACK not in line.dims or (has_white(line) and "latitude" not in line.variables):
+        return line
+    try:
+        with survey_planned(line, f"the survey of {name}"):
+            flagged = flag_line(line)
+    except PaintError as error:
+        warn_user(f"{name} has no flags of glint and shadow: {error}", "flags-missing")
+        return line
+    # segments are numbers of the model, which is not stored
+    return flagged.line.drop_vars("adjacency_segment")
+
+
+def _product(dataset: xr.Dataset, name: str, to: Product) -> xr.Dataset:
     if not name.startswith("flightlines/"):
         return dataset
     product: xr.Dataset
     if to == "radiance":
         product = dataset.paint.radiance()
-        return product.drop_vars("radiance") if storage == "none" and "counts" in product else product
+        return product
     product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=declared_panels(dataset) or None)
     product["reflectance"].attrs["keep_bits"] = KEPT_BITS
     split = split_of_lines(dataset)
     if split is not None:
         product = product.assign(split.data_vars)
     pictures = {"overview": overview(product), "coarse_reflectance": coarse_reflectance(product)}
-    product = product.assign({key: picture for key, picture in pictures.items() if picture is not None})
-    return product.drop_vars("reflectance") if storage == "none" else product
+    return product.assign({key: picture for key, picture in pictures.items() if picture is not None})
 
 
 # --- where it is computed ----------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from support.refusals import expect_error, expect_errors, expect_refusals, expec
 import hyperpaint as hp
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.maps.geotiff import read_geotiff_header
+from hyperpaint.surroundings.flags import flag_line, without_scene_flags
 from hyperpaint.workflows import field_day
 from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day
 from hyperpaint.workflows.field_folder import (
@@ -289,6 +290,12 @@ def test_every_step_is_done(day: FieldDay) -> None:
     assert set(states.values()) == {"done"}, str(day)
     for outcome in day.outcomes:
         assert all(path.exists() for path in outcome.paths)
+    # the flags of the scene are stored, and are those of the stored reflectance
+    line = hp.open_store(day.out / "lot.zarr", "flightlines/raw_0")
+    assert line["quality"].attrs["flags_from"] in hp.open_library(day.out / "paints.zarr").attrs["flags"]
+    bare = line.drop_vars("counts")
+    bare["quality"] = without_scene_flags(line)["quality"]
+    xr.testing.assert_equal(flag_line(bare).line["quality"], line["quality"])
 
 
 @pytest.mark.slow
@@ -403,6 +410,9 @@ def test_lines_make_one_map(folder_day: Path, tmp_path: Path) -> None:
     one, both = (read_geotiff_header(day.out / f"{name}.tif") for name in ("raw_0", "mosaic"))
     assert one.shape == pytest.approx(both.shape, rel=0.1)  # cells of a mosaic are of the mean spacing
     assert (one.bands, one.dtype) == (both.bands, both.dtype)
+    pictures = [read_geotiff_header(day.out / f"{name}_colour.tif") for name in ("raw_0", "mosaic")]
+    assert [(picture.shape, picture.bands) for picture in pictures] == [(one.shape, 4), (both.shape, 4)]
+    assert "of the line" in said["map"].text
 
 
 @pytest.mark.slow

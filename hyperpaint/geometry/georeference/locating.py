@@ -207,7 +207,12 @@ def locate(
     >>> located.view_azimuth.values.round().tolist()
     [[90.0, 0.0, 270.0]]
     """
-    # arguments take precedence over declarations of the line
+    # arguments take precedence over declarations of the line, and these over defaults
+    arguments = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm}
+    origins = {
+        name: "as passed" if value is not None else "of the line" if name in line.attrs else "assumed"
+        for name, value in arguments.items()
+    }
     zero: Sequence[float] = (0.0, 0.0, 0.0)
     boresight = line.attrs.get("boresight", zero) if boresight is None else boresight
     lever_arm = line.attrs.get("lever_arm", zero) if lever_arm is None else lever_arm
@@ -285,11 +290,15 @@ def locate(
         quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
     located = located.drop_vars(coordinates, errors="ignore")
     located = located.assign(quality=label(xr.DataArray(quality), "quality")).assign_coords(coordinates)
+    height = "of the raster" if ground is None else f"{float(ground):g} m {origins['ground']}"
+    angles, arm = (" ".join(map("{:g}".format, vector)) for vector in (boresight_angles, lever_arm_m))
     settings = {
         "boresight": list(boresight_angles),
         "lever_arm": list(lever_arm_m),
         "ground": "dem" if ground is None else float(ground),
         "clock_offset_s": float(clock_offset_s),
+        "location_from": f"ground {height}, boresight {angles} degrees {origins['boresight']}, "
+        f"lever arm {arm} m {origins['lever_arm']}",
         "pose_interpolation": interpolation if "recorded" in columns else "none",
     }
     located.attrs = with_convention({**line.attrs, **settings}, declared.of_canonical)

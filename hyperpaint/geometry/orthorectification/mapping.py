@@ -445,7 +445,8 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
 
 
 def describe_swath(attrs: dict[Any, Any]) -> str:
-    # Return the attributes of `swath_attrs` as one line of text.
+    # Return the attributes of `swath_attrs`, and the heights and angles used, as one line of text.
     units = {"height_above_ground": "{:.1f} m above the ground", "swath": "swath {:.1f} m"}
     units["pixel_aspect"] = "pixels {:.2f} times as long as wide"
-    return ", ".join(text.format(attrs[name]) for name, text in units.items() if name in attrs)
+    texts = [text.format(attrs[name]) for name, text in units.items() if name in attrs]
+    return ", ".join([*texts, *([attrs["location_from"]] if "location_from" in attrs else [])])

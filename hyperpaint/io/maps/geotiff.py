@@ -39,9 +39,10 @@ from .rasters import TIFF, open_raster
 # Number of rows from which the brightness range of a picture is computed.
 _SAMPLED_ROWS = 64
 _BLOCK_BYTES = 64 * 2**20
+_RGB = ("red", "green", "blue")
 # GDAL's default, 5 % of the machine's memory, would fill with bands that are written once. Rasterio takes
 # bytes, where GDAL itself takes small numbers as megabytes.
-_CACHE_BYTES = 256 * 2**20
+CACHE_BYTES = 256 * 2**20
 
 
 @takes_quantities()
@@ -68,7 +69,8 @@ def write_geotiff(
     variable
     bands
         ``"all"``; indices; or ``"rgb"``: an 8-bit picture of the bands nearest to 640, 550 and 460 nm,
-        brightness between the percentiles of ``stretch``, sRGB curve, 0 where a band is unknown.
+        brightness between the percentiles of ``stretch``, sRGB curve, transparent (alpha) where a band is
+        unknown.
     cog
         Write a cloud-optimised GeoTIFF: tiled, with overviews, deflated.
     stretch
@@ -94,7 +96,8 @@ def write_geotiff(
     Notes
     -----
     Floats are float32 (positions such as ``east`` and ``glt_line`` float64), unknown samples NaN;
-    integers keep their type. The wavelength is the description of a band, and a tag.
+    integers keep their type. The wavelength is the description of a band, and a tag. The bands nearest to
+    640, 550 and 460 nm are interpreted as red, green and blue, so that a GIS opens the map in true colour.
 
     Examples
     --------
@@ -123,8 +126,10 @@ def draw_geotiff(
     cog: bool = True,
     stretch: tuple[float, float] = (2.0, 98.0),
     progress: Callable[[int, int], None] | None = None,
+    picture: Path | None = None,
 ) -> list[int]:
     # Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`.
+    # ``picture``: also write the map's picture here, as ``bands="rgb"`` does.
     # Return the reduction factors of its overviews.
     with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
         import rasterio
@@ -141,7 +146,6 @@ def draw_geotiff(
     band_numbers = _band_indices(map, array, bands)
     array = array.isel({BAND: band_numbers})
     is_picture = isinstance(bands, str) and bands == "rgb"
-    stored = _picture(array, stretch) if is_picture else storable(array)
     # descriptions and tags of the bands
     axis = map.variables.get("wavelength")
     names = [str(array.name)] if len(band_numbers) == 1 else [f"band {band + 1}" for band in band_numbers]
@@ -150,11 +154,29 @@ def draw_geotiff(
         nm = axis.values.astype(np.float64)[band_numbers].tolist()
         names = [f"{value:.6g} nm" for value in nm]
         tags = [{"wavelength": repr(value), "wavelength_units": "Nanometers"} for value in nm]
+    described = list(zip(names, tags, strict=True))
+    nearest = (
+        nearest_bands(axis.values[band_numbers], RGB_WAVELENGTHS) if axis is not None and tags[0] else None
+    )
+    # how a GIS shows the bands
+    by_band = {} if nearest is None else dict(zip(nearest, _RGB, strict=True))
+    colours = [by_band.get(band, "undefined" if band or by_band else "gray") for band in range(len(names))]
     form = RASTER_FORMATS.get(final_path.suffix.lower(), RASTER_FORMATS[".tif"])
     uncompressed = target.with_name(f"plain-{target.name}") if cog else target
+
+    def save_picture(linear: xr.DataArray, plain: Path, bands: list[tuple[str, dict[str, str]]]) -> None:
+        _write(plain, _picture(linear, stretch), grid, [*_RGB, "alpha"], [*bands, ("alpha", {})], progress)
+
     try:
-        with rasterio.Env(GDAL_CACHEMAX=_CACHE_BYTES):
-            _write(uncompressed, stored, grid, is_picture, names, tags, progress)
+        with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
+            if is_picture:
+                save_picture(array, uncompressed, described)
+            else:
+                _write(uncompressed, storable(array), grid, colours, described, progress)
+            if picture is not None and nearest is not None:
+                plain = picture.with_name(f"plain-{picture.name}")
+                save_picture(_bands_in(uncompressed, nearest), plain, [described[band] for band in nearest])
+                copy(plain, picture, driver=form.driver, **form.picture_options)
             if cog:
                 options = form.picture_options if is_picture else form.options
                 copy(uncompressed, target, driver=form.driver, **options)
@@ -229,8 +251,28 @@ def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]
     return [band % count for band in chosen]
 
 
+def _bands_in(path: Path, bands: list[int]) -> xr.DataArray:
+    # Return bands of a plain GeoTIFF (y, x, band), read lazily row of tiles by row of tiles.
+    import dask.array as da
+    import rasterio
+    from rasterio.windows import Window
+
+    def read(block_info: Any = None) -> NDArray[Any]:
+        (first, last), (_, width), _ = block_info[None]["array-location"]
+        with rasterio.open(path) as raster:
+            window = Window(0, first, width, last - first)
+            return np.moveaxis(raster.read([band + 1 for band in bands], window=window), 0, -1)
+
+    with rasterio.open(path) as raster:
+        (height, width), dtype = raster.shape, raster.dtypes[0]
+    rows = tuple(min(TILE, height - start) for start in range(0, height, TILE))
+    chunks = (rows, (width,), (len(bands),))
+    values = da.map_blocks(read, chunks=chunks, dtype=dtype, name=f"read-{uuid.uuid4().hex}")
+    return xr.DataArray(values, dims=("y", "x", BAND))
+
+
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
-    # Return 8-bit sRGB (y, x, band); 0 where a band is unknown.
+    # Return 8-bit sRGB and alpha (y, x, band); 0 where a band is unknown.
     SchemaError.raise_if(
         not 0.0 <= stretch[0] < stretch[1] <= 100.0,
         f"stretch {stretch}",
@@ -249,7 +291,10 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
         share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
         # IEC 61966-2-1
         encoded = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-        return np.where(is_complete, np.round(1.0 + 254.0 * encoded), 0.0).astype(np.uint8)
+        coloured = np.concatenate(
+            [np.round(1.0 + 254.0 * encoded), np.full_like(encoded[..., :1], 255.0)], -1
+        )
+        return np.where(is_complete, coloured, 0.0).astype(np.uint8)
 
     picture: xr.DataArray = xr.apply_ufunc(
         encode,
@@ -258,7 +303,8 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
         output_core_dims=[[BAND]],
         dask="parallelized",
         output_dtypes=[np.uint8],
-        dask_gufunc_kwargs={"allow_rechunk": True},
+        exclude_dims={BAND},
+        dask_gufunc_kwargs={"allow_rechunk": True, "output_sizes": {BAND: 4}},
     )
     return picture
 
@@ -270,16 +316,17 @@ def _write(
     path: Path,
     stored: xr.DataArray,
     grid: Grid,
-    is_picture: bool,
-    names: list[str],
-    tags: list[dict[str, str]],
+    colours: list[str],
+    bands: list[tuple[str, dict[str, str]]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
     import dask.threaded
     import rasterio
     from rasterio.windows import Window
 
+    # ``colours``: interpretation of every band; ``bands``: description and tags of every band.
     height, width, count = stored.shape
+    is_picture = colours[-1] == "alpha"
     a, b, c, d, e, f = grid.transform
     profile = {
         "driver": "GTiff",
@@ -294,8 +341,8 @@ def _write(
         "blockysize": TILE,
         "bigtiff": "if_safer",
         "interleave": "pixel" if is_picture else "band",
-        "nodata": 0 if is_picture else np.nan if stored.dtype.kind == "f" else None,
-        **({"photometric": "rgb"} if is_picture else {}),
+        "nodata": np.nan if stored.dtype.kind == "f" else None,
+        **({"photometric": "rgb", "alpha": "yes"} if is_picture else {}),
     }
     # the blocks of a lazy map (y, x, band), one row of tiles after another, in this process
     rows = max(TILE, _BLOCK_BYTES // max(1, width * count * stored.dtype.itemsize) // TILE * TILE)
@@ -326,7 +373,8 @@ def _write(
     stages = {(writes.name, *index): index[axis] for index in np.ndindex(writes.numblocks)}
     graph = dict(writes.__dask_optimize__(writes.__dask_graph__(), list(stages)))
     with rasterio.open(path, "w", **profile) as raster:
-        for number, (name, band_tags) in enumerate(zip(names, tags, strict=True), start=1):
+        raster.colorinterp = [rasterio.enums.ColorInterp[colour] for colour in colours]
+        for number, (name, band_tags) in enumerate(bands, start=1):
             raster.set_band_description(number, name)
             raster.update_tags(number, **band_tags)
         for _ in in_stages(dask.threaded.get, graph, stages):

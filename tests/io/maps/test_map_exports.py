@@ -401,6 +401,7 @@ def test_geotiff_holds_every_band_in_its_place(
         np.testing.assert_allclose(raster.transform.to_gdal(), transform, rtol=1e-14)
         assert (raster.crs.to_epsg(), raster.descriptions[0]) == (32617, "450.25 nm")
         assert raster.tags(3)["wavelength"] == "640.125"
+        assert [band.name for band in raster.colorinterp][:4] == ["blue", "green", "red", "undefined"]
         assert (raster.block_shapes[0], bool(raster.overviews(1))) == ((256, 256), cog)
         assert (raster.tags(ns="IMAGE_STRUCTURE").get("LAYOUT") == "COG") == cog
 
@@ -415,12 +416,12 @@ def test_a_picture_is_true_colour(tmp_path: Path) -> None:
     path = hp.io.write_geotiff(map_of(cube, turned(20.0)), tmp_path / "map.tif", bands="rgb")
     with rasterio.open(path) as raster:
         shown = raster.read()
-        assert raster.dtypes == ("uint8",) * 3
-        assert [one.name for one in raster.colorinterp] == ["red", "green", "blue"]
-        assert (raster.nodata, raster.descriptions) == (0, ("640.125 nm", "550 nm", "450.25 nm"))
-    assert (shown[:, 5, 5].tolist(), shown[:, 5, 25].tolist()) == ([255, 1, 1], [1, 255, 1])
-    assert shown[:, 5, 45].tolist() == [1, 1, 255]
-    assert (shown[:, 0, 0].tolist(), shown[:, 1:].min()) == ([0, 0, 0], 1)
+        assert raster.dtypes == ("uint8",) * 4
+        assert [one.name for one in raster.colorinterp] == ["red", "green", "blue", "alpha"]
+        assert (raster.nodata, raster.descriptions) == (None, ("640.125 nm", "550 nm", "450.25 nm", "alpha"))
+    assert (shown[:, 5, 5].tolist(), shown[:, 5, 25].tolist()) == ([255, 1, 1, 255], [1, 255, 1, 255])
+    assert shown[:, 5, 45].tolist() == [1, 1, 255, 255]
+    assert (shown[:, 0, 0].tolist(), shown[:, 1:].min()) == ([0, 0, 0, 0], 1)
 
 
 def test_chosen_bands_and_planes(tmp_path: Path) -> None:
