@@ -126,6 +126,7 @@ def draw_geotiff(
     cog: bool = True,
     stretch: tuple[float, float] = (2.0, 98.0),
     progress: Callable[[int, int], None] | None = None,
+    *,
     picture: Path | None = None,
 ) -> list[int]:
     # Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`.
