@@ -67,7 +67,8 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-html_sidebars = {"index": []}
+# pages without a section have no navigation at their side
+html_sidebars = {name: [] for name in ("index", "installation", "tour", "figures", "glossary", "changelog")}
 html_show_sourcelink = False
 
 # anchors of the code hosts are made by scripts, and DOIs send browsers on

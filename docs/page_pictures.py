@@ -41,7 +41,8 @@ def draw_flight(folder: Path, out: Path) -> None:
     chain_picture.draw(stored, hp.read_regions(collect.parent / "regions.geojson"), out / "chain.png")
     regions = line.paint.propose_regions()
     paints = line.paint.signatures(regions)
-    hp.pictures.paint_card(line, paints, "red-01", out / "red_roof.png", width=9.5)
+    for name, width in {"red_roof": 9.5, "red_roof_narrow": 5.0}.items():
+        hp.pictures.paint_card(line, paints, "red-01", out / f"{name}.png", width=width)
 
     figure, axes = plt.subplots(figsize=(5.0, 5.9), layout="constrained")
     axes.imshow(line.paint.rgb(), origin="lower")
