@@ -1,13 +1,9 @@
-"""The picture of the chain on the front page and in the README, from the store of the demonstration.
-
-hyperpaint demo --out demo
-python docs/chain_picture.py demo docs/_static/chain.png
-"""
+"""The picture of the chain on the front page and in the README, which `page_pictures.py` draws."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,14 +15,12 @@ import hyperpaint as hp
 FLAGS = (hp.Quality.GLINT, hp.Quality.SHADOW, hp.Quality.MIXED_EDGE)
 
 
-def draw(folder: Path, path: Path) -> None:
+def draw(stored: xr.Dataset, regions: Any, path: Path) -> None:
     """Draw five stages side by side: counts, irradiance, reflectance, flags and regions, signatures."""
-    stored = xr.open_zarr(folder / "lot.zarr", group="flightlines/raw_0")
     line = stored.paint.reflectance(uncertainty=True).paint.flag()
-    regions = hp.read_regions(folder / "regions.geojson")
     paints = hp.extract_signatures(line, regions)
-    figure, axes = plt.subplots(1, 5, figsize=(15, 3.5), layout="constrained", facecolor="white")
-    figure.get_layout_engine().set(wspace=0.09)
+    figure, axes = plt.subplots(1, 5, figsize=(11, 2.7), layout="constrained", facecolor="white")
+    figure.get_layout_engine().set(wspace=0.05)
 
     counts = line.counts.isel(band=int(np.argmin(np.abs(line.wavelength.values - 550.0)))).values
     axes[0].imshow(counts, cmap="gray", origin="lower", aspect="equal", vmax=np.percentile(counts, 99))
@@ -36,7 +30,7 @@ def draw(folder: Path, path: Path) -> None:
     wavelength = record.irradiance_wavelength.values
     light = (wavelength >= 400) & (wavelength <= 1000)
     axes[1].plot(wavelength[light], record.mean("irradiance_time").values[light], color="#d98c00", lw=1)
-    axes[1].set(title="+ irradiance of the sky", xlabel="wavelength [nm]", ylim=(0, None))
+    axes[1].set(title="+ irradiance", xlabel="wavelength [nm]", ylim=(0, None))
     axes[1].set_ylabel("[W m$^{-2}$ nm$^{-1}$]")
 
     colour = line.paint.rgb().transpose("along_track", "cross_track", "rgb").values
@@ -54,8 +48,8 @@ def draw(folder: Path, path: Path) -> None:
     for region in regions:
         ring = region.polygon
         axes[3].add_patch(Polygon(ring, fill=False, edgecolor="#d6336c", lw=1.2))
-    axes[3].set_title("\N{RIGHTWARDS ARROW} clean paint, and what is not")
-    axes[3].legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=3, frameon=False, fontsize=8,
+    axes[3].set_title("\N{RIGHTWARDS ARROW} clean paint, flags")
+    axes[3].legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=3, frameon=False, fontsize=9,
                    handletextpad=0.1, columnspacing=0.8)  # fmt: skip
 
     for name, shade in shades.items():
@@ -74,8 +68,4 @@ def draw(folder: Path, path: Path) -> None:
     axes[4].set_facecolor("#eceff1")
     for ax in (axes[0], axes[2], axes[3]):
         ax.set(xticks=[], yticks=[])
-    figure.savefig(path, dpi=100)
-
-
-if __name__ == "__main__":
-    draw(Path(sys.argv[1]), Path(sys.argv[2]))
+    figure.savefig(path, dpi=160)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import sphinx_autosummary_accessors
+import yaml
 
 import hyperpaint
 
@@ -57,6 +58,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "hyperpaint"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_logo = html_favicon = "_static/logo.svg"
 html_theme_options = {
     "logo": {"text": "hyperpaint"},
     "show_toc_level": 2,
@@ -65,7 +67,8 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-html_sidebars = {"index": []}
+# pages without a section have no navigation at their side
+html_sidebars = {name: [] for name in ("index", "installation", "tour", "figures", "glossary", "changelog")}
 html_show_sourcelink = False
 
 # anchors of the code hosts are made by scripts, and DOIs send browsers on
@@ -104,6 +107,33 @@ def _copy_notebooks(target: Path) -> None:
         (target / f"{name}.cards").write_text(text + "\n", encoding="utf-8")
 
 
+def _write_citation(path: Path) -> None:
+    """Write the BibTeX entries of CITATION.cff: the software, and the paper it starts from."""
+    cff = yaml.safe_load((HERE.parent / "CITATION.cff").read_text(encoding="utf-8"))
+    (paper,) = cff["references"]
+    entries = {
+        "software{hyperpaint": {
+            "author": " and ".join("{" + each["name"] + "}" for each in cff["authors"]),
+            "title": "{" + cff["title"] + "}",
+            "version": cff["version"],
+            "year": cff["date-released"].year,
+        },
+        "inproceedings{paint_signatures": {
+            "author": " and ".join(
+                f"{each['family-names']}, {each['given-names']}" for each in paper["authors"]
+            ),
+            "title": "{" + paper["title"] + "}",
+            "booktitle": paper["collection-title"],
+            "year": paper["year"],
+        },
+    }
+    texts = [
+        "@" + kind + ",\n" + "".join(f"  {key} = {{{value}}},\n" for key, value in fields.items()) + "}\n"
+        for kind, fields in entries.items()
+    ]
+    path.write_text("\n".join(texts), encoding="utf-8")
+
+
 #: A link from a source back to the page of a name: file, the dotted name, the last of it, what is inside.
 _BACK = re.compile(r"(generated/(hyperpaint\.(?:\w+\.)*(\w+))\.html)#hyperpaint\.(?:\w+\.)*?\3((?:\.\w+)*)\"")
 
@@ -118,4 +148,5 @@ def setup(app: Any) -> None:
     """Write what is made of other files before Sphinx reads its own."""
     app.connect("html-page-context", _mend_source_links)
     _copy_notebooks(HERE / "gallery")
+    _write_citation(HERE / "gallery" / "citation.bib")
     write_reference(HERE / "reference")

@@ -29,7 +29,9 @@ from nbclient import NotebookClient
 from PIL import Image
 
 FOLDER = Path(__file__).resolve().parent
-README_PICTURES = {"01": "card.png", "03": "straight.png", "09": "skies.png"}  # first pictures, kept in docs/_static
+PAGE_PICTURES = {  # first pictures that README and how-to pages show, kept in docs/_static
+    "01": "card.png", "03": "straight.png", "08": "white.png", "09": "skies.png", "10": "mean.png", "b2": "labels.png",
+}  # fmt: skip
 MAX_KB = 300.0  # size of a notebook with its outputs
 RELATIVE, ABSOLUTE = 0.02, 0.002  # largest difference of numbers in texts
 _NUMBER = re.compile(r"[-\N{MINUS SIGN}]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -72,8 +74,8 @@ def run(path: Path) -> Any:
 
 
 def keep_picture(path: Path, notebook: Any) -> None:
-    """Write the first picture of a notebook to docs/_static, if the README shows it."""
-    if name := README_PICTURES.get(path.name[:2]):
+    """Write the first picture of a notebook to docs/_static, if a page shows it."""
+    if name := PAGE_PICTURES.get(path.name[:2]):
         outputs = (output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", []))
         png = next(data["image/png"] for data in outputs if "image/png" in data)
         (FOLDER.parent / "docs" / "_static" / name).write_bytes(base64.b64decode(png))
