@@ -252,10 +252,12 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         )
     problems.raise_if_any()
     exposure = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
-    if len(exposure) != 1 or not exposure[0] > 0:
-        problems.add(
-            f"'exposure_time' {exposure.tolist()}", expected="one positive number", code="exposure-invalid"
-        )
+    problems.add_if(
+        len(exposure) != 1 or not exposure[0] > 0,
+        f"'exposure_time' {exposure.tolist()}",
+        expected="one positive number",
+        code="exposure-invalid",
+    )
     counts, dark = frames["counts"], frames["dark_counts"]
     for array in (counts, dark):
         problems.add_if(
@@ -266,10 +268,11 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         )
         expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
         sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
-        if sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]}:
-            problems.add(
-                f"{array.name!r} has sizes {sizes}, the calibration {expected}", code="grid-mismatch"
-            )
+        problems.add_if(
+            sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]},
+            f"{array.name!r} has sizes {sizes}, the calibration {expected}",
+            code="grid-mismatch",
+        )
     problems.raise_if_any()
     other_dims = [dim for dim in counts.dims if dim not in _ELEMENT]
     mean = counts.astype(np.float64).mean(other_dims) if other_dims else counts.astype(np.float64)

@@ -111,8 +111,12 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
             code="type-wrong",
         )
     steps, columns = sweep.sizes.get(STEP, 0), sweep.sizes.get(CROSS_TRACK, 0)
-    if sweep.sizes and steps < MIN_STEPS:
-        problems.add(f"{steps} steps", expected=f"at least {MIN_STEPS}", code="steps-too-few")
+    problems.add_if(
+        sweep.sizes and steps < MIN_STEPS,
+        f"{steps} steps",
+        expected=f"at least {MIN_STEPS}",
+        code="steps-too-few",
+    )
     values = {
         name: np.asarray(array.to_numpy(), np.float64)
         for name, array in arrays.items()

@@ -425,12 +425,12 @@ def darks_of_lines(
     if len(dark) == 1 or times is None or "time" not in cube:
         return dark.mean(axis=0, dtype=np.float64).astype(np.float32)[None], index, weight
     stamps = np.asarray(times).astype("datetime64[ns]")
-    if np.isnat(stamps).any():
-        raise TimeError(
-            f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT)",
-            mend="drop these darks",
-            code="time-missing",
-        )
+    TimeError.raise_if(
+        np.isnat(stamps).any(),
+        f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT)",
+        mend="drop these darks",
+        code="time-missing",
+    )
     order = np.argsort(stamps, kind="stable")
     # beyond their times the first and the last dark are used: a dark drifts slowly
     index, share = _between(stamps[order], cube["time"])
@@ -606,8 +606,7 @@ def _panel_scale(
     for panel in inputs["panels"]:
         stamps = time[slice(*panel["lines"])]
         stamps = stamps[~np.isnat(stamps)]
-        if not stamps.size:
-            raise TimeError(f"{panel['name']}: its lines have no time", code="time-missing")
+        TimeError.raise_if(not stamps.size, f"{panel['name']}: its lines have no time", code="time-missing")
         middle_time, share = stamps[0] + (stamps[-1] - stamps[0]) // 2, None
         if light is not None and is_located:
             share = direct_share({**light, "time": time}, middle_time, wavelength, _mean_position(cube))

@@ -160,12 +160,12 @@ def find_field_files(
     for place, kind in ((folder, ""), (dark, "dark"), (asd, "spectra")):
         if place is None:
             continue
-        if not Path(place).is_dir():
-            raise CollectError(
-                f"{place} is not a folder",
-                expected=f"a folder of {kind} files" if kind else "the folder of the flight's cubes",
-                code="folder-not-found",
-            )
+        CollectError.raise_if(
+            not Path(place).is_dir(),
+            f"{place} is not a folder",
+            expected=f"a folder of {kind} files" if kind else "the folder of the flight's cubes",
+            code="folder-not-found",
+        )
         for path in _walk(Path(place)):
             suffix = path.suffix.lower()
             if suffix == ".hdr" and kind != "spectra":
@@ -204,12 +204,12 @@ def find_field_files(
     spectra |= (named := _named_references(references))
     irradiance, instruments = _instruments(spectra, relative, notes)
     used = {path for paths in instruments.values() for path in paths}
-    if named and not used & set(named):
-        raise CollectError(
-            "; ".join([f"no reference spectra in {', '.join(map(str, references))}", *notes]),
-            expected=f"reflectance: {_SPECTRA}",
-            code="file-not-found",
-        )
+    CollectError.raise_if(
+        named and not used & set(named),
+        "; ".join([f"no reference spectra in {', '.join(map(str, references))}", *notes]),
+        expected=f"reflectance: {_SPECTRA}",
+        code="file-not-found",
+    )
     raw.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
     cubes = tuple(map(_flight_cube, raw))
     record = [path for pattern in irradiance for path in spectra[pattern]]
@@ -370,18 +370,17 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
             f"not a table of text ({error})", expected="rows of short cells", code="text-unreadable"
         ) from error
     columns = [n for n, cell in enumerate(rows[0]) if _HEIGHT.search(cell)] if rows else []
-    if len(columns) != 1 or len(rows) < 2:
-        raise FormatError(
-            f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows",
-            expected="one column such as ellipsoidal_height_m (heights above sea level differ)",
-            code="height-column-missing",
-        )
+    FormatError.raise_if(
+        len(columns) != 1 or len(rows) < 2,
+        f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows",
+        expected="one column such as ellipsoidal_height_m (heights above sea level differ)",
+        code="height-column-missing",
+    )
     try:
         heights = np.array([float(row[columns[0]]) for row in rows[1:]])
     except (ValueError, IndexError) as error:
         raise FormatError(f"a height is not a number: {error}", code="number-unreadable") from error
-    if not np.isfinite(heights).all():
-        raise FormatError("a height is not finite", code="not-finite")
+    FormatError.raise_if(not np.isfinite(heights).all(), "a height is not finite", code="not-finite")
     problems = Problems("its heights cannot be used", FormatError)
     metres = metres_of(*column_heading(rows[0][columns[0]]), problems)
     problems.raise_if_any()

@@ -207,14 +207,17 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     interleave = reader.choice("interleave", {name: name for name in FILE_AXES})
     for key in ("major frame offsets", "minor frame offsets"):
         text = fields.get(key, "")
-        if set(bare(text)) - set("0, \t\n"):
-            reader.add(f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported")
-    if fields.get("file compression", "0") != "0":
-        reader.add(
-            "'file compression' is set",
-            mend="unpack the data file and set it to 0",
+        reader.add_if(
+            set(bare(text)) - set("0, \t\n"),
+            f"{key!r} is {shown(text)}: padded lines are not supported",
             code="layout-unsupported",
         )
+    reader.add_if(
+        fields.get("file compression", "0") != "0",
+        "'file compression' is set",
+        mend="unpack the data file and set it to 0",
+        code="layout-unsupported",
+    )
     # bands
     is_library = "spectral library" in fields.get("file type", "").lower()
     count, unit = (samples, "samples of a spectral library") if is_library else (bands, "bands")
@@ -230,8 +233,11 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
         reader.note(f"'band names' has {name_count} names for {bands} bands: names ignored")
     wavelength, fwhm = _spectral_axis(reader, count, unit, names)
     good = reader.numbers("bbl", count, unit)
-    if good is not None and not np.isin(good, (0.0, 1.0)).all():
-        reader.add("'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range")
+    reader.add_if(
+        good is not None and not np.isin(good, (0.0, 1.0)).all(),
+        "'bbl' holds values other than 0 (bad band) and 1 (good band)",
+        code="value-out-of-range",
+    )
     scale = reader.number("reflectance scale factor")
     if scale is not None and not (math.isfinite(scale) and scale > 0):
         found = f"'reflectance scale factor' is {scale}"
@@ -339,8 +345,9 @@ class _Reader(Problems):
     def integer(self, key: str, *, minimum: int, default: int | None = None) -> int:
         text = self.fields.get(key)
         kind = "a whole number above 0" if minimum else "a whole number, 0 or above"
-        if text is None and default is None:
-            self.add(f"{key!r} is missing", expected=kind, code="key-missing")
+        self.add_if(
+            text is None and default is None, f"{key!r} is missing", expected=kind, code="key-missing"
+        )
         if text is None:
             return default or 0
         if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < minimum:
@@ -461,8 +468,7 @@ def _spectral_axis(
             found = f"{key!r} holds values up to {values.max():.3g}, which is infinite in nanometres"
             reader.add(found, code="not-finite")
         is_wrong, limit = (values < 0, "below 0") if key == "fwhm" else (values <= 0, "that are not above 0")
-        if is_wrong.any():
-            reader.add(f"{key!r} holds values {limit}", code="value-out-of-range")
+        reader.add_if(is_wrong.any(), f"{key!r} holds values {limit}", code="value-out-of-range")
     if not has_wavelengths:
         nanometres["wavelength"] = _wavelength_of_names(names, reader)
     return nanometres["wavelength"], nanometres["fwhm"]
@@ -609,14 +615,14 @@ class EnviArray(BackendArray):
         with open(self.path, "rb", buffering=0) as file:
             # Raise FormatError if the file has changed since it was opened: its layout may differ.
             status = os.fstat(file.fileno())
-            if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
-                raise FormatError(
-                    f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} "
-                    f"bytes of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
-                    expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
-                    mend="open it again",
-                    code="file-changed",
-                )
+            FormatError.raise_if(
+                (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns),
+                f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} "
+                f"bytes of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
+                expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
+                mend="open it again",
+                code="file-changed",
+            )
             # complete successive planes of the file are read in one piece
             planes, rows, columns = indices
             _, height, width = self.file_shape

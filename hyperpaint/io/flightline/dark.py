@@ -89,15 +89,15 @@ def open_dark(
     # open; ``cube``: counts of the line, or None if they failed to open.
     # Raises `SchemaError`: There is no dark, or a dark does not fit the cube. Raises `FormatError`: A file is
     # not a cube of raw counts.
-    if source is None or (isinstance(source, (list, tuple)) and not source):
-        raise SchemaError(
-            "no dark reference",
-            mend=(
-                'pass dark=, or dark="none" where the counts are dark-corrected '
-                '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
-            ),
-            code="dark-missing",
-        )
+    SchemaError.raise_if(
+        source is None or (isinstance(source, (list, tuple)) and not source),
+        "no dark reference",
+        mend=(
+            'pass dark=, or dark="none" where the counts are dark-corrected '
+            '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+        ),
+        code="dark-missing",
+    )
     shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
     if isinstance(source, str) and source == DARK_NONE:
         if shape is None:

@@ -305,13 +305,13 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         if timing.nav is not None:
             accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
             declared = inputs.convention
-            if unknown := set(declared) - accepted:
-                raise SchemaError(
-                    f"convention has {', '.join(sorted(unknown))}",
-                    expected=f"some of {', '.join(sorted(accepted))}",
-                    mend="pass angles in degree, and stamp= as a separate argument",
-                    code="key-unknown",
-                )
+            SchemaError.raise_if(
+                (unknown := set(declared) - accepted),
+                f"convention has {', '.join(sorted(unknown))}",
+                expected=f"some of {', '.join(sorted(accepted))}",
+                mend="pass angles in degree, and stamp= as a separate argument",
+                code="key-unknown",
+            )
             convention_attrs = Convention(**{"stamp_reference": timing.stamp, **declared}).to_attrs()
             assumed = [name for name in ASSUMED if name not in declared]
             convention_attrs |= {"navigation_assumed": ", ".join(assumed)} if assumed else {}

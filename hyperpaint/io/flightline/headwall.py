@@ -226,10 +226,12 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     table = read_table(path, "frame index", needs=["frame#"])
     second_column = next((column for column in table.columns if column != "frame#"), "")
     name = next((name for name in ("timestamp", "time") if name in table.columns), second_column)
-    if not name:
-        raise FormatError(
-            f"{path}: one column only", expected="'Frame#' and 'Timestamp' or 'Time'", code="column-missing"
-        )
+    FormatError.raise_if(
+        not name,
+        f"{path}: one column only",
+        expected="'Frame#' and 'Timestamp' or 'Time'",
+        code="column-missing",
+    )
     frame = to_integers(table, "frame#")
     steps = np.flatnonzero(np.diff(frame) <= 0)
     if steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME:

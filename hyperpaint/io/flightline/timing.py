@@ -225,12 +225,12 @@ def _clock(
                 expected="a date such as '2024-06-01'",
                 code="time-unreadable",
             )
-        if timing.clock_offset_s is None:
-            raise TimeError(
-                "date without clock_offset_s",
-                mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
-                code="clock-offset-missing",
-            )
+        TimeError.raise_if(
+            timing.clock_offset_s is None,
+            "date without clock_offset_s",
+            mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
+            code="clock-offset-missing",
+        )
         return _steady(0, int(timing.correction.apply(np.array([midnight]))[0]), "date and time of day")
     if nav is None:
         raise TimeError(
