@@ -317,8 +317,7 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         expected="one, of wavelengths",
         code="dims-wrong",
     )
-    dim = spectrum.dims[0]
-    axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[dim]
+    axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[spectrum.dims[0]]
     if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
         raise SchemaError(
             f"wavelengths of the source have units {axis.attrs['units']!r}",
@@ -335,10 +334,9 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         mend="sort them",
         code="wavelength-unordered",
     )
-    optional = {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}
     tables = {
         option: calibration[name].to_numpy()
-        for option, name in optional.items()
+        for option, name in {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}.items()
         if name in calibration.variables
     }
     wavelength, fwhm = (response_inputs[name].to_numpy() for name in ("wavelength", "fwhm"))

@@ -244,7 +244,7 @@ def calibrate(
     _refuse_undersampled(lab, wavelength_map, fwhm)
     camera_width = at_steps(lab, wavelength_map, fwhm)
     complete_edge_lines(lab, sweep_data, lamp_lines, wavelength_map, light_wavelength, camera_width, shape)
-    result = Result(
+    return Result(
         lab=lab,
         sweep_data=sweep_data,
         lamp_lines=lamp_lines,
@@ -267,8 +267,7 @@ def calibrate(
         fwhm_at_steps=camera_width,
         differences=differences,
         is_shape_free=srf_shape is None,
-    )
-    return result.dataset(flat_factors)
+    ).dataset(flat_factors)
 
 
 def _linearity_curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) -> Linearity:
@@ -414,8 +413,7 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
     changes = np.nanmean((level - mean) ** 2, axis=0)
     noise = np.nanmean(uncertainty**2, axis=0)
     column = int(np.argmax(changes - noise))
-    excess = float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0)))
-    if excess > MAX_CHANGE_SHARE * tolerance:
+    if float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0))) > MAX_CHANGE_SHARE * tolerance:
         share = float(np.sqrt(changes[column]))
         worst_column = int(np.flatnonzero(np.isfinite(areas[steps]).any(axis=0))[column])
         return f"the share of light of column {worst_column} varies by {share:.1%} from step to step"
@@ -434,8 +432,7 @@ def _profiles(areas: Floats) -> tuple[Floats, Floats]:
         log_area = np.log(area[is_lit])
         inverse = np.linalg.pinv(terms)
         fitted = terms @ (inverse @ log_area)
-        freedom = max(int(is_lit.sum()) - degree - 1, 1)
-        rms = float(np.sqrt(((log_area - fitted) ** 2).sum() / freedom))
+        rms = float(np.sqrt(((log_area - fitted) ** 2).sum() / max(int(is_lit.sum()) - degree - 1, 1)))
         level[row, is_lit] = fitted - np.median(fitted)
         uncertainty[row, is_lit] = rms * np.sqrt(np.einsum("ij,ji->i", terms, inverse))
     return level, uncertainty

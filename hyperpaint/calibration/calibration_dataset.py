@@ -115,12 +115,11 @@ def measured_shape(
     weight = sums[0, sums[0] > 0]
     place, observed = sums[1:, sums[0] > 0] / weight
     distance = place[:, None] - offset
-    lamp_line = (
+    source = (
         np.clip(1.0 - np.abs(distance) / width, 0.0, None) / width
         if lab.triangular
         else np.exp(-4.0 * np.log(2.0) * (distance / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
-    )
-    source = lamp_line * _TABLE_STEP
+    ) * _TABLE_STEP
     # distance of the model from the curve
     model = Responses(np.zeros(1), np.ones(1), shape, spacing=np.array([np.median(spacing)])).on(offset, 0)
     model_curve, root_weight = source @ model, np.sqrt(weight)
@@ -290,8 +289,7 @@ def _wings(distance: Floats, share: Floats, at: Ints) -> Floats:
         if level.size == _NEAREST_BINS and ((nearest > 0) & (level > 0)).all():
             rise = np.clip(-np.polyfit(nearest, np.log(level), 1)[0], 0.0, 1.0 / nearest[0])
         exponent = np.maximum(reach - sign * at, 0.0) * (sign * at >= 0) * rise
-        is_hidden = (np.abs(at) < reach) & (sign * at >= 0)
-        wing = np.where(is_hidden, max(level[0], 0.0) * np.exp(exponent), wing)
+        wing = np.where((np.abs(at) < reach) & (sign * at >= 0), max(level[0], 0.0) * np.exp(exponent), wing)
     return np.asarray(np.maximum(wing, 0.0))
 
 
@@ -452,11 +450,10 @@ class Result:
         own = shape_variance(self.fwhm_at_steps, self.shape, spacing)
         factor = second_order_factor(lab.wavelength, level, own, source)[:, None]
         low, high = EDGE_TOLERANCE_NM
-        tolerance = min(max(low, 3.0 * self.wavelength_map.residual), high)
         # without light that is scattered into the window of a lamp line
         self.gain, has_gain = element_gain(
             lab.wavelength, nodes * (factor / self.off_lines.counted), self.used, self.wavelength,
-            lab.etendue, tolerance,
+            lab.etendue, min(max(low, 3.0 * self.wavelength_map.residual), high),
         )  # fmt: skip
         if not has_gain.any():
             raise refused("no column has four reliable lamp lines", code="lamp-lines-few")

@@ -296,8 +296,7 @@ def deviant_darks(dark: Floats, saturation: Floats | None) -> Bools:
     levels = np.where(is_finite, dark, np.nan)
     median = np.nanmedian(levels)
     # the limit is far above the camera's dark pattern
-    spread = 1.4826 * np.nanmedian(np.abs(levels - median))
-    is_outlier = np.abs(levels - median) > max(30.0 * spread, 100.0)
+    is_outlier = np.abs(levels - median) > max(30.0 * (1.4826 * np.nanmedian(np.abs(levels - median))), 100.0)
     if saturation is not None:
         is_outlier |= levels > 0.5 * saturation
     return np.asarray(~is_finite | is_outlier)

@@ -261,10 +261,10 @@ def complete_edge_lines(
         is_cut = (window.first < 0) | (window.first + window.values.shape[1] > lab.shape[1])
         is_cut &= ~lamp_lines.trusted[step, window.columns] & ~window.saturated
         if is_cut.any():
-            centre = wavelength_map.band_of(float(light[step]), window.columns)
             _complete_step(
                 lab, sweep_data.noise, lamp_lines, wavelength_map, step, window,
-                is_cut=is_cut, centre=centre, fwhm=float(fwhm[step]), shape=shape,
+                is_cut=is_cut, centre=wavelength_map.band_of(float(light[step]), window.columns),
+                fwhm=float(fwhm[step]), shape=shape,
             )  # fmt: skip
 
 
@@ -314,13 +314,12 @@ def _complete_step(
     residual = np.abs(np.where(is_finite, values - fitted[:, None] * unit_profile, 0.0))
     height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
     # one free parameter: residuals above noise are dead elements, or another lamp line
-    is_deviant = residual > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])
     is_complete = (
         is_cut
         & (visible >= MIN_VISIBLE_AREA)
         & (fitted > 0)
         & np.isfinite(area_variance)
-        & ~is_deviant.any(axis=1)
+        & ~(residual > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])).any(axis=1)
     )
     index = (step, window.columns[is_complete])
     lamp_lines.area[index] = area[is_complete]
@@ -364,10 +363,9 @@ def second_order_factor(
     relative_curvature[1:-1] = curvature / y[1:-1]
     relative_curvature[0], relative_curvature[-1] = relative_curvature[1], relative_curvature[-2]
     # smoothed, since noise of a second difference is six times that of the values
-    smooth_curvature = np.convolve(
+    factor[positive] = 1.0 + 0.5 * (camera_variance - source_variance)[positive] * np.convolve(
         np.pad(relative_curvature, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid"
     )
-    factor[positive] = 1.0 + 0.5 * (camera_variance - source_variance)[positive] * smooth_curvature
     return np.clip(factor, 0.9, 1.1)
 
 
@@ -484,8 +482,7 @@ def slope_shift_of_lines(
         line *= amplitude[step] / line.max()
         variance = noise.variance(line, float(lab.frames[step])) + (1e-4 * amplitude[step]) ** 2
         samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([slit]))
-        start = np.array([[0.0, width, line.sum(), 0.0]])
-        fits = fitted(samples, SHAPES[shape], lab.triangular, start)
+        fits = fitted(samples, SHAPES[shape], lab.triangular, np.array([[0.0, width, line.sum(), 0.0]]))
         shifts[step] = spacing[step] * (fits.parameters[0, CENTRE] if fits.converged[0] else 0.0)
     return shifts
 

@@ -378,12 +378,11 @@ def _reflectance(
         return result
     lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
     light_of_lines = dask.delayed(slabs.light_of_lines, pure=True)
-    line_variables = {
+    for name, (values, dim, size) in {
         "irradiance_age": (light_of_lines(plan, "age"), ALONG_TRACK, lines),
         "timing_sensitivity": (light_of_lines(plan, "sensitivity"), ALONG_TRACK, lines),
         "irradiance_misfit": (plan.misfit, BAND, bands),
-    }
-    for name, (values, dim, size) in line_variables.items():
+    }.items():
         array = xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim)
         result[name] = schema.label(array, name)
     if stored is not None:

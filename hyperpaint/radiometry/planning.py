@@ -390,9 +390,8 @@ def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Float
     with warnings.catch_warnings():  # the plan warns
         warnings.simplefilter("ignore")
         unit_darks, index, weight = darks_of_lines(darks, exposure)
-    next_index = np.minimum(index + 1, len(unit_darks) - 1)
     shares = unit_darks[index, :, 0] + weight[:, None] * (
-        unit_darks[next_index, :, 0] - unit_darks[index, :, 0]
+        unit_darks[np.minimum(index + 1, len(unit_darks) - 1), :, 0] - unit_darks[index, :, 0]
     )
     return np.asarray(shares, np.float64)
 
@@ -456,8 +455,7 @@ def _between_whites(cube: Mapping[str, Any], time: Array) -> tuple[Floats, LineL
     unknown = np.full(time.shape, np.nan, np.float32)
     flags = np.where(change > UNSTABLE_CHANGE, Quality.ILLUMINATION_UNSTABLE, 0).astype(np.uint16)
     # the kernel divides pi by the light
-    series = np.pi * level[:, :, None, None]
-    return series, LineLight(before, before + 1, weight, unknown, unknown, flags)
+    return np.pi * level[:, :, None, None], LineLight(before, before + 1, weight, unknown, unknown, flags)
 
 
 def _darks_in_exposure(
@@ -654,8 +652,7 @@ class _VariableState:
             return False
         if self.values is None:
             data = variable._data
-            is_same = self.source() is data and self.name == getattr(data, "name", None)
-            return is_same and _is_lazy(variable)
+            return self.source() is data and self.name == getattr(data, "name", None) and _is_lazy(variable)
         if _is_lazy(variable):
             return False
         values = np.asarray(variable.values)

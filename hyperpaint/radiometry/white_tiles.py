@@ -237,8 +237,7 @@ class _White(NamedTuple):
             code="white-without-light",
         )
         if lit >= MIN_LIT_SHARE:
-            offset = float((frames.mean - self.light).mean())
-            levels = frames.line_mean - offset
+            levels = frames.line_mean - float((frames.mean - self.light).mean())
             deviating = np.abs(levels / np.median(levels) - 1.0) > MAX_LINE_DEVIATION
             problems.add_if(
                 deviating.mean() > MAX_DEVIATING_LINES,

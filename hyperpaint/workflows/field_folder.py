@@ -203,9 +203,8 @@ def find_field_files(
     camera, sweep = _calibration(chosen, relative, notes)
     spectra |= (named := _named_references(references))
     irradiance, instruments = _instruments(spectra, relative, notes)
-    used = {path for paths in instruments.values() for path in paths}
     CollectError.raise_if(
-        named and not used & set(named),
+        named and not {path for paths in instruments.values() for path in paths} & set(named),
         "; ".join([f"no reference spectra in {', '.join(map(str, references))}", *notes]),
         expected=f"reflectance: {_SPECTRA}",
         code="file-not-found",
@@ -315,8 +314,7 @@ def _named_references(paths: Iterable[str | os.PathLike[str]]) -> dict[Path, lis
         for path in _walk(place) if place.is_dir() else [place]:
             in_folder = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
             if in_folder or place.is_file() or path.suffix.lower() in (".txt", ".csv", ".tsv"):
-                key = path.parent / f"*{path.suffix}" if in_folder else path
-                spectra.setdefault(key, []).append(path)
+                spectra.setdefault(path.parent / f"*{path.suffix}" if in_folder else path, []).append(path)
         CollectError.raise_if(
             not spectra,
             f"references {place}: no spectra in this folder",

@@ -210,8 +210,7 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
         return None
     start, period = recording_clock(opened)
     if start is not None:
-        middle_ns = round(0.5e9 * lines * (period or 0.0))
-        return utc_of(start, "start time") + np.timedelta64(middle_ns, "ns")
+        return utc_of(start, "start time") + np.timedelta64(round(0.5e9 * lines * (period or 0.0)), "ns")
     stated = json.loads(opened.attrs.get("envi_header", "{}")).get("acquisition time")
     try:
         return None if stated is None else utc_of(str(stated), "acquisition time")

@@ -206,22 +206,21 @@ def open_flightline(
     (((32, 8), (4,), (6,)), np.datetime64('2021-07-20T17:10:00.000000000'), 'settings.txt')
     """
     source = cube if isinstance(cube, xr.Dataset) else Path(cube)
-    timing = Timing(
-        frame_index=None if frame_index is None else Path(frame_index),
-        nav=nav if nav is None or isinstance(nav, Navigation) else Path(nav),
-        gps_time=None if gps_time is None else Path(gps_time),
-        date=date,
-        start_time=start_time,
-        frame_period=frame_period,
-        stamp=stamp,
-        clock_offset_s=nav_clock_offset_s,
-        time_scale=time_scale,
-        gps_leap_seconds=gps_leap_seconds,
-        max_gap_s=nav_max_gap_s,
-    )
     inputs = FlightlineInputs(
         cube=source,
-        timing=timing,
+        timing=Timing(
+            frame_index=None if frame_index is None else Path(frame_index),
+            nav=nav if nav is None or isinstance(nav, Navigation) else Path(nav),
+            gps_time=None if gps_time is None else Path(gps_time),
+            date=date,
+            start_time=start_time,
+            frame_period=frame_period,
+            stamp=stamp,
+            clock_offset_s=nav_clock_offset_s,
+            time_scale=time_scale,
+            gps_leap_seconds=gps_leap_seconds,
+            max_gap_s=nav_max_gap_s,
+        ),
         exposure_time=exposure_time,
         dark=dark,
         calibration=calibration,
@@ -277,8 +276,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         if start is not None and period is not None:
             inputs = replace(inputs, timing=replace(timing, start_time=start, frame_period=period))
             timing = cast(Timing, inputs.timing)
-    is_untimed = inputs.has_white and timing.frame_index is None and timing.start_time is None
-    if cube is not None and is_untimed:
+    if cube is not None and inputs.has_white and timing.frame_index is None and timing.start_time is None:
         times = LineTimes.unknown(cube.sizes[ALONG_TRACK])
     elif cube is not None and timing is inputs.timing:
         times = findings.attempt(
@@ -291,8 +289,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         )
     dark: Dark | None = None
     if is_counts and not isinstance(inputs.dark, Unavailable):
-        source = own_dark(inputs.dark, on_disk, opened)
-        dark = findings.attempt(open_dark, source, timing, calibration, cube)
+        dark = findings.attempt(open_dark, own_dark(inputs.dark, on_disk, opened), timing, calibration, cube)
     irradiance: xr.Dataset | None = None
     with findings.step():
         if inputs.irradiance is not None and not isinstance(inputs.irradiance, Unavailable):

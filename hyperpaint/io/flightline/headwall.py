@@ -137,8 +137,7 @@ def recording_clock(opened: xr.Dataset) -> tuple[str | None, float | None]:
     clock = _SPECIM_TIME.fullmatch(fields.get("start time", ""))
     rate = next((fields[key] for key in _RATE_KEYS if key in fields), "")
     is_rate = re.fullmatch(r"\d+(\.\d*)?", rate) is not None and float(rate) > 0
-    start = f"{day[1]}T{clock[1]}Z" if day and clock else None
-    return start, 1.0 / float(rate) if is_rate else None
+    return f"{day[1]}T{clock[1]}Z" if day and clock else None, 1.0 / float(rate) if is_rate else None
 
 
 def find_exposure(

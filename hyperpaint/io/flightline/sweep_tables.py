@@ -82,9 +82,8 @@ def read_sweep_table(path: Path) -> xr.Dataset:
                 across = [(values.get(CROSS_TRACK, 0.0), values.get("counts", cube))]
             for column, value in across:
                 at = (values.get(BAND, 0.0), column)
-                is_number = all(n == n and n >= 0 and n == int(n) for n in at)
                 problems.add_if(
-                    not is_number or at in counts,
+                    not all(n == n and n >= 0 and n == int(n) for n in at) or at in counts,
                     f"row {line}: band {at[0]:g}, column {at[1]:g}{' again' * (at in counts)}",
                     expected="whole numbers from 0, each element, or one cube, once a step",
                     code="row-duplicate",
