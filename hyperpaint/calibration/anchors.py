@@ -217,8 +217,13 @@ def anchor_to_radiance(
         mend="check wavelengths and dark",
         code="source-coverage",
     )
-    anchor = f"radiance of a known source, {scale} scale"
-    return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
+    return _with_gain(
+        calibration,
+        gain,
+        f"radiance of a known source, {scale} scale",
+        uncertainty,
+        same_shape=scale == "common",
+    )
 
 
 def _with_gain(

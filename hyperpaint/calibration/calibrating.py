@@ -215,8 +215,9 @@ def calibrate(
                 "of the fits, and uncertainties of single elements are rough"
             )
             warn_user(text, "noise-missing")
-        noise = replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
-        sweep_data = replace(sweep_data, noise=noise)
+        sweep_data = replace(
+            sweep_data, noise=replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
+        )
         lamp_lines, _ = fit_steps(lab, sweep_data, SHAPES[shape], lambda: None, (rough_map, fits))
     saturated_steps = [
         f"{w:g} nm ({int(window.saturated.sum())} of {window.saturated.size} lit columns)"
@@ -232,8 +233,11 @@ def calibrate(
     wavelength_map = _map(lamp_lines, lab, light_wavelength, smile_degree)
     is_placed = placed_lines(lab, lamp_lines, wavelength_map, slope_shift)
     if not lab.by_column and flat_factors is None:
-        areas = np.where(is_placed, lamp_lines.area, np.nan)
-        problem = beam_problem(lab.wavelength, areas, max(MAX_FALL_PER_U * flux_uncertainty, MIN_FALL))
+        problem = beam_problem(
+            lab.wavelength,
+            np.where(is_placed, lamp_lines.area, np.nan),
+            max(MAX_FALL_PER_U * flux_uncertainty, MIN_FALL),
+        )
         if problem is not None:
             text = (
                 f"flux per step is assumed equal in all lit columns, but {problem}: the beam's profile "

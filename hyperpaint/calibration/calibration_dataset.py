@@ -141,8 +141,9 @@ def measured_shape(
     width_nm = float(np.median(camera_width))
     daylight = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width_nm, nm, daylight)
     change = daylight @ response / (daylight @ model) * model.sum() / response.sum() - 1.0
-    effect = float(np.abs(change).max())
-    return MeasuredShape(offset, response, misfit, effect, is_resolved=width <= MAX_SLIT_SHARE)
+    return MeasuredShape(
+        offset, response, misfit, float(np.abs(change).max()), is_resolved=width <= MAX_SLIT_SHARE
+    )
 
 
 # -- Light outside the lamp lines: wings of scattered light over all bands, and the second order of the
@@ -203,8 +204,9 @@ def light_off_lines(
     # areas are corrected where stray light is accurate enough to be subtracted from a flight
     is_usable = relative < MAX_STRAY_LIGHT_U
     counted = 1.0 / (1.0 - wing) if is_usable else 1.0
-    counted_u = wing * (_WING_U if is_usable else 1.0)
-    return OffLines(second_order, matrix * counted, relative, wing, counted, counted_u)
+    return OffLines(
+        second_order, matrix * counted, relative, wing, counted, wing * (_WING_U if is_usable else 1.0)
+    )
 
 
 def dark_off_lines(
@@ -671,8 +673,10 @@ class Result:
         shape_attrs: dict[str, Any] = {}
         if self.measured is not None:
             numbers = (float(f"{value:.3g}") for value in (self.measured.misfit, self.measured.effect))
-            names = ("srf_model_misfit", "srf_model_effect")
-            shape_attrs = {"srf_model": self.shape, **dict(zip(names, numbers, strict=True))}
+            shape_attrs = {
+                "srf_model": self.shape,
+                **dict(zip(("srf_model_misfit", "srf_model_effect"), numbers, strict=True)),
+            }
         return {
             "srf_shape": self.shape,
             "source": "monochromator sweep, line-area method",

@@ -73,13 +73,23 @@ def fit_dark_model(dark: Floats, exposure: Floats) -> DarkModel:
             different.append(float(value))
     mean = dark.mean(axis=0)
     if len(different) == 1:
-        rms = float(np.sqrt(np.nanmean((dark - mean) ** 2)))
-        return DarkModel(mean, np.full_like(mean, np.nan), tuple(different), rms, exposure)
+        return DarkModel(
+            mean,
+            np.full_like(mean, np.nan),
+            tuple(different),
+            float(np.sqrt(np.nanmean((dark - mean) ** 2))),
+            exposure,
+        )
     offset = exposure - exposure.mean()
     rate = np.tensordot(offset, dark, axes=1) / (offset**2).sum()
     bias = mean - rate * exposure.mean()
-    residual = dark - bias - exposure[:, None, None] * rate
-    return DarkModel(bias, rate, tuple(different), float(np.sqrt(np.nanmean(residual**2))), exposure)
+    return DarkModel(
+        bias,
+        rate,
+        tuple(different),
+        float(np.sqrt(np.nanmean((dark - bias - exposure[:, None, None] * rate) ** 2))),
+        exposure,
+    )
 
 
 def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:

@@ -51,8 +51,13 @@ def _camera_widths(lab: LabSweep, lamp_lines: LampLines, wavelength_map: Wavelen
     fitted_steps = np.flatnonzero(
         count >= max(0.5 * count.max(), 1)
     )  # a few lamp lines at the edge may all be wrong
-    step_medians = row_medians(widths, lamp_lines.trusted)[fitted_steps]
-    return np.asarray(np.interp(lab.wavelength, lab.wavelength[fitted_steps], step_medians))
+    return np.asarray(
+        np.interp(
+            lab.wavelength,
+            lab.wavelength[fitted_steps],
+            row_medians(widths, lamp_lines.trusted)[fitted_steps],
+        )
+    )
 
 
 def _unit_lines(
@@ -156,8 +161,9 @@ def element_differences(
         # samples that are not bright contain scattered light
         is_bright = model > _MIN_BRIGHT_SHARE * model.max(axis=1, keepdims=True)
         shares.append(excess[is_bright].sum() / (model**2 * freedom)[is_bright].sum())
-        weights = (model * freedom, model**2 * freedom, excess)
-        tally += binned(model[is_bright], *(weight[is_bright] for weight in weights))
+        tally += binned(
+            model[is_bright], *(weight[is_bright] for weight in (model * freedom, model**2 * freedom, excess))
+        )
     is_used = tally[0] >= MIN_BIN_SAMPLES
     if has_noise:
         return float(np.sqrt(max(float(np.median(shares)), 0.0))) if shares else 0.0, 0.0
@@ -612,12 +618,12 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         highest = np.where(bad, -np.inf, highest)
         is_highest = highest >= highest.max() - _COUNT_TOLERANCE
         if (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any():
-            text = (
+            warn_user(
                 f"saturation_count is missing, and the highest count {highest.max():g} repeats in "
                 f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
-                "give saturation_count"
+                "give saturation_count",
+                "saturation-missing",
             )
-            warn_user(text, "saturation-missing")
     return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
 
 
@@ -637,8 +643,9 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
     if is_used.sum() >= 3 and tally[2][is_used].any():
         count, (signal, variance) = tally[0][is_used], tally[1:, is_used] / tally[0][is_used]
         weight = np.sqrt(count) / np.maximum(variance, 1e-6)
-        terms = np.column_stack([np.ones_like(signal), signal]) * weight[:, None]
-        constant, slope = np.linalg.lstsq(terms, variance * weight, rcond=None)[0]
+        constant, slope = np.linalg.lstsq(
+            np.column_stack([np.ones_like(signal), signal]) * weight[:, None], variance * weight, rcond=None
+        )[0]
         if slope > 0:
             constant = max(float(constant), 0.0)
             return NoiseModel(

@@ -228,8 +228,12 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
     if is_finite.sum() < 8 or not total > 0:
         return np.nan, np.nan
     centre = float((np.maximum(values, 0.0) * columns).sum() / total)
-    samples = LineSamples(values[None], weights, np.zeros(1, np.int64), np.zeros(1))
-    fits = fitted(samples, GAUSSIAN, False, np.array([[centre, total / _GAUSSIAN_AREA, total, 0.0]]))
+    fits = fitted(
+        LineSamples(values[None], weights, np.zeros(1, np.int64), np.zeros(1)),
+        GAUSSIAN,
+        False,
+        np.array([[centre, total / _GAUSSIAN_AREA, total, 0.0]]),
+    )
     beam_centre, width, area, offset = fits.parameters[0]
     is_peak = fits.converged[0] and width < 3.0 * beam.size and -width < beam_centre < beam.size + width
     if is_peak and abs(offset) < 0.5 * area / (width * _GAUSSIAN_AREA):

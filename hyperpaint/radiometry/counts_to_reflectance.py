@@ -111,8 +111,9 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
         return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
     cube, values = cube_inputs(dataset, "radiance")
     refuse_calibration(dataset, needs_scale=True)
-    planner = lazy_plan(dataset, None, make_plan, cube=values, light=None)
-    (radiances,), quality, _ = slabs.calibrated(slabs.line_chunked(cube), planner)
+    (radiances,), quality, _ = slabs.calibrated(
+        slabs.line_chunked(cube), lazy_plan(dataset, None, make_plan, cube=values, light=None)
+    )
     return _with_product(dataset, "radiance", radiances, quality, applied(values))
 
 
@@ -331,8 +332,9 @@ def _reflectance(
             expected="'counts' or 'radiance'",
             code="option-conflict",
         )
-        names = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
-        return dataset.assign(schema.require(dataset, names, "reflectance"))
+        return dataset.assign(
+            schema.require(dataset, ["reflectance", *(UNCERTAINTIES if uncertainty else ())], "reflectance")
+        )
     is_white = has_white(dataset)
     SchemaError.raise_if(
         is_white and (tilt is not None or bool(panels)),
@@ -383,8 +385,9 @@ def _reflectance(
         "timing_sensitivity": (light_of_lines(plan, "sensitivity"), ALONG_TRACK, lines),
         "irradiance_misfit": (plan.misfit, BAND, bands),
     }.items():
-        array = xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim)
-        result[name] = schema.label(array, name)
+        result[name] = schema.label(
+            xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim), name
+        )
     if stored is not None:
         return result
     # replace the panels of an earlier reflectance

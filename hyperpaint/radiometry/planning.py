@@ -264,8 +264,9 @@ def make_plan(
     scale, closure, panel_weights, panel_u = np.ones(bands), None, None, None
     if panel is not None:
         if "factor" in panel:  # panels that were measured before
-            is_refused = (np.asarray(panel["state"]) & REFUSED) != 0
-            scale, panel_weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), is_refused)
+            scale, panel_weights = scale_of_factors(
+                panel["factor"], np.asarray(panel["weight"]), (np.asarray(panel["state"]) & REFUSED) != 0
+            )
             panel_u = np.asarray(panel["scale_u"], np.float64)
         else:
             scale, closure, panel_weights, panel_u = _panel_scale(panel, cube, light, good, lines)
@@ -777,8 +778,9 @@ def lazy_plan(
                 expected = PLANS.expect(line, line_options)
             elif bytes_of(entry.plan) <= MAX_EMBEDDED_BYTES:
                 return Delayed(name, {name: dataclasses.replace(entry.plan, starts=starts)})
-        compute = dask.delayed(_computed, pure=True)
-        return compute(expected, planner, shape, dtype, starts, inputs, dask_key_name=name)
+        return dask.delayed(_computed, pure=True)(
+            expected, planner, shape, dtype, starts, inputs, dask_key_name=name
+        )
 
     return of_cube
 
@@ -892,8 +894,9 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str, Any]:
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
-    companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
-    names += [name for name in companions if name in dataset.variables]
+    names += [
+        name for name in ("irradiance_max_gap", "irradiance_clock_uncertainty") if name in dataset.variables
+    ]
     if tilt is not None:
         names += ["latitude", "longitude"]
     if tilt is not None or has_panels:

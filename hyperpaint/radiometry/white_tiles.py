@@ -287,8 +287,10 @@ def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth:
     added: dict[str, xr.DataArray] = {}
     if exposure_time is not None or "exposure_time" not in line.variables:
         seconds = find_exposure(exposure_time, path, name, line, required=True)[0]
-        dims = (ALONG_TRACK,) if seconds is not None and seconds.ndim else ()
-        added["exposure_time"] = label(xr.DataArray(seconds, dims=dims), "exposure_time")
+        added["exposure_time"] = label(
+            xr.DataArray(seconds, dims=(ALONG_TRACK,) if seconds is not None and seconds.ndim else ()),
+            "exposure_time",
+        )
     if "saturation_count" not in line.variables:
         added["saturation_count"] = saturation_of(None, bit_depth, None)
     if dark is not None or "dark_counts" not in line.variables:

@@ -199,8 +199,9 @@ def find_field_files(
             expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
             code="cube-missing",
         )
-    chosen = calibrations if calibration is None else [Path(calibration)]
-    camera, sweep = _calibration(chosen, relative, notes)
+    camera, sweep = _calibration(
+        calibrations if calibration is None else [Path(calibration)], relative, notes
+    )
     spectra |= (named := _named_references(references))
     irradiance, instruments = _instruments(spectra, relative, notes)
     CollectError.raise_if(
@@ -211,8 +212,9 @@ def find_field_files(
     )
     raw.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
     cubes = tuple(map(_flight_cube, raw))
-    record = [path for pattern in irradiance for path in spectra[pattern]]
-    utc_offset_h, clock_offsets_s = _record_times(record, cubes)
+    utc_offset_h, clock_offsets_s = _record_times(
+        [path for pattern in irradiance for path in spectra[pattern]], cubes
+    )
     survey = _survey(surveys, relative, notes)
     if whites and (irradiance or camera or sweep):
         notes.append(
@@ -340,8 +342,9 @@ def _instruments(
             elif kind != "scans":
                 (opened,) = open_spectra([first])
                 stem = re.sub(r"[^A-Za-z0-9]+", "_", first.stem).strip("_") or "table"
-                taken = ("asd", "svc", *references)
-                (instrument,) = unique_names([stem], taken, suffix="_{}", fold=str.lower)
+                (instrument,) = unique_names(
+                    [stem], ("asd", "svc", *references), suffix="_{}", fold=str.lower
+                )
                 quantity = str(next(iter(opened.data_vars), "nothing"))
         except PaintError as error:
             notes.append(f"{relative(pattern)} is not used: {error}")
@@ -480,8 +483,11 @@ def write_collect_toml(
 
 def unknown_keys(path: Path) -> list[str]:
     # Return the lines of a ``collect.toml`` that are still to be filled in.
-    lines = read_limited(path, 1 << 20, "a collect.toml").decode().splitlines()
-    return [line.partition("#")[0].strip() for line in lines if f'= "{UNKNOWN}"' in line.partition("#")[0]]
+    return [
+        line.partition("#")[0].strip()
+        for line in read_limited(path, 1 << 20, "a collect.toml").decode().splitlines()
+        if f'= "{UNKNOWN}"' in line.partition("#")[0]
+    ]
 
 
 def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
@@ -642,8 +648,11 @@ def _folder_ids(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) ->
         stem = re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight"
         used_ids = {name.lower() for name in ids.values()}
         # an id has at least two characters and differs from those of other folders
-        candidates = (stem, *(f"{stem}_{number}" for number in range(2, len(cubes) + 2)))
-        ids[folder] = next(name for name in candidates if len(name) > 1 and name.lower() not in used_ids)
+        ids[folder] = next(
+            name
+            for name in (stem, *(f"{stem}_{number}" for number in range(2, len(cubes) + 2)))
+            if len(name) > 1 and name.lower() not in used_ids
+        )
     return ids
 
 

@@ -306,8 +306,11 @@ class _Reader(Problems):
                 if equals and self.comments.setdefault(key, value) != value:
                     self.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
             elif line and not (equals and key):
-                expected = "'key = value' or a comment (;)"
-                self.add(f"line {number} is {shown(line)}", expected=expected, code="text-unreadable")
+                self.add(
+                    f"line {number} is {shown(line)}",
+                    expected="'key = value' or a comment (;)",
+                    code="text-unreadable",
+                )
             elif line:
                 key = " ".join(key.lower().split())
                 value = self._closed(value, number, key, lines) if value.startswith("{") else value
@@ -322,8 +325,11 @@ class _Reader(Problems):
                 self.fields.setdefault(key, value)
             entries += bool(line)
             if entries > _MAX_ENTRIES or len(self) >= _MAX_SHOWN:
-                found = f"reading stopped at line {number}"
-                self.add(found, mend="check that it is not the data file", code="header-too-long")
+                self.add(
+                    f"reading stopped at line {number}",
+                    mend="check that it is not the data file",
+                    code="header-too-long",
+                )
                 self.fields.clear()
                 return
 
@@ -359,8 +365,11 @@ class _Reader(Problems):
         text = self.fields.get(key)
         value = allowed.get((text or "").lower())
         if value is None:
-            found = f"{key!r} is {'missing' if text is None else shown(text)}"
-            self.add(found, expected=f"one of {', '.join(allowed)}", code="choice-unknown")
+            self.add(
+                f"{key!r} is {'missing' if text is None else shown(text)}",
+                expected=f"one of {', '.join(allowed)}",
+                code="choice-unknown",
+            )
         return value
 
     def number(self, key: str) -> float | None:
@@ -505,8 +514,11 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         )
         return None
     if not all(map(math.isfinite, (column, row, x, y, width, height, rotation))) or min(width, height) <= 0:
-        expected = "finite numbers and sizes above 0"
-        reader.add(f"'map info' is {shown(text)}", expected=expected, code="value-out-of-range")
+        reader.add(
+            f"'map info' is {shown(text)}",
+            expected="finite numbers and sizes above 0",
+            code="value-out-of-range",
+        )
         return None
     return MapInfo(
         projection=entries[0],
@@ -990,8 +1002,11 @@ def _level(header: EnviHeader) -> str | None:
 
 def _is_unscaled(header: EnviHeader) -> bool:
     # Return whether the header declares integers as reflectance without a scale.
-    has_no_scale = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
-    return _level(header) == "reflectance" and header.dtype.kind in "iu" and has_no_scale
+    return (
+        _level(header) == "reflectance"
+        and header.dtype.kind in "iu"
+        and (header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header))
+    )
 
 
 _CUBE_TYPES = ("", "envi", "envi standard")

@@ -59,8 +59,9 @@ class Dark:
         exposures = [seconds for seconds in self.exposures if seconds is not None]
         if exposures and len(exposures) == len(self.exposures):
             by_time = "dark_time" in self.counts.dims
-            values = np.array(exposures if by_time else exposures[0])
-            array = xr.DataArray(values, dims=("dark_time",) if by_time else ())
+            array = xr.DataArray(
+                np.array(exposures if by_time else exposures[0]), dims=("dark_time",) if by_time else ()
+            )
             variables["dark_exposure_time"] = label(array, "dark_exposure_time")
         if needs_noise and self.read_noise is not None:
             variables["read_noise"] = self.read_noise
@@ -121,8 +122,9 @@ def own_dark(source: Any, path: Path | None, opened: xr.Dataset) -> Any:
 
 def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
     exposure = dataset.get("dark_exposure_time")
-    names = ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"])
-    arrays = require(dataset, names, "a dark correction")
+    arrays = require(
+        dataset, ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"]), "a dark correction"
+    )
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
     check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     SchemaError.raise_if(
@@ -177,8 +179,9 @@ def read_reference(
             if exposure is not None:
                 break
     wavelength = opened["wavelength"].values if "wavelength" in opened.coords else None
-    middle = _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK])
-    return Reference(name, frames, middle, exposure, wavelength)
+    return Reference(
+        name, frames, _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure, wavelength
+    )
 
 
 def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
@@ -238,10 +241,19 @@ def _combine(references: list[Reference]) -> Dark:
     times = [ref.time for ref in references if ref.time is not None]
     if len(references) > 1 and len(times) == len(references) == len(set(times)):
         references = sorted(references, key=lambda ref: ref.time or np.datetime64(0, "ns"))
-        stack = np.stack([ref.frames.mean for ref in references]).astype(np.float32)
-        counts = label(xr.DataArray(stack, dims=("dark_time", *_ELEMENT)), "dark_counts")
-        stamps = np.array([ref.time for ref in references], "datetime64[ns]")
-        counts = counts.assign_coords(dark_time=label(xr.DataArray(stamps, dims="dark_time"), "dark_time"))
+        counts = label(
+            xr.DataArray(
+                np.stack([ref.frames.mean for ref in references]).astype(np.float32),
+                dims=("dark_time", *_ELEMENT),
+            ),
+            "dark_counts",
+        )
+        counts = counts.assign_coords(
+            dark_time=label(
+                xr.DataArray(np.array([ref.time for ref in references], "datetime64[ns]"), dims="dark_time"),
+                "dark_time",
+            )
+        )
         min_lines = min(ref.frames.lines for ref in references)
         u = None if variance is None else _labelled(np.sqrt(variance / min_lines), "dark_counts_u_random")
         return Dark(counts, tuple(ref.exposure for ref in references), noise, source, u)

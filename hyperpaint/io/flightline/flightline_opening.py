@@ -318,8 +318,9 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     variables: dict[str, xr.DataArray] = {cube.name: _lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
     attrs: dict[str, Any] = {"name": inputs.name or path.name.split(".")[0], "source": path.name}
     if exposure is not None:
-        dims = (ALONG_TRACK,) if exposure.ndim else ()
-        variables["exposure_time"] = label(xr.DataArray(exposure, dims=dims), "exposure_time")
+        variables["exposure_time"] = label(
+            xr.DataArray(exposure, dims=(ALONG_TRACK,) if exposure.ndim else ()), "exposure_time"
+        )
         attrs["exposure_source"] = exposure_source
     variables |= calibration_parts(calibration, is_counts)
     if dark is not None and saturation is not None:
@@ -495,8 +496,9 @@ def _coordinates(
         coords["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
     if "wavelength" in coords and coords["wavelength"].size > 1 and "band_spacing" not in coords:
         # stored for every band, so that it remains after a selection of bands
-        spacing = np.abs(np.gradient(coords["wavelength"].values))
-        coords["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
+        coords["band_spacing"] = label(
+            xr.DataArray(np.abs(np.gradient(coords["wavelength"].values)), dims=BAND), "band_spacing"
+        )
     if calibration is not None and "wavelength" in opened.coords:
         difference_nm = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
         if difference_nm > _WAVELENGTH_TOLERANCE_NM:

@@ -67,8 +67,14 @@ class LineTimes:
     @classmethod
     def unknown(cls, lines: int) -> "LineTimes":
         # Return the numbers of lines that have no times.
-        time = np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]")
-        return cls(np.arange(lines), np.ones(lines, bool), time, {}, 0, UNKNOWN_TIMES)
+        return cls(
+            np.arange(lines),
+            np.ones(lines, bool),
+            np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]"),
+            {},
+            0,
+            UNKNOWN_TIMES,
+        )
 
 
 def utc_of(value: Any, name: str) -> np.datetime64:
@@ -206,8 +212,11 @@ def _clock(
         )
         return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
     if index is None:
-        names = (f"frameIndex_{cube_number(cube)}.txt", "imu_gps.txt")
-        files = ", ".join(name for name in names if (cube.parent / name).is_file())
+        files = ", ".join(
+            name
+            for name in (f"frameIndex_{cube_number(cube)}.txt", "imu_gps.txt")
+            if (cube.parent / name).is_file()
+        )
         beside = f" (beside the cube: {files})" if files else ""
         raise TimeError(
             f"{cube.name}: no line times",
