@@ -157,9 +157,8 @@ def find_field_files(
         return os.path.relpath(path, folder)
 
     # cubes are known by their headers, other files by their names
-    for place, kind in ((folder, ""), (dark, "dark"), (asd, "spectra")):
-        if place is None:
-            continue
+    kinds = {"": folder, "dark": dark, "spectra": asd}
+    for kind, place in ((kind, place) for kind, place in kinds.items() if place is not None):
         CollectError.raise_if(
             not Path(place).is_dir(),
             f"{place} is not a folder",
@@ -177,11 +176,9 @@ def find_field_files(
                     continue
                 # a dark outside the folder needs no ``dark`` in its name
                 parts = (kind,) if kind else path.relative_to(folder).parts
-                if header.is_spectral_library:
-                    continue
-                if header.dtype.kind not in "ui":
+                if not header.is_spectral_library and header.dtype.kind not in "ui":
                     notes.append(f"{relative(path)} is not used: {header.dtype}, raw counts are integers")
-                else:
+                elif not header.is_spectral_library:
                     is_dark = any("dark" in part.lower() for part in parts)
                     is_white = any(_WHITE.search(part.split(".")[0]) for part in parts)
                     (darks if is_dark else whites if is_white else raw).append(path)
@@ -192,13 +189,12 @@ def find_field_files(
                 calibrations.append(path)
             elif not kind and suffix == ".csv" and _SURVEY.search(path.stem):
                 surveys.append(path)
-    if not raw:
-        reasons = f"; {'; '.join(notes)}" if notes else ""
-        raise CollectError(
-            f"no raw cube in {folder}{reasons}",
-            expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
-            code="cube-missing",
-        )
+    CollectError.raise_if(
+        not raw,
+        "; ".join([f"no raw cube in {folder}", *notes]),
+        expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
+        code="cube-missing",
+    )
     camera, sweep = _calibration(
         calibrations if calibration is None else [Path(calibration)], relative, notes
     )
