@@ -364,8 +364,7 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
             code="key-missing",
         )
         return None
-    skipped = ("files", "calibration", "mount")
-    options = {key: value for key, value in values(table).items() if key not in skipped}
+    options = {k: v for k, v in values(table).items() if k not in ("files", "calibration", "mount")}
     if "calibration" in table:
         certificates = {
             str(key): reader.path("[irradiance.calibration]", str(key), str(value))
@@ -472,14 +471,13 @@ def _flightline(
     sources_of_time = {"frame_index", "nav", "start_time"} & stated
     is_timed = bool(by_index) or ("start_time" in stated and has_period)
     # reflectance relative to a white tile needs no times
-    if not is_timed and (sources_of_time or not shared["has_white"]):
-        sources = sorted(sources_of_time)
-        sources += ["frame_period_ms"] if has_period else []
-        reader.problems.add(
-            f"{subject} no line times: found {', '.join(sources) or 'nothing'}",
-            expected="frame_index and nav, or start_time and frame_period_ms",
-            code="line-times-missing",
-        )
+    sources = [*sorted(sources_of_time), *(["frame_period_ms"] if has_period else [])]
+    reader.problems.add_if(
+        not is_timed and (sources_of_time or not shared["has_white"]),
+        f"{subject} no line times: found {', '.join(sources) or 'nothing'}",
+        expected="frame_index and nav, or start_time and frame_period_ms",
+        code="line-times-missing",
+    )
     reader.problems.add_if(
         "date" in stated and reader.clock.clock_offset_s is None,
         f"{subject} date without [camera] clock_offset_s",
@@ -699,10 +697,11 @@ def open_with_settings(
     # files are listed.
     path = source.path if isinstance(source, Collect) else Path(source)
     problems = Problems(f"{path} cannot be processed", CollectError)
-    if isinstance(source, Collect):
-        collect = source
-    else:
-        collect = parse_collect(path, problems, need_irradiance=need_irradiance)
+    collect = (
+        source
+        if isinstance(source, Collect)
+        else parse_collect(path, problems, need_irradiance=need_irradiance)
+    )
     findings = Findings(str(path))
     is_stated = collect.calibration is not None or collect.sweep is not None
     calibration: xr.Dataset | Unavailable | None = Unavailable.REPORTED if is_stated else None

@@ -227,8 +227,11 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     if text and name_count == bands:
         names = tuple(name.strip() for name in text.split(","))
     elif text and name_count > max(1000, 10 * bands):
-        found = f"'band names' has {name_count} names for {bands} bands"
-        reader.add(found, mend="delete the list", code="length-mismatch")
+        reader.add(
+            f"'band names' has {name_count} names for {bands} bands",
+            mend="delete the list",
+            code="length-mismatch",
+        )
     elif text:
         reader.note(f"'band names' has {name_count} names for {bands} bands: names ignored")
     wavelength, fwhm = _spectral_axis(reader, count, unit, names)
@@ -239,9 +242,12 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
         code="value-out-of-range",
     )
     scale = reader.number("reflectance scale factor")
-    if scale is not None and not (math.isfinite(scale) and scale > 0):
-        found = f"'reflectance scale factor' is {scale}"
-        reader.add(found, expected="a number above 0", code="value-out-of-range")
+    reader.add_if(
+        scale is not None and not (math.isfinite(scale) and scale > 0),
+        f"'reflectance scale factor' is {scale}",
+        expected="a number above 0",
+        code="value-out-of-range",
+    )
     # integers stay integers: float64 cannot hold all 64-bit integers
     text = bare(fields.get("data ignore value", ""))
     is_whole = re.fullmatch(r"[-+]?[0-9]{1,20}", text) is not None
@@ -388,8 +394,11 @@ class _Reader(Problems):
         # counted before it is split: millions of values become objects only for a cube of that size
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
-            found, expected = f"{key!r} has {size} values for {count} {per}", "one for each, or no "
-            self.add(found, expected=f"{expected}{key!r} at all", code="length-mismatch")
+            self.add(
+                f"{key!r} has {size} values for {count} {per}",
+                expected=f"one for each, or no {key!r} at all",
+                code="length-mismatch",
+            )
             return None
         try:
             values = np.array([_to_float(item) for item in _ITEM.findall(text)], dtype=np.float64)
@@ -397,11 +406,9 @@ class _Reader(Problems):
             self.add(f"{key!r}: {error}", expected="numbers", code="number-unreadable")
             return None
         infinite = np.flatnonzero(~np.isfinite(values))
-        if not infinite.size:
-            return values
-        found = f"{key!r}: value {infinite[0] + 1} is {values[infinite[0]]}"
-        self.add(found, expected="finite numbers", code="not-finite")
-        return None
+        for n in infinite[:1]:
+            self.add(f"{key!r}: value {n + 1} is {values[n]}", expected="finite numbers", code="not-finite")
+        return None if infinite.size else values
 
 
 def shown(text: str) -> str:
@@ -465,17 +472,19 @@ def _spectral_axis(
             reader.note(f"no wavelength units: {taken}")
             factor = 1e3 if is_micrometres else 1.0
         elif factor == (1.0 if is_micrometres else 1e3):
-            found = f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: check the unit"
-            reader.note(found, warn=True)
-    nanometres: dict[str, Floats | None] = {}
-    for key, values in lists.items():
+            reader.note(
+                f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: check the unit",
+                warn=True,
+            )
+    nanometres = dict(lists)
+    for key, values in ((key, values) for key, values in lists.items() if values is not None):
         with np.errstate(over="ignore"):
-            scaled = nanometres[key] = None if values is None else values * factor
-        if values is None or scaled is None:
-            continue
-        if not np.isfinite(scaled).all():
-            found = f"{key!r} holds values up to {values.max():.3g}, which is infinite in nanometres"
-            reader.add(found, code="not-finite")
+            nanometres[key] = scaled = values * factor
+        reader.add_if(
+            not np.isfinite(scaled).all(),
+            f"{key!r} holds values up to {values.max():.3g}, which is infinite in nanometres",
+            code="not-finite",
+        )
         is_wrong, limit = (values < 0, "below 0") if key == "fwhm" else (values <= 0, "that are not above 0")
         reader.add_if(is_wrong.any(), f"{key!r} holds values {limit}", code="value-out-of-range")
     if not has_wavelengths:
@@ -721,11 +730,9 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
 
     def existing(suffixes: Iterable[str], *stems: Path) -> list[Path]:
         # the files among the names; two spellings of one file count once
-        files: list[Path] = []
-        for name in (Path(f"{stem}{suffix}") for stem in stems for suffix in suffixes):
-            if is_plain_file(name) and not any(name.samefile(other) for other in files):
-                files.append(name)
-        return files
+        names = (Path(f"{stem}{suffix}") for stem in stems for suffix in suffixes)
+        files = [name for name in names if is_plain_file(name)]
+        return [name for n, name in enumerate(files) if not any(map(name.samefile, files[:n]))]
 
     bare_path = path.with_suffix("")
     if path.suffix.lower() != ".hdr":
@@ -745,13 +752,12 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
         expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
         code="data-file-missing",
     )
-    if len(candidates) > 1:
-        names = ", ".join(repr(candidate.name) for candidate in candidates)
-        raise FormatError(
-            f"ENVI header {str(path)!r} could belong to {names}",
-            mend="open the data file you mean",
-            code="data-file-ambiguous",
-        )
+    FormatError.raise_if(
+        len(candidates) > 1,
+        f"ENVI header {str(path)!r} could belong to {', '.join(repr(file.name) for file in candidates)}",
+        mend="open the data file you mean",
+        code="data-file-ambiguous",
+    )
     return path, candidates[0]
 
 
@@ -957,8 +963,8 @@ def open_envi(
         "dark_lines": f"{start} to {recorded - 1}" if has_dark else "",
         **{key.replace(" ", "_"): header.fields.get(key, "") for key in map_keys},
     }
-    line_attrs = {key: value for key, value in line_attrs.items() if value != ""}
-    return xr.Dataset({name: variable}, coords=coords, attrs=line_attrs)
+    stated = {key: value for key, value in line_attrs.items() if value != ""}
+    return xr.Dataset({name: variable}, coords=coords, attrs=stated)
 
 
 def _has_gain(header: EnviHeader) -> bool:

@@ -1,7 +1,7 @@
 """Dark references: cubes recorded with a closed lens, averaged element by element."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -160,24 +160,24 @@ def read_reference(
     else:
         path = Path(source)
         opened, name = open_envi(path, unsaid="counts"), path.name
-    if "counts" not in opened:
-        variables = ", ".join(map(str, opened.data_vars)) or "nothing"
-        raise FormatError(
-            f"{name}: holds {variables}", expected=f"a {role} cube of raw counts", code="counts-missing"
-        )
+    FormatError.raise_if(
+        "counts" not in opened,
+        f"{name}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
+        expected=f"a {role} cube of raw counts",
+        code="counts-missing",
+    )
     counts = opened["counts"]
     if set(counts.dims) == set(CUBE):
         counts = counts.transpose(*CUBE)
         check_shape(counts.shape[1:], shape, f"{role} {name}", role)
     frames = sum_dark(counts, f"{role} {name}")
-    exposure = None
+    sources = exposure_sources(path, opened)
+    stated: Iterator[float | None] = (
+        exposure_seconds(pairs, f"{role} {name}: {file}") for file, pairs in sources
+    )
     if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
-        exposure = float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
-    else:
-        for file, pairs in exposure_sources(path, opened):
-            exposure = exposure_seconds(pairs, f"{role} {name}: {file}")
-            if exposure is not None:
-                break
+        stated = iter([float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])])
+    exposure = next((seconds for seconds in stated if seconds is not None), None)
     wavelength = opened["wavelength"].values if "wavelength" in opened.coords else None
     return Reference(
         name, frames, _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure, wavelength
@@ -257,15 +257,15 @@ def _combine(references: list[Reference]) -> Dark:
         min_lines = min(ref.frames.lines for ref in references)
         u = None if variance is None else _labelled(np.sqrt(variance / min_lines), "dark_counts_u_random")
         return Dark(counts, tuple(ref.exposure for ref in references), noise, source, u)
-    if len({ref.exposure for ref in references}) > 1:
-        exposures = ", ".join(
-            f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
-            for ref in references
-        )
-        raise SchemaError(
-            f"dark cubes of unknown times cannot be averaged, since their exposures differ: {exposures}",
-            code="exposure-conflict",
-        )
+    exposures = ", ".join(
+        f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
+        for ref in references
+    )
+    SchemaError.raise_if(
+        len({ref.exposure for ref in references}) > 1,
+        f"dark cubes of unknown times cannot be averaged, since their exposures differ: {exposures}",
+        code="exposure-conflict",
+    )
     lines = sum(ref.frames.lines for ref in references)
     total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
     mean = (total / np.float64(lines)).astype(np.float32)

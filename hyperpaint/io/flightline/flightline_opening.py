@@ -356,7 +356,6 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
     path = inputs.path
     name = next((name for name in ("counts", "radiance") if name in opened), None)
     if name is None:
-        names = ", ".join(map(str, opened.data_vars)) or "nothing"
         FormatError.raise_if(
             "values" in opened and opened["values"].dtype.kind in "iu",
             f"{path}: integers of an undeclared quantity",
@@ -365,7 +364,7 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
             code="quantity-ambiguous",
         )
         raise FormatError(
-            f"{path}: holds {names}",
+            f"{path}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
             expected="raw counts, or radiance with radiance_units",
             code="quantity-wrong",
         )
@@ -489,9 +488,8 @@ def _coordinates(
         for name in ("wavelength", "fwhm", "band_spacing", "good", "wavelength_shift", "srf_offset"):
             if source is not None and name in source.coords:
                 array = source.coords[name].reset_coords(drop=True)
-                if name == "good" and name in coords:
-                    array = array & coords[name]
-                coords[name] = label(array, name)
+                is_joint = name == "good" and name in coords
+                coords[name] = label(array & coords[name] if is_joint else array, name)
     if "fwhm" not in coords and inputs.fwhm_nm is not None:
         coords["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
     if "wavelength" in coords and coords["wavelength"].size > 1 and "band_spacing" not in coords:
@@ -502,14 +500,14 @@ def _coordinates(
     if calibration is not None and "wavelength" in opened.coords:
         difference_nm = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
         if difference_nm > _WAVELENGTH_TOLERANCE_NM:
-            message = (
-                f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart"
+            warn_user(
+                f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart; "
+                "the wavelengths of the calibration are used",
+                "wavelength-conflict",
             )
-            warn_user(f"{message}; the wavelengths of the calibration are used", "wavelength-conflict")
     line_values = {"time": times.time, "frame": times.frame, **times.pose}
-    if times.source == UNKNOWN_TIMES:
-        del line_values["time"]
-    coords |= {
-        name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in line_values.items()
+    return coords | {
+        name: label(xr.DataArray(values, dims=ALONG_TRACK), name)
+        for name, values in line_values.items()
+        if name != "time" or times.source != UNKNOWN_TIMES
     }
-    return coords

@@ -182,9 +182,11 @@ def line_times(
             code="time-uncovered",
         )
         missing = np.flatnonzero(outside)
-        count = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
-        text = f"{cube.name}: {count} lie outside {clock.source} and have no time and position"
-        warn_user(text, "time-uncovered")
+        warn_user(
+            f"{cube.name}: {len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]}) lie "
+            f"outside {clock.source} and have no time and position",
+            "time-uncovered",
+        )
     # from the stamped instant of the exposure to its middle
     to_middle = np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp]
     time = time + np.round(to_middle * NS_PER_S).astype("timedelta64[ns]")
