@@ -241,8 +241,8 @@ def _with_gain(
         radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
         radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
     )
-    rescaled = rescaled.assign_coords(good=label(xr.DataArray(is_good, dims=BAND), "good"))
-    return rescaled.assign_attrs(absolute_anchor=anchor, absolute_scale="known")
+    good = label(xr.DataArray(is_good, dims=BAND), "good")
+    return rescaled.assign_coords(good=good).assign_attrs(absolute_anchor=anchor, absolute_scale="known")
 
 
 def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
@@ -290,13 +290,13 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
     if "dark_exposure_time" in frames.variables:
         dark_exposure = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
         if (np.abs(dark_exposure - exposure[0]) > SAME_EXPOSURE * exposure[0]).any():
-            if "dark_rate" not in calibration.variables:
-                dark_ms = ", ".join(f"{t * 1e3:g}" for t in np.unique(dark_exposure))
-                raise SchemaError(
-                    f"frames at {exposure[0] * 1e3:g} ms, dark at {dark_ms} ms, and dark_rate is missing",
-                    mend="take a dark at the exposure of the frames",
-                    code="dark-exposure-differs",
-                )
+            dark_ms = ", ".join(f"{t * 1e3:g}" for t in np.unique(dark_exposure))
+            SchemaError.raise_if(
+                "dark_rate" not in calibration.variables,
+                f"frames at {exposure[0] * 1e3:g} ms, dark at {dark_ms} ms, and dark_rate is missing",
+                mend="take a dark at the exposure of the frames",
+                code="dark-exposure-differs",
+            )
             rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy()
             dark_counts = dark_counts + rate.astype(np.float64) * (
                 exposure[0] - float(np.mean(dark_exposure))
@@ -308,8 +308,10 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
         saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
         if saturated_elements.any():
-            text = f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames"
-            warn_user(text, "elements-saturated")
+            warn_user(
+                f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
+                "elements-saturated",
+            )
             signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
 

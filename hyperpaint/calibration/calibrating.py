@@ -177,8 +177,7 @@ def calibrate(
             code="steps-dark",
         )
     if dark:
-        text = f"no lamp line above the noise at {listed(dark, 'nm')}: left out"
-        warn_user(text, "steps-dark")
+        warn_user(f"no lamp line above the noise at {listed(dark, 'nm')}: left out", "steps-dark")
     first_lines, fits = fit_steps(lab, sweep_data, GAUSSIAN, tick)
     _check_trusted(sweep_data, first_lines, fits)
     rough_map = _map(first_lines, lab, lab.wavelength, smile_degree)
@@ -210,11 +209,11 @@ def calibrate(
     )
     if not has_noise:
         if lab.variance is None:
-            text = (
+            warn_user(
                 "neither counts_variance nor electrons_per_count is given: noise is estimated from residuals "
-                "of the fits, and uncertainties of single elements are rough"
+                "of the fits, and uncertainties of single elements are rough",
+                "noise-missing",
             )
-            warn_user(text, "noise-missing")
         sweep_data = replace(
             sweep_data, noise=replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
         )
@@ -225,8 +224,7 @@ def calibrate(
         if window is not None and window.saturated.any()
     ]
     if saturated_steps:
-        text = f"saturated lamp lines are left out: {listed(saturated_steps)}"
-        warn_user(text, "steps-saturated")
+        warn_user(f"saturated lamp lines are left out: {listed(saturated_steps)}", "steps-saturated")
     # wavelength map, widths of bands, and lamp lines cut off at the edges of the array
     slope, slope_shift = _slope_and_shift(lamp_lines, lab, sweep_data.noise, rough_map, shape)
     light_wavelength = lab.wavelength + slope_shift
@@ -239,11 +237,11 @@ def calibrate(
             max(MAX_FALL_PER_U * flux_uncertainty, MIN_FALL),
         )
         if problem is not None:
-            text = (
+            warn_user(
                 f"flux per step is assumed equal in all lit columns, but {problem}: the beam's profile "
-                "enters the response; give flux or capture_fraction per step and column, or a flat_field"
+                "enters the response; give flux or capture_fraction per step and column, or a flat_field",
+                "flux-profile-missing",
             )
-            warn_user(text, "flux-profile-missing")
     fwhm = band_widths(lab, lamp_lines, wavelength_map, is_placed)
     _refuse_undersampled(lab, wavelength_map, fwhm)
     camera_width = at_steps(lab, wavelength_map, fwhm)

@@ -548,19 +548,24 @@ def _illuminate(
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
 
 
+_PLACE = ("latitude", "longitude")
+
+
 def _mean_position(cube: Mapping[str, Any]) -> tuple[float, float]:
     # Return mean latitude and longitude of the lines [degree].
-    position = []
-    for name in ("latitude", "longitude"):
-        degrees = np.asarray(cube[name], np.float64)
-        degrees = degrees[np.isfinite(degrees)]
+    for name in _PLACE:
         SchemaError.raise_if(
-            degrees.size == 0,
+            not np.isfinite(cube[name]).any(),
             f"tilt= needs the sun's position, but {name!r} is missing on every line",
             code="place-missing",
         )
-        position.append(float(degrees.mean()))
-    return position[0], position[1]
+    latitude, longitude = (np.asarray(cube[name], np.float64) for name in _PLACE)
+    return float(latitude[np.isfinite(latitude)].mean()), float(longitude[np.isfinite(longitude)].mean())
+
+
+def _is_located(cube: Mapping[str, Any]) -> bool:
+    # Return whether latitude and longitude of any line are known.
+    return all(name in cube and bool(np.isfinite(cube[name]).any()) for name in _PLACE)
 
 
 def _levels(spectra: Floats, channels: Floats) -> Floats:
@@ -600,14 +605,13 @@ def _panel_scale(
     line_u = np.broadcast_to(np.hypot(gain, record), wavelength.shape)
     # factor of every panel
     time = np.asarray(cube["time"]).astype("datetime64[ns]")
-    is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))
     panels = []
     for panel in inputs["panels"]:
         stamps = time[slice(*panel["lines"])]
         stamps = stamps[~np.isnat(stamps)]
         TimeError.raise_if(not stamps.size, f"{panel['name']}: its lines have no time", code="time-missing")
         middle_time, share = stamps[0] + (stamps[-1] - stamps[0]) // 2, None
-        if light is not None and is_located:
+        if light is not None and _is_located(cube):
             share = direct_share({**light, "time": time}, middle_time, wavelength, _mean_position(cube))
         panels.append({**panel, "time": middle_time, "direct_share": share})
     closure = judge_panels(tuple(panels), PanelContext(wavelength, good, line_u, inputs["has_scale"]))
@@ -954,10 +958,8 @@ def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
     # Return the brightness of the spectra (sample, channel) that light a line, at its place and time.
     # smallest zenith angle of the sun; NaN where the position is unknown
     zenith = clear = math.nan
-    coordinates = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
-    if all(np.isfinite(degrees).any() for degrees in coordinates) and stamps.size:
-        position = [float(degrees[np.isfinite(degrees)].mean()) for degrees in coordinates]
-        zenith = float(np.min(solar_position(stamps, *position)[0]))
+    if _is_located(cube) and stamps.size:
+        zenith = float(np.min(solar_position(stamps, *_mean_position(cube))[0]))
     if zenith <= RULES.max_zenith:
         nm = channels[(channels >= 300.0) & (channels <= 2500.0)][:: max(1, channels.size // 200)]
         clear = brightest_median(nm, np.asarray(sum(ClearSky(zenith).irradiance(nm)))[None])
@@ -1008,12 +1010,11 @@ def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavele
         & (wavelength <= channels[-1])
     )
     is_missing = np.isnan(spectra[has_values]).any(axis=0)
-    if not (is_lost.any() and is_missing.any()):
-        return
-    warn_user(
-        f"irradiance is undefined in {is_missing.sum()} channels, such as {channels[is_missing][0]:g} nm: "
-        f"{is_lost.sum()} of {is_lost.size} bands become NaN at these times, "
-        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over "
-        "them",
-        "irradiance-gaps",
-    )
+    if is_lost.any() and is_missing.any():
+        warn_user(
+            f"irradiance is undefined in {is_missing.sum()} channels, such as "
+            f"{channels[is_missing][0]:g} nm: {is_lost.sum()} of {is_lost.size} bands become NaN at these "
+            f"times, {wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the "
+            "record over them",
+            "irradiance-gaps",
+        )

@@ -253,8 +253,10 @@ def _flight_cube(header: Path) -> FlightCube:
 def _survey(paths: list[Path], relative: Callable[[Path], str], notes: list[str]) -> Survey | None:
     # the surveyed height of the ground, from a single file with similar heights
     if len(paths) > 1:
-        names = ", ".join(map(relative, paths))
-        notes.append(f"several surveys ({names}): the height of the ground is not taken from them")
+        notes.append(
+            f"several surveys ({', '.join(map(relative, paths))}): the height of the ground is not taken "
+            "from them"
+        )
     for path in paths if len(paths) == 1 else ():
         try:
             heights = _surveyed_heights(path)
@@ -290,8 +292,10 @@ def _calibration(
     if not candidates:
         notes += reasons
     if len(candidates) > 1:
-        names = ", ".join(map(relative, candidates))
-        notes.append(f"several calibrations ({names}) are not used; choose one with --calibration")
+        notes.append(
+            f"several calibrations ({', '.join(map(relative, candidates))}) are not used; choose one with "
+            "--calibration"
+        )
         return None, None
     return (candidates[0], None) if calibrations else (None, candidates[0] if sweeps else None)
 
@@ -506,8 +510,14 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
     unknown_time = None if files.has_white else UNKNOWN
     unknown_dark = None if all(cube.has_dark for cube in files.cubes) else UNKNOWN
     if None in exposures:
-        note = "exposure [ms]: no settings.txt and no header states it"
-        camera.append(key("camera", "exposure_time_ms", UNKNOWN, note))
+        camera.append(
+            key(
+                "camera",
+                "exposure_time_ms",
+                UNKNOWN,
+                "exposure [ms]: no settings.txt and no header states it",
+            )
+        )
     elif not is_indexed and len(exposures) == 1:
         camera.append(key("camera", "exposure_time_ms", _ms(*exposures), "exposure [ms], from the header"))
     if not is_indexed and len(periods) == 1 and None not in periods:

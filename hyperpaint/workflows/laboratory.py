@@ -203,11 +203,11 @@ def _column_angles(path: Path, columns: int) -> Floats:
     angles = numbers(
         decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, content)).replace(",", " ").split()
     )
-    if angles is None or len(angles) != columns:
-        found = "words" if angles is None else f"{len(angles)} numbers"
-        raise FormatError(
-            f"{path}: {found}",
-            expected=f"{columns} angles [degree], one for every column",
-            code="length-mismatch",
-        )
+    found = "words" if angles is None else f"{len(angles)} numbers"
+    FormatError.raise_if(
+        angles is None or len(angles) != columns,
+        f"{path}: {found}",
+        expected=f"{columns} angles [degree], one for every column",
+        code="length-mismatch",
+    )
     return np.asarray(angles, np.float64)
