@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -479,8 +479,7 @@ class Result:
         gain = self.gain
         if self.lab.absolute:
             self._check_plausible(gain)
-        for text, code in self._warnings():
-            warn_user(text, code)
+        self._warn()
         # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
         gain[:, self.is_unlit] = np.nan
@@ -516,8 +515,7 @@ class Result:
             "stray_light": self.off_lines.stray_light,
             "stray_light_u": self.off_lines.relative,
         }
-        if flat is not None:
-            values["flat_field"] = flat
+        values |= {} if flat is None else {"flat_field": flat}
         optional = {"band_shift_time": self.lab.band_shift_time, "linearity_u": self.linearity_u}
         values |= {name: value for name, value in optional.items() if value}
         table = self._table()
@@ -543,11 +541,11 @@ class Result:
             self._attrs(is_good) | ({} if table is None else {"srf_shape": "tabulated"}),
         )
 
-    def _warnings(self) -> Iterator[tuple[str, str]]:
+    def _warn(self) -> None:
         is_wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
         if is_wide.any():
             share = float(np.max(self.lab.width / self.fwhm_at_steps))
-            yield (
+            warn_user(
                 f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
                 f"{MAX_SLIT_SHARE:g} at {is_wide.sum()} of {is_wide.size} steps): fwhm is ill-conditioned "
                 "there; narrow the slits",
@@ -555,7 +553,7 @@ class Result:
             )
         offset = self.dark_check.get("dark_offset_count", 0.0)
         if abs(offset) > MAX_DARK_OFFSET:
-            yield (
+            warn_user(
                 f"the bands off the lamp lines hold {offset:+.2g} counts at any light, so the dark "
                 "has this error: areas are corrected, but out_of_band and stray_light are not, in which "
                 f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark beside "
@@ -565,7 +563,7 @@ class Result:
         if self.between is not None and self.error_between:
             error, wavelength = self.between
             step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
-            yield (
+            warn_user(
                 f"steps of {step:.3g} nm do not follow the responsivity around {wavelength:.0f} "
                 "nm, as with fringes, an etalon, or a noisy power meter: between lamp lines gain and "
                 f"reflectance may be wrong by {error:.1%}; sweep there in steps of "
@@ -574,7 +572,7 @@ class Result:
             )
         if self.is_unlit.any():
             first, last = self.wavelength_map.lit
-            yield (
+            warn_user(
                 f"{int(self.is_unlit.sum())} of {self.is_unlit.size} columns are not lit, all but {first} to "
                 f"{last}: they get no gain, and the wavelengths of the nearest lit column",
                 "columns-unlit",
@@ -621,6 +619,12 @@ class Result:
             "radiance_gain_u_systematic": np.where(good, total, np.nan),
         }
 
+    @property
+    def electrons_per_count(self) -> float | None:
+        # As stated, else of the noise between frames; None where unknown.
+        is_measured = self.sweep_data.noise_source == FROM_FRAMES
+        return self.lab.electrons_per_count or (1.0 / self.sweep_data.noise.slope if is_measured else None)
+
     def _dark(self) -> dict[str, Any]:
         lab = self.lab
         exposure, noise = float(np.median(lab.exposure)), self.sweep_data.noise
@@ -629,20 +633,16 @@ class Result:
             variables |= {"dark_bias": lab.dark.bias, "dark_rate": lab.dark.rate}
         if lab.saturation is not None:
             variables["saturation_count"] = lab.saturation
-        electrons, read_noise = lab.electrons_per_count, lab.read_noise
-        if self.sweep_data.noise_source == FROM_FRAMES:
-            electrons = electrons or 1.0 / noise.slope
-            if read_noise is None:
-                read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
-        known = {"electrons_per_count": electrons, "read_noise": read_noise}
+        read_noise = lab.read_noise
+        if read_noise is None and self.sweep_data.noise_source == FROM_FRAMES:
+            read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
+        known = {"electrons_per_count": self.electrons_per_count, "read_noise": read_noise}
         return variables | {name: value for name, value in known.items() if value is not None}
 
     def _check_plausible(self, gain: Floats) -> None:
         counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)
         max_counts = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
-        electrons = self.lab.electrons_per_count
-        if electrons is None and self.sweep_data.noise_source == FROM_FRAMES:
-            electrons = 1.0 / self.sweep_data.noise.slope
+        electrons = self.electrons_per_count
         low, high = (electrons, electrons) if electrons is not None else ELECTRONS_RANGE
         at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
         if max_counts * low > 1.05:
@@ -663,8 +663,8 @@ class Result:
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
         left_out = [float(w) for w in lab.wavelength[~self.used.any(axis=1)]]
-        electrons_source = "none" if lab.electrons_per_count is None else "as stated"
-        if lab.electrons_per_count is None and self.sweep_data.noise_source == FROM_FRAMES:
+        electrons_source = "none" if self.electrons_per_count is None else "as stated"
+        if lab.electrons_per_count != self.electrons_per_count:
             electrons_source = (
                 "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
             )
