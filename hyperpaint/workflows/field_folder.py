@@ -289,8 +289,7 @@ def _calibration(
             except PaintError:
                 reasons.append(f"{relative(path)} is not used: {error}")
     candidates = calibrations or sweeps
-    if not candidates:
-        notes += reasons
+    notes += [] if candidates else reasons
     if len(candidates) > 1:
         notes.append(
             f"several calibrations ({', '.join(map(relative, candidates))}) are not used; choose one with "
