@@ -217,8 +217,13 @@ def anchor_to_radiance(
         mend="check wavelengths and dark",
         code="source-coverage",
     )
-    anchor = f"radiance of a known source, {scale} scale"
-    return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
+    return _with_gain(
+        calibration,
+        gain,
+        f"radiance of a known source, {scale} scale",
+        uncertainty,
+        same_shape=scale == "common",
+    )
 
 
 def _with_gain(
@@ -236,8 +241,8 @@ def _with_gain(
         radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
         radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
     )
-    rescaled = rescaled.assign_coords(good=label(xr.DataArray(is_good, dims=BAND), "good"))
-    return rescaled.assign_attrs(absolute_anchor=anchor, absolute_scale="known")
+    good = label(xr.DataArray(is_good, dims=BAND), "good")
+    return rescaled.assign_coords(good=good).assign_attrs(absolute_anchor=anchor, absolute_scale="known")
 
 
 def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
@@ -252,10 +257,12 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         )
     problems.raise_if_any()
     exposure = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
-    if len(exposure) != 1 or not exposure[0] > 0:
-        problems.add(
-            f"'exposure_time' {exposure.tolist()}", expected="one positive number", code="exposure-invalid"
-        )
+    problems.add_if(
+        len(exposure) != 1 or not exposure[0] > 0,
+        f"'exposure_time' {exposure.tolist()}",
+        expected="one positive number",
+        code="exposure-invalid",
+    )
     counts, dark = frames["counts"], frames["dark_counts"]
     for array in (counts, dark):
         problems.add_if(
@@ -266,10 +273,11 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         )
         expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
         sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
-        if sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]}:
-            problems.add(
-                f"{array.name!r} has sizes {sizes}, the calibration {expected}", code="grid-mismatch"
-            )
+        problems.add_if(
+            sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]},
+            f"{array.name!r} has sizes {sizes}, the calibration {expected}",
+            code="grid-mismatch",
+        )
     problems.raise_if_any()
     other_dims = [dim for dim in counts.dims if dim not in _ELEMENT]
     mean = counts.astype(np.float64).mean(other_dims) if other_dims else counts.astype(np.float64)
@@ -282,13 +290,13 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
     if "dark_exposure_time" in frames.variables:
         dark_exposure = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
         if (np.abs(dark_exposure - exposure[0]) > SAME_EXPOSURE * exposure[0]).any():
-            if "dark_rate" not in calibration.variables:
-                dark_ms = ", ".join(f"{t * 1e3:g}" for t in np.unique(dark_exposure))
-                raise SchemaError(
-                    f"frames at {exposure[0] * 1e3:g} ms, dark at {dark_ms} ms, and dark_rate is missing",
-                    mend="take a dark at the exposure of the frames",
-                    code="dark-exposure-differs",
-                )
+            dark_ms = ", ".join(f"{t * 1e3:g}" for t in np.unique(dark_exposure))
+            SchemaError.raise_if(
+                "dark_rate" not in calibration.variables,
+                f"frames at {exposure[0] * 1e3:g} ms, dark at {dark_ms} ms, and dark_rate is missing",
+                mend="take a dark at the exposure of the frames",
+                code="dark-exposure-differs",
+            )
             rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy()
             dark_counts = dark_counts + rate.astype(np.float64) * (
                 exposure[0] - float(np.mean(dark_exposure))
@@ -300,8 +308,10 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
         is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
         saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
         if saturated_elements.any():
-            text = f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames"
-            warn_user(text, "elements-saturated")
+            warn_user(
+                f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
+                "elements-saturated",
+            )
             signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
 
@@ -314,8 +324,7 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         expected="one, of wavelengths",
         code="dims-wrong",
     )
-    dim = spectrum.dims[0]
-    axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[dim]
+    axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[spectrum.dims[0]]
     if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
         raise SchemaError(
             f"wavelengths of the source have units {axis.attrs['units']!r}",
@@ -332,10 +341,9 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         mend="sort them",
         code="wavelength-unordered",
     )
-    optional = {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}
     tables = {
         option: calibration[name].to_numpy()
-        for option, name in optional.items()
+        for option, name in {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}.items()
         if name in calibration.variables
     }
     wavelength, fwhm = (response_inputs[name].to_numpy() for name in ("wavelength", "fwhm"))

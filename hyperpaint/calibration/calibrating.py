@@ -177,8 +177,7 @@ def calibrate(
             code="steps-dark",
         )
     if dark:
-        text = f"no lamp line above the noise at {listed(dark, 'nm')}: left out"
-        warn_user(text, "steps-dark")
+        warn_user(f"no lamp line above the noise at {listed(dark, 'nm')}: left out", "steps-dark")
     first_lines, fits = fit_steps(lab, sweep_data, GAUSSIAN, tick)
     _check_trusted(sweep_data, first_lines, fits)
     rough_map = _map(first_lines, lab, lab.wavelength, smile_degree)
@@ -210,13 +209,14 @@ def calibrate(
     )
     if not has_noise:
         if lab.variance is None:
-            text = (
+            warn_user(
                 "neither counts_variance nor electrons_per_count is given: noise is estimated from residuals "
-                "of the fits, and uncertainties of single elements are rough"
+                "of the fits, and uncertainties of single elements are rough",
+                "noise-missing",
             )
-            warn_user(text, "noise-missing")
-        noise = replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
-        sweep_data = replace(sweep_data, noise=noise)
+        sweep_data = replace(
+            sweep_data, noise=replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
+        )
         lamp_lines, _ = fit_steps(lab, sweep_data, SHAPES[shape], lambda: None, (rough_map, fits))
     saturated_steps = [
         f"{w:g} nm ({int(window.saturated.sum())} of {window.saturated.size} lit columns)"
@@ -224,27 +224,29 @@ def calibrate(
         if window is not None and window.saturated.any()
     ]
     if saturated_steps:
-        text = f"saturated lamp lines are left out: {listed(saturated_steps)}"
-        warn_user(text, "steps-saturated")
+        warn_user(f"saturated lamp lines are left out: {listed(saturated_steps)}", "steps-saturated")
     # wavelength map, widths of bands, and lamp lines cut off at the edges of the array
     slope, slope_shift = _slope_and_shift(lamp_lines, lab, sweep_data.noise, rough_map, shape)
     light_wavelength = lab.wavelength + slope_shift
     wavelength_map = _map(lamp_lines, lab, light_wavelength, smile_degree)
     is_placed = placed_lines(lab, lamp_lines, wavelength_map, slope_shift)
     if not lab.by_column and flat_factors is None:
-        areas = np.where(is_placed, lamp_lines.area, np.nan)
-        problem = beam_problem(lab.wavelength, areas, max(MAX_FALL_PER_U * flux_uncertainty, MIN_FALL))
+        problem = beam_problem(
+            lab.wavelength,
+            np.where(is_placed, lamp_lines.area, np.nan),
+            max(MAX_FALL_PER_U * flux_uncertainty, MIN_FALL),
+        )
         if problem is not None:
-            text = (
+            warn_user(
                 f"flux per step is assumed equal in all lit columns, but {problem}: the beam's profile "
-                "enters the response; give flux or capture_fraction per step and column, or a flat_field"
+                "enters the response; give flux or capture_fraction per step and column, or a flat_field",
+                "flux-profile-missing",
             )
-            warn_user(text, "flux-profile-missing")
     fwhm = band_widths(lab, lamp_lines, wavelength_map, is_placed)
     _refuse_undersampled(lab, wavelength_map, fwhm)
     camera_width = at_steps(lab, wavelength_map, fwhm)
     complete_edge_lines(lab, sweep_data, lamp_lines, wavelength_map, light_wavelength, camera_width, shape)
-    result = Result(
+    return Result(
         lab=lab,
         sweep_data=sweep_data,
         lamp_lines=lamp_lines,
@@ -267,8 +269,7 @@ def calibrate(
         fwhm_at_steps=camera_width,
         differences=differences,
         is_shape_free=srf_shape is None,
-    )
-    return result.dataset(flat_factors)
+    ).dataset(flat_factors)
 
 
 def _linearity_curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) -> Linearity:
@@ -414,8 +415,7 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
     changes = np.nanmean((level - mean) ** 2, axis=0)
     noise = np.nanmean(uncertainty**2, axis=0)
     column = int(np.argmax(changes - noise))
-    excess = float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0)))
-    if excess > MAX_CHANGE_SHARE * tolerance:
+    if float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0))) > MAX_CHANGE_SHARE * tolerance:
         share = float(np.sqrt(changes[column]))
         worst_column = int(np.flatnonzero(np.isfinite(areas[steps]).any(axis=0))[column])
         return f"the share of light of column {worst_column} varies by {share:.1%} from step to step"
@@ -434,8 +434,7 @@ def _profiles(areas: Floats) -> tuple[Floats, Floats]:
         log_area = np.log(area[is_lit])
         inverse = np.linalg.pinv(terms)
         fitted = terms @ (inverse @ log_area)
-        freedom = max(int(is_lit.sum()) - degree - 1, 1)
-        rms = float(np.sqrt(((log_area - fitted) ** 2).sum() / freedom))
+        rms = float(np.sqrt(((log_area - fitted) ** 2).sum() / max(int(is_lit.sum()) - degree - 1, 1)))
         level[row, is_lit] = fitted - np.median(fitted)
         uncertainty[row, is_lit] = rms * np.sqrt(np.einsum("ij,ji->i", terms, inverse))
     return level, uncertainty

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -115,12 +115,11 @@ def measured_shape(
     weight = sums[0, sums[0] > 0]
     place, observed = sums[1:, sums[0] > 0] / weight
     distance = place[:, None] - offset
-    lamp_line = (
+    source = (
         np.clip(1.0 - np.abs(distance) / width, 0.0, None) / width
         if lab.triangular
         else np.exp(-4.0 * np.log(2.0) * (distance / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
-    )
-    source = lamp_line * _TABLE_STEP
+    ) * _TABLE_STEP
     # distance of the model from the curve
     model = Responses(np.zeros(1), np.ones(1), shape, spacing=np.array([np.median(spacing)])).on(offset, 0)
     model_curve, root_weight = source @ model, np.sqrt(weight)
@@ -142,8 +141,9 @@ def measured_shape(
     width_nm = float(np.median(camera_width))
     daylight = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width_nm, nm, daylight)
     change = daylight @ response / (daylight @ model) * model.sum() / response.sum() - 1.0
-    effect = float(np.abs(change).max())
-    return MeasuredShape(offset, response, misfit, effect, is_resolved=width <= MAX_SLIT_SHARE)
+    return MeasuredShape(
+        offset, response, misfit, float(np.abs(change).max()), is_resolved=width <= MAX_SLIT_SHARE
+    )
 
 
 # -- Light outside the lamp lines: wings of scattered light over all bands, and the second order of the
@@ -204,8 +204,9 @@ def light_off_lines(
     # areas are corrected where stray light is accurate enough to be subtracted from a flight
     is_usable = relative < MAX_STRAY_LIGHT_U
     counted = 1.0 / (1.0 - wing) if is_usable else 1.0
-    counted_u = wing * (_WING_U if is_usable else 1.0)
-    return OffLines(second_order, matrix * counted, relative, wing, counted, counted_u)
+    return OffLines(
+        second_order, matrix * counted, relative, wing, counted, wing * (_WING_U if is_usable else 1.0)
+    )
 
 
 def dark_off_lines(
@@ -290,8 +291,7 @@ def _wings(distance: Floats, share: Floats, at: Ints) -> Floats:
         if level.size == _NEAREST_BINS and ((nearest > 0) & (level > 0)).all():
             rise = np.clip(-np.polyfit(nearest, np.log(level), 1)[0], 0.0, 1.0 / nearest[0])
         exponent = np.maximum(reach - sign * at, 0.0) * (sign * at >= 0) * rise
-        is_hidden = (np.abs(at) < reach) & (sign * at >= 0)
-        wing = np.where(is_hidden, max(level[0], 0.0) * np.exp(exponent), wing)
+        wing = np.where((np.abs(at) < reach) & (sign * at >= 0), max(level[0], 0.0) * np.exp(exponent), wing)
     return np.asarray(np.maximum(wing, 0.0))
 
 
@@ -452,11 +452,10 @@ class Result:
         own = shape_variance(self.fwhm_at_steps, self.shape, spacing)
         factor = second_order_factor(lab.wavelength, level, own, source)[:, None]
         low, high = EDGE_TOLERANCE_NM
-        tolerance = min(max(low, 3.0 * self.wavelength_map.residual), high)
         # without light that is scattered into the window of a lamp line
         self.gain, has_gain = element_gain(
             lab.wavelength, nodes * (factor / self.off_lines.counted), self.used, self.wavelength,
-            lab.etendue, tolerance,
+            lab.etendue, min(max(low, 3.0 * self.wavelength_map.residual), high),
         )  # fmt: skip
         if not has_gain.any():
             raise refused("no column has four reliable lamp lines", code="lamp-lines-few")
@@ -480,8 +479,7 @@ class Result:
         gain = self.gain
         if self.lab.absolute:
             self._check_plausible(gain)
-        for text, code in self._warnings():
-            warn_user(text, code)
+        self._warn()
         # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
         gain[:, self.is_unlit] = np.nan
@@ -517,8 +515,7 @@ class Result:
             "stray_light": self.off_lines.stray_light,
             "stray_light_u": self.off_lines.relative,
         }
-        if flat is not None:
-            values["flat_field"] = flat
+        values |= {} if flat is None else {"flat_field": flat}
         optional = {"band_shift_time": self.lab.band_shift_time, "linearity_u": self.linearity_u}
         values |= {name: value for name, value in optional.items() if value}
         table = self._table()
@@ -544,11 +541,11 @@ class Result:
             self._attrs(is_good) | ({} if table is None else {"srf_shape": "tabulated"}),
         )
 
-    def _warnings(self) -> Iterator[tuple[str, str]]:
+    def _warn(self) -> None:
         is_wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
         if is_wide.any():
             share = float(np.max(self.lab.width / self.fwhm_at_steps))
-            yield (
+            warn_user(
                 f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
                 f"{MAX_SLIT_SHARE:g} at {is_wide.sum()} of {is_wide.size} steps): fwhm is ill-conditioned "
                 "there; narrow the slits",
@@ -556,7 +553,7 @@ class Result:
             )
         offset = self.dark_check.get("dark_offset_count", 0.0)
         if abs(offset) > MAX_DARK_OFFSET:
-            yield (
+            warn_user(
                 f"the bands off the lamp lines hold {offset:+.2g} counts at any light, so the dark "
                 "has this error: areas are corrected, but out_of_band and stray_light are not, in which "
                 f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark beside "
@@ -566,7 +563,7 @@ class Result:
         if self.between is not None and self.error_between:
             error, wavelength = self.between
             step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
-            yield (
+            warn_user(
                 f"steps of {step:.3g} nm do not follow the responsivity around {wavelength:.0f} "
                 "nm, as with fringes, an etalon, or a noisy power meter: between lamp lines gain and "
                 f"reflectance may be wrong by {error:.1%}; sweep there in steps of "
@@ -575,7 +572,7 @@ class Result:
             )
         if self.is_unlit.any():
             first, last = self.wavelength_map.lit
-            yield (
+            warn_user(
                 f"{int(self.is_unlit.sum())} of {self.is_unlit.size} columns are not lit, all but {first} to "
                 f"{last}: they get no gain, and the wavelengths of the nearest lit column",
                 "columns-unlit",
@@ -622,6 +619,12 @@ class Result:
             "radiance_gain_u_systematic": np.where(good, total, np.nan),
         }
 
+    @property
+    def electrons_per_count(self) -> float | None:
+        # As stated, else of the noise between frames; None where unknown.
+        is_measured = self.sweep_data.noise_source == FROM_FRAMES
+        return self.lab.electrons_per_count or (1.0 / self.sweep_data.noise.slope if is_measured else None)
+
     def _dark(self) -> dict[str, Any]:
         lab = self.lab
         exposure, noise = float(np.median(lab.exposure)), self.sweep_data.noise
@@ -630,20 +633,16 @@ class Result:
             variables |= {"dark_bias": lab.dark.bias, "dark_rate": lab.dark.rate}
         if lab.saturation is not None:
             variables["saturation_count"] = lab.saturation
-        electrons, read_noise = lab.electrons_per_count, lab.read_noise
-        if self.sweep_data.noise_source == FROM_FRAMES:
-            electrons = electrons or 1.0 / noise.slope
-            if read_noise is None:
-                read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
-        known = {"electrons_per_count": electrons, "read_noise": read_noise}
+        read_noise = lab.read_noise
+        if read_noise is None and self.sweep_data.noise_source == FROM_FRAMES:
+            read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
+        known = {"electrons_per_count": self.electrons_per_count, "read_noise": read_noise}
         return variables | {name: value for name, value in known.items() if value is not None}
 
     def _check_plausible(self, gain: Floats) -> None:
         counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)
         max_counts = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
-        electrons = self.lab.electrons_per_count
-        if electrons is None and self.sweep_data.noise_source == FROM_FRAMES:
-            electrons = 1.0 / self.sweep_data.noise.slope
+        electrons = self.electrons_per_count
         low, high = (electrons, electrons) if electrons is not None else ELECTRONS_RANGE
         at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
         if max_counts * low > 1.05:
@@ -664,8 +663,8 @@ class Result:
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
         left_out = [float(w) for w in lab.wavelength[~self.used.any(axis=1)]]
-        electrons_source = "none" if lab.electrons_per_count is None else "as stated"
-        if lab.electrons_per_count is None and self.sweep_data.noise_source == FROM_FRAMES:
+        electrons_source = "none" if self.electrons_per_count is None else "as stated"
+        if lab.electrons_per_count != self.electrons_per_count:
             electrons_source = (
                 "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
             )
@@ -674,8 +673,10 @@ class Result:
         shape_attrs: dict[str, Any] = {}
         if self.measured is not None:
             numbers = (float(f"{value:.3g}") for value in (self.measured.misfit, self.measured.effect))
-            names = ("srf_model_misfit", "srf_model_effect")
-            shape_attrs = {"srf_model": self.shape, **dict(zip(names, numbers, strict=True))}
+            shape_attrs = {
+                "srf_model": self.shape,
+                **dict(zip(("srf_model_misfit", "srf_model_effect"), numbers, strict=True)),
+            }
         return {
             "srf_shape": self.shape,
             "source": "monochromator sweep, line-area method",

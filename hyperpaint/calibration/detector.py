@@ -73,13 +73,23 @@ def fit_dark_model(dark: Floats, exposure: Floats) -> DarkModel:
             different.append(float(value))
     mean = dark.mean(axis=0)
     if len(different) == 1:
-        rms = float(np.sqrt(np.nanmean((dark - mean) ** 2)))
-        return DarkModel(mean, np.full_like(mean, np.nan), tuple(different), rms, exposure)
+        return DarkModel(
+            mean,
+            np.full_like(mean, np.nan),
+            tuple(different),
+            float(np.sqrt(np.nanmean((dark - mean) ** 2))),
+            exposure,
+        )
     offset = exposure - exposure.mean()
     rate = np.tensordot(offset, dark, axes=1) / (offset**2).sum()
     bias = mean - rate * exposure.mean()
-    residual = dark - bias - exposure[:, None, None] * rate
-    return DarkModel(bias, rate, tuple(different), float(np.sqrt(np.nanmean(residual**2))), exposure)
+    return DarkModel(
+        bias,
+        rate,
+        tuple(different),
+        float(np.sqrt(np.nanmean((dark - bias - exposure[:, None, None] * rate) ** 2))),
+        exposure,
+    )
 
 
 def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
@@ -130,8 +140,11 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
         exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
     problems.add_if(len(shapes) > 1, f"darks of shapes {shapes}", expected="one shape", code="grid-mismatch")
-    if not all(0 < value < np.inf for value in exposures):
-        problems.add("'dark_exposure_time' is not finite and positive everywhere", code="exposure-invalid")
+    problems.add_if(
+        not all(0 < value < np.inf for value in exposures),
+        "'dark_exposure_time' is not finite and positive everywhere",
+        code="exposure-invalid",
+    )
     problems.raise_if_any()
     model = fit_dark_model(np.stack(frames), np.array(exposures))
     SchemaError.raise_if(
@@ -293,8 +306,7 @@ def deviant_darks(dark: Floats, saturation: Floats | None) -> Bools:
     levels = np.where(is_finite, dark, np.nan)
     median = np.nanmedian(levels)
     # the limit is far above the camera's dark pattern
-    spread = 1.4826 * np.nanmedian(np.abs(levels - median))
-    is_outlier = np.abs(levels - median) > max(30.0 * spread, 100.0)
+    is_outlier = np.abs(levels - median) > max(30.0 * (1.4826 * np.nanmedian(np.abs(levels - median))), 100.0)
     if saturation is not None:
         is_outlier |= levels > 0.5 * saturation
     return np.asarray(~is_finite | is_outlier)

@@ -51,8 +51,13 @@ def _camera_widths(lab: LabSweep, lamp_lines: LampLines, wavelength_map: Wavelen
     fitted_steps = np.flatnonzero(
         count >= max(0.5 * count.max(), 1)
     )  # a few lamp lines at the edge may all be wrong
-    step_medians = row_medians(widths, lamp_lines.trusted)[fitted_steps]
-    return np.asarray(np.interp(lab.wavelength, lab.wavelength[fitted_steps], step_medians))
+    return np.asarray(
+        np.interp(
+            lab.wavelength,
+            lab.wavelength[fitted_steps],
+            row_medians(widths, lamp_lines.trusted)[fitted_steps],
+        )
+    )
 
 
 def _unit_lines(
@@ -156,8 +161,9 @@ def element_differences(
         # samples that are not bright contain scattered light
         is_bright = model > _MIN_BRIGHT_SHARE * model.max(axis=1, keepdims=True)
         shares.append(excess[is_bright].sum() / (model**2 * freedom)[is_bright].sum())
-        weights = (model * freedom, model**2 * freedom, excess)
-        tally += binned(model[is_bright], *(weight[is_bright] for weight in weights))
+        tally += binned(
+            model[is_bright], *(weight[is_bright] for weight in (model * freedom, model**2 * freedom, excess))
+        )
     is_used = tally[0] >= MIN_BIN_SAMPLES
     if has_noise:
         return float(np.sqrt(max(float(np.median(shares)), 0.0))) if shares else 0.0, 0.0
@@ -261,10 +267,10 @@ def complete_edge_lines(
         is_cut = (window.first < 0) | (window.first + window.values.shape[1] > lab.shape[1])
         is_cut &= ~lamp_lines.trusted[step, window.columns] & ~window.saturated
         if is_cut.any():
-            centre = wavelength_map.band_of(float(light[step]), window.columns)
             _complete_step(
                 lab, sweep_data.noise, lamp_lines, wavelength_map, step, window,
-                is_cut=is_cut, centre=centre, fwhm=float(fwhm[step]), shape=shape,
+                is_cut=is_cut, centre=wavelength_map.band_of(float(light[step]), window.columns),
+                fwhm=float(fwhm[step]), shape=shape,
             )  # fmt: skip
 
 
@@ -314,13 +320,12 @@ def _complete_step(
     residual = np.abs(np.where(is_finite, values - fitted[:, None] * unit_profile, 0.0))
     height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
     # one free parameter: residuals above noise are dead elements, or another lamp line
-    is_deviant = residual > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])
     is_complete = (
         is_cut
         & (visible >= MIN_VISIBLE_AREA)
         & (fitted > 0)
         & np.isfinite(area_variance)
-        & ~is_deviant.any(axis=1)
+        & ~(residual > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])).any(axis=1)
     )
     index = (step, window.columns[is_complete])
     lamp_lines.area[index] = area[is_complete]
@@ -364,10 +369,9 @@ def second_order_factor(
     relative_curvature[1:-1] = curvature / y[1:-1]
     relative_curvature[0], relative_curvature[-1] = relative_curvature[1], relative_curvature[-2]
     # smoothed, since noise of a second difference is six times that of the values
-    smooth_curvature = np.convolve(
+    factor[positive] = 1.0 + 0.5 * (camera_variance - source_variance)[positive] * np.convolve(
         np.pad(relative_curvature, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid"
     )
-    factor[positive] = 1.0 + 0.5 * (camera_variance - source_variance)[positive] * smooth_curvature
     return np.clip(factor, 0.9, 1.1)
 
 
@@ -484,8 +488,7 @@ def slope_shift_of_lines(
         line *= amplitude[step] / line.max()
         variance = noise.variance(line, float(lab.frames[step])) + (1e-4 * amplitude[step]) ** 2
         samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([slit]))
-        start = np.array([[0.0, width, line.sum(), 0.0]])
-        fits = fitted(samples, SHAPES[shape], lab.triangular, start)
+        fits = fitted(samples, SHAPES[shape], lab.triangular, np.array([[0.0, width, line.sum(), 0.0]]))
         shifts[step] = spacing[step] * (fits.parameters[0, CENTRE] if fits.converged[0] else 0.0)
     return shifts
 
@@ -615,12 +618,12 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         highest = np.where(bad, -np.inf, highest)
         is_highest = highest >= highest.max() - _COUNT_TOLERANCE
         if (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any():
-            text = (
+            warn_user(
                 f"saturation_count is missing, and the highest count {highest.max():g} repeats in "
                 f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
-                "give saturation_count"
+                "give saturation_count",
+                "saturation-missing",
             )
-            warn_user(text, "saturation-missing")
     return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
 
 
@@ -640,8 +643,9 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
     if is_used.sum() >= 3 and tally[2][is_used].any():
         count, (signal, variance) = tally[0][is_used], tally[1:, is_used] / tally[0][is_used]
         weight = np.sqrt(count) / np.maximum(variance, 1e-6)
-        terms = np.column_stack([np.ones_like(signal), signal]) * weight[:, None]
-        constant, slope = np.linalg.lstsq(terms, variance * weight, rcond=None)[0]
+        constant, slope = np.linalg.lstsq(
+            np.column_stack([np.ones_like(signal), signal]) * weight[:, None], variance * weight, rcond=None
+        )[0]
         if slope > 0:
             constant = max(float(constant), 0.0)
             return NoiseModel(

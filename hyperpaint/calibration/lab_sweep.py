@@ -111,8 +111,12 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
             code="type-wrong",
         )
     steps, columns = sweep.sizes.get(STEP, 0), sweep.sizes.get(CROSS_TRACK, 0)
-    if sweep.sizes and steps < MIN_STEPS:
-        problems.add(f"{steps} steps", expected=f"at least {MIN_STEPS}", code="steps-too-few")
+    problems.add_if(
+        sweep.sizes and steps < MIN_STEPS,
+        f"{steps} steps",
+        expected=f"at least {MIN_STEPS}",
+        code="steps-too-few",
+    )
     values = {
         name: np.asarray(array.to_numpy(), np.float64)
         for name, array in arrays.items()
@@ -122,16 +126,15 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     for name in (name for name in _POSITIVE if name in values):
         high, wavelength = 1.0 if name == "capture_fraction" else np.inf, values.get("step_wavelength")
         _check_positive(name, arrays[name].dims, values[name], high, wavelength, problems)
-    if not (np.isfinite(shift := values.get("band_shift_time", np.zeros(()))) & (shift >= 0)).all():
-        problems.add(
-            f"'band_shift_time' is {float(shift):g} s",
-            expected="the time of one band, some microseconds",
-            code="value-out-of-range",
-        )
-    if "read_noise" in values and not (np.isfinite(values["read_noise"]) & (values["read_noise"] >= 0)).all():
-        problems.add(
-            f"'read_noise' is {float(values['read_noise'].min()):g} in places",
-            expected="finite and at least zero",
+    for name, where, expected in (
+        ("band_shift_time", " s", "the time of one band, some microseconds"),
+        ("read_noise", " in places", "finite and at least zero"),
+    ):
+        value = values.get(name, np.zeros(()))
+        problems.add_if(
+            not (np.isfinite(value) & (value >= 0)).all(),
+            f"{name!r} is {value.min(initial=np.inf):g}{where}",
+            expected=expected,
             code="value-out-of-range",
         )
     shape = sweep.attrs.get("monochromator_shape", "gaussian")

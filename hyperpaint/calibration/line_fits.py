@@ -228,15 +228,17 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
     if is_finite.sum() < 8 or not total > 0:
         return np.nan, np.nan
     centre = float((np.maximum(values, 0.0) * columns).sum() / total)
-    samples = LineSamples(values[None], weights, np.zeros(1, np.int64), np.zeros(1))
-    fits = fitted(samples, GAUSSIAN, False, np.array([[centre, total / _GAUSSIAN_AREA, total, 0.0]]))
-    beam_centre, width, area, offset = fits.parameters[0]
-    has_peak = (
-        bool(fits.converged[0]) and width < 3.0 * beam.size and -width < beam_centre < beam.size + width
+    fits = fitted(
+        LineSamples(values[None], weights, np.zeros(1, np.int64), np.zeros(1)),
+        GAUSSIAN,
+        False,
+        np.array([[centre, total / _GAUSSIAN_AREA, total, 0.0]]),
     )
-    if not has_peak or not abs(offset) < 0.5 * area / (width * _GAUSSIAN_AREA):
-        return np.nan, np.nan
-    return float(beam_centre), float(width)
+    beam_centre, width, area, offset = fits.parameters[0]
+    is_peak = fits.converged[0] and width < 3.0 * beam.size and -width < beam_centre < beam.size + width
+    if is_peak and abs(offset) < 0.5 * area / (width * _GAUSSIAN_AREA):
+        return float(beam_centre), float(width)
+    return np.nan, np.nan
 
 
 def fit_window(
@@ -454,5 +456,4 @@ def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats
     terms = np.asarray(chebyshev.chebvander(2.0 * (wavelength - low) / scale - 1.0, degree), np.float64)
     prior = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
     coefficients, _ = _robust_fit(terms, width, prior / prior.mean(), tolerance=0.0)
-    clipped = np.clip(at, low, high)
-    return np.asarray(chebyshev.chebval(2.0 * (clipped - low) / scale - 1.0, coefficients))
+    return np.asarray(chebyshev.chebval(2.0 * (np.clip(at, low, high) - low) / scale - 1.0, coefficients))

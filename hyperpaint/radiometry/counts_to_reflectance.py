@@ -111,8 +111,9 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
         return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
     cube, values = cube_inputs(dataset, "radiance")
     refuse_calibration(dataset, needs_scale=True)
-    planner = lazy_plan(dataset, None, make_plan, cube=values, light=None)
-    (radiances,), quality, _ = slabs.calibrated(slabs.line_chunked(cube), planner)
+    (radiances,), quality, _ = slabs.calibrated(
+        slabs.line_chunked(cube), lazy_plan(dataset, None, make_plan, cube=values, light=None)
+    )
     return _with_product(dataset, "radiance", radiances, quality, applied(values))
 
 
@@ -325,14 +326,15 @@ def _reflectance(
         )
     _require_one_of(dataset, ("counts", "radiance", "reflectance"), "reflectance")
     if not {"counts", "radiance"} & set(dataset.variables):
-        if any(option is not None for option in (irradiance, tilt, panels or None, keep_bits)):
-            raise SchemaError(
-                "irradiance=, tilt=, panel= and keep_bits= need more than 'reflectance'",
-                expected="'counts' or 'radiance'",
-                code="option-conflict",
-            )
-        names = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
-        return dataset.assign(schema.require(dataset, names, "reflectance"))
+        SchemaError.raise_if(
+            any(option is not None for option in (irradiance, tilt, panels or None, keep_bits)),
+            "irradiance=, tilt=, panel= and keep_bits= need more than 'reflectance'",
+            expected="'counts' or 'radiance'",
+            code="option-conflict",
+        )
+        return dataset.assign(
+            schema.require(dataset, ["reflectance", *(UNCERTAINTIES if uncertainty else ())], "reflectance")
+        )
     is_white = has_white(dataset)
     SchemaError.raise_if(
         is_white and (tilt is not None or bool(panels)),
@@ -345,10 +347,12 @@ def _reflectance(
     if irradiance is not None:
         dataset = replace_record(dataset, irradiance)
     scale_panels = panels if stored is None else declared_panels(dataset)
-    if keep_bits is not None and not 1 <= keep_bits <= 23:
-        raise SchemaError(
-            f"keep_bits={keep_bits}", expected="1 to 23 mantissa bits of float32", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        keep_bits is not None and not 1 <= keep_bits <= 23,
+        f"keep_bits={keep_bits}",
+        expected="1 to 23 mantissa bits of float32",
+        code="value-out-of-range",
+    )
     cube, inputs = plan_inputs(
         dataset, stored, scale_panels, tilt=tilt, keep_bits=keep_bits, uncertainty=uncertainty
     )
@@ -376,14 +380,14 @@ def _reflectance(
         return result
     lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
     light_of_lines = dask.delayed(slabs.light_of_lines, pure=True)
-    line_variables = {
+    for name, (values, dim, size) in {
         "irradiance_age": (light_of_lines(plan, "age"), ALONG_TRACK, lines),
         "timing_sensitivity": (light_of_lines(plan, "sensitivity"), ALONG_TRACK, lines),
         "irradiance_misfit": (plan.misfit, BAND, bands),
-    }
-    for name, (values, dim, size) in line_variables.items():
-        array = xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim)
-        result[name] = schema.label(array, name)
+    }.items():
+        result[name] = schema.label(
+            xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim), name
+        )
     if stored is not None:
         return result
     # replace the panels of an earlier reflectance
@@ -492,13 +496,13 @@ def slab(
     """
     line = rename_to_roles(dataset)
     lazy = [str(name) for name, variable in line.variables.items() if variable.chunks is not None]
-    if lazy:
-        raise SchemaError(
-            f"slab computes no dask arrays: {', '.join(lazy[:3])}{', ...' if len(lazy) > 3 else ''}",
-            expected="lines in memory",
-            mend="pass line.load(), open with chunks=None, or call .paint.reflectance() on all lines",
-            code="lines-not-loaded",
-        )
+    SchemaError.raise_if(
+        lazy,
+        f"slab computes no dask arrays: {', '.join(lazy[:3])}{', ...' if len(lazy) > 3 else ''}",
+        expected="lines in memory",
+        mend="pass line.load(), open with chunks=None, or call .paint.reflectance() on all lines",
+        code="lines-not-loaded",
+    )
     line = line.compute()  # reads variables that are opened with chunks=None
     cubes = {name: line[name] for name in ("counts", "radiance") if name in line.data_vars}
     # one chunk with a random name: a hash of the values would take a pass over them

@@ -264,8 +264,9 @@ def make_plan(
     scale, closure, panel_weights, panel_u = np.ones(bands), None, None, None
     if panel is not None:
         if "factor" in panel:  # panels that were measured before
-            is_refused = (np.asarray(panel["state"]) & REFUSED) != 0
-            scale, panel_weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), is_refused)
+            scale, panel_weights = scale_of_factors(
+                panel["factor"], np.asarray(panel["weight"]), (np.asarray(panel["state"]) & REFUSED) != 0
+            )
             panel_u = np.asarray(panel["scale_u"], np.float64)
         else:
             scale, closure, panel_weights, panel_u = _panel_scale(panel, cube, light, good, lines)
@@ -390,9 +391,8 @@ def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Float
     with warnings.catch_warnings():  # the plan warns
         warnings.simplefilter("ignore")
         unit_darks, index, weight = darks_of_lines(darks, exposure)
-    next_index = np.minimum(index + 1, len(unit_darks) - 1)
     shares = unit_darks[index, :, 0] + weight[:, None] * (
-        unit_darks[next_index, :, 0] - unit_darks[index, :, 0]
+        unit_darks[np.minimum(index + 1, len(unit_darks) - 1), :, 0] - unit_darks[index, :, 0]
     )
     return np.asarray(shares, np.float64)
 
@@ -425,12 +425,12 @@ def darks_of_lines(
     if len(dark) == 1 or times is None or "time" not in cube:
         return dark.mean(axis=0, dtype=np.float64).astype(np.float32)[None], index, weight
     stamps = np.asarray(times).astype("datetime64[ns]")
-    if np.isnat(stamps).any():
-        raise TimeError(
-            f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT)",
-            mend="drop these darks",
-            code="time-missing",
-        )
+    TimeError.raise_if(
+        np.isnat(stamps).any(),
+        f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT)",
+        mend="drop these darks",
+        code="time-missing",
+    )
     order = np.argsort(stamps, kind="stable")
     # beyond their times the first and the last dark are used: a dark drifts slowly
     index, share = _between(stamps[order], cube["time"])
@@ -456,8 +456,7 @@ def _between_whites(cube: Mapping[str, Any], time: Array) -> tuple[Floats, LineL
     unknown = np.full(time.shape, np.nan, np.float32)
     flags = np.where(change > UNSTABLE_CHANGE, Quality.ILLUMINATION_UNSTABLE, 0).astype(np.uint16)
     # the kernel divides pi by the light
-    series = np.pi * level[:, :, None, None]
-    return series, LineLight(before, before + 1, weight, unknown, unknown, flags)
+    return np.pi * level[:, :, None, None], LineLight(before, before + 1, weight, unknown, unknown, flags)
 
 
 def _darks_in_exposure(
@@ -549,19 +548,24 @@ def _illuminate(
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
 
 
+_PLACE = ("latitude", "longitude")
+
+
 def _mean_position(cube: Mapping[str, Any]) -> tuple[float, float]:
     # Return mean latitude and longitude of the lines [degree].
-    position = []
-    for name in ("latitude", "longitude"):
-        degrees = np.asarray(cube[name], np.float64)
-        degrees = degrees[np.isfinite(degrees)]
+    for name in _PLACE:
         SchemaError.raise_if(
-            degrees.size == 0,
+            not np.isfinite(cube[name]).any(),
             f"tilt= needs the sun's position, but {name!r} is missing on every line",
             code="place-missing",
         )
-        position.append(float(degrees.mean()))
-    return position[0], position[1]
+    latitude, longitude = (np.asarray(cube[name], np.float64) for name in _PLACE)
+    return float(latitude[np.isfinite(latitude)].mean()), float(longitude[np.isfinite(longitude)].mean())
+
+
+def _is_located(cube: Mapping[str, Any]) -> bool:
+    # Return whether latitude and longitude of any line are known.
+    return all(name in cube and bool(np.isfinite(cube[name]).any()) for name in _PLACE)
 
 
 def _levels(spectra: Floats, channels: Floats) -> Floats:
@@ -601,15 +605,13 @@ def _panel_scale(
     line_u = np.broadcast_to(np.hypot(gain, record), wavelength.shape)
     # factor of every panel
     time = np.asarray(cube["time"]).astype("datetime64[ns]")
-    is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))
     panels = []
     for panel in inputs["panels"]:
         stamps = time[slice(*panel["lines"])]
         stamps = stamps[~np.isnat(stamps)]
-        if not stamps.size:
-            raise TimeError(f"{panel['name']}: its lines have no time", code="time-missing")
+        TimeError.raise_if(not stamps.size, f"{panel['name']}: its lines have no time", code="time-missing")
         middle_time, share = stamps[0] + (stamps[-1] - stamps[0]) // 2, None
-        if light is not None and is_located:
+        if light is not None and _is_located(cube):
             share = direct_share({**light, "time": time}, middle_time, wavelength, _mean_position(cube))
         panels.append({**panel, "time": middle_time, "direct_share": share})
     closure = judge_panels(tuple(panels), PanelContext(wavelength, good, line_u, inputs["has_scale"]))
@@ -655,8 +657,7 @@ class _VariableState:
             return False
         if self.values is None:
             data = variable._data
-            is_same = self.source() is data and self.name == getattr(data, "name", None)
-            return is_same and _is_lazy(variable)
+            return self.source() is data and self.name == getattr(data, "name", None) and _is_lazy(variable)
         if _is_lazy(variable):
             return False
         values = np.asarray(variable.values)
@@ -781,8 +782,9 @@ def lazy_plan(
                 expected = PLANS.expect(line, line_options)
             elif bytes_of(entry.plan) <= MAX_EMBEDDED_BYTES:
                 return Delayed(name, {name: dataclasses.replace(entry.plan, starts=starts)})
-        compute = dask.delayed(_computed, pure=True)
-        return compute(expected, planner, shape, dtype, starts, inputs, dask_key_name=name)
+        return dask.delayed(_computed, pure=True)(
+            expected, planner, shape, dtype, starts, inputs, dask_key_name=name
+        )
 
     return of_cube
 
@@ -896,8 +898,9 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str, Any]:
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
-    companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
-    names += [name for name in companions if name in dataset.variables]
+    names += [
+        name for name in ("irradiance_max_gap", "irradiance_clock_uncertainty") if name in dataset.variables
+    ]
     if tilt is not None:
         names += ["latitude", "longitude"]
     if tilt is not None or has_panels:
@@ -955,10 +958,8 @@ def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
     # Return the brightness of the spectra (sample, channel) that light a line, at its place and time.
     # smallest zenith angle of the sun; NaN where the position is unknown
     zenith = clear = math.nan
-    coordinates = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
-    if all(np.isfinite(degrees).any() for degrees in coordinates) and stamps.size:
-        position = [float(degrees[np.isfinite(degrees)].mean()) for degrees in coordinates]
-        zenith = float(np.min(solar_position(stamps, *position)[0]))
+    if _is_located(cube) and stamps.size:
+        zenith = float(np.min(solar_position(stamps, *_mean_position(cube))[0]))
     if zenith <= RULES.max_zenith:
         nm = channels[(channels >= 300.0) & (channels <= 2500.0)][:: max(1, channels.size // 200)]
         clear = brightest_median(nm, np.asarray(sum(ClearSky(zenith).irradiance(nm)))[None])
@@ -1009,12 +1010,11 @@ def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavele
         & (wavelength <= channels[-1])
     )
     is_missing = np.isnan(spectra[has_values]).any(axis=0)
-    if not (is_lost.any() and is_missing.any()):
-        return
-    warn_user(
-        f"irradiance is undefined in {is_missing.sum()} channels, such as {channels[is_missing][0]:g} nm: "
-        f"{is_lost.sum()} of {is_lost.size} bands become NaN at these times, "
-        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over "
-        "them",
-        "irradiance-gaps",
-    )
+    if is_lost.any() and is_missing.any():
+        warn_user(
+            f"irradiance is undefined in {is_missing.sum()} channels, such as "
+            f"{channels[is_missing][0]:g} nm: {is_lost.sum()} of {is_lost.size} bands become NaN at these "
+            f"times, {wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the "
+            "record over them",
+            "irradiance-gaps",
+        )

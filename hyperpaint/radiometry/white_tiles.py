@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.schema import (
@@ -175,8 +175,8 @@ def white_reference(
         "relative to the tile",
         code="tile-missing",
     )
-    corrections = {"linear_counts", "masked", "stray_light", "band_shift_time"} & set(line.variables)
-    corrections |= {"linearity"} & set(line.attrs)
+    names = {*line.variables, *line.attrs}
+    corrections = {"linear_counts", "masked", "stray_light", "band_shift_time", "linearity"} & names
     SchemaError.raise_if(
         corrections,
         f"a white reference and {', '.join(sorted(corrections))} of a calibration",
@@ -237,8 +237,7 @@ class _White(NamedTuple):
             code="white-without-light",
         )
         if lit >= MIN_LIT_SHARE:
-            offset = float((frames.mean - self.light).mean())
-            levels = frames.line_mean - offset
+            levels = frames.line_mean - float((frames.mean - self.light).mean())
             deviating = np.abs(levels / np.median(levels) - 1.0) > MAX_LINE_DEVIATION
             problems.add_if(
                 deviating.mean() > MAX_DEVIATING_LINES,
@@ -248,9 +247,8 @@ class _White(NamedTuple):
                 mend="choose them: hp.open_envi(path).isel(along_track=slice(10, 90))",
                 code="white-unsteady",
             )
-        of_white = self.reference.wavelength
-        if of_white is not None and "wavelength" in line.coords:
-            difference = float(np.abs(of_white - line["wavelength"].values).max())
+        if self.reference.wavelength is not None and "wavelength" in line.coords:
+            difference = float(np.abs(self.reference.wavelength - line["wavelength"].values).max())
             problems.add_if(
                 difference > MAX_WAVELENGTH_DIFFERENCE_NM,
                 f"{name}: its wavelengths differ by up to {difference:.3g} nm from those of the scene",
@@ -263,9 +261,8 @@ class _White(NamedTuple):
 def _with_counts(dataset: xr.Dataset) -> xr.Dataset:
     # Return a dataset with integers of an undeclared quantity as counts: beside a white they are raw.
     line = rename_to_roles(dataset)
-    if "values" not in line.data_vars or line["values"].dtype.kind != "u":
-        return line
-    return line.rename(values="counts").assign(counts=label(line["values"], "counts"))
+    is_raw = "values" in line.data_vars and line["values"].dtype.kind == "u"
+    return line.rename(values="counts").assign(counts=label(line["values"], "counts")) if is_raw else line
 
 
 def _sources(white: Any) -> list[Any]:
@@ -273,8 +270,7 @@ def _sources(white: Any) -> list[Any]:
     if isinstance(white, str | os.PathLike):
         headers = lambda paths: [path for path in paths if path.suffix.lower() == ".hdr"]  # noqa: E731
         return list(find_paths(white, headers, "ENVI headers of white references", headers))
-    if isinstance(white, xr.DataArray):
-        white = white.to_dataset(name="counts")
+    white = white.to_dataset(name="counts") if isinstance(white, xr.DataArray) else white
     if isinstance(white, xr.Dataset | Reference):
         return [white]
     return [source for entry in white for source in _sources(entry)]
@@ -288,8 +284,10 @@ def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth:
     added: dict[str, xr.DataArray] = {}
     if exposure_time is not None or "exposure_time" not in line.variables:
         seconds = find_exposure(exposure_time, path, name, line, required=True)[0]
-        dims = (ALONG_TRACK,) if seconds is not None and seconds.ndim else ()
-        added["exposure_time"] = label(xr.DataArray(seconds, dims=dims), "exposure_time")
+        added["exposure_time"] = label(
+            xr.DataArray(seconds, dims=(ALONG_TRACK,) if seconds is not None and seconds.ndim else ()),
+            "exposure_time",
+        )
     if "saturation_count" not in line.variables:
         added["saturation_count"] = saturation_of(None, bit_depth, None)
     if dark is not None or "dark_counts" not in line.variables:
@@ -358,13 +356,11 @@ def _gain_variables(
     # Return the variables of a white reference: gain, its uncertainty, and the change of the light.
     times = [each.reference.time for each in whites]
     is_timed = "time" in line.coords and all(time is not None for time in times) and len(set(times)) > 1
-    if is_timed:
-        whites = sorted(whites, key=lambda each: each.reference.time or np.datetime64(0, "ns"))
+    whites = sorted(whites, key=lambda each: each.reference.time or np.datetime64(0, "ns"))
     rates = np.stack([each.light / each.exposure for each in whites])
     is_used: Bools = np.all([each.is_lit & ~each.saturated(limit) for each in whites], axis=0)
     rates[:, ~is_used] = np.nan
-    saturated = np.stack([each.saturated(limit) for each in whites]).any(axis=0).sum()
-    if saturated:
+    if saturated := np.any([each.saturated(limit) for each in whites], axis=0).sum():
         warn_user(
             f"{saturated} elements are saturated on the white tile: they are bad elements, NaN",
             "white-saturated",
@@ -373,9 +369,7 @@ def _gain_variables(
     totals = np.nansum(rates, axis=2)
     level = np.where(totals[:1] > 0, totals / np.where(totals[:1] > 0, totals[:1], 1.0), 1.0)
     _check_change(rates, level, is_timed=is_timed)
-    if not is_timed:
-        level = np.ones_like(level)
-    rate = (rates / level[:, :, None]).mean(axis=0)
+    rate = (rates / level[:, :, None] if is_timed else rates).mean(axis=0)
     reflectance = _tile_of_bands(line, tile, tile_uncertainty or 0.0)
     variance = np.stack([each.variance / each.exposure**2 for each in whites]).sum(axis=0) / len(whites) ** 2
     with np.errstate(invalid="ignore"):
@@ -388,19 +382,20 @@ def _gain_variables(
     if is_timed:
         stamps = np.array([each.reference.time for each in whites], "datetime64[ns]")
         values |= {"white_level": (("white_time", BAND), level), "white_time": (("white_time",), stamps)}
-        _warn_of_held(line["time"].values, stamps)
-    if "electrons_per_count" not in line.variables:
-        electrons = _electrons_per_count(line, whites, is_used)
-        values |= {} if electrons is None else {"electrons_per_count": ((), electrons)}
-    variables = {
+        # lines before the first or after the last white reference, whose light is not interpolated
+        known = line["time"].values[~np.isnat(line["time"].values)]
+        if outside := int(((known < stamps[0]) | (known > stamps[-1])).sum()):
+            warn_user(
+                f"{outside} of {known.size} lines lie before the first or after the last white reference: "
+                "the light of the nearest one is used",
+                "white-held",
+            )
+    if electrons := _electrons_per_count(line, whites, is_used):
+        values["electrons_per_count"] = (), electrons
+    return {
         name: label(xr.DataArray(array, dims=dims).astype(dtype_of(name)), name)
         for name, (dims, array) in values.items()
     }
-    if is_timed:
-        variables["white_level"] = variables["white_level"].assign_coords(
-            white_time=variables.pop("white_time")
-        )
-    return variables
 
 
 def _check_change(rates: Floats, level: Floats, *, is_timed: bool) -> None:
@@ -449,27 +444,17 @@ def _tile_of_bands(line: xr.Dataset, tile: Any, uncertainty: float) -> Floats:
     return reflectance
 
 
-def _warn_of_held(time: Array, stamps: Array) -> None:
-    # Warn of lines before the first or after the last white reference, whose light is not interpolated.
-    known = time[~np.isnat(time)]
-    outside = int(((known < stamps[0]) | (known > stamps[-1])).sum())
-    if outside:
-        warn_user(
-            f"{outside} of {known.size} lines lie before the first or after the last white reference: the "
-            "light of the nearest one is used",
-            "white-held",
-        )
-
-
 def _electrons_per_count(line: xr.Dataset, whites: list[_White], is_used: Bools) -> float | None:
-    # Return the electrons per count from the noise of the longest white reference; None if it has few lines.
+    # Return the electrons per count from the noise of the longest white reference; None if it has few lines,
+    # or the line states it.
     #
     # The variance of an element is light / electrons, and the square of its light times the flicker of the
     # lamp, which the means of lines show.
     longest = max(whites, key=lambda each: each.reference.frames.lines)
-    if longest.reference.frames.lines < MIN_NOISE_LINES or "read_noise" not in line.variables:
-        return None
     frames = longest.reference.frames
+    is_stated = "electrons_per_count" in line.variables
+    if is_stated or frames.lines < MIN_NOISE_LINES or "read_noise" not in line.variables:
+        return None
     read_noise = np.broadcast_to(line["read_noise"].values.astype(np.float64), is_used.shape)
     excess = frames.variance - read_noise**2 - QUANTISATION_VARIANCE_COUNT2
     is_valid = is_used & np.isfinite(excess)

@@ -157,15 +157,14 @@ def find_field_files(
         return os.path.relpath(path, folder)
 
     # cubes are known by their headers, other files by their names
-    for place, kind in ((folder, ""), (dark, "dark"), (asd, "spectra")):
-        if place is None:
-            continue
-        if not Path(place).is_dir():
-            raise CollectError(
-                f"{place} is not a folder",
-                expected=f"a folder of {kind} files" if kind else "the folder of the flight's cubes",
-                code="folder-not-found",
-            )
+    kinds = {"": folder, "dark": dark, "spectra": asd}
+    for kind, place in ((kind, place) for kind, place in kinds.items() if place is not None):
+        CollectError.raise_if(
+            not Path(place).is_dir(),
+            f"{place} is not a folder",
+            expected=f"a folder of {kind} files" if kind else "the folder of the flight's cubes",
+            code="folder-not-found",
+        )
         for path in _walk(Path(place)):
             suffix = path.suffix.lower()
             if suffix == ".hdr" and kind != "spectra":
@@ -177,11 +176,9 @@ def find_field_files(
                     continue
                 # a dark outside the folder needs no ``dark`` in its name
                 parts = (kind,) if kind else path.relative_to(folder).parts
-                if header.is_spectral_library:
-                    continue
-                if header.dtype.kind not in "ui":
+                if not header.is_spectral_library and header.dtype.kind not in "ui":
                     notes.append(f"{relative(path)} is not used: {header.dtype}, raw counts are integers")
-                else:
+                elif not header.is_spectral_library:
                     is_dark = any("dark" in part.lower() for part in parts)
                     is_white = any(_WHITE.search(part.split(".")[0]) for part in parts)
                     (darks if is_dark else whites if is_white else raw).append(path)
@@ -192,28 +189,28 @@ def find_field_files(
                 calibrations.append(path)
             elif not kind and suffix == ".csv" and _SURVEY.search(path.stem):
                 surveys.append(path)
-    if not raw:
-        reasons = f"; {'; '.join(notes)}" if notes else ""
-        raise CollectError(
-            f"no raw cube in {folder}{reasons}",
-            expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
-            code="cube-missing",
-        )
-    chosen = calibrations if calibration is None else [Path(calibration)]
-    camera, sweep = _calibration(chosen, relative, notes)
+    CollectError.raise_if(
+        not raw,
+        "; ".join([f"no raw cube in {folder}", *notes]),
+        expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
+        code="cube-missing",
+    )
+    camera, sweep = _calibration(
+        calibrations if calibration is None else [Path(calibration)], relative, notes
+    )
     spectra |= (named := _named_references(references))
     irradiance, instruments = _instruments(spectra, relative, notes)
-    used = {path for paths in instruments.values() for path in paths}
-    if named and not used & set(named):
-        raise CollectError(
-            "; ".join([f"no reference spectra in {', '.join(map(str, references))}", *notes]),
-            expected=f"reflectance: {_SPECTRA}",
-            code="file-not-found",
-        )
+    CollectError.raise_if(
+        named and not {path for paths in instruments.values() for path in paths} & set(named),
+        "; ".join([f"no reference spectra in {', '.join(map(str, references))}", *notes]),
+        expected=f"reflectance: {_SPECTRA}",
+        code="file-not-found",
+    )
     raw.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
     cubes = tuple(map(_flight_cube, raw))
-    record = [path for pattern in irradiance for path in spectra[pattern]]
-    utc_offset_h, clock_offsets_s = _record_times(record, cubes)
+    utc_offset_h, clock_offsets_s = _record_times(
+        [path for pattern in irradiance for path in spectra[pattern]], cubes
+    )
     survey = _survey(surveys, relative, notes)
     if whites and (irradiance or camera or sweep):
         notes.append(
@@ -256,8 +253,10 @@ def _flight_cube(header: Path) -> FlightCube:
 def _survey(paths: list[Path], relative: Callable[[Path], str], notes: list[str]) -> Survey | None:
     # the surveyed height of the ground, from a single file with similar heights
     if len(paths) > 1:
-        names = ", ".join(map(relative, paths))
-        notes.append(f"several surveys ({names}): the height of the ground is not taken from them")
+        notes.append(
+            f"several surveys ({', '.join(map(relative, paths))}): the height of the ground is not taken "
+            "from them"
+        )
     for path in paths if len(paths) == 1 else ():
         try:
             heights = _surveyed_heights(path)
@@ -290,11 +289,12 @@ def _calibration(
             except PaintError:
                 reasons.append(f"{relative(path)} is not used: {error}")
     candidates = calibrations or sweeps
-    if not candidates:
-        notes += reasons
+    notes += [] if candidates else reasons
     if len(candidates) > 1:
-        names = ", ".join(map(relative, candidates))
-        notes.append(f"several calibrations ({names}) are not used; choose one with --calibration")
+        notes.append(
+            f"several calibrations ({', '.join(map(relative, candidates))}) are not used; choose one with "
+            "--calibration"
+        )
         return None, None
     return (candidates[0], None) if calibrations else (None, candidates[0] if sweeps else None)
 
@@ -315,8 +315,7 @@ def _named_references(paths: Iterable[str | os.PathLike[str]]) -> dict[Path, lis
         for path in _walk(place) if place.is_dir() else [place]:
             in_folder = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
             if in_folder or place.is_file() or path.suffix.lower() in (".txt", ".csv", ".tsv"):
-                key = path.parent / f"*{path.suffix}" if in_folder else path
-                spectra.setdefault(key, []).append(path)
+                spectra.setdefault(path.parent / f"*{path.suffix}" if in_folder else path, []).append(path)
         CollectError.raise_if(
             not spectra,
             f"references {place}: no spectra in this folder",
@@ -342,8 +341,9 @@ def _instruments(
             elif kind != "scans":
                 (opened,) = open_spectra([first])
                 stem = re.sub(r"[^A-Za-z0-9]+", "_", first.stem).strip("_") or "table"
-                taken = ("asd", "svc", *references)
-                (instrument,) = unique_names([stem], taken, suffix="_{}", fold=str.lower)
+                (instrument,) = unique_names(
+                    [stem], ("asd", "svc", *references), suffix="_{}", fold=str.lower
+                )
                 quantity = str(next(iter(opened.data_vars), "nothing"))
         except PaintError as error:
             notes.append(f"{relative(pattern)} is not used: {error}")
@@ -370,18 +370,17 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
             f"not a table of text ({error})", expected="rows of short cells", code="text-unreadable"
         ) from error
     columns = [n for n, cell in enumerate(rows[0]) if _HEIGHT.search(cell)] if rows else []
-    if len(columns) != 1 or len(rows) < 2:
-        raise FormatError(
-            f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows",
-            expected="one column such as ellipsoidal_height_m (heights above sea level differ)",
-            code="height-column-missing",
-        )
+    FormatError.raise_if(
+        len(columns) != 1 or len(rows) < 2,
+        f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows",
+        expected="one column such as ellipsoidal_height_m (heights above sea level differ)",
+        code="height-column-missing",
+    )
     try:
         heights = np.array([float(row[columns[0]]) for row in rows[1:]])
     except (ValueError, IndexError) as error:
         raise FormatError(f"a height is not a number: {error}", code="number-unreadable") from error
-    if not np.isfinite(heights).all():
-        raise FormatError("a height is not finite", code="not-finite")
+    FormatError.raise_if(not np.isfinite(heights).all(), "a height is not finite", code="not-finite")
     problems = Problems("its heights cannot be used", FormatError)
     metres = metres_of(*column_heading(rows[0][columns[0]]), problems)
     problems.raise_if_any()
@@ -483,8 +482,11 @@ def write_collect_toml(
 
 def unknown_keys(path: Path) -> list[str]:
     # Return the lines of a ``collect.toml`` that are still to be filled in.
-    lines = read_limited(path, 1 << 20, "a collect.toml").decode().splitlines()
-    return [line.partition("#")[0].strip() for line in lines if f'= "{UNKNOWN}"' in line.partition("#")[0]]
+    return [
+        line.partition("#")[0].strip()
+        for line in read_limited(path, 1 << 20, "a collect.toml").decode().splitlines()
+        if f'= "{UNKNOWN}"' in line.partition("#")[0]
+    ]
 
 
 def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
@@ -507,8 +509,14 @@ def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
     unknown_time = None if files.has_white else UNKNOWN
     unknown_dark = None if all(cube.has_dark for cube in files.cubes) else UNKNOWN
     if None in exposures:
-        note = "exposure [ms]: no settings.txt and no header states it"
-        camera.append(key("camera", "exposure_time_ms", UNKNOWN, note))
+        camera.append(
+            key(
+                "camera",
+                "exposure_time_ms",
+                UNKNOWN,
+                "exposure [ms]: no settings.txt and no header states it",
+            )
+        )
     elif not is_indexed and len(exposures) == 1:
         camera.append(key("camera", "exposure_time_ms", _ms(*exposures), "exposure [ms], from the header"))
     if not is_indexed and len(periods) == 1 and None not in periods:
@@ -645,8 +653,11 @@ def _folder_ids(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) ->
         stem = re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight"
         used_ids = {name.lower() for name in ids.values()}
         # an id has at least two characters and differs from those of other folders
-        candidates = (stem, *(f"{stem}_{number}" for number in range(2, len(cubes) + 2)))
-        ids[folder] = next(name for name in candidates if len(name) > 1 and name.lower() not in used_ids)
+        ids[folder] = next(
+            name
+            for name in (stem, *(f"{stem}_{number}" for number in range(2, len(cubes) + 2)))
+            if len(name) > 1 and name.lower() not in used_ids
+        )
     return ids
 
 

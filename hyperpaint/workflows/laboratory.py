@@ -189,8 +189,9 @@ def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
         angles = camera.look_across(convention.column_order)
     else:
         return line.assign_attrs(attrs)
-    table = xr.DataArray(angles, dims=(CROSS_TRACK,))
-    return line.assign_coords(look_across=label(table, "look_across")).assign_attrs(attrs)
+    return line.assign_coords(
+        look_across=label(xr.DataArray(angles, dims=(CROSS_TRACK,)), "look_across")
+    ).assign_attrs(attrs)
 
 
 _MAX_ANGLE_FILE_BYTES = 2**20
@@ -199,13 +200,14 @@ _MAX_ANGLE_FILE_BYTES = 2**20
 def _column_angles(path: Path, columns: int) -> Floats:
     # angle of every column, positive to the right [degree]
     content = "a text file with the angle of every column, positive to the right [degree]"
-    text = decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, content))
-    angles = numbers(text.replace(",", " ").split())
-    if angles is None or len(angles) != columns:
-        found = "words" if angles is None else f"{len(angles)} numbers"
-        raise FormatError(
-            f"{path}: {found}",
-            expected=f"{columns} angles [degree], one for every column",
-            code="length-mismatch",
-        )
+    angles = numbers(
+        decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, content)).replace(",", " ").split()
+    )
+    found = "words" if angles is None else f"{len(angles)} numbers"
+    FormatError.raise_if(
+        angles is None or len(angles) != columns,
+        f"{path}: {found}",
+        expected=f"{columns} angles [degree], one for every column",
+        code="length-mismatch",
+    )
     return np.asarray(angles, np.float64)

@@ -138,10 +138,9 @@ def test_coefficients_of_a_vendor() -> None:
 
 
 def dark(seconds: float, bias: float = 100.0, rate: float = 50.0) -> xr.Dataset:
-    counts = np.full((2, 3), bias + rate * seconds)
     return xr.Dataset(
         {
-            "dark_counts": (ELEMENT, counts, {"units": "count"}),
+            "dark_counts": (ELEMENT, np.full((2, 3), bias + rate * seconds), {"units": "count"}),
             "dark_exposure_time": ((), seconds * 1e3, {"units": "ms"}),
         }
     )

@@ -23,8 +23,7 @@ def _sweep(effects: tuple[tuple[str, Any], ...]) -> xr.Dataset:
 
 
 def sweep_of(**effects: Any) -> xr.Dataset:
-    given = {"columns": 5, "nonuniformity": 0, "smile_nm": 1.5, **effects}
-    return _sweep(tuple(sorted(given.items())))
+    return _sweep(tuple(sorted({"columns": 5, "nonuniformity": 0, "smile_nm": 1.5, **effects}.items())))
 
 
 def inside(sweep: xr.Dataset, width: float) -> np.ndarray:
@@ -180,8 +179,7 @@ def test_views_provenance_and_progress() -> None:
     told: list[tuple[int, int]] = []
     made = hp.calibrate(sweep_of(bands=136), progress=lambda done, total: told.append((done, total)))
     assert (told[0], told[-1]) == ((1, 244), (244, 244))
-    efficiency = quantum_efficiency(made)
-    assert 0.1 < float(efficiency.max()) < 0.2  # half of the light falls between 136 bands
+    assert 0.1 < float(quantum_efficiency(made).max()) < 0.2  # half of the light falls between 136 bands
     assert float(relative_responsivity(made).max()) == pytest.approx(1.0, abs=0.02)
     assert (made.absolute_scale, made.noise_source) == ("known", "variance of the frames")
     assert made.radiance_gain_u_systematic.dims == ("band",)

@@ -124,8 +124,7 @@ def test_a_sphere_gives_linearity_and_flat_field() -> None:
     assert coefficients == pytest.approx((0.0,), abs=1e-9)
     flat = hp.calibration.flat_field(sphere.counts - sphere.dark_counts)
     assert flat.values[0].tolist() == pytest.approx([1.0, 0.98, 1.02], abs=0.002)
-    one = open_sweep(EXAMPLES / "sphere_levels_long.csv")
-    assert one.dark_counts.dims == ("band", "cross_track")
+    assert open_sweep(EXAMPLES / "sphere_levels_long.csv").dark_counts.dims == ("band", "cross_track")
 
 
 @pytest.mark.parametrize(
@@ -147,8 +146,7 @@ def test_faults_of_a_table_name_row_column_and_unit(tmp_path: Path, old: str, ne
     text = (EXAMPLES / "sphere_levels.csv").read_text()
     assert old in text
     (tmp_path / "sphere.csv").write_text(text.replace(old, new))
-    error = expect_error(FormatError, None, lambda: open_sweep(tmp_path / "sphere.csv"))
-    assert words in str(error)
+    assert words in str(expect_error(FormatError, None, lambda: open_sweep(tmp_path / "sphere.csv")))
     for name in ("dark", "scan_400", "scan_460"):
         with pytest.raises(FormatError, match=rf"cube '{name}.hdr': no such file.*cube-missing"):
             open_sweep(EXAMPLES / "power_meter.csv")
@@ -184,8 +182,7 @@ def test_a_collect_is_calibrated_on_the_way(collect: Path) -> None:
     line = tree["flightlines/raw_0"].to_dataset()
     assert not [name for name in line.variables if str(name).startswith(("line_", "beam_", "stray"))]
     assert line.radiance_gain_u_systematic.dims == ("band",)
-    reflectance = line.paint.reflectance().reflectance.values
-    assert np.isfinite(reflectance[:, 20:-20]).mean() > 0.9
+    assert np.isfinite(line.paint.reflectance().reflectance.values[:, 20:-20]).mean() > 0.9
     expect_refusals((CollectError, "calibrate-missing", lambda: open_with_settings(collect)))
 
 

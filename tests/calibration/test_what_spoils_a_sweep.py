@@ -25,8 +25,7 @@ def _sweep(effects: tuple[tuple[str, Any], ...]) -> xr.Dataset:
 
 
 def sweep_of(**effects: Any) -> xr.Dataset:
-    given = {"columns": 12, "nonuniformity": 0, "seed": 1, **effects}
-    return _sweep(tuple(sorted(given.items())))
+    return _sweep(tuple(sorted({"columns": 12, "nonuniformity": 0, "seed": 1, **effects}.items())))
 
 
 def with_values(sweep: xr.Dataset, name: str, values: Any) -> xr.Dataset:
@@ -111,8 +110,7 @@ def test_one_dead_element_at_either_end() -> None:
     sweep, dead = sweep_of(columns=6), ([0, 1, 2, 269, 270, 271], range(6))
     counts = sweep.counts.values.copy()
     counts[:, *dead] = sweep.dark_counts.values[dead]
-    made = hp.calibrate(with_values(sweep, "counts", counts))
-    assert np.nanmax(np.abs(error_of(made, sweep))) < 0.02
+    assert np.nanmax(np.abs(error_of(hp.calibrate(with_values(sweep, "counts", counts)), sweep))) < 0.02
 
 
 @pytest.mark.parametrize("nonuniformity", [0.0, 0.005, 0.02])
@@ -331,8 +329,7 @@ def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:
     sweep = sweep_of(bands=136, columns=6, **CLEAN)
     made = hp.calibrate(sweep, linearity=(0.0, 1e-9)).assign_attrs(linearity=[1e-4])
     frames = frames_of(sweep)
-    bent = frames.counts - frames.dark_counts
-    curved = (-1 + np.sqrt(1 + 4e-4 * bent)) / 2e-4  # c + 1e-4 c^2 = bent
+    curved = (-1 + np.sqrt(1 + 4e-4 * (frames.counts - frames.dark_counts))) / 2e-4  # c + 1e-4 c^2 = bent
     frames["counts"] = (curved + frames.dark_counts).assign_attrs(units="count")
     anchored = anchor_to_radiance(made, frames, even_radiance())
     assert np.nanmax(np.abs(error_of(anchored, sweep))) < 1e-5

@@ -106,8 +106,7 @@ def test_against_plain_numpy_and_chunks_change_no_bit(attrs: dict[str, Any]) -> 
     pedestal = (raw - dark)[:, :, COVER].mean(axis=(1, 2))[:, None, None]
     curve = (lambda c: c + 1e-5 * c**2) if attrs else (lambda c: c)
     net = curve(raw) - curve(dark + pedestal)
-    exposure = np.broadcast_to(line.exposure_time.values, 40)[:, None, None]
-    expected = net * line.radiance_gain.values / exposure
+    expected = net * line.radiance_gain.values / np.broadcast_to(line.exposure_time.values, 40)[:, None, None]
     made = line.paint.radiance().radiance.values
     seen = np.isfinite(made) & ~COVER
     np.testing.assert_allclose(made[seen], expected[seen], rtol=1e-4, atol=1e-4 * np.median(expected[seen]))

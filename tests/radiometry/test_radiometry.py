@@ -401,8 +401,7 @@ def test_lines_of_two_exposures_have_their_own_darks() -> None:
     factor = np.where(np.arange(24) % 2, 2.0, 1.0)
     dark = made.line.dark_counts.values
     line = made.line.assign(saturation_count=made.line.saturation_count * 3)
-    scaled = above(line) * factor[:, None, None] + dark + rate * 5e-3 * factor[:, None, None]
-    line = counted(line, scaled)
+    line = counted(line, above(line) * factor[:, None, None] + dark + rate * 5e-3 * factor[:, None, None])
     line["exposure_time"] = ("along_track", 5e-3 * factor, {"units": "s"})
     line = darkened(line, np.stack([dark + rate * t for t in (5e-3, 10e-3)]), [5e-3, 10e-3])
     np.testing.assert_allclose(values(line), made.reflectance, rtol=5e-5)

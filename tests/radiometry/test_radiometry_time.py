@@ -53,8 +53,7 @@ def test_records_that_run_backwards_or_stand_still_are_refused() -> None:
 
 
 def test_clocks_that_are_off() -> None:
-    made = flight(drift=0.01)
-    line, offset, hours = made.line, np.timedelta64(37_250, "ms"), np.timedelta64(5, "h")
+    line, offset, hours = flight(drift=0.01).line, np.timedelta64(37_250, "ms"), np.timedelta64(5, "h")
     wrong = line.assign_coords(irradiance_time=line.irradiance_time + offset)
     got = reflectance(wrong).compute()  # the record begins 27 s after the line
     local = line.assign_coords(time=line.time - hours)
@@ -83,11 +82,10 @@ def test_another_record_brings_its_own_gap_and_width() -> None:
     line = line.assign(irradiance_max_gap=((), 1.5 * step, {"units": "s"}))
     half = line.isel(irradiance_time=slice(None, None, 2))
     other = half[["irradiance", "irradiance_fwhm"]]
-    gaps = [
+    assert [
         bool((made.quality & Quality.IRRADIANCE_GAP).any())
         for made in (reflectance(half), reflectance(line, other))
-    ]
-    assert gaps == [True, False]
+    ] == [True, False]
     expect_errors(
         (SchemaError, "irradiance_fwhm", lambda: reflectance(line, other.drop_vars("irradiance_fwhm"))),
         (SchemaError, r"DataArray.*type-wrong", lambda: reflectance(line, other.irradiance)),

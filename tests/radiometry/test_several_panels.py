@@ -41,8 +41,7 @@ def departure(line: xr.Dataset, **options: object) -> np.ndarray:
     # Return reflectance over the truth (along_track,), median over bands and columns beside the panels
     scaled = hp.reflectance(line, **options)
     beside = {"cross_track": slice(24, None), "band": slice(2, 18)}
-    ratio = (scaled.reflectance / line.true_reflectance).isel(beside)
-    return ratio.median(["band", "cross_track"]).values
+    return (scaled.reflectance / line.true_reflectance).isel(beside).median(["band", "cross_track"]).values
 
 
 @pytest.mark.parametrize("drift", [0.05, -0.03])
@@ -106,8 +105,7 @@ def test_a_panel_that_is_refused_is_left_out() -> None:
 
 
 def closure(factor: np.ndarray, seconds: tuple[float, ...], mean_u: float = 1e-4) -> PanelClosure:
-    start = np.datetime64("2024-06-21T12:00:00", "ns")
-    time = start + (np.array(seconds) * 1e9).astype("timedelta64[ns]")
+    time = np.datetime64("2024-06-21T12:00:00", "ns") + (np.array(seconds) * 1e9).astype("timedelta64[ns]")
     small = np.full(factor.shape, mean_u)
     states = np.zeros(len(factor), np.uint8)
     return PanelClosure(1.0 / factor, factor, small, small, small, states, time, ("",) * len(factor))

@@ -364,16 +364,16 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
             code="key-missing",
         )
         return None
-    skipped = ("files", "calibration", "mount")
-    options = {key: value for key, value in values(table).items() if key not in skipped}
+    options = {k: v for k, v in values(table).items() if k not in ("files", "calibration", "mount")}
     if "calibration" in table:
         certificates = {
             str(key): reader.path("[irradiance.calibration]", str(key), str(value))
             for key, value in table["calibration"].items()
         }
         options["calibration"] = {key: path for key, path in certificates.items() if path is not None}
-    files = reader.files("[irradiance]", "files", table["files"])
-    return IrradianceEntry(files, options, table.get("mount") == "aircraft")
+    return IrradianceEntry(
+        reader.files("[irradiance]", "files", table["files"]), options, table.get("mount") == "aircraft"
+    )
 
 
 def _target_reflectance(reader: _Reader, subject: str, table: Mapping[str, Any]) -> float | Path | None:
@@ -471,14 +471,13 @@ def _flightline(
     sources_of_time = {"frame_index", "nav", "start_time"} & stated
     is_timed = bool(by_index) or ("start_time" in stated and has_period)
     # reflectance relative to a white tile needs no times
-    if not is_timed and (sources_of_time or not shared["has_white"]):
-        sources = sorted(sources_of_time)
-        sources += ["frame_period_ms"] if has_period else []
-        reader.problems.add(
-            f"{subject} no line times: found {', '.join(sources) or 'nothing'}",
-            expected="frame_index and nav, or start_time and frame_period_ms",
-            code="line-times-missing",
-        )
+    sources = [*sorted(sources_of_time), *(["frame_period_ms"] if has_period else [])]
+    reader.problems.add_if(
+        not is_timed and (sources_of_time or not shared["has_white"]),
+        f"{subject} no line times: found {', '.join(sources) or 'nothing'}",
+        expected="frame_index and nav, or start_time and frame_period_ms",
+        code="line-times-missing",
+    )
     reader.problems.add_if(
         "date" in stated and reader.clock.clock_offset_s is None,
         f"{subject} date without [camera] clock_offset_s",
@@ -497,7 +496,6 @@ def _flightline(
     if cube is None:
         return None
     exposure = _seconds("exposure_time_ms", table, camera)
-    source = {} if exposure is None else {"exposure_source": reader.file_name}
     return FlightlineInputs(
         **shared,
         cube=cube,
@@ -505,7 +503,10 @@ def _flightline(
         exposure_time=exposure,
         name=name,
         keep_whole_lines=table.get("keep_whole_lines", False),
-        attrs={"collect": reader.collect_name, **source},
+        attrs={
+            "collect": reader.collect_name,
+            **({} if exposure is None else {"exposure_source": reader.file_name}),
+        },
     )
 
 
@@ -580,8 +581,14 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
         if reflectance is None or not set(position_keys) <= set(table):
             continue
         along, across = (tuple(table[key]) for key in position_keys[1:])
-        tilt = tuple(table["tilt"]) if "tilt" in table else None
-        yield PanelEntry(table["line"], along, across, reflectance, table.get("uncertainty", 0.0), tilt)
+        yield PanelEntry(
+            table["line"],
+            along,
+            across,
+            reflectance,
+            table.get("uncertainty", 0.0),
+            tuple(table["tilt"]) if "tilt" in table else None,
+        )
 
 
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:
@@ -690,10 +697,11 @@ def open_with_settings(
     # files are listed.
     path = source.path if isinstance(source, Collect) else Path(source)
     problems = Problems(f"{path} cannot be processed", CollectError)
-    if isinstance(source, Collect):
-        collect = source
-    else:
-        collect = parse_collect(path, problems, need_irradiance=need_irradiance)
+    collect = (
+        source
+        if isinstance(source, Collect)
+        else parse_collect(path, problems, need_irradiance=need_irradiance)
+    )
     findings = Findings(str(path))
     is_stated = collect.calibration is not None or collect.sweep is not None
     calibration: xr.Dataset | Unavailable | None = Unavailable.REPORTED if is_stated else None
@@ -765,8 +773,11 @@ def open_with_settings(
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
     joined_lines = dict(_joined_lines(collect, lines, irradiance))
     groups |= {f"/flightlines/{name}": joined.line for name, joined in joined_lines.items()}
-    shared_groups = {"/irradiance": irradiance, "/calibration": calibration}
-    groups |= {name: shared for name, shared in shared_groups.items() if isinstance(shared, xr.Dataset)}
+    groups |= {
+        name: shared
+        for name, shared in {"/irradiance": irradiance, "/calibration": calibration}.items()
+        if isinstance(shared, xr.Dataset)
+    }
     groups |= {f"/references/{name}": dataset for name, dataset in references.items()}
     members = {f"flightlines/{name}": joined.members for name, joined in joined_lines.items()}
     return OpenedCollect(xr.DataTree.from_dict(groups), collect, members)
@@ -788,8 +799,10 @@ def _joined_lines(
             joined_lines = list(join_lines({cube: lines[cube] for cube in cubes}, record))
             for joined in joined_lines:
                 if joined.interruption:
-                    message = f"{joined.members[0]} is a separate flight line: {joined.interruption}"
-                    warn_user(message, "recording-interrupted")
+                    warn_user(
+                        f"{joined.members[0]} is a separate flight line: {joined.interruption}",
+                        "recording-interrupted",
+                    )
                 joined_name = line_id if line_id and len(joined_lines) == 1 else joined.members[0]
                 yield joined_name, replace(joined, line=joined.line.assign_attrs(name=joined_name))
 

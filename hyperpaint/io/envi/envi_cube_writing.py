@@ -188,11 +188,9 @@ def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid
             ("bbl", "good", int),
         ):
             variable = dataset.variables.get(variable_name)
-            if variable is None or variable.dims != (BAND,):
+            if variable is None or variable.dims != (BAND,) or not np.isfinite(variable.values).all():
                 continue
             values = variable.values.astype(np.float64)
-            if not np.isfinite(values).all():
-                continue
             if key == "wavelength":
                 fields["wavelength units"] = "Nanometers"
             fields[key] = braced(list(map(repr, variable.values.astype(kind).tolist())))

@@ -207,14 +207,17 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     interleave = reader.choice("interleave", {name: name for name in FILE_AXES})
     for key in ("major frame offsets", "minor frame offsets"):
         text = fields.get(key, "")
-        if set(bare(text)) - set("0, \t\n"):
-            reader.add(f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported")
-    if fields.get("file compression", "0") != "0":
-        reader.add(
-            "'file compression' is set",
-            mend="unpack the data file and set it to 0",
+        reader.add_if(
+            set(bare(text)) - set("0, \t\n"),
+            f"{key!r} is {shown(text)}: padded lines are not supported",
             code="layout-unsupported",
         )
+    reader.add_if(
+        fields.get("file compression", "0") != "0",
+        "'file compression' is set",
+        mend="unpack the data file and set it to 0",
+        code="layout-unsupported",
+    )
     # bands
     is_library = "spectral library" in fields.get("file type", "").lower()
     count, unit = (samples, "samples of a spectral library") if is_library else (bands, "bands")
@@ -224,18 +227,27 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     if text and name_count == bands:
         names = tuple(name.strip() for name in text.split(","))
     elif text and name_count > max(1000, 10 * bands):
-        found = f"'band names' has {name_count} names for {bands} bands"
-        reader.add(found, mend="delete the list", code="length-mismatch")
+        reader.add(
+            f"'band names' has {name_count} names for {bands} bands",
+            mend="delete the list",
+            code="length-mismatch",
+        )
     elif text:
         reader.note(f"'band names' has {name_count} names for {bands} bands: names ignored")
     wavelength, fwhm = _spectral_axis(reader, count, unit, names)
     good = reader.numbers("bbl", count, unit)
-    if good is not None and not np.isin(good, (0.0, 1.0)).all():
-        reader.add("'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range")
+    reader.add_if(
+        good is not None and not np.isin(good, (0.0, 1.0)).all(),
+        "'bbl' holds values other than 0 (bad band) and 1 (good band)",
+        code="value-out-of-range",
+    )
     scale = reader.number("reflectance scale factor")
-    if scale is not None and not (math.isfinite(scale) and scale > 0):
-        found = f"'reflectance scale factor' is {scale}"
-        reader.add(found, expected="a number above 0", code="value-out-of-range")
+    reader.add_if(
+        scale is not None and not (math.isfinite(scale) and scale > 0),
+        f"'reflectance scale factor' is {scale}",
+        expected="a number above 0",
+        code="value-out-of-range",
+    )
     # integers stay integers: float64 cannot hold all 64-bit integers
     text = bare(fields.get("data ignore value", ""))
     is_whole = re.fullmatch(r"[-+]?[0-9]{1,20}", text) is not None
@@ -300,8 +312,11 @@ class _Reader(Problems):
                 if equals and self.comments.setdefault(key, value) != value:
                     self.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
             elif line and not (equals and key):
-                expected = "'key = value' or a comment (;)"
-                self.add(f"line {number} is {shown(line)}", expected=expected, code="text-unreadable")
+                self.add(
+                    f"line {number} is {shown(line)}",
+                    expected="'key = value' or a comment (;)",
+                    code="text-unreadable",
+                )
             elif line:
                 key = " ".join(key.lower().split())
                 value = self._closed(value, number, key, lines) if value.startswith("{") else value
@@ -316,8 +331,11 @@ class _Reader(Problems):
                 self.fields.setdefault(key, value)
             entries += bool(line)
             if entries > _MAX_ENTRIES or len(self) >= _MAX_SHOWN:
-                found = f"reading stopped at line {number}"
-                self.add(found, mend="check that it is not the data file", code="header-too-long")
+                self.add(
+                    f"reading stopped at line {number}",
+                    mend="check that it is not the data file",
+                    code="header-too-long",
+                )
                 self.fields.clear()
                 return
 
@@ -339,8 +357,9 @@ class _Reader(Problems):
     def integer(self, key: str, *, minimum: int, default: int | None = None) -> int:
         text = self.fields.get(key)
         kind = "a whole number above 0" if minimum else "a whole number, 0 or above"
-        if text is None and default is None:
-            self.add(f"{key!r} is missing", expected=kind, code="key-missing")
+        self.add_if(
+            text is None and default is None, f"{key!r} is missing", expected=kind, code="key-missing"
+        )
         if text is None:
             return default or 0
         if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < minimum:
@@ -352,8 +371,11 @@ class _Reader(Problems):
         text = self.fields.get(key)
         value = allowed.get((text or "").lower())
         if value is None:
-            found = f"{key!r} is {'missing' if text is None else shown(text)}"
-            self.add(found, expected=f"one of {', '.join(allowed)}", code="choice-unknown")
+            self.add(
+                f"{key!r} is {'missing' if text is None else shown(text)}",
+                expected=f"one of {', '.join(allowed)}",
+                code="choice-unknown",
+            )
         return value
 
     def number(self, key: str) -> float | None:
@@ -372,8 +394,11 @@ class _Reader(Problems):
         # counted before it is split: millions of values become objects only for a cube of that size
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
-            found, expected = f"{key!r} has {size} values for {count} {per}", "one for each, or no "
-            self.add(found, expected=f"{expected}{key!r} at all", code="length-mismatch")
+            self.add(
+                f"{key!r} has {size} values for {count} {per}",
+                expected=f"one for each, or no {key!r} at all",
+                code="length-mismatch",
+            )
             return None
         try:
             values = np.array([_to_float(item) for item in _ITEM.findall(text)], dtype=np.float64)
@@ -381,11 +406,9 @@ class _Reader(Problems):
             self.add(f"{key!r}: {error}", expected="numbers", code="number-unreadable")
             return None
         infinite = np.flatnonzero(~np.isfinite(values))
-        if not infinite.size:
-            return values
-        found = f"{key!r}: value {infinite[0] + 1} is {values[infinite[0]]}"
-        self.add(found, expected="finite numbers", code="not-finite")
-        return None
+        for n in infinite[:1]:
+            self.add(f"{key!r}: value {n + 1} is {values[n]}", expected="finite numbers", code="not-finite")
+        return None if infinite.size else values
 
 
 def shown(text: str) -> str:
@@ -449,20 +472,21 @@ def _spectral_axis(
             reader.note(f"no wavelength units: {taken}")
             factor = 1e3 if is_micrometres else 1.0
         elif factor == (1.0 if is_micrometres else 1e3):
-            found = f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: check the unit"
-            reader.note(found, warn=True)
-    nanometres: dict[str, Floats | None] = {}
-    for key, values in lists.items():
+            reader.note(
+                f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: check the unit",
+                warn=True,
+            )
+    nanometres = dict(lists)
+    for key, values in ((key, values) for key, values in lists.items() if values is not None):
         with np.errstate(over="ignore"):
-            scaled = nanometres[key] = None if values is None else values * factor
-        if values is None or scaled is None:
-            continue
-        if not np.isfinite(scaled).all():
-            found = f"{key!r} holds values up to {values.max():.3g}, which is infinite in nanometres"
-            reader.add(found, code="not-finite")
+            nanometres[key] = scaled = values * factor
+        reader.add_if(
+            not np.isfinite(scaled).all(),
+            f"{key!r} holds values up to {values.max():.3g}, which is infinite in nanometres",
+            code="not-finite",
+        )
         is_wrong, limit = (values < 0, "below 0") if key == "fwhm" else (values <= 0, "that are not above 0")
-        if is_wrong.any():
-            reader.add(f"{key!r} holds values {limit}", code="value-out-of-range")
+        reader.add_if(is_wrong.any(), f"{key!r} holds values {limit}", code="value-out-of-range")
     if not has_wavelengths:
         nanometres["wavelength"] = _wavelength_of_names(names, reader)
     return nanometres["wavelength"], nanometres["fwhm"]
@@ -499,8 +523,11 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         )
         return None
     if not all(map(math.isfinite, (column, row, x, y, width, height, rotation))) or min(width, height) <= 0:
-        expected = "finite numbers and sizes above 0"
-        reader.add(f"'map info' is {shown(text)}", expected=expected, code="value-out-of-range")
+        reader.add(
+            f"'map info' is {shown(text)}",
+            expected="finite numbers and sizes above 0",
+            code="value-out-of-range",
+        )
         return None
     return MapInfo(
         projection=entries[0],
@@ -609,14 +636,14 @@ class EnviArray(BackendArray):
         with open(self.path, "rb", buffering=0) as file:
             # Raise FormatError if the file has changed since it was opened: its layout may differ.
             status = os.fstat(file.fileno())
-            if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
-                raise FormatError(
-                    f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} "
-                    f"bytes of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
-                    expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
-                    mend="open it again",
-                    code="file-changed",
-                )
+            FormatError.raise_if(
+                (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns),
+                f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} "
+                f"bytes of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
+                expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
+                mend="open it again",
+                code="file-changed",
+            )
             # complete successive planes of the file are read in one piece
             planes, rows, columns = indices
             _, height, width = self.file_shape
@@ -703,11 +730,9 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
 
     def existing(suffixes: Iterable[str], *stems: Path) -> list[Path]:
         # the files among the names; two spellings of one file count once
-        files: list[Path] = []
-        for name in (Path(f"{stem}{suffix}") for stem in stems for suffix in suffixes):
-            if is_plain_file(name) and not any(name.samefile(other) for other in files):
-                files.append(name)
-        return files
+        names = (Path(f"{stem}{suffix}") for stem in stems for suffix in suffixes)
+        files = [name for name in names if is_plain_file(name)]
+        return [name for n, name in enumerate(files) if not any(map(name.samefile, files[:n]))]
 
     bare_path = path.with_suffix("")
     if path.suffix.lower() != ".hdr":
@@ -727,13 +752,12 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
         expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
         code="data-file-missing",
     )
-    if len(candidates) > 1:
-        names = ", ".join(repr(candidate.name) for candidate in candidates)
-        raise FormatError(
-            f"ENVI header {str(path)!r} could belong to {names}",
-            mend="open the data file you mean",
-            code="data-file-ambiguous",
-        )
+    FormatError.raise_if(
+        len(candidates) > 1,
+        f"ENVI header {str(path)!r} could belong to {', '.join(repr(file.name) for file in candidates)}",
+        mend="open the data file you mean",
+        code="data-file-ambiguous",
+    )
     return path, candidates[0]
 
 
@@ -939,8 +963,8 @@ def open_envi(
         "dark_lines": f"{start} to {recorded - 1}" if has_dark else "",
         **{key.replace(" ", "_"): header.fields.get(key, "") for key in map_keys},
     }
-    line_attrs = {key: value for key, value in line_attrs.items() if value != ""}
-    return xr.Dataset({name: variable}, coords=coords, attrs=line_attrs)
+    stated = {key: value for key, value in line_attrs.items() if value != ""}
+    return xr.Dataset({name: variable}, coords=coords, attrs=stated)
 
 
 def _has_gain(header: EnviHeader) -> bool:
@@ -984,8 +1008,11 @@ def _level(header: EnviHeader) -> str | None:
 
 def _is_unscaled(header: EnviHeader) -> bool:
     # Return whether the header declares integers as reflectance without a scale.
-    has_no_scale = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
-    return _level(header) == "reflectance" and header.dtype.kind in "iu" and has_no_scale
+    return (
+        _level(header) == "reflectance"
+        and header.dtype.kind in "iu"
+        and (header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header))
+    )
 
 
 _CUBE_TYPES = ("", "envi", "envi standard")

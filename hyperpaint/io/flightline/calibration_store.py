@@ -215,18 +215,18 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     if "radiance_gain" in arrays:
         gains = arrays["radiance_gain"].values
         unusable = int((np.isinf(gains) | (gains <= 0)).sum())
-        if np.isnan(gains).all():
-            problems.add(
-                "'radiance_gain' is NaN everywhere",
-                expected="a gain for the elements that are not bad",
-                code="not-finite",
-            )
-        elif unusable:
-            problems.add(
-                f"'radiance_gain' is zero, negative or infinite in {unusable} elements",
-                expected="positive gains, and NaN for bad elements",
-                code="value-out-of-range",
-            )
+        problems.add_if(
+            np.isnan(gains).all(),
+            "'radiance_gain' is NaN everywhere",
+            expected="a gain for the elements that are not bad",
+            code="not-finite",
+        )
+        problems.add_if(
+            unusable,
+            f"'radiance_gain' is zero, negative or infinite in {unusable} elements",
+            expected="positive gains, and NaN for bad elements",
+            code="value-out-of-range",
+        )
     if shape is not None:
         one_of(shape, SRF_SHAPES, "attribute srf_shape", problems=problems)
     sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}
@@ -372,13 +372,12 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     if table is not None:
         return read_sweep_table(Path(table))
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
-    if "counts" not in opened.variables or STEP not in opened["counts"].dims:
-        variables = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
-        raise FormatError(
-            f"{path}: holds {variables}",
-            expected="a lab sweep with 'counts' (step, band, cross_track)",
-            code="counts-missing",
-        )
+    FormatError.raise_if(
+        "counts" not in opened.variables or STEP not in opened["counts"].dims,
+        f"{path}: holds {', '.join(sorted(map(str, opened.variables))[:8]) or 'nothing'}",
+        expected="a lab sweep with 'counts' (step, band, cross_track)",
+        code="counts-missing",
+    )
     names = [name for name in SWEEP_VARIABLES if name in opened.variables]
     return opened[names].reset_coords(drop=True) if not set(names) & set(opened.coords) else opened[names]
 

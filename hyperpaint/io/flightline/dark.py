@@ -1,7 +1,7 @@
 """Dark references: cubes recorded with a closed lens, averaged element by element."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -59,8 +59,9 @@ class Dark:
         exposures = [seconds for seconds in self.exposures if seconds is not None]
         if exposures and len(exposures) == len(self.exposures):
             by_time = "dark_time" in self.counts.dims
-            values = np.array(exposures if by_time else exposures[0])
-            array = xr.DataArray(values, dims=("dark_time",) if by_time else ())
+            array = xr.DataArray(
+                np.array(exposures if by_time else exposures[0]), dims=("dark_time",) if by_time else ()
+            )
             variables["dark_exposure_time"] = label(array, "dark_exposure_time")
         if needs_noise and self.read_noise is not None:
             variables["read_noise"] = self.read_noise
@@ -89,15 +90,15 @@ def open_dark(
     # open; ``cube``: counts of the line, or None if they failed to open.
     # Raises `SchemaError`: There is no dark, or a dark does not fit the cube. Raises `FormatError`: A file is
     # not a cube of raw counts.
-    if source is None or (isinstance(source, (list, tuple)) and not source):
-        raise SchemaError(
-            "no dark reference",
-            mend=(
-                'pass dark=, or dark="none" where the counts are dark-corrected '
-                '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
-            ),
-            code="dark-missing",
-        )
+    SchemaError.raise_if(
+        source is None or (isinstance(source, (list, tuple)) and not source),
+        "no dark reference",
+        mend=(
+            'pass dark=, or dark="none" where the counts are dark-corrected '
+            '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+        ),
+        code="dark-missing",
+    )
     shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
     if isinstance(source, str) and source == DARK_NONE:
         if shape is None:
@@ -121,8 +122,9 @@ def own_dark(source: Any, path: Path | None, opened: xr.Dataset) -> Any:
 
 def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
     exposure = dataset.get("dark_exposure_time")
-    names = ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"])
-    arrays = require(dataset, names, "a dark correction")
+    arrays = require(
+        dataset, ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"]), "a dark correction"
+    )
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
     check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     SchemaError.raise_if(
@@ -158,27 +160,28 @@ def read_reference(
     else:
         path = Path(source)
         opened, name = open_envi(path, unsaid="counts"), path.name
-    if "counts" not in opened:
-        variables = ", ".join(map(str, opened.data_vars)) or "nothing"
-        raise FormatError(
-            f"{name}: holds {variables}", expected=f"a {role} cube of raw counts", code="counts-missing"
-        )
+    FormatError.raise_if(
+        "counts" not in opened,
+        f"{name}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
+        expected=f"a {role} cube of raw counts",
+        code="counts-missing",
+    )
     counts = opened["counts"]
     if set(counts.dims) == set(CUBE):
         counts = counts.transpose(*CUBE)
         check_shape(counts.shape[1:], shape, f"{role} {name}", role)
     frames = sum_dark(counts, f"{role} {name}")
-    exposure = None
+    sources = exposure_sources(path, opened)
+    stated: Iterator[float | None] = (
+        exposure_seconds(pairs, f"{role} {name}: {file}") for file, pairs in sources
+    )
     if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
-        exposure = float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
-    else:
-        for file, pairs in exposure_sources(path, opened):
-            exposure = exposure_seconds(pairs, f"{role} {name}: {file}")
-            if exposure is not None:
-                break
+        stated = iter([float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])])
+    exposure = next((seconds for seconds in stated if seconds is not None), None)
     wavelength = opened["wavelength"].values if "wavelength" in opened.coords else None
-    middle = _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK])
-    return Reference(name, frames, middle, exposure, wavelength)
+    return Reference(
+        name, frames, _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure, wavelength
+    )
 
 
 def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
@@ -210,8 +213,7 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
         return None
     start, period = recording_clock(opened)
     if start is not None:
-        middle_ns = round(0.5e9 * lines * (period or 0.0))
-        return utc_of(start, "start time") + np.timedelta64(middle_ns, "ns")
+        return utc_of(start, "start time") + np.timedelta64(round(0.5e9 * lines * (period or 0.0)), "ns")
     stated = json.loads(opened.attrs.get("envi_header", "{}")).get("acquisition time")
     try:
         return None if stated is None else utc_of(str(stated), "acquisition time")
@@ -239,22 +241,31 @@ def _combine(references: list[Reference]) -> Dark:
     times = [ref.time for ref in references if ref.time is not None]
     if len(references) > 1 and len(times) == len(references) == len(set(times)):
         references = sorted(references, key=lambda ref: ref.time or np.datetime64(0, "ns"))
-        stack = np.stack([ref.frames.mean for ref in references]).astype(np.float32)
-        counts = label(xr.DataArray(stack, dims=("dark_time", *_ELEMENT)), "dark_counts")
-        stamps = np.array([ref.time for ref in references], "datetime64[ns]")
-        counts = counts.assign_coords(dark_time=label(xr.DataArray(stamps, dims="dark_time"), "dark_time"))
+        counts = label(
+            xr.DataArray(
+                np.stack([ref.frames.mean for ref in references]).astype(np.float32),
+                dims=("dark_time", *_ELEMENT),
+            ),
+            "dark_counts",
+        )
+        counts = counts.assign_coords(
+            dark_time=label(
+                xr.DataArray(np.array([ref.time for ref in references], "datetime64[ns]"), dims="dark_time"),
+                "dark_time",
+            )
+        )
         min_lines = min(ref.frames.lines for ref in references)
         u = None if variance is None else _labelled(np.sqrt(variance / min_lines), "dark_counts_u_random")
         return Dark(counts, tuple(ref.exposure for ref in references), noise, source, u)
-    if len({ref.exposure for ref in references}) > 1:
-        exposures = ", ".join(
-            f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
-            for ref in references
-        )
-        raise SchemaError(
-            f"dark cubes of unknown times cannot be averaged, since their exposures differ: {exposures}",
-            code="exposure-conflict",
-        )
+    exposures = ", ".join(
+        f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
+        for ref in references
+    )
+    SchemaError.raise_if(
+        len({ref.exposure for ref in references}) > 1,
+        f"dark cubes of unknown times cannot be averaged, since their exposures differ: {exposures}",
+        code="exposure-conflict",
+    )
     lines = sum(ref.frames.lines for ref in references)
     total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
     mean = (total / np.float64(lines)).astype(np.float32)

@@ -206,22 +206,21 @@ def open_flightline(
     (((32, 8), (4,), (6,)), np.datetime64('2021-07-20T17:10:00.000000000'), 'settings.txt')
     """
     source = cube if isinstance(cube, xr.Dataset) else Path(cube)
-    timing = Timing(
-        frame_index=None if frame_index is None else Path(frame_index),
-        nav=nav if nav is None or isinstance(nav, Navigation) else Path(nav),
-        gps_time=None if gps_time is None else Path(gps_time),
-        date=date,
-        start_time=start_time,
-        frame_period=frame_period,
-        stamp=stamp,
-        clock_offset_s=nav_clock_offset_s,
-        time_scale=time_scale,
-        gps_leap_seconds=gps_leap_seconds,
-        max_gap_s=nav_max_gap_s,
-    )
     inputs = FlightlineInputs(
         cube=source,
-        timing=timing,
+        timing=Timing(
+            frame_index=None if frame_index is None else Path(frame_index),
+            nav=nav if nav is None or isinstance(nav, Navigation) else Path(nav),
+            gps_time=None if gps_time is None else Path(gps_time),
+            date=date,
+            start_time=start_time,
+            frame_period=frame_period,
+            stamp=stamp,
+            clock_offset_s=nav_clock_offset_s,
+            time_scale=time_scale,
+            gps_leap_seconds=gps_leap_seconds,
+            max_gap_s=nav_max_gap_s,
+        ),
         exposure_time=exposure_time,
         dark=dark,
         calibration=calibration,
@@ -277,8 +276,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         if start is not None and period is not None:
             inputs = replace(inputs, timing=replace(timing, start_time=start, frame_period=period))
             timing = cast(Timing, inputs.timing)
-    is_untimed = inputs.has_white and timing.frame_index is None and timing.start_time is None
-    if cube is not None and is_untimed:
+    if cube is not None and inputs.has_white and timing.frame_index is None and timing.start_time is None:
         times = LineTimes.unknown(cube.sizes[ALONG_TRACK])
     elif cube is not None and timing is inputs.timing:
         times = findings.attempt(
@@ -291,8 +289,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         )
     dark: Dark | None = None
     if is_counts and not isinstance(inputs.dark, Unavailable):
-        source = own_dark(inputs.dark, on_disk, opened)
-        dark = findings.attempt(open_dark, source, timing, calibration, cube)
+        dark = findings.attempt(open_dark, own_dark(inputs.dark, on_disk, opened), timing, calibration, cube)
     irradiance: xr.Dataset | None = None
     with findings.step():
         if inputs.irradiance is not None and not isinstance(inputs.irradiance, Unavailable):
@@ -305,13 +302,13 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         if timing.nav is not None:
             accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
             declared = inputs.convention
-            if unknown := set(declared) - accepted:
-                raise SchemaError(
-                    f"convention has {', '.join(sorted(unknown))}",
-                    expected=f"some of {', '.join(sorted(accepted))}",
-                    mend="pass angles in degree, and stamp= as a separate argument",
-                    code="key-unknown",
-                )
+            SchemaError.raise_if(
+                (unknown := set(declared) - accepted),
+                f"convention has {', '.join(sorted(unknown))}",
+                expected=f"some of {', '.join(sorted(accepted))}",
+                mend="pass angles in degree, and stamp= as a separate argument",
+                code="key-unknown",
+            )
             convention_attrs = Convention(**{"stamp_reference": timing.stamp, **declared}).to_attrs()
             assumed = [name for name in ASSUMED if name not in declared]
             convention_attrs |= {"navigation_assumed": ", ".join(assumed)} if assumed else {}
@@ -321,8 +318,9 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     variables: dict[str, xr.DataArray] = {cube.name: _lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
     attrs: dict[str, Any] = {"name": inputs.name or path.name.split(".")[0], "source": path.name}
     if exposure is not None:
-        dims = (ALONG_TRACK,) if exposure.ndim else ()
-        variables["exposure_time"] = label(xr.DataArray(exposure, dims=dims), "exposure_time")
+        variables["exposure_time"] = label(
+            xr.DataArray(exposure, dims=(ALONG_TRACK,) if exposure.ndim else ()), "exposure_time"
+        )
         attrs["exposure_source"] = exposure_source
     variables |= calibration_parts(calibration, is_counts)
     if dark is not None and saturation is not None:
@@ -358,7 +356,6 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
     path = inputs.path
     name = next((name for name in ("counts", "radiance") if name in opened), None)
     if name is None:
-        names = ", ".join(map(str, opened.data_vars)) or "nothing"
         FormatError.raise_if(
             "values" in opened and opened["values"].dtype.kind in "iu",
             f"{path}: integers of an undeclared quantity",
@@ -367,7 +364,7 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
             code="quantity-ambiguous",
         )
         raise FormatError(
-            f"{path}: holds {names}",
+            f"{path}: holds {', '.join(map(str, opened.data_vars)) or 'nothing'}",
             expected="raw counts, or radiance with radiance_units",
             code="quantity-wrong",
         )
@@ -491,26 +488,26 @@ def _coordinates(
         for name in ("wavelength", "fwhm", "band_spacing", "good", "wavelength_shift", "srf_offset"):
             if source is not None and name in source.coords:
                 array = source.coords[name].reset_coords(drop=True)
-                if name == "good" and name in coords:
-                    array = array & coords[name]
-                coords[name] = label(array, name)
+                is_joint = name == "good" and name in coords
+                coords[name] = label(array & coords[name] if is_joint else array, name)
     if "fwhm" not in coords and inputs.fwhm_nm is not None:
         coords["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
     if "wavelength" in coords and coords["wavelength"].size > 1 and "band_spacing" not in coords:
         # stored for every band, so that it remains after a selection of bands
-        spacing = np.abs(np.gradient(coords["wavelength"].values))
-        coords["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
+        coords["band_spacing"] = label(
+            xr.DataArray(np.abs(np.gradient(coords["wavelength"].values)), dims=BAND), "band_spacing"
+        )
     if calibration is not None and "wavelength" in opened.coords:
         difference_nm = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
         if difference_nm > _WAVELENGTH_TOLERANCE_NM:
-            message = (
-                f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart"
+            warn_user(
+                f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart; "
+                "the wavelengths of the calibration are used",
+                "wavelength-conflict",
             )
-            warn_user(f"{message}; the wavelengths of the calibration are used", "wavelength-conflict")
     line_values = {"time": times.time, "frame": times.frame, **times.pose}
-    if times.source == UNKNOWN_TIMES:
-        del line_values["time"]
-    coords |= {
-        name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in line_values.items()
+    return coords | {
+        name: label(xr.DataArray(values, dims=ALONG_TRACK), name)
+        for name, values in line_values.items()
+        if name != "time" or times.source != UNKNOWN_TIMES
     }
-    return coords

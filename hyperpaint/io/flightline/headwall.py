@@ -87,9 +87,12 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
             code="value-out-of-range",
         )
         exposures[key] = value
-    if len(set(exposures.values())) > 1:
-        stated = ", ".join(f"{key} = {pairs[key]}" for key in exposures)
-        raise FormatError(f"{source}: contradictory exposures {stated}", code="exposure-conflict")
+    stated = ", ".join(f"{key} = {pairs[key]}" for key in exposures)
+    FormatError.raise_if(
+        len(set(exposures.values())) > 1,
+        f"{source}: contradictory exposures {stated}",
+        code="exposure-conflict",
+    )
     return next(iter(exposures.values()), None)
 
 
@@ -137,8 +140,7 @@ def recording_clock(opened: xr.Dataset) -> tuple[str | None, float | None]:
     clock = _SPECIM_TIME.fullmatch(fields.get("start time", ""))
     rate = next((fields[key] for key in _RATE_KEYS if key in fields), "")
     is_rate = re.fullmatch(r"\d+(\.\d*)?", rate) is not None and float(rate) > 0
-    start = f"{day[1]}T{clock[1]}Z" if day and clock else None
-    return start, 1.0 / float(rate) if is_rate else None
+    return f"{day[1]}T{clock[1]}Z" if day and clock else None, 1.0 / float(rate) if is_rate else None
 
 
 def find_exposure(
@@ -181,8 +183,8 @@ def find_exposure(
     stated_text = ", ".join(f"{source} {value * 1e3:g} ms" for source, value in stated.items())
     if argument is not None:
         if any(not np.allclose(argument, value, rtol=1e-6, atol=0) for value in stated.values()):
-            message = f"exposure_time {argument.flat[0] * 1e3:g} ms is used; {stated_text}"
-            warn_user(f"{name}: {message}", "exposure-conflict")
+            used = f"exposure_time {argument.flat[0] * 1e3:g} ms is used"
+            warn_user(f"{name}: {used}; {stated_text}", "exposure-conflict")
         return argument, "given"
     if stated:
         source, value = next(iter(stated.items()))
@@ -226,18 +228,20 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     table = read_table(path, "frame index", needs=["frame#"])
     second_column = next((column for column in table.columns if column != "frame#"), "")
     name = next((name for name in ("timestamp", "time") if name in table.columns), second_column)
-    if not name:
-        raise FormatError(
-            f"{path}: one column only", expected="'Frame#' and 'Timestamp' or 'Time'", code="column-missing"
-        )
+    FormatError.raise_if(
+        not name,
+        f"{path}: one column only",
+        expected="'Frame#' and 'Timestamp' or 'Time'",
+        code="column-missing",
+    )
     frame = to_integers(table, "frame#")
     steps = np.flatnonzero(np.diff(frame) <= 0)
-    if steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME:
-        rows = table.rows[steps + 1] if steps.size else table.rows[:1]
-        raise FormatError(
-            f"{path}: frame numbers repeat, decrease or are out of range in {name_rows(rows)}",
-            code="frame-unordered",
-        )
+    rows = table.rows[steps + 1] if steps.size else table.rows[:1]
+    FormatError.raise_if(
+        steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME,
+        f"{path}: frame numbers repeat, decrease or are out of range in {name_rows(rows)}",
+        code="frame-unordered",
+    )
     if ":" not in table.columns[name][0]:
         stamp = to_integers(table, name)
         check_increasing(stamp, table.rows, f"{path}: column {name!r}")

@@ -42,8 +42,11 @@ def read_sweep_table(path: Path) -> xr.Dataset:
     # with row and column.
     problems = Problems(f"{path} is not a table of a lab sweep", FormatError)
     text = read_limited_text(path, _MAX_BYTES, "a table of a lab sweep", mend="name cubes in a column 'cube'")
-    lines = text.decode("utf-8-sig", "replace").splitlines()
-    numbered = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    numbered = [
+        (n, line)
+        for n, line in enumerate(text.decode("utf-8-sig", "replace").splitlines(), 1)
+        if line.strip() and not line.startswith("#")
+    ]
     cells = list(csv.reader(line for _, line in numbered)) or [[]]
     headings = [_HEADING.findall(cell.replace("\n", " "))[0] for cell in cells[0]]
     columns = {name: k for k, (name, _) in enumerate(headings)}
@@ -78,13 +81,13 @@ def read_sweep_table(path: Path) -> xr.Dataset:
             # the only element of a cube is its name
             across: list[tuple[float, Any]] = [(float(name[7:]), values[name]) for name in wide]
             if not wide:
-                cube = row[columns.get("cube", 0)].strip()
-                across = [(values.get(CROSS_TRACK, 0.0), values.get("counts", cube))]
+                across = [
+                    (values.get(CROSS_TRACK, 0.0), values.get("counts", row[columns.get("cube", 0)].strip()))
+                ]
             for column, value in across:
                 at = (values.get(BAND, 0.0), column)
-                is_number = all(n == n and n >= 0 and n == int(n) for n in at)
                 problems.add_if(
-                    not is_number or at in counts,
+                    not all(n == n and n >= 0 and n == int(n) for n in at) or at in counts,
                     f"row {line}: band {at[0]:g}, column {at[1]:g}{' again' * (at in counts)}",
                     expected="whole numbers from 0, each element, or one cube, once a step",
                     code="row-duplicate",
@@ -155,8 +158,9 @@ def _cube(path: Path) -> xr.DataArray:
     try:
         counts = open_envi(path, unsaid="counts")["counts"].reset_coords(drop=True).drop_attrs()
     except (PaintError, OSError, KeyError) as error:
-        text = f"cube {path.name!r}: {error}"
-        raise FormatError(text, expected="an ENVI cube of counts", code="cube-missing") from error
+        raise FormatError(
+            f"cube {path.name!r}: {error}", expected="an ENVI cube of counts", code="cube-missing"
+        ) from error
     return counts.chunk({ALONG_TRACK: CHUNK_LINES}).rename({ALONG_TRACK: "frame"})
 
 

@@ -67,8 +67,14 @@ class LineTimes:
     @classmethod
     def unknown(cls, lines: int) -> "LineTimes":
         # Return the numbers of lines that have no times.
-        time = np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]")
-        return cls(np.arange(lines), np.ones(lines, bool), time, {}, 0, UNKNOWN_TIMES)
+        return cls(
+            np.arange(lines),
+            np.ones(lines, bool),
+            np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]"),
+            {},
+            0,
+            UNKNOWN_TIMES,
+        )
 
 
 def utc_of(value: Any, name: str) -> np.datetime64:
@@ -176,9 +182,11 @@ def line_times(
             code="time-uncovered",
         )
         missing = np.flatnonzero(outside)
-        count = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
-        text = f"{cube.name}: {count} lie outside {clock.source} and have no time and position"
-        warn_user(text, "time-uncovered")
+        warn_user(
+            f"{cube.name}: {len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]}) lie "
+            f"outside {clock.source} and have no time and position",
+            "time-uncovered",
+        )
     # from the stamped instant of the exposure to its middle
     to_middle = np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp]
     time = time + np.round(to_middle * NS_PER_S).astype("timedelta64[ns]")
@@ -206,8 +214,11 @@ def _clock(
         )
         return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
     if index is None:
-        names = (f"frameIndex_{cube_number(cube)}.txt", "imu_gps.txt")
-        files = ", ".join(name for name in names if (cube.parent / name).is_file())
+        files = ", ".join(
+            name
+            for name in (f"frameIndex_{cube_number(cube)}.txt", "imu_gps.txt")
+            if (cube.parent / name).is_file()
+        )
         beside = f" (beside the cube: {files})" if files else ""
         raise TimeError(
             f"{cube.name}: no line times",
@@ -225,12 +236,12 @@ def _clock(
                 expected="a date such as '2024-06-01'",
                 code="time-unreadable",
             )
-        if timing.clock_offset_s is None:
-            raise TimeError(
-                "date without clock_offset_s",
-                mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
-                code="clock-offset-missing",
-            )
+        TimeError.raise_if(
+            timing.clock_offset_s is None,
+            "date without clock_offset_s",
+            mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
+            code="clock-offset-missing",
+        )
         return _steady(0, int(timing.correction.apply(np.array([midnight]))[0]), "date and time of day")
     if nav is None:
         raise TimeError(

@@ -357,7 +357,6 @@ def _gain(value: float) -> xr.Dataset:
 
 def test_what_is_no_calibration(tmp_path: Path) -> None:
     (tmp_path / "a.nc").write_bytes(b"CDF\x01 is not enough")
-    told = {0.0: "zero, negative", -1.0: "zero, negative", np.inf: "infinite"}
     expect_refusals(
         (FormatError, "file-not-found", lambda: open_calibration(tmp_path / "none.zarr")),
         (FormatError, "file-unreadable", lambda: open_calibration(tmp_path)),
@@ -365,7 +364,7 @@ def test_what_is_no_calibration(tmp_path: Path) -> None:
         (SchemaError, "not-finite", "NaN everywhere", lambda: open_calibration(_gain(np.nan))),
         *(
             (SchemaError, "value-out-of-range", text, lambda gain=gain: open_calibration(_gain(gain)))
-            for gain, text in told.items()
+            for gain, text in {0.0: "zero, negative", -1.0: "zero, negative", np.inf: "infinite"}.items()
         ),
         (
             SchemaError,

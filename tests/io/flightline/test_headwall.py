@@ -87,10 +87,9 @@ def test_settings_that_cannot_be_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_frame_index_in_microseconds(tmp_path: Path, newline: str) -> None:
-    path = write(
-        tmp_path / "frameIndex_458.txt", "Frame#\tTimestamp\n458\t10\n459\t7010\n461\t21010\n", newline
+    index = read_frame_index(
+        write(tmp_path / "frameIndex_458.txt", "Frame#\tTimestamp\n458\t10\n459\t7010\n461\t21010\n", newline)
     )
-    index = read_frame_index(path)
     assert (index.frame.tolist(), index.stamp.tolist()) == ([458, 459, 461], [10, 7010, 21010])
     assert (index.clock, index.fitted) == ("instrument", False)
     assert index.frame.dtype == index.stamp.dtype == np.int64
