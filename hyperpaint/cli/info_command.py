@@ -62,8 +62,7 @@ _HEAD_BYTES = 4096
 def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]:
     # Return the facts of `describe_path` by name; unknown facts are empty texts.
     path = input_path(path, "a file, a folder or a store")
-    if not path.exists():
-        raise FormatError(f"{path}: no such file or folder", code="file-not-found")
+    FormatError.raise_if(not path.exists(), f"{path}: no such file or folder", code="file-not-found")
     if is_virtual(path):
         return dict(facts_of_virtual(path, allow))
     refuse_kerchunk(path)

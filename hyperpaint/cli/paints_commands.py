@@ -348,9 +348,11 @@ def detect_paints(
     searched = hp.reflectance(workflows.maps.line_of_store(store, line))
     if options.pop("flags"):
         searched = hp.surroundings.flag(searched)
-    is_background = None
-    if background is not None:
-        is_background = hp.regions.region_mask(_regions_of_line(background, searched), searched) >= 0
+    is_background = (
+        hp.regions.region_mask(_regions_of_line(background, searched), searched) >= 0
+        if background is not None
+        else None
+    )
     detections = hp.paints.detect(
         searched,
         hp.open_library(library),

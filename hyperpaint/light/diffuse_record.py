@@ -128,12 +128,12 @@ def diffuse_from_record(
         problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
     check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
-    if not windows_in(channels).centre.size:
-        raise SchemaError(
-            "irradiance has no channel in the compared intervals, "
-            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
-            code="irradiance-coverage",
-        )
+    SchemaError.raise_if(
+        not windows_in(channels).centre.size,
+        "irradiance has no channel in the compared intervals, "
+        f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
+        code="irradiance-coverage",
+    )
     wavelengths = np.atleast_1d(np.asarray(wavelength, np.float64))
     time = variables[IRRADIANCE_TIME].values
     receiver = float(latitude), float(longitude), float(calibration_uncertainty), float(pressure)
@@ -176,8 +176,7 @@ def labelled(array: xr.DataArray) -> xr.DataArray:
 
 def sky_state_attrs() -> dict[str, Any]:
     # Return the CF attributes that name the numbers of ``sky_state``.
-    numbers = np.arange(len(SKY_STATES), dtype=np.int8)
-    return {"flag_values": numbers, "flag_meanings": " ".join(SKY_STATES)}
+    return {"flag_values": np.arange(len(SKY_STATES), dtype=np.int8), "flag_meanings": " ".join(SKY_STATES)}
 
 
 def states_of(probability: Floats) -> npt.NDArray[np.int8]:
@@ -651,8 +650,7 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     # thin cloud, and a level far from its calibration, count as contradictory
     air, thin, broken, overcast = share[:, 0].T
     hazy = air * turbid[:, 0, 0]
-    contradictory = share[:, 1].sum(axis=1) + thin
-    probability = np.stack([air - hazy, hazy, broken, overcast, contradictory], axis=1)
+    probability = np.stack([air - hazy, hazy, broken, overcast, (share[:, 1].sum(axis=1) + thin)], axis=1)
     fraction, square, clear = (
         (share[..., None] * part).sum(axis=(1, 2)) for part in (means, mean_squares, means_without_cloud)
     )

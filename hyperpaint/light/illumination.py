@@ -297,8 +297,7 @@ def match_irradiance(
         "srf_offset": srf_offset,
         "srf": srf,
     }
-    responses = _responses(channels, irradiance_fwhm, irradiance_srf_shape, imager)
-    matching = matching_operator(*responses, nodes)
+    matching = matching_operator(*_responses(channels, irradiance_fwhm, irradiance_srf_shape, imager), nodes)
     _warn_of_bands(matching, channels, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
@@ -439,9 +438,11 @@ def departure_of_record(attrs: Mapping[Any, Any]) -> RecordDeparture | None:
     #
     # `hyperpaint.alignment.align` stores it in attributes.
     names = ("alignment_shift", "alignment_shift_slope", "alignment_width")
-    if attrs.get("alignment_state") != "not applied" or not set(names) <= set(attrs):
-        return None
-    return RecordDeparture(*(float(attrs[name]) for name in names))
+    return (
+        None
+        if attrs.get("alignment_state") != "not applied" or not set(names) <= set(attrs)
+        else RecordDeparture(*(float(attrs[name]) for name in names))
+    )
 
 
 # --- noise of the irradiance spectrometer, and its effect on the bands of a camera -------------------------

@@ -183,13 +183,13 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
     spectrum = _one_spectrum(library, like, nm)
     if "good" in library.variables:
         spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
-    if np.isfinite(spectrum).sum() < MIN_BANDS:
-        raise SchemaError(
-            f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
-            f"({nm.min():g} to {nm.max():g} nm)",
-            expected=f"at least {MIN_BANDS}",
-            code="bands-not-shared",
-        )
+    SchemaError.raise_if(
+        np.isfinite(spectrum).sum() < MIN_BANDS,
+        f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
+        f"({nm.min():g} to {nm.max():g} nm)",
+        expected=f"at least {MIN_BANDS}",
+        code="bands-not-shared",
+    )
     paints = np.asarray(reflectance.values, np.float64)
     is_common = np.isfinite(paints) & np.isfinite(spectrum)
     x, y = np.where(is_common, paints, 0.0), np.where(is_common, spectrum, 0.0)
@@ -205,20 +205,20 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
     # The spectrum `like` at the wavelengths of the library (band,); NaN outside its range
     if isinstance(like, str):
         names = [str(name) for name in library[SIGNATURE].values]
-        if names.count(like) != 1:
-            raise SchemaError(
-                f"{names.count(like)} paints of the library are named like={like!r:.60}",
-                expected="1",
-                code="paint-ambiguous" if like in names else "paint-unknown",
-            )
+        SchemaError.raise_if(
+            names.count(like) != 1,
+            f"{names.count(like)} paints of the library are named like={like!r:.60}",
+            expected="1",
+            code="paint-ambiguous" if like in names else "paint-unknown",
+        )
         like = library.isel({SIGNATURE: names.index(like)})
     if isinstance(like, xr.Dataset):
-        if "reflectance" not in like.variables:
-            raise SchemaError(
-                f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}",
-                expected="reflectance",
-                code="variable-missing",
-            )
+        SchemaError.raise_if(
+            "reflectance" not in like.variables,
+            f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}",
+            expected="reflectance",
+            code="variable-missing",
+        )
         like = like["reflectance"]
     if not isinstance(like, xr.DataArray):
         values = np.asarray(like, np.float64)
@@ -230,12 +230,12 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
         )
         return values
     spectrum = like.squeeze()
-    if spectrum.ndim != 1 or "wavelength" not in spectrum.coords:
-        raise SchemaError(
-            f"like= has dims {like.dims} of sizes {like.shape}",
-            expected="one spectrum with its wavelength",
-            code="dims-wrong",
-        )
+    SchemaError.raise_if(
+        spectrum.ndim != 1 or "wavelength" not in spectrum.coords,
+        f"like= has dims {like.dims} of sizes {like.shape}",
+        expected="one spectrum with its wavelength",
+        code="dims-wrong",
+    )
     axis = spectrum["wavelength"]
     # wavelengths without units are in nm
     axis = convert(axis, "nm") if "units" in axis.attrs else axis

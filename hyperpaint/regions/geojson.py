@@ -257,8 +257,7 @@ class Regions(Sequence[Region]):
     @property
     def digest(self) -> str:
         """Digest of the content: equal digests mean equal regions."""
-        text = json.dumps(self.__geo_interface__, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:32]
+        return hashlib.sha256(json.dumps(self.__geo_interface__, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def _drawn(region: Region, coordinates: str) -> str:

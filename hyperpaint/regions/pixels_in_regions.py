@@ -246,10 +246,12 @@ def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> Re
     numbers = [numbers_of(line, dim) for dim in (CROSS_TRACK, ALONG_TRACK)]
     first = np.array([values[0] for values in numbers])
     step = np.array([(values[-1] - values[0]) / max(values.size - 1, 1) or 1.0 for values in numbers])
-    if not first.any() and (step == 1.0).all():
-        return regions
-    return _with_rings(
-        regions, lambda ring: np.asarray((ring - first) / step if back else ring * step + first)
+    return (
+        regions
+        if not first.any() and (step == 1.0).all()
+        else _with_rings(
+            regions, lambda ring: np.asarray((ring - first) / step if back else ring * step + first)
+        )
     )
 
 
@@ -339,12 +341,12 @@ def _transformed(regions: Regions, crs: str) -> Regions:
 
     def transformed(ring: Any) -> Floats:
         corners = between_maps(np.asarray(ring, np.float64), source, target)
-        if not np.isfinite(corners).all():
-            raise SchemaError(
-                f"the corner {ring[0][0]:g}, {ring[0][1]:g} lies outside {regions.crs!r:.60}",
-                mend="name the crs of the regions",
-                code="corner-outside-crs",
-            )
+        SchemaError.raise_if(
+            not np.isfinite(corners).all(),
+            f"the corner {ring[0][0]:g}, {ring[0][1]:g} lies outside {regions.crs!r:.60}",
+            mend="name the crs of the regions",
+            code="corner-outside-crs",
+        )
         return corners
 
     return _with_rings(regions, transformed, crs=crs)

@@ -497,9 +497,11 @@ class Imager(BandSet):
     def whole_reach(self) -> float:
         # distance from the nominal centre of a band beyond which no column responds [nm]
         smile_reach = float(np.abs(self.wavelength_shift).max())
-        if self.shape == "gaussian":
-            return GAUSSIAN_REACH * float(self.fwhm.max()) + smile_reach
-        return float((self.fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+        return (
+            GAUSSIAN_REACH * float(self.fwhm.max()) + smile_reach
+            if self.shape == "gaussian"
+            else float((self.fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+        )
 
     def response(self, band: int, grid: Floats, shift: Floats) -> Floats:
         # R_b without element factors at wavelength shifts [nm], shape (grid, shift)

@@ -210,13 +210,13 @@ class RenderedFlight(Flight):
         before = ahead + max(_MARGIN_BEFORE_M, yaw_margin + 1.0) + max(map(abs, path.lever_arm))
         start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
         length = start + settings.lines * self.ground_sample + before
-        if length > _MAX_LENGTH_M:
-            raise SchemaError(
-                f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
-                expected=f"at most {_MAX_LENGTH_M:g} m",
-                mend="take fewer lines, more columns, or scene='plan'",
-                code="flight-too-long",
-            )
+        SchemaError.raise_if(
+            length > _MAX_LENGTH_M,
+            f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
+            expected=f"at most {_MAX_LENGTH_M:g} m",
+            mend="take fewer lines, more columns, or scene='plan'",
+            code="flight-too-long",
+        )
         park = car_park(
             length=float(length),
             width=SWATH_M,

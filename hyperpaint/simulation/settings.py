@@ -263,9 +263,11 @@ _ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]
 
 def _is_start_time(value: object) -> bool:
     # times must fit the files of the spectrometer, which count seconds in 32 bits
-    if not isinstance(value, str) or not _ISO_TIME.fullmatch(value):
-        return False
-    return bool(np.datetime64("1980-01-01") <= moment_of(value) < np.datetime64("2038-01-01"))
+    return (
+        False
+        if not isinstance(value, str) or not _ISO_TIME.fullmatch(value)
+        else bool(np.datetime64("1980-01-01") <= moment_of(value) < np.datetime64("2038-01-01"))
+    )
 
 
 def _is_frame_selection(value: object) -> bool:

@@ -807,8 +807,7 @@ def _library_spectra(
             dataset = dataset.assign_coords({SIGNATURE: label})
         dataset = dataset.expand_dims(SIGNATURE)
     optional = [name for name in (*_SPREADS, "fwhm", "n", "n_eff") if name in dataset.variables]
-    purpose = "a validation"
-    required = require(dataset, [SIGNATURE, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
+    required = require(dataset, [SIGNATURE, "reflectance", "wavelength"], "a validation", LIBRARY_VARIABLES)
     arrays = {**required, **find(dataset, optional, LIBRARY_VARIABLES)[0]}
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
     values = arrays["reflectance"].values.astype(np.float64)
@@ -958,9 +957,11 @@ def _aspecular_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any]) ->
         return stated if np.isfinite(stated) else 45.0
     place = [float(value(name)) for name in ("latitude", "longitude")]
     time = value("time") if "time" in dataset.variables else np.datetime64("NaT")
-    if "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all():
-        return float("nan")
-    return float(solar_position(time, *place)[0])
+    return (
+        float("nan")
+        if "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all()
+        else float(solar_position(time, *place)[0])
+    )
 
 
 def _place_of(dataset: xr.Dataset, number: int, dim: str) -> Place:
@@ -1026,8 +1027,7 @@ class _Channels:
             if np.isfinite(fwhm).all() and (fwhm > 0).all():
                 _check_widths(fwhm, nm_sorted)
                 return cls(order, nm_sorted, fwhm, tuple(notes))
-        channel_detector = number if detector is None else detector[order]
-        fwhm, source = channel_widths(nm_sorted, channel_detector, instrument)
+        fwhm, source = channel_widths(nm_sorted, number if detector is None else detector[order], instrument)
         return cls(order, nm_sorted, fwhm, (*notes, source))
 
     def spectrum(
@@ -1601,9 +1601,11 @@ class Compared:
     @property
     def scatter(self) -> float:
         # Standard deviation of repeated readings, RMS over the bands compared [1]
-        if len(self.pair.references) < 2 or not self.used.any():
-            return 0.0
-        return float(np.sqrt((self._spreads()["reference_sd"][self.used] ** 2).mean()))
+        return (
+            0.0
+            if len(self.pair.references) < 2 or not self.used.any()
+            else float(np.sqrt((self._spreads()["reference_sd"][self.used] ** 2).mean()))
+        )
 
     def dataset(self) -> xr.Dataset:
         # Return both spectra on the common bands

@@ -394,9 +394,11 @@ def strength_of(
     excess = max(1.0, float(np.mean((misfit / noise) ** 2))) * max(1.0, target.size / 10.0)
     gradient = np.array([-strength, 1.0]) / amounts[0]
     u = float(np.hypot(np.sqrt(gradient @ covariance @ gradient * excess), STRENGTH.first_order * strength))
-    if not u <= STRENGTH.max_u:
-        return *unknown, f"the body is too bright: the strength would be uncertain by {u:.1f}"
-    return strength, u, ""
+    return (
+        (*unknown, f"the body is too bright: the strength would be uncertain by {u:.1f}")
+        if not u <= STRENGTH.max_u
+        else (strength, u, "")
+    )
 
 
 def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> xr.Dataset:
@@ -960,9 +962,11 @@ def _sun_geometry(variables: Mapping[str, Array]) -> dict[str, Any]:
     # Mean time, position of the sun and maximum age of the irradiance, from values of pixels (pixel,)
     times = variables.get("time", np.full(0, _NAT)).astype("datetime64[ns]")
     times = times[~np.isnat(times)]
-    mean_time = _NAT
-    if times.size:
-        mean_time = times[0] + np.timedelta64(round(float((times - times[0]).astype(np.int64).mean())), "ns")
+    mean_time = (
+        times[0] + np.timedelta64(round(float((times - times[0]).astype(np.int64).mean())), "ns")
+        if times.size
+        else _NAT
+    )
     position = [variables.get(name, np.full(0, np.nan)) for name in ("latitude", "longitude")]
     position = [values[np.isfinite(values)] for values in position]
     zenith = azimuth = np.nan

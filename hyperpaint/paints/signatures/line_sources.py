@@ -423,12 +423,12 @@ def source_of(
     light = _split_of_lines(line, diffuse, sun_zenith, required=specular_sky)
     filtering = None
     if smoothing is not None:
-        if earlier_smoothing is not None:
-            raise SchemaError(
-                f"the reflectance is smoothed already ({earlier_smoothing})",
-                mend="remove the argument smooth=",
-                code="already-smoothed",
-            )
+        SchemaError.raise_if(
+            earlier_smoothing is not None,
+            f"the reflectance is smoothed already ({earlier_smoothing})",
+            mend="remove the argument smooth=",
+            code="already-smoothed",
+        )
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
         filtering = None if errors is None else smoothing_matrix(good, options)
@@ -517,9 +517,11 @@ def _by_name(line: Any) -> dict[str, xr.Dataset]:
     if isinstance(line, xr.DataTree):
         # a store, its group of flight lines, or a single line
         parent = line["flightlines"] if "flightlines" in line.children else line
-        if not parent.children:
-            return {str(parent.name or ""): parent.to_dataset()}
-        return {name: child.to_dataset() for name, child in parent.children.items()}
+        return (
+            {str(parent.name or ""): parent.to_dataset()}
+            if not parent.children
+            else {name: child.to_dataset() for name, child in parent.children.items()}
+        )
     if isinstance(line, Mapping):
         return dict(line)
     raise SchemaError(

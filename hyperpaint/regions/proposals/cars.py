@@ -370,9 +370,11 @@ def _judge_run(
     # a bed has walls along it, too, but no paint beyond both ends
     worth = share + sided + (ROOFS.between_worth if is_between else 0.0)
     if car.cut:
-        if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * car.width:
-            return f"a roof: windows end it on both sides, {evidence}", worth
-        return None
+        return (
+            (f"a roof: windows end it on both sides, {evidence}", worth)
+            if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * car.width
+            else None
+        )
     # a section between a windscreen and the car's own shadow looks as if it ended at two windows
     min_slenderness = (
         ROOFS.min_slenderness if ends == 2 and sided > ROOFS.surely_sided else FOOTPRINTS.slenderness[0]
@@ -399,9 +401,11 @@ def _judge_run(
     if share > ROOFS.min_van_roof and is_behind_bonnet:
         return f"a roof: it is all of the car behind a windscreen with a bonnet, {evidence}", worth
     min_sided = ROOFS.long_sided if share < ROOFS.min_van_roof else ROOFS.van_sided
-    if share > ROOFS.max_bonnet and sided > min_sided:
-        return f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
-    return None
+    return (
+        (f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided)
+        if share > ROOFS.max_bonnet and sided > min_sided
+        else None
+    )
 
 
 def _level_place(car: Footprint, runs: list[_Run], number: int) -> tuple[float, float]:
@@ -979,9 +983,11 @@ class _CarPark:
 
 def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Verdict]:
     # Return the verdicts on a car's roof and on the other pieces of its paint; at most one is proposed.
-    roof = None
-    if isinstance(car.roof, Roof) and car.footprint is not None:
-        roof = _judge_roof(car.footprint, car.roof, picture, limits)
+    roof = (
+        _judge_roof(car.footprint, car.roof, picture, limits)
+        if isinstance(car.roof, Roof) and car.footprint is not None
+        else None
+    )
     parts = [_judge_part(piece, car, picture, limits) for piece in car.pieces]
     verdicts = parts if roof is None else [roof, *parts]
     for verdict in verdicts:
@@ -1129,5 +1135,4 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ver
 
 
 def _cosine(first: Floats, second: Floats) -> float:
-    lengths = float(np.linalg.norm(first) * np.linalg.norm(second))
-    return float(first @ second) / max(lengths, 1e-9)
+    return float(first @ second) / max(float(np.linalg.norm(first) * np.linalg.norm(second)), 1e-9)

@@ -690,13 +690,13 @@ def flakes_of_flop(
     old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
     flops = np.array(_flops(material, _lobes_by_alpha(index), wavelength, body, flakes))
     peak = int(flops.argmax())  # sharper lobes do not reach the first angle
-    if not (nearest or flops[-1] <= flop <= flops[peak]):
-        raise SchemaError(
-            f"flop index is {flop}",
-            expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {old_flakes.share}",
-            mend="for more flop, raise the flake share or darken the pigment",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        not (nearest or flops[-1] <= flop <= flops[peak]),
+        f"flop index is {flop}",
+        expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {old_flakes.share}",
+        mend="for more flop, raise the flake share or darken the pigment",
+        code="value-out-of-range",
+    )
     return replace(
         old_flakes, roughness=float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
     )

@@ -249,10 +249,12 @@ def trace(
         clear=bool(clear),
         sun_radius=sun_radius,
     )
-    if isinstance(chunk_lines, bool) or not isinstance(chunk_lines, int) or chunk_lines < 1:
-        raise SchemaError(
-            f"chunk_lines={chunk_lines!r}", expected="a whole number above 0", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        isinstance(chunk_lines, bool) or not isinstance(chunk_lines, int) or chunk_lines < 1,
+        f"chunk_lines={chunk_lines!r}",
+        expected="a whole number above 0",
+        code="value-out-of-range",
+    )
     record = SceneRecord.of(scene)
     record.codes(settings)  # raises here, before any task, if they do not fit
     # one task a block computes all variables; it holds the poses of its lines only
@@ -398,9 +400,11 @@ class Table:
 
     def population(self, wavelength: Floats) -> Floats | None:
         # members at ``wavelength`` [nm], (member, wavelength); None without a population
-        if self.members is None:
-            return None
-        return np.stack([np.interp(wavelength, self.wavelength, row) for row in self.members])
+        return (
+            None
+            if self.members is None
+            else np.stack([np.interp(wavelength, self.wavelength, row) for row in self.members])
+        )
 
 
 def is_library(value: Any) -> bool:
@@ -415,19 +419,19 @@ def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
     # paints of a library by name, lazily, with the variables that the renderer needs; SchemaError for other
     # datasets, and for paints without or with equal names
     library = with_new_names(library) if is_library(library) else library
-    if not is_library(library) or SIGNATURE not in library.variables:
-        raise SchemaError(
-            f"spectra is {type(library).__name__}",
-            expected="a mapping of names to spectra, or a paint library with reflectance (signature, band)",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not is_library(library) or SIGNATURE not in library.variables,
+        f"spectra is {type(library).__name__}",
+        expected="a mapping of names to spectra, or a paint library with reflectance (signature, band)",
+        code="type-wrong",
+    )
     names = [str(name) for name in library[SIGNATURE].values]
-    if duplicates := sorted({name for name in names if names.count(name) > 1}):
-        raise SchemaError(
-            f"the library has several paints named {', '.join(map(repr, duplicates))}",
-            mend="rename them, or select one with library.isel(signature=...)",
-            code="paint-ambiguous",
-        )
+    SchemaError.raise_if(
+        duplicates := sorted({name for name in names if names.count(name) > 1}),
+        f"the library has several paints named {', '.join(map(repr, duplicates))}",
+        mend="rename them, or select one with library.isel(signature=...)",
+        code="paint-ambiguous",
+    )
     variables = [name for name in PAINT_VARIABLES if name in library.variables]
     reduced = library[variables].reset_coords(drop=True)
     reduced = reduced.assign_coords(
@@ -1089,12 +1093,12 @@ def relight(
     record, settings = SceneRecord.from_attrs(traced.attrs)
     variables = require(traced, _PATHS, "radiance from traced paths")
     sky = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
-    if not isinstance(sky, Atmosphere):
-        raise SchemaError(
-            f"atmosphere is {type(sky).__name__}",
-            expected="an Atmosphere or the name of a preset",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not isinstance(sky, Atmosphere),
+        f"atmosphere is {type(sky).__name__}",
+        expected="an Atmosphere or the name of a preset",
+        code="type-wrong",
+    )
     camera = BandSet.of(bands)
     lines, columns = (variables["distance"].sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     problems = Problems("the traced scene cannot be relit", SchemaError)
@@ -1360,12 +1364,12 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
         mend="trace the scene with overcast=True",
         code="sky-not-traced",
     )
-    if has_clear_sky and not settings.clear:
-        raise SchemaError(
-            f"atmosphere {atmosphere.name!r} has a clear sky, but no clear sky was traced",
-            mend="trace the scene with clear=True",
-            code="sky-not-traced",
-        )
+    SchemaError.raise_if(
+        has_clear_sky and not settings.clear,
+        f"atmosphere {atmosphere.name!r} has a clear sky, but no clear sky was traced",
+        mend="trace the scene with clear=True",
+        code="sky-not-traced",
+    )
     return nearest
 
 
@@ -1466,10 +1470,12 @@ class Lighting:
 
 
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
-    if variation is None:
-        return weight
-    return np.asarray(
-        weight * np.where(is_direct(code), *variation.astype(np.float32).reshape(2, len(weight), 1, -1))
+    return (
+        weight
+        if variation is None
+        else np.asarray(
+            weight * np.where(is_direct(code), *variation.astype(np.float32).reshape(2, len(weight), 1, -1))
+        )
     )
 
 
@@ -1633,9 +1639,11 @@ class ProductTable:
             distinct, index = distinct[lit], new_index[index]
         products = self.rows(distinct)
         columns = out.shape[2]
-        nodes = np.zeros(columns, np.int64), np.ones((columns, 1))
-        if self.bands.wavelength_shift is not None:
-            nodes = self.bands.between_nodes()
+        nodes = (
+            self.bands.between_nodes()
+            if self.bands.wavelength_shift is not None
+            else (np.zeros(columns, np.int64), np.ones((columns, 1)))
+        )
         if texture is not None:
             texture = texture._replace(paths=self.codes.factors(distinct))
         mix_shifted(weight, index, products, *nodes, out, texture)

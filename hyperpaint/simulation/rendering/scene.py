@@ -250,13 +250,13 @@ class Scene:
         materials = (material,) if isinstance(material, Material) else tuple(material)
         count = len(np.atleast_1d(np.asarray(faces)))
         if face_material is None:
-            if len(materials) != 1:
-                raise SchemaError(
-                    f"scene of {scene_instance.name!r} has {len(materials)} materials and no face_material",
-                    expected="the number of the material of every triangle",
-                    mend="pass face_material=",
-                    code="argument-missing",
-                )
+            SchemaError.raise_if(
+                len(materials) != 1,
+                f"scene of {scene_instance.name!r} has {len(materials)} materials and no face_material",
+                expected="the number of the material of every triangle",
+                mend="pass face_material=",
+                code="argument-missing",
+            )
             face_material = np.zeros(count, np.int32)
         return cls(
             name or scene_instance.name,
