@@ -396,8 +396,9 @@ def _detection_table(detections: xr.Dataset) -> str:
             strict=True,
         )
     ]
-    names = ("checked_rate", "checked_rate_u", "explained_share")
-    checked, checked_u, share = (detections[name].item() for name in names)
+    checked, checked_u, share = (
+        detections[name].item() for name in ("checked_rate", "checked_rate_u", "explained_share")
+    )
     rows_below = (
         f"above thresholds from other parts of the line: {checked:.2g} +- {checked_u:.1g} of the background",
         f"excluded from the background, because a paint explains them: {share:.2g} of the pixels",
@@ -686,8 +687,9 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
                 try:
                     options_set["specular"] = float(share)
                 except ValueError:
-                    message = f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
-                    raise click.UsageError(message) from None
+                    raise click.UsageError(
+                        f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
+                    ) from None
             materials = hp.write_dirsig(paints, out, overwrite=overwrite, progress=progress, **options_set)
             click.echo(
                 f"{out}: {materials.sizes['signature']} paints, {int(materials['curves'].sum())} curves"

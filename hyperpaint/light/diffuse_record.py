@@ -181,8 +181,9 @@ def sky_state_attrs() -> dict[str, Any]:
 
 def states_of(probability: Floats) -> npt.NDArray[np.int8]:
     # Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`.
-    state = probability.argmax(axis=1)
-    return np.where(probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, state).astype(np.int8)
+    return np.where(
+        probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, probability.argmax(axis=1)
+    ).astype(np.int8)
 
 
 def _split(
@@ -257,8 +258,9 @@ def split_of_lines(
     wavelength = variables["wavelength"].values.astype(np.float64)
     samples = variables[IRRADIANCE_TIME].values
     check_irradiance_times(samples.astype("datetime64[ns]"))
-    receiver = (*place, calibration_uncertainty, 101_325.0)
-    split_of_record = dask.delayed(_split)(record.data, samples, channels, wavelength, receiver, sun_zenith)
+    split_of_record = dask.delayed(_split)(
+        record.data, samples, channels, wavelength, (*place, calibration_uncertainty, 101_325.0), sun_zenith
+    )
     parts: list[list[Any]] = [[], [], []]
     for rows in np.split(variables["time"].values, _block_starts(line)):
         block = dask.delayed(_at_lines, nout=3)(split_of_record, samples, rows)
@@ -274,8 +276,9 @@ def _block_starts(line: xr.Dataset) -> list[int]:
     # Return the first line of every block but the first; blocks are the chunks of the cube.
     for name in ("reflectance", "radiance", "counts"):
         if name in line.variables and line[name].chunks is not None:
-            sizes = line[name].variable.chunksizes.get(ALONG_TRACK, ())
-            return [int(start) for start in np.cumsum(sizes)[:-1]]
+            return [
+                int(start) for start in np.cumsum(line[name].variable.chunksizes.get(ALONG_TRACK, ()))[:-1]
+            ]
     return list(range(1024, line.sizes[ALONG_TRACK], 1024))
 
 

@@ -138,8 +138,9 @@ class Tilt:
         gain = np.zeros(diffuse.shape)
         if self.sky == "clear" and self.angle > 0.0:
             from_sun = np.degrees(np.radians(self.azimuth) - sun_azimuth)
-            suns = np.minimum(np.degrees(zenith), MAX_SUN_ZENITH_DEG)
-            for row, sun, azimuth_offset in zip(gain, suns, from_sun, strict=True):
+            for row, sun, azimuth_offset in zip(
+                gain, np.minimum(np.degrees(zenith), MAX_SUN_ZENITH_DEG), from_sun, strict=True
+            ):
                 row[:] = facing_gain(wavelength, float(sun), self.angle, float(azimuth_offset)) - 1.0
         return np.asarray(
             1.0
@@ -428,8 +429,9 @@ def matched_series(
         measured = Responses(
             channels[order] - departure.shift_at(channels[order]), width * departure.width, irradiance_shape
         )
-        shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
-        misfit = misfit_through(spectrometer, measured, bands, shifts)
+        misfit = misfit_through(
+            spectrometer, measured, bands, tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
+        )
     return _apply(matching, np.asarray(spectra), order), misfit
 
 

@@ -258,8 +258,9 @@ def matching_operator(
     A row is NaN where less than 99.9 % of the band's response lies inside the spectrometer's range, or where
     channels are missing over more than two widths inside it: nothing is extrapolated.
     """
-    shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
-    return _cached_operator(spectrometer, imager, shifts, ridge)
+    return _cached_operator(
+        spectrometer, imager, tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist()), ridge
+    )
 
 
 @functools.lru_cache(maxsize=8)

@@ -256,8 +256,9 @@ def make_detector(
     exclusion_limit = np.full(len(paints), -1.0)
     if has_targets and unknown_rate < 1.0:
         # pixels that a paint explains may show this paint: exclude them from the background
-        exclusion_rate = min(DETECTION.target_rate_ratio * unknown_rate, 0.5)
-        exclusion_limit = _distance_limits(other_distances, exclusion_rate)
+        exclusion_limit = _distance_limits(
+            other_distances, min(DETECTION.target_rate_ratio * unknown_rate, 0.5)
+        )
     sample = background.sample
     is_background, values = np.ones(len(sample), bool), np.empty((len(sample), len(paints)))
     for start in range(0, len(values), PIXELS_AT_ONCE):

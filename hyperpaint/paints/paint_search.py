@@ -111,8 +111,9 @@ def search_library(
     if name is not None and not name.strip():
         problems.add("name= is empty", expected="part of a name", code="empty-input")
     problems.raise_if_any()
-    required = [SIGNATURE, "reflectance", "wavelength"]
-    variables = schema.require(library, required, "a search", LIBRARY_VARIABLES)
+    variables = schema.require(
+        library, [SIGNATURE, "reflectance", "wavelength"], "a search", LIBRARY_VARIABLES
+    )
     is_match = np.ones(library.sizes[SIGNATURE], np.bool_)
     if name is not None:
         is_match &= [_matches_name(str(paint_name), name) for paint_name in variables[SIGNATURE].values]

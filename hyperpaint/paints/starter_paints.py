@@ -120,8 +120,9 @@ def starter_library(
         SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
     }
     if members:
-        variants = [_variants(spec, nm, members, [seed, number]) for number, spec in enumerate(specs)]
-        values["member_reflectance"] = np.stack(variants)
+        values["member_reflectance"] = np.stack(
+            [_variants(spec, nm, members, [seed, number]) for number, spec in enumerate(specs)]
+        )
     bands = xr.Dataset(
         {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
         {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},

@@ -1045,8 +1045,7 @@ def _judge_sample(
         )
         fwhm = float(np.median(line["fwhm"].values)) if "fwhm" in line.coords else 5.0
         light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
-        mean_gain = np.nanmean(gain, axis=1)
-        yield from judge_bands(name, light, mean_gain, line["wavelength"].values, fwhm, record)
+        yield from judge_bands(name, light, np.nanmean(gain, axis=1), line["wavelength"].values, fwhm, record)
 
 
 def _mean_dark(line: xr.Dataset) -> tuple[Floats, bool]:

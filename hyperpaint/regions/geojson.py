@@ -124,8 +124,9 @@ class Region:
     def __repr__(self) -> str:
         line = f" on {self.flightline}" if self.flightline else ""
         holes = f", {len(self.holes)} holes" if self.holes else ""
-        items = list(self.properties.items())[:4]
-        properties = "".join(f", {key}={str(value)[:40]!r}" for key, value in items)
+        properties = "".join(
+            f", {key}={str(value)[:40]!r}" for key, value in list(self.properties.items())[:4]
+        )
         (left, low), (right, high) = self.polygon.min(axis=0), self.polygon.max(axis=0)
         box = f"x {left:.10g} to {right:.10g}, y {low:.10g} to {high:.10g}"
         return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{properties}>"

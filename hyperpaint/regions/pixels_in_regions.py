@@ -206,8 +206,9 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
                     code="flightline-unknown",
                 )
         problems.raise_if_any()
-        sources = line[_SOURCE_LINE], [names[name] for name in lines]
-        return _by_coordinates(regions, *coordinates, shape, sources)
+        return _by_coordinates(
+            regions, *coordinates, shape, (line[_SOURCE_LINE], [names[name] for name in lines])
+        )
     columns, rows = numbers_of(line, CROSS_TRACK), numbers_of(line, ALONG_TRACK)
     return [_on_axes(region, columns, rows) for region in regions]
 

@@ -202,8 +202,9 @@ def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: fl
     # Gaussian absorption lines; each affects only its neighbourhood.
     total = np.zeros_like(wavelength)
     starts = np.searchsorted(wavelength, centres - 4 * width)
-    stops = np.searchsorted(wavelength, centres + 4 * width)
-    for centre, depth, start, stop in zip(centres, depths, starts, stops, strict=True):
+    for centre, depth, start, stop in zip(
+        centres, depths, starts, np.searchsorted(wavelength, centres + 4 * width), strict=True
+    ):
         total[start:stop] += depth * np.exp(-4 * np.log(2) * ((wavelength[start:stop] - centre) / width) ** 2)
     return total
 

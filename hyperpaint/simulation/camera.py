@@ -755,8 +755,9 @@ def _displaced(across: Floats, shift: Floats) -> Floats:
     extra = int(np.ceil(np.abs(shift).max()))
     whole_columns = np.floor(shift).astype(int)
     weights = np.zeros((len(shift), len(across) + 2 * extra))
-    places = zip((whole_columns + extra).tolist(), (shift - whole_columns).tolist(), strict=True)
-    for band, (start, fraction) in enumerate(places):
+    for band, (start, fraction) in enumerate(
+        zip((whole_columns + extra).tolist(), (shift - whole_columns).tolist(), strict=True)
+    ):
         weights[band, start : start + len(across)] += (1.0 - fraction) * across
         if fraction:
             weights[band, start + 1 : start + 1 + len(across)] += fraction * across

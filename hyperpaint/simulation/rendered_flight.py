@@ -267,8 +267,9 @@ class RenderedFlight(Flight):
         level = self.incident.mean(axis=(1, 2)) @ factors
         normal = self.incident[0].mean() / self._cosine * factors[0]
         glint = np.where(mirrored, block.weight, 0.0).sum(axis=1) * (normal / level)[:, None] > GLINT
-        cubes = self._cubes(stop - start, into)
-        record = Lines(self._surface[block.material], np.asarray(glint), *cubes, layers)
+        record = Lines(
+            self._surface[block.material], np.asarray(glint), *self._cubes(stop - start, into), layers
+        )
         # the array of radiance holds INT L R until counts are computed
         direct, diffuse = factors[:, :, None, None]
         weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)

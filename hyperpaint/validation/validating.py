@@ -848,8 +848,9 @@ def _uncorrected_coat(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]
     # The quantity of a paint without correction for its coat, in a library of corrected paints
     if attrs.get("quantity") != BODY or "coat_transmission" not in dataset.variables:
         return {}
-    names = ("coat_transmission", "coat_transmission_u")
-    shares = [dataset[name].values for name in names if name in dataset]
+    shares = [
+        dataset[name].values for name in ("coat_transmission", "coat_transmission_u") if name in dataset
+    ]
     if any(share.ndim != 2 for share in shares):
         return {}
     is_uncorrected = (shares[0][number] == 1.0).all() and all((u[number] == 0.0).all() for u in shares[1:])
@@ -1619,8 +1620,9 @@ class Compared:
         if self.errors is not None:
             for name, errors in zip(("signature_u", "reference_u"), self.errors, strict=True):
                 columns[name] = np.sqrt((errors**2).mean(axis=0))
-        sides = ("signature", "reference")
-        meanings = dict(MEANINGS) | {name: f"Reflectance of the {name} on common bands" for name in sides}
+        meanings = dict(MEANINGS) | {
+            name: f"Reflectance of the {name} on common bands" for name in ("signature", "reference")
+        }
         variables = {
             name: (BAND, values, {"units": "1", "long_name": meanings[name]})
             for name, values in columns.items()
@@ -1653,8 +1655,9 @@ def compare(pair: Pair, seed: int) -> Compared:
     # Resample a pair to common bands, and draw its errors there. Every pair has its own generator of the same
     # seed: the draws do not depend on the order of pairs.
     if not pair.between:
-        converted = tuple(as_body(reference, pair.signature) for reference in pair.references)
-        pair = replace(pair, references=converted)
+        pair = replace(
+            pair, references=tuple(as_body(reference, pair.signature) for reference in pair.references)
+        )
     bands = bands_of(pair.signature, list(pair.references))
     operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
     resampled = list(zip(operators[:-1], pair.references, strict=True))
@@ -1683,8 +1686,9 @@ def compare(pair: Pair, seed: int) -> Compared:
                     noise = reading.u_random * rng.standard_normal((DRAWS, reading.u_random.size))
                     of_mean += resample(noise) / count
         errors = of_signature, np.asarray(of_mean)
-    signature = operators[-1](pair.signature.values)
-    return Compared(pair, bands, signature, readings.mean(axis=0), operators, errors)
+    return Compared(
+        pair, bands, operators[-1](pair.signature.values), readings.mean(axis=0), operators, errors
+    )
 
 
 # --- validation, band by band and in parts of the spectrum -------------------------------------------------

@@ -205,8 +205,9 @@ def compare_with_field(store: Path, folder: Path) -> Validation | None:
     regions = read_regions(folder / REGIONS)
     if not len(regions):
         return None
-    line = xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}")
-    paints = extract_signatures(line, regions, specular_sky=True, members=0)
+    paints = extract_signatures(
+        xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}"), regions, specular_sky=True, members=0
+    )
     return validate(paints, open_svc(folder / SVC_FOLDER))
 
 

@@ -395,8 +395,9 @@ def sample_paints(
     >>> drawn["signature"].item(), dict(drawn.member_reflectance.sizes)
     ('Synthetic Polar White (synthetic)', {'signature': 1, 'member': 200, 'band': 272})
     """
-    required = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
-    variables, faults = schema.find(library, required, schema.LIBRARY_VARIABLES)
+    variables, faults = schema.find(
+        library, [SIGNATURE, "reflectance", "member_reflectance", "wavelength"], schema.LIBRARY_VARIABLES
+    )
     problems = Problems("variants cannot be drawn", SchemaError)
     problems.extend(faults)
     if count < 1:

@@ -685,8 +685,9 @@ def extract_signatures(
         remaining, [drafts[k] for k in large_enough], [names[k] for k in large_enough], sources, notes
     )
     if sun_zenith is not None:  # takes precedence over the clock
-        zenith = np.full(library.sizes[SIGNATURE], float(sun_zenith))
-        library = library.assign(sun_zenith=library["sun_zenith"].copy(data=zenith))
+        library = library.assign(
+            sun_zenith=library["sun_zenith"].copy(data=np.full(library.sizes[SIGNATURE], float(sun_zenith)))
+        )
     library = with_coat_strength(library, sun_zenith)
     if specular_sky if coat is None else coat:
         library = without_coat(library, remaining, coat_index, sun_zenith)
@@ -733,8 +734,9 @@ def _pixels_of_regions(
         # sensor coordinates that are all valid longitudes and latitudes, as in RFC 7946
         corners = np.abs(np.concatenate([region.polygon for region in line_regions]))
         could_be_degrees = line_regions.coordinates == "sensor" and bool((corners <= [180.0, 90.0]).all())
-        pixels_of_line = distinct_pixels(line, pixels_of(line_regions, line))
-        for position, region_pixels in zip(positions, pixels_of_line, strict=True):
+        for position, region_pixels in zip(
+            positions, distinct_pixels(line, pixels_of(line_regions, line)), strict=True
+        ):
             pixels[position] = region_pixels
             if not region_pixels.size:
                 size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"

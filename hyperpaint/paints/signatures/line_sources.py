@@ -166,8 +166,9 @@ class Viewing:
 
     def __init__(self, line: xr.Dataset) -> None:
         look_names = ("look_across", "look_along", "look_angle")
-        names = [name for name in (*_VIEW_ANGLES, *look_names, *ATTITUDE) if name in line.variables]
-        variables, faults = schema.find(line, names)
+        variables, faults = schema.find(
+            line, [name for name in (*_VIEW_ANGLES, *look_names, *ATTITUDE) if name in line.variables]
+        )
         problems = [fault.text() for fault in faults]
         self.planes: dict[str, xr.DataArray] = {}
         self.lines: dict[str, xr.DataArray] = {}
@@ -191,8 +192,9 @@ class Viewing:
             self.description = "; ".join([f"{look} with {', '.join(self.lines)}", mounting, *problems])
         else:
             missing = [name for name in ("look_angle", "roll", "pitch") if name not in variables]
-            reason = f"unknown: no view_zenith of the pixels, and no {', '.join(missing)}"
-            self.description = "; ".join([reason, *problems])
+            self.description = "; ".join(
+                [f"unknown: no view_zenith of the pixels, and no {', '.join(missing)}", *problems]
+            )
 
 
 def mean_view(

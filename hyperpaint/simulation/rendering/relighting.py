@@ -278,8 +278,9 @@ def trace(
         meta=np.empty(0, object),
     )
     sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
-    layout = {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}
-    arrays = split_outputs(blocks, "l", layout, sizes)
+    arrays = split_outputs(
+        blocks, "l", {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}, sizes
+    )
     labels = record.labels()
     utc = platform.utc.astype("datetime64[ns]")
     coords = {
@@ -314,8 +315,9 @@ def _directions(suns: Any) -> tuple[Any, bool]:
     directions = [
         (light.sun_zenith, light.sun_azimuth) if isinstance(light, Atmosphere) else light for light in lights
     ]
-    different = [sun for place, sun in enumerate(directions) if sun not in directions[:place]]
-    return different, any(light.overcast_share > 0 for light in named)
+    return [sun for place, sun in enumerate(directions) if sun not in directions[:place]], any(
+        light.overcast_share > 0 for light in named
+    )
 
 
 #: Variable to its dims, one letter each: line, slot, sun (u), column (x).
@@ -432,8 +434,7 @@ def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
         mend="rename them, or select one with library.isel(signature=...)",
         code="paint-ambiguous",
     )
-    variables = [name for name in PAINT_VARIABLES if name in library.variables]
-    reduced = library[variables].reset_coords(drop=True)
+    reduced = library[[name for name in PAINT_VARIABLES if name in library.variables]].reset_coords(drop=True)
     reduced = reduced.assign_coords(
         {name: library[name].variable for name in (("wavelength", "good")) if name in library.variables}
     )
@@ -1428,8 +1429,9 @@ class Lighting:
         populations: Populations | None,
         distance: Floats32,
     ) -> Floats32:
-        surface = self.surface_radiance(weight, code, variation, rows, populations)
-        return self.at_sensor(surface, distance, in_place=True)
+        return self.at_sensor(
+            self.surface_radiance(weight, code, variation, rows, populations), distance, in_place=True
+        )
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
         # L exp(-k d) + Lp d, the radiance after a distance d of air; NaN distances have no air
@@ -1453,8 +1455,9 @@ class Lighting:
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
         # shares of light by source, (line, share, column); see `SHARES`
         distinct, index = index_paths(code)
-        node = int(np.abs(self.table.bands.nodes).argmin())
-        level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
+        level = self.table.rows(distinct)[int(np.abs(self.table.bands.nodes).argmin())].mean(
+            axis=1, dtype=np.float64
+        )
         # weight of every path in the total light, and in the layers of `SHARES`
         sun, mirrored, indirect = is_direct(distinct), is_mirrored(distinct), is_indirect(distinct)
         mirror_image = mirrored & ~indirect
@@ -1618,8 +1621,9 @@ class ProductTable:
         if self.bands.wavelength_shift is None:
             return np.moveaxis(at_nodes, -2, -1)
         first, weight = self.bands.between_nodes()
-        at_columns = sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))
-        return np.moveaxis(np.asarray(at_columns), -2, -1)
+        return np.moveaxis(
+            np.asarray(sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))), -2, -1
+        )
 
     def mix(
         self,

@@ -368,8 +368,9 @@ class Scene:
         """
         sine, cosine = np.sin(np.radians(heading)), np.cos(np.radians(heading))
         turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        vertices = self.vertices @ turn + np.asarray(offset, np.float64)
-        return replace(self, vertices=vertices, normals=self.normals @ turn)
+        return replace(
+            self, vertices=self.vertices @ turn + np.asarray(offset, np.float64), normals=self.normals @ turn
+        )
 
 
 def plane(
