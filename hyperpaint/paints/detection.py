@@ -517,10 +517,13 @@ def detect(
         (f"unknown_rate={rate!r}", 0.0 < rate <= 1.0, "a share above 0, at most 1"),
         (f"shrinkage={shrinkage!r}", 0.0 <= shrinkage <= 1.0, "0 to 1"),
     ):
-        if not is_valid:
-            problems.add(argument, expected=expected, code="value-out-of-range")
-    if "good" in line.variables and line["good"].dims != (BAND,):
-        problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
+        problems.add_if(not is_valid, argument, expected=expected, code="value-out-of-range")
+    problems.add_if(
+        "good" in line.variables and line["good"].dims != (BAND,),
+        f"'good' has dims {line['good'].dims}",
+        expected=f"({BAND!r},)",
+        code="dims-wrong",
+    )
     problems.raise_if_any()
     if "wavelength_shift" in line.variables:
         variables["reflectance"] = to_nominal(line)["reflectance"]
@@ -825,8 +828,7 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     region_pixels = pixels_of(region_list, detections)
     problems = Problems("these regions cannot be searched", SchemaError)
     for name, (along, _) in zip(region_list.names, region_pixels, strict=True):
-        if not along.size:
-            problems.add(f"region {name!r} contains no pixel of the line", code="region-empty")
+        problems.add_if(not along.size, f"region {name!r} contains no pixel of the line", code="region-empty")
     problems.raise_if_any()
     in_region = np.zeros(detected.shape, bool)
     for pixels in region_pixels:

@@ -102,14 +102,21 @@ def search_library(
         ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
         ("maximum_angle", maximum_angle, "like", like),
     ):
-        if value is not None and query_value is None:
-            problems.add(f"{key}= needs {query}=", code="argument-missing")
-        if value is not None and not value >= 0.0:
-            problems.add(f"{key}={value!r}", expected="0 or more", code="value-out-of-range")
-    if limit is not None and limit < 1:
-        problems.add(f"limit={limit!r}", expected="1 or more", code="value-out-of-range")
-    if name is not None and not name.strip():
-        problems.add("name= is empty", expected="part of a name", code="empty-input")
+        problems.add_if(
+            value is not None and query_value is None, f"{key}= needs {query}=", code="argument-missing"
+        )
+        problems.add_if(
+            value is not None and not value >= 0.0,
+            f"{key}={value!r}",
+            expected="0 or more",
+            code="value-out-of-range",
+        )
+    problems.add_if(
+        limit is not None and limit < 1, f"limit={limit!r}", expected="1 or more", code="value-out-of-range"
+    )
+    problems.add_if(
+        name is not None and not name.strip(), "name= is empty", expected="part of a name", code="empty-input"
+    )
     problems.raise_if_any()
     variables = schema.require(
         library, [SIGNATURE, "reflectance", "wavelength"], "a search", LIBRARY_VARIABLES

@@ -169,13 +169,13 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     line = schema.rename_to_roles(line)
     problems = Problems("pixels of regions cannot be found in this line", SchemaError)
     for dim in (ALONG_TRACK, CROSS_TRACK):
-        if dim not in line.dims:
-            problems.add(
-                f"dims {', '.join(map(str, line.dims))}",
-                expected=f"the dim {dim!r}",
-                mend=f"select with isel({dim}=[5]) to keep it, or name it with dims=",
-                code="dim-missing",
-            )
+        problems.add_if(
+            dim not in line.dims,
+            f"dims {', '.join(map(str, line.dims))}",
+            expected=f"the dim {dim!r}",
+            mend=f"select with isel({dim}=[5]) to keep it, or name it with dims=",
+            code="dim-missing",
+        )
     problems.raise_if_any()
     shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
     if regions.coordinates == "map":

@@ -187,8 +187,7 @@ class BandSet:
                 "dims-wrong",
             ),
         ):
-            if is_fault:
-                problems.add(found, expected=expected, mend=mend, code=code)
+            problems.add_if(is_fault, found, expected=expected, mend=mend, code=code)
         problems.raise_if_any()
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", np.broadcast_to(fwhm, wavelength.shape).copy())
@@ -215,12 +214,12 @@ class BandSet:
             return bands
         problems = Problems("these bands cannot be rendered", SchemaError)
         for name in ("wavelength", "fwhm"):
-            if getattr(bands, name, None) is None:
-                problems.add(
-                    f"{name!r} is missing",
-                    mend="pass a BandSet, or a Dataset with wavelength and fwhm",
-                    code="variable-missing",
-                )
+            problems.add_if(
+                getattr(bands, name, None) is None,
+                f"{name!r} is missing",
+                mend="pass a BandSet, or a Dataset with wavelength and fwhm",
+                code="variable-missing",
+            )
         problems.raise_if_any()
         attrs = getattr(bands, "attrs", {})
         shape = attrs.get("srf_shape", "gaussian") if attrs else getattr(bands, "shape", "gaussian")

@@ -65,11 +65,11 @@ def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
     except (TypeError, ValueError):
         problems.add(f"{name} is not an array of numbers", code="type-wrong")
         return np.zeros(0)
-    if not np.isfinite(array).all():
-        problems.add(
-            f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite",
-            code="not-finite",
-        )
+    problems.add_if(
+        not np.isfinite(array).all(),
+        f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite",
+        code="not-finite",
+    )
     return array
 
 
@@ -797,8 +797,9 @@ class SimulationSettings(OpticsSettings):
             ),
         ]
         for is_fault, name, found, expected, mend, code in rows:
-            if is_fault:
-                problems.add(f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code)
+            problems.add_if(
+                is_fault, f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code
+            )
 
 
 #: Fields of `hyperpaint.simulation.SimulationSettings` that define the camera.

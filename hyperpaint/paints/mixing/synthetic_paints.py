@@ -400,11 +400,14 @@ def sample_paints(
     )
     problems = Problems("variants cannot be drawn", SchemaError)
     problems.extend(faults)
-    if count < 1:
-        problems.add(f"count={count!r}", expected="1 or more", code="value-out-of-range")
+    problems.add_if(count < 1, f"count={count!r}", expected="1 or more", code="value-out-of-range")
     one_of(form, ("members", "paints"), "form", problems=problems)
-    if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
-        problems.add(f"bandwidth={bandwidth!r}", expected="0 or more, or None", code="value-out-of-range")
+    problems.add_if(
+        bandwidth is not None and not 0.0 <= bandwidth < np.inf,
+        f"bandwidth={bandwidth!r}",
+        expected="0 or more, or None",
+        code="value-out-of-range",
+    )
     problems.raise_if_any()
     members = np.asarray(variables["member_reflectance"].values)
     names = [str(name) for name in library[SIGNATURE].values]

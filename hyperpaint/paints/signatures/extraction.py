@@ -605,17 +605,22 @@ def extract_signatures(
     region_list = regions_from(regions)
     flags = EXCLUDED if exclude is None else exclude
     problems = Problems("signatures cannot be extracted", SchemaError)
-    if not len(region_list):
-        problems.add("regions= is empty", mend="draw regions, or call propose_regions", code="empty-input")
-    if not isinstance(flags, int) or not 0 <= flags < 2 * max(Quality):
-        problems.add(
-            f"exclude={flags!r:.40}",
-            expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
-            code="choice-unknown",
-        )
+    problems.add_if(
+        not len(region_list),
+        "regions= is empty",
+        mend="draw regions, or call propose_regions",
+        code="empty-input",
+    )
+    problems.add_if(
+        not isinstance(flags, int) or not 0 <= flags < 2 * max(Quality),
+        f"exclude={flags!r:.40}",
+        expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
+        code="choice-unknown",
+    )
     for name, count, minimum in (("members", members, 0), ("min_pixels", min_pixels, 1)):
-        if count < minimum:
-            problems.add(f"{name}={count}", expected=f"{minimum} or more", code="value-out-of-range")
+        problems.add_if(
+            count < minimum, f"{name}={count}", expected=f"{minimum} or more", code="value-out-of-range"
+        )
     one_of(centre, CENTRES, "centre", problems=problems)
     problems.raise_if_any()
     for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):

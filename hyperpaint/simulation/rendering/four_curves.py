@@ -450,8 +450,7 @@ class Atmosphere:
         # `UnitsError`: A variable has no units, or units of another quantity.
         problems = Problems("an atmosphere cannot be read", SchemaError)
         for name in ("wavelength", *_CURVES, *_NUMBERS):
-            if name not in dataset.variables:
-                problems.add(f"{name!r} is missing", code="variable-missing")
+            problems.add_if(name not in dataset.variables, f"{name!r} is missing", code="variable-missing")
         problems.raise_if_any()
         sun, sky, extinction, path = (
             convert(dataset[name], units).values for name, (units, _) in _CURVES.items()

@@ -121,8 +121,12 @@ class Flakes:
     def __post_init__(self) -> None:
         problems = Problems("metal flakes cannot be made", SchemaError)
         check_fields(self, problems)
-        if not self.spectrum:
-            problems.add("spectrum is empty", expected="a name such as 'aluminium'", code="argument-missing")
+        problems.add_if(
+            not self.spectrum,
+            "spectrum is empty",
+            expected="a name such as 'aluminium'",
+            code="argument-missing",
+        )
         problems.raise_if_any()
 
 
@@ -161,8 +165,7 @@ class Material:
 
     def __post_init__(self) -> None:
         problems = Problems(f"material {self.name!r} cannot be made", SchemaError)
-        if not self.name:
-            problems.add("name is empty", code="argument-missing")
+        problems.add_if(not self.name, "name is empty", code="argument-missing")
         problems.add_if(
             not self.spectrum,
             "spectrum is empty",
@@ -170,14 +173,18 @@ class Material:
             code="argument-missing",
         )
         one_of(self.kind, KINDS, "kind", problems=problems)
-        if self.flakes is not None and self.coat is None:
-            problems.add("flakes without a coat", mend="pass coat=Coat()", code="coat-missing")
-        if self.transmittance and self.coat is not None:
-            problems.add(
-                "transmittance with a coat",
-                mend="leave one out: only thin surfaces without a coat transmit light",
-                code="option-conflict",
-            )
+        problems.add_if(
+            self.flakes is not None and self.coat is None,
+            "flakes without a coat",
+            mend="pass coat=Coat()",
+            code="coat-missing",
+        )
+        problems.add_if(
+            self.transmittance and self.coat is not None,
+            "transmittance with a coat",
+            mend="leave one out: only thin surfaces without a coat transmit light",
+            code="option-conflict",
+        )
         problems.raise_if_any()
 
 

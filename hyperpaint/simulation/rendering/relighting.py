@@ -829,13 +829,13 @@ def _assign_spectra(
     materials = [material.name for material in record.materials]
     rank = {**dict.fromkeys(original, 0), **dict.fromkeys(materials, 1), **dict.fromkeys(instances, 2)}
     for key in paints:
-        if key not in rank:
-            problems.add(
-                f"paints[{key!r}] names no instance, material or spectrum of the scene",
-                expected=f"a spectrum such as {some_names(original)}, or an instance such as "
-                f"{some_names(instances)}",
-                code="paint-target-unknown",
-            )
+        problems.add_if(
+            key not in rank,
+            f"paints[{key!r}] names no instance, material or spectrum of the scene",
+            expected=f"a spectrum such as {some_names(original)}, or an instance such as "
+            f"{some_names(instances)}",
+            code="paint-target-unknown",
+        )
     for key in sorted((key for key in paints if key in rank), key=rank.__getitem__):
         name = paints[key] if isinstance(paints[key], str) else key
         if not isinstance(paints[key], str):
@@ -1106,12 +1106,12 @@ def relight(
     min_nm = camera.wavelength[0] + camera.nodes.min() - _COVERED * camera.fwhm[0]
     max_nm = camera.wavelength[-1] + camera.nodes.max() + _COVERED * camera.fwhm[-1]
     first_nm, last_nm = sky.wavelength[[0, -1]]
-    if first_nm > min_nm or last_nm < max_nm:
-        problems.add(
-            f"atmosphere {sky.name!r} covers {first_nm:.1f} to {last_nm:.1f} nm",
-            expected=f"the range of the bands and their wings, {min_nm:.1f} to {max_nm:.1f} nm",
-            code="atmosphere-coverage",
-        )
+    problems.add_if(
+        first_nm > min_nm or last_nm < max_nm,
+        f"atmosphere {sky.name!r} covers {first_nm:.1f} to {last_nm:.1f} nm",
+        expected=f"the range of the bands and their wings, {min_nm:.1f} to {max_nm:.1f} nm",
+        code="atmosphere-coverage",
+    )
     if camera.wavelength_shift is not None and camera.wavelength_shift.size != columns:
         problems.add(
             f"wavelength_shift has {camera.wavelength_shift.size} columns",

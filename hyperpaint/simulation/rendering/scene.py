@@ -191,12 +191,12 @@ class Scene:
             if "" in names:
                 place = [item.name for item in items].index("")
                 problems.add(f"{kind} {place} has an empty name", code="name-empty")
-            if duplicates := sorted(name for name, count in names.items() if count > 1):
-                problems.add(
-                    f"several {kind}s are named {', '.join(duplicates[:5])}",
-                    mend="rename them",
-                    code="name-duplicate",
-                )
+            problems.add_if(
+                duplicates := sorted(name for name, count in names.items() if count > 1),
+                f"several {kind}s are named {', '.join(duplicates[:5])}",
+                mend="rename them",
+                code="name-duplicate",
+            )
         for instance in self.instances:
             one_of(instance.kind, INSTANCE_KINDS, f"kind of instance {instance.name!r}", problems=problems)
         problems.raise_if_any()
