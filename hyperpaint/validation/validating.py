@@ -187,12 +187,12 @@ class Validation:
         count, excluded = int(cell["bands"]), int(cell["bands_left_out"])
         if cell["judged"]:
             return str(cell["part"].item())
-        reason = f"{count} of {count + excluded} bands, too few to judge"
-        if cell["exclusion"].item():
-            reason = cell["exclusion"].item()
-        elif float(cell["rmse_limit"]) > MAX_TOLERANCE_SHARE * float(cell["level"]):
-            level, limit = float(cell["level"]), float(cell["rmse_limit"])
-            reason = f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
+        level, limit = float(cell["level"]), float(cell["rmse_limit"])
+        reason = cell["exclusion"].item() or (
+            f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
+            if limit > MAX_TOLERANCE_SHARE * level
+            else f"{count} of {count + excluded} bands, too few to judge"
+        )
         return f"{cell['part'].item()} ({reason})"
 
     @property
@@ -1493,23 +1493,25 @@ class Compared:
             return ""
         text = f"{signature.finish} paint, whose level holds for one geometry only"
         angles = np.array([signature.aspecular, *(reading.aspecular for reading in self.pair.references)])
-        if not np.isfinite(angles[0]):
-            return f"{text}, and the signature states none: aspecular_angle is missing"
-        if not np.isfinite(angles[1:]).all():
-            return (
-                f"{text}, and the reference states none: give it aspecular_angle [degree], "
-                'measurement_geometry such as "45/0", or time, latitude and longitude'
-            )
-        if np.ptp(angles) > _MAX_ASPECULAR_CHANGE_DEG:
-            return f"{text}: seen {angles[0]:.0f} degrees from the mirror direction, the reference " + (
-                f"{', '.join(f'{angle:.0f}' for angle in angles[1:])}"
-            )
-        if angles.min() < _MIN_ASPECULAR_DEG:
-            return (
-                f"{text}: {angles.min():.0f} degrees from the mirror direction, a degree of lean changes it "
-                f"by several per cent; compare it at {_MIN_ASPECULAR_DEG:.0f} degrees or more"
-            )
-        return ""
+        reasons = (
+            (np.isnan(angles[0]), ", and the signature states none: aspecular_angle is missing"),
+            (
+                np.isnan(angles).any(),
+                ", and the reference states none: give it aspecular_angle [degree], "
+                'measurement_geometry such as "45/0", or time, latitude and longitude',
+            ),
+            (
+                np.ptp(angles) > _MAX_ASPECULAR_CHANGE_DEG,
+                f": seen {angles[0]:.0f} degrees from the mirror direction, the reference "
+                f"{', '.join(f'{angle:.0f}' for angle in angles[1:])}",
+            ),
+            (
+                angles.min() < _MIN_ASPECULAR_DEG,
+                f": {angles.min():.0f} degrees from the mirror direction, a degree of lean changes it by "
+                f"several per cent; compare it at {_MIN_ASPECULAR_DEG:.0f} degrees or more",
+            ),
+        )
+        return next((text + reason for applies, reason in reasons if applies), "")
 
     @property
     def matched(self) -> bool:
@@ -1551,22 +1553,25 @@ class Compared:
 
     def notes(self) -> tuple[str, ...]:
         # Return remarks for the reader of the result
-        notes = [note for reference in self.pair.references for note in reference.notes]
-        notes += [f"signature: {note}" for note in self.pair.signature.notes]
-        if self.exclusion:
-            notes.append(f"not judged: {self.exclusion}")
-        elif self.pair.signature.finish in ("metallic", "pearl") and not self.pair.between:
-            angles = (self.pair.signature.aspecular, self.pair.references[0].aspecular)
-            notes.append(
-                f"{self.pair.signature.finish} paint, compared at its geometry: {angles[0]:.0f} degrees from "
-                f"the mirror direction, the reference {angles[1]:.0f}; the result holds for it only"
-            )
-        if self.matched:
-            notes.append(
-                "the reference is overlap-matched: its values were scaled below the join of its detectors"
-            )
-        if self.bands is not self.pair.signature:
-            notes.append("the signature was resampled to the reference's bands")
+        signature, references = self.pair.signature, self.pair.references
+        has_flakes = signature.finish in ("metallic", "pearl") and not self.pair.between
+        remarks = (
+            (self.exclusion, f"not judged: {self.exclusion}"),
+            (
+                has_flakes and not self.exclusion,
+                f"{signature.finish} paint, compared at its geometry: {signature.aspecular:.0f} degrees from "
+                f"the mirror direction, the reference {references[0].aspecular:.0f}; the result holds for it "
+                "only",
+            ),
+            (
+                self.matched,
+                "the reference is overlap-matched: its values were scaled below the join of its detectors",
+            ),
+            (self.bands is not signature, "the signature was resampled to the reference's bands"),
+        )
+        notes = [note for reference in references for note in reference.notes]
+        notes += [f"signature: {note}" for note in signature.notes]
+        notes += [text for applies, text in remarks if applies]
         narrow = np.any(
             [~operator.is_covered & np.isfinite(operator.noise_gain) for operator in self.operators], axis=0
         )
@@ -1579,14 +1584,13 @@ class Compared:
             for reason, excluded in reasons.items()
             if excluded.any()
         ]
-        is_absolute = self.pair.signature.absolute
-        if any(reference.absolute != is_absolute for reference in self.pair.references):
+        is_absolute = signature.absolute
+        if any(reference.absolute != is_absolute for reference in references):
             sides = ("reference", "signature") if is_absolute else ("signature", "reference")
             notes.append(
                 f"the {sides[0]} is relative to a white panel, the {sides[1]} is absolute: the panel's own "
                 f"reflectance is in the difference{'; pass panel=' if is_absolute else ''}"
             )
-        signature, references = self.pair.signature, self.pair.references
         has_uncertainty = {
             "signature": signature.has_uncertainty,
             "reference": len(references) > 1 or references[0].has_uncertainty,

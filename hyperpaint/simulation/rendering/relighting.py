@@ -411,10 +411,9 @@ class Table:
 
 def is_library(value: Any) -> bool:
     # whether a value is a dataset with ``reflectance`` (signature, band)
-    if not hasattr(value, "data_vars") or "reflectance" not in value:
-        return False
+    is_dataset = hasattr(value, "data_vars") and "reflectance" in value
     # "paint" is the dim in libraries of version 0.2
-    return SIGNATURE in value["reflectance"].dims or "paint" in value["reflectance"].dims
+    return is_dataset and not {SIGNATURE, "paint"}.isdisjoint(value["reflectance"].dims)
 
 
 def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
