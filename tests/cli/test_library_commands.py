@@ -163,8 +163,7 @@ def test_options_of_dirsig(store: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("form", "name"), [("envi", "p.sli"), ("csv", "p.csv"), ("zarr", "p.zarr")])
 def test_libraries(form: str, name: str, store: Path, tmp_path: Path) -> None:
     assert "2 paints, 6 bands" in export(store, "--format", form, "--out", tmp_path / name, status=0).output
-    opened = open_library(tmp_path / name)
-    assert sorted(opened["signature"].values.tolist()) == ["Türkis, matt", "rot/blau"]
+    assert sorted(open_library(tmp_path / name)["signature"].values.tolist()) == ["Türkis, matt", "rot/blau"]
 
 
 def test_one_row_a_paint_or_all_of_them(store: Path, tmp_path: Path) -> None:
