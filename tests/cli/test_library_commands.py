@@ -308,8 +308,7 @@ def _painted(truth: Path, store: Path) -> hp.Regions:
         windows = np.lib.stride_tricks.sliding_window_view(surface == number, (4, 4)).all(axis=(2, 3))
         if windows.any():
             y, x = map(int, np.argwhere(windows)[0])
-            corners = [(x, y), (x + 3, y), (x + 3, y + 3), (x, y + 3)]
-            made[name] = hp.Region(name, corners, flightline="raw_0")
+            made[name] = hp.Region(name, [(x, y), (x + 3, y), (x + 3, y + 3), (x, y + 3)], flightline="raw_0")
     assert len(made) >= 4
     return hp.Regions(tuple(made.values()))
 
