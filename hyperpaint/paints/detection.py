@@ -518,12 +518,8 @@ def detect(
         (f"shrinkage={shrinkage!r}", 0.0 <= shrinkage <= 1.0, "0 to 1"),
     ):
         problems.add_if(not is_valid, argument, expected=expected, code="value-out-of-range")
-    problems.add_if(
-        "good" in line.variables and line["good"].dims != (BAND,),
-        f"'good' has dims {line['good'].dims}",
-        expected=f"({BAND!r},)",
-        code="dims-wrong",
-    )
+    if "good" in line.variables and line["good"].dims != (BAND,):
+        problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
     problems.raise_if_any()
     if "wavelength_shift" in line.variables:
         variables["reflectance"] = to_nominal(line)["reflectance"]
