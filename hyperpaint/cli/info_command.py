@@ -62,8 +62,7 @@ _HEAD_BYTES = 4096
 def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]:
     # Return the facts of `describe_path` by name; unknown facts are empty texts.
     path = input_path(path, "a file, a folder or a store")
-    if not path.exists():
-        raise FormatError(f"{path}: no such file or folder", code="file-not-found")
+    FormatError.raise_if(not path.exists(), f"{path}: no such file or folder", code="file-not-found")
     if is_virtual(path):
         return dict(facts_of_virtual(path, allow))
     refuse_kerchunk(path)
@@ -319,10 +318,11 @@ def _poses(path: Path) -> Facts:
         week = "a GPS week: pass week= or date=" if record.week is None else f"GPS week {record.week}"
         times = f"{range_of(record.stamp / 1e9, 's')} of {week}"
     else:
-        clock = " (clock of GPS)" if record.time_scale == "gps" else ""
-        if kind == "nmea" and record.stamp[0] < _DAY_NS:
-            clock = " (of an unknown day: pass date=)"
-        times = times_of(record.stamp.astype("datetime64[ns]")) + clock
+        clock = {"gps": " (clock of GPS)"}.get(record.time_scale, "")
+        is_undated = kind == "nmea" and record.stamp[0] < _DAY_NS
+        times = times_of(record.stamp.astype("datetime64[ns]")) + (
+            " (of an unknown day: pass date=)" if is_undated else clock
+        )
     units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
     meaning = (
         f"roll + {convention.roll_positive}, pitch + {convention.pitch_positive}, "
@@ -371,9 +371,11 @@ def _collect(path: Path) -> Facts:
         yield "irradiance", _facts_text(facts_of_irradiance(tree["irradiance"].to_dataset()))
     for reference in collect.references:
         yield "references", f"{reference.instrument}: {counted(len(reference.files), 'file')}"
-    product, options = "reflectance", ""
-    if not has_irradiance and collect.white is None:
-        product, options = "radiance only, because there is no irradiance", " --to radiance"
+    product, options = (
+        ("reflectance", "")
+        if has_irradiance or collect.white is not None
+        else ("radiance only, because there is no irradiance", " --to radiance")
+    )
     products = f"{lines_text} ({size_of(total)} of cubes), quality and {product}"
     yield "process", f"would store {products}:\nhyperpaint process {path} --out STORE.zarr{options}"
 
@@ -415,11 +417,9 @@ def _group(path: Path, name: str) -> Facts:
     try:
         group = with_times(open_group(path, name, **options))
         origin = f"written {group.attrs.get('created', 'at an unknown time')}"
-        if not is_complete(path, name):
-            origin += "" if "hyperpaint_version" in group.attrs else " by another program"
-            yield "state", f"not in a manifest, so that completeness is unknown; {origin}"
-        else:
-            yield "state", f"complete, {origin}"
+        by = "" if "hyperpaint_version" in group.attrs else " by another program"
+        unknown = f"not in a manifest, so that completeness is unknown; {origin}{by}"
+        yield "state", f"complete, {origin}" if is_complete(path, name) else unknown
     except IncompleteStoreError as error:
         group = with_times(open_unverified(path, name, **options))
         yield "state", f"NOT COMPLETE: {error}"

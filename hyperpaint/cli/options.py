@@ -120,8 +120,9 @@ def _defining_module(module: str, name: str) -> tuple[str, str]:
                 if name == (alias.asname or alias.name):
                     assert isinstance(statement, ast.ImportFrom)
                     parents = module.split(".")[: -statement.level] if statement.level else []
-                    module_path = (statement.module or "").removeprefix("hyperpaint.")
-                    return ".".join([*parents, module_path]), alias.name
+                    return ".".join(
+                        [*parents, (statement.module or "").removeprefix("hyperpaint.")]
+                    ), alias.name
     return module, name
 
 
@@ -280,8 +281,9 @@ class Settings(click.Option):
                 mend = (
                     f"did you mean {matches[0]}={text or 'VALUE'}?" if matches else "--set ? lists the names"
                 )
-                message = f"{value!r}, expected NAME=VALUE; {mend} [setting-unknown]"
-                raise click.BadParameter(message, ctx, self)
+                raise click.BadParameter(
+                    f"{value!r}, expected NAME=VALUE; {mend} [setting-unknown]", ctx, self
+                )
             kind = self.types[name]
             words = re.split(r"[,\s]+", text.strip()) if kind.nargs > 1 else text
             try:
@@ -414,8 +416,9 @@ def progress_bar(label: str) -> Iterator[Any]:
 
         def update(done: int, total: int) -> None:
             if not bars:
-                bar = click.progressbar(length=total, label=label, file=sys.stderr)
-                bars.append(stack.enter_context(bar))
+                bars.append(
+                    stack.enter_context(click.progressbar(length=total, label=label, file=sys.stderr))
+                )
             bars[0].update(done - bars[0].pos)
             if done >= total:
                 stack.close()

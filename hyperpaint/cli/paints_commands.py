@@ -348,9 +348,11 @@ def detect_paints(
     searched = hp.reflectance(workflows.maps.line_of_store(store, line))
     if options.pop("flags"):
         searched = hp.surroundings.flag(searched)
-    is_background = None
-    if background is not None:
-        is_background = hp.regions.region_mask(_regions_of_line(background, searched), searched) >= 0
+    is_background = (
+        hp.regions.region_mask(_regions_of_line(background, searched), searched) >= 0
+        if background is not None
+        else None
+    )
     detections = hp.paints.detect(
         searched,
         hp.open_library(library),
@@ -394,8 +396,9 @@ def _detection_table(detections: xr.Dataset) -> str:
             strict=True,
         )
     ]
-    names = ("checked_rate", "checked_rate_u", "explained_share")
-    checked, checked_u, share = (detections[name].item() for name in names)
+    checked, checked_u, share = (
+        detections[name].item() for name in ("checked_rate", "checked_rate_u", "explained_share")
+    )
     rows_below = (
         f"above thresholds from other parts of the line: {checked:.2g} +- {checked_u:.1g} of the background",
         f"excluded from the background, because a paint explains them: {share:.2g} of the pixels",
@@ -684,8 +687,9 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
                 try:
                     options_set["specular"] = float(share)
                 except ValueError:
-                    message = f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
-                    raise click.UsageError(message) from None
+                    raise click.UsageError(
+                        f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
+                    ) from None
             materials = hp.write_dirsig(paints, out, overwrite=overwrite, progress=progress, **options_set)
             click.echo(
                 f"{out}: {materials.sizes['signature']} paints, {int(materials['curves'].sum())} curves"

@@ -315,11 +315,11 @@ def _sensor(
     problems = Problems("the light sensor cannot be levelled", SchemaError)
     missing = [name for name in (*_ANGLES, *_POSITION) if name not in attitude.variables]
     time_name = next((name for name in _TIME_NAMES if name in attitude.variables), None)
-    if missing or time_name is None:
-        problems.add(
-            f"the attitude has no {', '.join([*missing, *([] if time_name else ['time'])])}",
-            code="variable-missing",
-        )
+    problems.add_if(
+        missing or time_name is None,
+        f"the attitude has no {', '.join([*missing, *([] if time_name else ['time'])])}",
+        code="variable-missing",
+    )
     problems.add_if(
         np.shape(mounting) != (3,) or not np.isfinite(mounting).all(),
         f"mounting={mounting!r}",

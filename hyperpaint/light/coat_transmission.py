@@ -80,10 +80,12 @@ def sky_reflectance(
     """
     wavelengths = np.asarray(wavelength, np.float64)
     functions, overcast = _mean_reflectances(45.0 if sun_zenith is None else float(sun_zenith), float(index))
-    if sun_zenith is None:
-        return np.full(wavelengths.shape, functions[0])
-    return np.asarray(
-        (1.0 - cloud) * (functions @ clear_sky_shares(wavelengths, sun_zenith)) + cloud * overcast
+    return (
+        np.full(wavelengths.shape, functions[0])
+        if sun_zenith is None
+        else np.asarray(
+            (1.0 - cloud) * (functions @ clear_sky_shares(wavelengths, sun_zenith)) + cloud * overcast
+        )
     )
 
 

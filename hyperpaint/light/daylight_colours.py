@@ -170,9 +170,11 @@ def srgb_hex(colour: npt.ArrayLike) -> str:
     '#ff8000'
     """
     values = np.asarray(colour, np.float64)
-    if not np.isfinite(values).all():
-        return ""
-    return "#" + np.rint(values.clip(0.0, 1.0) * 255.0).astype(np.uint8).tobytes().hex()
+    return (
+        ""
+        if not np.isfinite(values).all()
+        else "#" + np.rint(values.clip(0.0, 1.0) * 255.0).astype(np.uint8).tobytes().hex()
+    )
 
 
 def lab_of(srgb: npt.ArrayLike) -> Floats:

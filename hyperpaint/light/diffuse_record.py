@@ -128,12 +128,12 @@ def diffuse_from_record(
         problems.add_if(not is_valid, found, expected=expected, code="value-out-of-range")
     problems.raise_if_any()
     check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
-    if not windows_in(channels).centre.size:
-        raise SchemaError(
-            "irradiance has no channel in the compared intervals, "
-            f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
-            code="irradiance-coverage",
-        )
+    SchemaError.raise_if(
+        not windows_in(channels).centre.size,
+        "irradiance has no channel in the compared intervals, "
+        f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
+        code="irradiance-coverage",
+    )
     wavelengths = np.atleast_1d(np.asarray(wavelength, np.float64))
     time = variables[IRRADIANCE_TIME].values
     receiver = float(latitude), float(longitude), float(calibration_uncertainty), float(pressure)
@@ -176,14 +176,14 @@ def labelled(array: xr.DataArray) -> xr.DataArray:
 
 def sky_state_attrs() -> dict[str, Any]:
     # Return the CF attributes that name the numbers of ``sky_state``.
-    numbers = np.arange(len(SKY_STATES), dtype=np.int8)
-    return {"flag_values": numbers, "flag_meanings": " ".join(SKY_STATES)}
+    return {"flag_values": np.arange(len(SKY_STATES), dtype=np.int8), "flag_meanings": " ".join(SKY_STATES)}
 
 
 def states_of(probability: Floats) -> npt.NDArray[np.int8]:
     # Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`.
-    state = probability.argmax(axis=1)
-    return np.where(probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, state).astype(np.int8)
+    return np.where(
+        probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, probability.argmax(axis=1)
+    ).astype(np.int8)
 
 
 def _split(
@@ -258,8 +258,9 @@ def split_of_lines(
     wavelength = variables["wavelength"].values.astype(np.float64)
     samples = variables[IRRADIANCE_TIME].values
     check_irradiance_times(samples.astype("datetime64[ns]"))
-    receiver = (*place, calibration_uncertainty, 101_325.0)
-    split_of_record = dask.delayed(_split)(record.data, samples, channels, wavelength, receiver, sun_zenith)
+    split_of_record = dask.delayed(_split)(
+        record.data, samples, channels, wavelength, (*place, calibration_uncertainty, 101_325.0), sun_zenith
+    )
     parts: list[list[Any]] = [[], [], []]
     for rows in np.split(variables["time"].values, _block_starts(line)):
         block = dask.delayed(_at_lines, nout=3)(split_of_record, samples, rows)
@@ -275,8 +276,9 @@ def _block_starts(line: xr.Dataset) -> list[int]:
     # Return the first line of every block but the first; blocks are the chunks of the cube.
     for name in ("reflectance", "radiance", "counts"):
         if name in line.variables and line[name].chunks is not None:
-            sizes = line[name].variable.chunksizes.get(ALONG_TRACK, ())
-            return [int(start) for start in np.cumsum(sizes)[:-1]]
+            return [
+                int(start) for start in np.cumsum(line[name].variable.chunksizes.get(ALONG_TRACK, ()))[:-1]
+            ]
     return list(range(1024, line.sizes[ALONG_TRACK], 1024))
 
 
@@ -651,8 +653,7 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floa
     # thin cloud, and a level far from its calibration, count as contradictory
     air, thin, broken, overcast = share[:, 0].T
     hazy = air * turbid[:, 0, 0]
-    contradictory = share[:, 1].sum(axis=1) + thin
-    probability = np.stack([air - hazy, hazy, broken, overcast, contradictory], axis=1)
+    probability = np.stack([air - hazy, hazy, broken, overcast, (share[:, 1].sum(axis=1) + thin)], axis=1)
     fraction, square, clear = (
         (share[..., None] * part).sum(axis=(1, 2)) for part in (means, mean_squares, means_without_cloud)
     )

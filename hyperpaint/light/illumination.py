@@ -138,8 +138,9 @@ class Tilt:
         gain = np.zeros(diffuse.shape)
         if self.sky == "clear" and self.angle > 0.0:
             from_sun = np.degrees(np.radians(self.azimuth) - sun_azimuth)
-            suns = np.minimum(np.degrees(zenith), MAX_SUN_ZENITH_DEG)
-            for row, sun, azimuth_offset in zip(gain, suns, from_sun, strict=True):
+            for row, sun, azimuth_offset in zip(
+                gain, np.minimum(np.degrees(zenith), MAX_SUN_ZENITH_DEG), from_sun, strict=True
+            ):
                 row[:] = facing_gain(wavelength, float(sun), self.angle, float(azimuth_offset)) - 1.0
         return np.asarray(
             1.0
@@ -297,8 +298,7 @@ def match_irradiance(
         "srf_offset": srf_offset,
         "srf": srf,
     }
-    responses = _responses(channels, irradiance_fwhm, irradiance_srf_shape, imager)
-    matching = matching_operator(*responses, nodes)
+    matching = matching_operator(*_responses(channels, irradiance_fwhm, irradiance_srf_shape, imager), nodes)
     _warn_of_bands(matching, channels, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
@@ -429,8 +429,9 @@ def matched_series(
         measured = Responses(
             channels[order] - departure.shift_at(channels[order]), width * departure.width, irradiance_shape
         )
-        shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
-        misfit = misfit_through(spectrometer, measured, bands, shifts)
+        misfit = misfit_through(
+            spectrometer, measured, bands, tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
+        )
     return _apply(matching, np.asarray(spectra), order), misfit
 
 
@@ -439,9 +440,11 @@ def departure_of_record(attrs: Mapping[Any, Any]) -> RecordDeparture | None:
     #
     # `hyperpaint.alignment.align` stores it in attributes.
     names = ("alignment_shift", "alignment_shift_slope", "alignment_width")
-    if attrs.get("alignment_state") != "not applied" or not set(names) <= set(attrs):
-        return None
-    return RecordDeparture(*(float(attrs[name]) for name in names))
+    return (
+        None
+        if attrs.get("alignment_state") != "not applied" or not set(names) <= set(attrs)
+        else RecordDeparture(*(float(attrs[name]) for name in names))
+    )
 
 
 # --- noise of the irradiance spectrometer, and its effect on the bands of a camera -------------------------

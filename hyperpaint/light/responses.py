@@ -97,13 +97,12 @@ class Responses:
             steps = np.abs(np.diff(wavelength))
             jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
             is_even = wavelength.size > 1 and jumps.max(initial=0.0) <= np.log(1.3)
-            if self.spacing is None and not is_even:
-                raise SchemaError(
-                    "a slit-shaped response needs the camera's band spacing, and these bands are not "
-                    "contiguous",
-                    mend="give 'band_spacing' (band) [nm], or select bands after computing the reflectance",
-                    code="band-spacing-missing",
-                )
+            SchemaError.raise_if(
+                self.spacing is None and not is_even,
+                "a slit-shaped response needs the camera's band spacing, and these bands are not contiguous",
+                mend="give 'band_spacing' (band) [nm], or select bands after computing the reflectance",
+                code="band-spacing-missing",
+            )
             spacing = band_spacing(wavelength) if self.spacing is None else self.spacing
             object.__setattr__(self, "spacing", np.broadcast_to(spacing, wavelength.shape))
 
@@ -125,9 +124,11 @@ class Responses:
         # Half support of each band [nm], beyond which a response is negligible.
         if self.shape == "gaussian":
             return np.asarray(_REACH * self.fwhm)
-        if self.shape == "slit":
-            return np.asarray(0.5 * (self.fwhm + np.asarray(self.spacing)))
-        return np.full(self.wavelength.shape, float(np.max(np.abs(np.asarray(self.offset)))))
+        return (
+            np.asarray(0.5 * (self.fwhm + np.asarray(self.spacing)))
+            if self.shape == "slit"
+            else np.full(self.wavelength.shape, float(np.max(np.abs(np.asarray(self.offset)))))
+        )
 
     def on(self, grid: Floats, band: int | Ints) -> Floats:
         # Return responses on an even grid [nm], (point,) of one band or (band, point) of several.
@@ -257,8 +258,9 @@ def matching_operator(
     A row is NaN where less than 99.9 % of the band's response lies inside the spectrometer's range, or where
     channels are missing over more than two widths inside it: nothing is extrapolated.
     """
-    shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
-    return _cached_operator(spectrometer, imager, shifts, ridge)
+    return _cached_operator(
+        spectrometer, imager, tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist()), ridge
+    )
 
 
 @functools.lru_cache(maxsize=8)

@@ -323,12 +323,12 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     zenith, azimuth = np.meshgrid(*angles, indexing="ij")
     cosine = np.cos(zenith)
     is_above_horizon = (cosine > 1e-3) & (sky.values > 0.0).all(axis=0)
-    if is_above_horizon.sum() < MIN_DIRECTIONS:
-        raise SchemaError(
-            f"sky_radiance has {int(is_above_horizon.sum())} directions above the horizon",
-            expected=f"{MIN_DIRECTIONS} or more",
-            code="sky-directions-few",
-        )
+    SchemaError.raise_if(
+        is_above_horizon.sum() < MIN_DIRECTIONS,
+        f"sky_radiance has {int(is_above_horizon.sum())} directions above the horizon",
+        expected=f"{MIN_DIRECTIONS} or more",
+        code="sky-directions-few",
+    )
     zenith_step = np.abs(np.gradient(angles[0]))[:, None] if angles[0].size > 1 else np.ones((1, 1))
     weight = (cosine * np.maximum(np.sin(zenith), 1e-3) * zenith_step)[is_above_horizon]
     from_sun = scattering_cosine(cosine[is_above_horizon], azimuth[is_above_horizon], sun_zenith)

@@ -133,8 +133,9 @@ def diffuse_fraction(
     nm = np.atleast_1d(np.asarray(wavelength, np.float64))
     if zenith > 90.0:  # all light comes from the sky
         return np.ones_like(nm)
-    air = Scatterers(aerosol_optical_depth, angstrom_exponent, pressure, ground_reflectance)
-    direct, diffuse = scattered_light(nm, zenith, air)
+    direct, diffuse = scattered_light(
+        nm, zenith, Scatterers(aerosol_optical_depth, angstrom_exponent, pressure, ground_reflectance)
+    )
     return np.asarray(diffuse / (diffuse + direct))
 
 

@@ -219,14 +219,14 @@ def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
     # Return the line with another irradiance record, attributes included, in place of its own.
     #
     # Raises `SchemaError`: ``irradiance`` is no Dataset, or lacks 'irradiance'.
-    if not isinstance(irradiance, xr.Dataset):
-        raise SchemaError(
-            f"irradiance= is {type(irradiance).__name__}",
-            expected=(
-                "a Dataset with 'irradiance' and 'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
-            ),
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not isinstance(irradiance, xr.Dataset),
+        f"irradiance= is {type(irradiance).__name__}",
+        expected=(
+            "a Dataset with 'irradiance' and 'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
+        ),
+        code="type-wrong",
+    )
     names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
     if "irradiance" not in names:
         contents = ", ".join(map(str, irradiance.data_vars)) or "nothing"

@@ -222,13 +222,13 @@ def make_detector(
     # for; ``rate``: rate of false alarms; ``has_targets``: whether the paints may be among the background
     # pixels; further settings as of `detect`. Raises `SchemaError`: too few pixels. Warns where paints
     # explain many pixels, which are excluded from the background.
-    if not background.pixels:
-        raise SchemaError(
-            f"the line has no background pixel without flags and with values in all {bands.size} bands",
-            mend="pass exclude= with fewer flags, or set 'good' to False in bands without values",
-            option="give --keep with flags",
-            code="background-empty",
-        )
+    SchemaError.raise_if(
+        not background.pixels,
+        f"the line has no background pixel without flags and with values in all {bands.size} bands",
+        mend="pass exclude= with fewer flags, or set 'good' to False in bands without values",
+        option="give --keep with flags",
+        code="background-empty",
+    )
     SchemaError.raise_if(
         background.pixels <= bands.size,
         f"{background.pixels} valid pixels for the covariance of {bands.size} bands",
@@ -256,8 +256,9 @@ def make_detector(
     exclusion_limit = np.full(len(paints), -1.0)
     if has_targets and unknown_rate < 1.0:
         # pixels that a paint explains may show this paint: exclude them from the background
-        exclusion_rate = min(DETECTION.target_rate_ratio * unknown_rate, 0.5)
-        exclusion_limit = _distance_limits(other_distances, exclusion_rate)
+        exclusion_limit = _distance_limits(
+            other_distances, min(DETECTION.target_rate_ratio * unknown_rate, 0.5)
+        )
     sample = background.sample
     is_background, values = np.ones(len(sample), bool), np.empty((len(sample), len(paints)))
     for start in range(0, len(values), PIXELS_AT_ONCE):
@@ -313,16 +314,15 @@ def _ranks(values: Floats) -> Ints:
 def _score_thresholds(values: Floats, rate: float) -> Floats:
     # Score thresholds (signature,) such that a share `rate` of the background exceeds that of any paint
     allowed, min_alarms = rate * (len(values) + 1), max(DETECTION.min_alarms, values.shape[1] + 1)
-    if allowed < min_alarms:
-        raise SchemaError(
-            f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} background pixels",
-            expected=f"at least {int(np.ceil(min_alarms / rate))} pixels",
-            mend="pass a higher rate, search a longer line or search for fewer paints",
-            option="give a higher --false-alarm-rate",
-            code="false-alarm-rate-too-low",
-        )
-    rank = max(_joint_rank(_ranks(-values), allowed), 1)
-    return np.asarray(-np.sort(-values, axis=0)[rank - 1])
+    SchemaError.raise_if(
+        allowed < min_alarms,
+        f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} background pixels",
+        expected=f"at least {int(np.ceil(min_alarms / rate))} pixels",
+        mend="pass a higher rate, search a longer line or search for fewer paints",
+        option="give a higher --false-alarm-rate",
+        code="false-alarm-rate-too-low",
+    )
+    return np.asarray(-np.sort(-values, axis=0)[max(_joint_rank(_ranks(-values), allowed), 1) - 1])
 
 
 def _distance_limits(other_distances: tuple[Array, Array], rate: float) -> Floats:
@@ -364,8 +364,7 @@ def _checked_rate(values: Floats, block: Ints, rate: float) -> tuple[float, floa
         except SchemaError:
             return float("nan"), float("nan")
         shares.append((values[is_tested] >= threshold).any(axis=1).mean())
-    half_interval = t.ppf(0.975, folds - 1) * np.std(shares, ddof=1) / np.sqrt(folds)
-    return float(np.mean(shares)), float(half_interval)
+    return float(np.mean(shares)), float(t.ppf(0.975, folds - 1) * np.std(shares, ddof=1) / np.sqrt(folds))
 
 
 MAX_OTHER_SPECTRA = 20_000
@@ -518,8 +517,7 @@ def detect(
         (f"unknown_rate={rate!r}", 0.0 < rate <= 1.0, "a share above 0, at most 1"),
         (f"shrinkage={shrinkage!r}", 0.0 <= shrinkage <= 1.0, "0 to 1"),
     ):
-        if not is_valid:
-            problems.add(argument, expected=expected, code="value-out-of-range")
+        problems.add_if(not is_valid, argument, expected=expected, code="value-out-of-range")
     if "good" in line.variables and line["good"].dims != (BAND,):
         problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
     problems.raise_if_any()
@@ -560,26 +558,26 @@ def _spectra(
     if "good" in line.variables:
         good &= line["good"].values.astype(bool)
     bands = np.flatnonzero(good & np.isfinite(paints).all(axis=0) if len(paints) else good & False)
-    if bands.size < MIN_BANDS:
-        raise SchemaError(
-            f"the {len(paints)} paints of the library have values in {bands.size} of the line's "
-            f"{int(good.sum())} good bands",
-            expected=f"at least 1 paint and {MIN_BANDS} common bands",
-            mend="use a library that covers the wavelengths of the line and has no gaps",
-            code="bands-not-shared",
-        )
+    SchemaError.raise_if(
+        bands.size < MIN_BANDS,
+        f"the {len(paints)} paints of the library have values in {bands.size} of the line's "
+        f"{int(good.sum())} good bands",
+        expected=f"at least 1 paint and {MIN_BANDS} common bands",
+        mend="use a library that covers the wavelengths of the line and has no gaps",
+        code="bands-not-shared",
+    )
     if others is None:
         others = starter_library(wavelength=np.unique(nm[bands]))
     names = {str(name) for name in library[SIGNATURE].values}
     others = others.isel({SIGNATURE: [str(name) not in names for name in others[SIGNATURE].values]})
     other_paints = _on_bands(others, nm[bands], members=True)
     other_paints = other_paints[np.isfinite(other_paints).all(axis=1)]
-    if not len(other_paints):
-        raise SchemaError(
-            f"no paint of others= has values in all {bands.size} bands that line and library share",
-            mend="pass as others= a library that covers these bands, with paints that library= lacks",
-            code="other-paints-missing",
-        )
+    SchemaError.raise_if(
+        not len(other_paints),
+        f"no paint of others= has values in all {bands.size} bands that line and library share",
+        mend="pass as others= a library that covers these bands, with paints that library= lacks",
+        code="other-paints-missing",
+    )
     return paints[:, bands], bands, other_paints[:: -(-len(other_paints) // MAX_OTHER_SPECTRA)]
 
 
@@ -605,10 +603,12 @@ def _background_mask(background: Any, unflagged: Any) -> Any:
     # The argument `background` as a mask with the chunks of `unflagged`
     if hasattr(background, "dims"):
         mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
-        if set(mask.dims) != {ALONG_TRACK, CROSS_TRACK}:
-            raise SchemaError(
-                f"background= has dims {background.dims}", expected="lines and columns", code="dims-wrong"
-            )
+        SchemaError.raise_if(
+            set(mask.dims) != {ALONG_TRACK, CROSS_TRACK},
+            f"background= has dims {background.dims}",
+            expected="lines and columns",
+            code="dims-wrong",
+        )
         background = mask.transpose(ALONG_TRACK, CROSS_TRACK).data
     mask = da.asarray(background)
     SchemaError.raise_if(
@@ -647,12 +647,12 @@ def _lazy_detector(
         sky = dask.delayed(_mirrored_sky)(line[small], bands)
     elif sky is not None:
         sky = np.asarray(sky, np.float64)
-        if sky.shape != (cube.shape[1],):
-            raise SchemaError(
-                f"sky= has shape {sky.shape}",
-                expected=f"({cube.shape[1]},), one value a band",
-                code="length-mismatch",
-            )
+        SchemaError.raise_if(
+            sky.shape != (cube.shape[1],),
+            f"sky= has shape {sky.shape}",
+            expected=f"({cube.shape[1]},), one value a band",
+            code="length-mismatch",
+        )
         sky = sky[bands]
     return dask.delayed(make_detector, pure=True)(
         backgrounds[0], bands, paints, sky, other_paints, **settings
@@ -824,8 +824,7 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     region_pixels = pixels_of(region_list, detections)
     problems = Problems("these regions cannot be searched", SchemaError)
     for name, (along, _) in zip(region_list.names, region_pixels, strict=True):
-        if not along.size:
-            problems.add(f"region {name!r} contains no pixel of the line", code="region-empty")
+        problems.add_if(not along.size, f"region {name!r} contains no pixel of the line", code="region-empty")
     problems.raise_if_any()
     in_region = np.zeros(detected.shape, bool)
     for pixels in region_pixels:

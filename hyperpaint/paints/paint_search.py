@@ -102,17 +102,25 @@ def search_library(
         ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
         ("maximum_angle", maximum_angle, "like", like),
     ):
-        if value is not None and query_value is None:
-            problems.add(f"{key}= needs {query}=", code="argument-missing")
-        if value is not None and not value >= 0.0:
-            problems.add(f"{key}={value!r}", expected="0 or more", code="value-out-of-range")
-    if limit is not None and limit < 1:
-        problems.add(f"limit={limit!r}", expected="1 or more", code="value-out-of-range")
-    if name is not None and not name.strip():
-        problems.add("name= is empty", expected="part of a name", code="empty-input")
+        problems.add_if(
+            value is not None and query_value is None, f"{key}= needs {query}=", code="argument-missing"
+        )
+        problems.add_if(
+            value is not None and not value >= 0.0,
+            f"{key}={value!r}",
+            expected="0 or more",
+            code="value-out-of-range",
+        )
+    problems.add_if(
+        limit is not None and limit < 1, f"limit={limit!r}", expected="1 or more", code="value-out-of-range"
+    )
+    problems.add_if(
+        name is not None and not name.strip(), "name= is empty", expected="part of a name", code="empty-input"
+    )
     problems.raise_if_any()
-    required = [SIGNATURE, "reflectance", "wavelength"]
-    variables = schema.require(library, required, "a search", LIBRARY_VARIABLES)
+    variables = schema.require(
+        library, [SIGNATURE, "reflectance", "wavelength"], "a search", LIBRARY_VARIABLES
+    )
     is_match = np.ones(library.sizes[SIGNATURE], np.bool_)
     if name is not None:
         is_match &= [_matches_name(str(paint_name), name) for paint_name in variables[SIGNATURE].values]
@@ -183,13 +191,13 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
     spectrum = _one_spectrum(library, like, nm)
     if "good" in library.variables:
         spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
-    if np.isfinite(spectrum).sum() < MIN_BANDS:
-        raise SchemaError(
-            f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
-            f"({nm.min():g} to {nm.max():g} nm)",
-            expected=f"at least {MIN_BANDS}",
-            code="bands-not-shared",
-        )
+    SchemaError.raise_if(
+        np.isfinite(spectrum).sum() < MIN_BANDS,
+        f"like= has values in {int(np.isfinite(spectrum).sum())} good bands of the library "
+        f"({nm.min():g} to {nm.max():g} nm)",
+        expected=f"at least {MIN_BANDS}",
+        code="bands-not-shared",
+    )
     paints = np.asarray(reflectance.values, np.float64)
     is_common = np.isfinite(paints) & np.isfinite(spectrum)
     x, y = np.where(is_common, paints, 0.0), np.where(is_common, spectrum, 0.0)
@@ -205,20 +213,20 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
     # The spectrum `like` at the wavelengths of the library (band,); NaN outside its range
     if isinstance(like, str):
         names = [str(name) for name in library[SIGNATURE].values]
-        if names.count(like) != 1:
-            raise SchemaError(
-                f"{names.count(like)} paints of the library are named like={like!r:.60}",
-                expected="1",
-                code="paint-ambiguous" if like in names else "paint-unknown",
-            )
+        SchemaError.raise_if(
+            names.count(like) != 1,
+            f"{names.count(like)} paints of the library are named like={like!r:.60}",
+            expected="1",
+            code="paint-ambiguous" if like in names else "paint-unknown",
+        )
         like = library.isel({SIGNATURE: names.index(like)})
     if isinstance(like, xr.Dataset):
-        if "reflectance" not in like.variables:
-            raise SchemaError(
-                f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}",
-                expected="reflectance",
-                code="variable-missing",
-            )
+        SchemaError.raise_if(
+            "reflectance" not in like.variables,
+            f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}",
+            expected="reflectance",
+            code="variable-missing",
+        )
         like = like["reflectance"]
     if not isinstance(like, xr.DataArray):
         values = np.asarray(like, np.float64)
@@ -230,12 +238,12 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
         )
         return values
     spectrum = like.squeeze()
-    if spectrum.ndim != 1 or "wavelength" not in spectrum.coords:
-        raise SchemaError(
-            f"like= has dims {like.dims} of sizes {like.shape}",
-            expected="one spectrum with its wavelength",
-            code="dims-wrong",
-        )
+    SchemaError.raise_if(
+        spectrum.ndim != 1 or "wavelength" not in spectrum.coords,
+        f"like= has dims {like.dims} of sizes {like.shape}",
+        expected="one spectrum with its wavelength",
+        code="dims-wrong",
+    )
     axis = spectrum["wavelength"]
     # wavelengths without units are in nm
     axis = convert(axis, "nm") if "units" in axis.attrs else axis

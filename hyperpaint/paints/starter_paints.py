@@ -102,8 +102,12 @@ def starter_library(
     """
     nm = np.linspace(FIRST_NM, LAST_NM, BANDS) if wavelength is None else np.asarray(wavelength, np.float64)
     problems = Problems("the starter library cannot be computed", SchemaError)
-    if not 0 <= members <= MAX_MEMBERS:
-        problems.add(f"members={members!r}", expected=f"0 to {MAX_MEMBERS}", code="value-out-of-range")
+    problems.add_if(
+        not 0 <= members <= MAX_MEMBERS,
+        f"members={members!r}",
+        expected=f"0 to {MAX_MEMBERS}",
+        code="value-out-of-range",
+    )
     if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
         problems.add(
             f"wavelength={wavelength!r:.40}",
@@ -120,8 +124,9 @@ def starter_library(
         SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
     }
     if members:
-        variants = [_variants(spec, nm, members, [seed, number]) for number, spec in enumerate(specs)]
-        values["member_reflectance"] = np.stack(variants)
+        values["member_reflectance"] = np.stack(
+            [_variants(spec, nm, members, [seed, number]) for number, spec in enumerate(specs)]
+        )
     bands = xr.Dataset(
         {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
         {"wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs)},

@@ -853,8 +853,7 @@ def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
     # Find frames of a dark cube (along_track, band, cross_track), read lazily, that are blank or lit.
     bands = np.unique(np.linspace(0, counts.shape[1] - 1, DARK_RULES.frame_bands).astype(int))
     frames = np.unique(np.linspace(0, counts.shape[0] - 1, DARK_RULES.frames).astype(int))
-    sample = counts.isel({counts.dims[0]: frames, counts.dims[1]: bands})
-    levels = np.median(sample.to_numpy(), axis=(1, 2))
+    levels = np.median(counts.isel({counts.dims[0]: frames, counts.dims[1]: bands}).to_numpy(), axis=(1, 2))
     median = float(np.median(levels))
     tolerance = max(DARK_RULES.frame_counts, DARK_RULES.frame_share * median)
     if float(np.abs(levels - median).max()) > tolerance:
@@ -1039,13 +1038,14 @@ def _judge_sample(
         dark_u = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
         yield from judge_dark(name, dark, dark_u, gain, sample, saturation_limit)
     if "wavelength" in line.coords:
-        record = None
-        if "irradiance" in line:
-            record = (line["irradiance_wavelength"].values, line["irradiance"].mean("irradiance_time").values)
+        record = (
+            (line["irradiance_wavelength"].values, line["irradiance"].mean("irradiance_time").values)
+            if "irradiance" in line
+            else None
+        )
         fwhm = float(np.median(line["fwhm"].values)) if "fwhm" in line.coords else 5.0
         light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
-        mean_gain = np.nanmean(gain, axis=1)
-        yield from judge_bands(name, light, mean_gain, line["wavelength"].values, fwhm, record)
+        yield from judge_bands(name, light, np.nanmean(gain, axis=1), line["wavelength"].values, fwhm, record)
 
 
 def _mean_dark(line: xr.Dataset) -> tuple[Floats, bool]:

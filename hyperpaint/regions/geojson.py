@@ -124,8 +124,9 @@ class Region:
     def __repr__(self) -> str:
         line = f" on {self.flightline}" if self.flightline else ""
         holes = f", {len(self.holes)} holes" if self.holes else ""
-        items = list(self.properties.items())[:4]
-        properties = "".join(f", {key}={str(value)[:40]!r}" for key, value in items)
+        properties = "".join(
+            f", {key}={str(value)[:40]!r}" for key, value in list(self.properties.items())[:4]
+        )
         (left, low), (right, high) = self.polygon.min(axis=0), self.polygon.max(axis=0)
         box = f"x {left:.10g} to {right:.10g}, y {low:.10g} to {high:.10g}"
         return f"<Region {self.name!r}{line}: {len(self.polygon)} corners{holes}, {box}{properties}>"
@@ -257,8 +258,7 @@ class Regions(Sequence[Region]):
     @property
     def digest(self) -> str:
         """Digest of the content: equal digests mean equal regions."""
-        text = json.dumps(self.__geo_interface__, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:32]
+        return hashlib.sha256(json.dumps(self.__geo_interface__, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def _drawn(region: Region, coordinates: str) -> str:
@@ -308,12 +308,12 @@ def _ring(ring: Any, index: int, problems: Problems) -> Floats:
         expected=f"3 to {MAX_VERTICES}",
         code="corner-count",
     )
-    if not (np.abs(corners) <= MAX_COORDINATE).all():
-        problems.add(
-            f"the {ring_name} has missing or too large coordinates",
-            expected=f"numbers from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g}",
-            code="corner-wrong",
-        )
+    problems.add_if(
+        not (np.abs(corners) <= MAX_COORDINATE).all(),
+        f"the {ring_name} has missing or too large coordinates",
+        expected=f"numbers from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g}",
+        code="corner-wrong",
+    )
     corners = corners + 0.0  # no negative zero
     corners.flags.writeable = False
     return corners
@@ -323,12 +323,12 @@ def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
     if not isinstance(properties, Mapping):
         problems.add(f"properties are {type(properties).__name__}", expected="a mapping", code="type-wrong")
         return {}
-    if reserved := {"name", "flightline"} & set(properties):
-        problems.add(
-            f"properties hold {', '.join(sorted(reserved))}",
-            mend="pass them as arguments of Region",
-            code="property-reserved",
-        )
+    problems.add_if(
+        reserved := {"name", "flightline"} & set(properties),
+        f"properties hold {', '.join(sorted(reserved))}",
+        mend="pass them as arguments of Region",
+        code="property-reserved",
+    )
     if odd := [key for key in properties if not isinstance(key, str)]:
         problems.add(f"properties have the names {odd[:3]!r:.80}", expected="text", code="type-wrong")
         return {}
@@ -539,12 +539,12 @@ def _collection(document: Any, subject: str) -> Regions:
     if isinstance(crs, Mapping):
         inner = crs.get("properties")
         crs = (inner.get("name") if isinstance(inner, Mapping) else None) or ""  # an empty name is refused
-    if crs is not None and not (isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable()):
-        problems.add(
-            "the crs has no name",
-            expected="text such as 'EPSG:32618', or an object with properties.name",
-            code="crs-missing",
-        )
+    problems.add_if(
+        crs is not None and not (isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable()),
+        "the crs has no name",
+        expected="text such as 'EPSG:32618', or an object with properties.name",
+        code="crs-missing",
+    )
     declared = members.get("coordinates")
     coordinates = ("sensor" if crs is None else "map") if declared is None else declared
     one_of(coordinates, COORDINATES, "coordinates", problems=problems)

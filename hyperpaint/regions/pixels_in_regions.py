@@ -169,13 +169,13 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     line = schema.rename_to_roles(line)
     problems = Problems("pixels of regions cannot be found in this line", SchemaError)
     for dim in (ALONG_TRACK, CROSS_TRACK):
-        if dim not in line.dims:
-            problems.add(
-                f"dims {', '.join(map(str, line.dims))}",
-                expected=f"the dim {dim!r}",
-                mend=f"select with isel({dim}=[5]) to keep it, or name it with dims=",
-                code="dim-missing",
-            )
+        problems.add_if(
+            dim not in line.dims,
+            f"dims {', '.join(map(str, line.dims))}",
+            expected=f"the dim {dim!r}",
+            mend=f"select with isel({dim}=[5]) to keep it, or name it with dims=",
+            code="dim-missing",
+        )
     problems.raise_if_any()
     shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
     if regions.coordinates == "map":
@@ -206,8 +206,9 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
                     code="flightline-unknown",
                 )
         problems.raise_if_any()
-        sources = line[_SOURCE_LINE], [names[name] for name in lines]
-        return _by_coordinates(regions, *coordinates, shape, sources)
+        return _by_coordinates(
+            regions, *coordinates, shape, (line[_SOURCE_LINE], [names[name] for name in lines])
+        )
     columns, rows = numbers_of(line, CROSS_TRACK), numbers_of(line, ALONG_TRACK)
     return [_on_axes(region, columns, rows) for region in regions]
 
@@ -246,10 +247,12 @@ def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> Re
     numbers = [numbers_of(line, dim) for dim in (CROSS_TRACK, ALONG_TRACK)]
     first = np.array([values[0] for values in numbers])
     step = np.array([(values[-1] - values[0]) / max(values.size - 1, 1) or 1.0 for values in numbers])
-    if not first.any() and (step == 1.0).all():
-        return regions
-    return _with_rings(
-        regions, lambda ring: np.asarray((ring - first) / step if back else ring * step + first)
+    return (
+        regions
+        if not first.any() and (step == 1.0).all()
+        else _with_rings(
+            regions, lambda ring: np.asarray((ring - first) / step if back else ring * step + first)
+        )
     )
 
 
@@ -339,12 +342,12 @@ def _transformed(regions: Regions, crs: str) -> Regions:
 
     def transformed(ring: Any) -> Floats:
         corners = between_maps(np.asarray(ring, np.float64), source, target)
-        if not np.isfinite(corners).all():
-            raise SchemaError(
-                f"the corner {ring[0][0]:g}, {ring[0][1]:g} lies outside {regions.crs!r:.60}",
-                mend="name the crs of the regions",
-                code="corner-outside-crs",
-            )
+        SchemaError.raise_if(
+            not np.isfinite(corners).all(),
+            f"the corner {ring[0][0]:g}, {ring[0][1]:g} lies outside {regions.crs!r:.60}",
+            mend="name the crs of the regions",
+            code="corner-outside-crs",
+        )
         return corners
 
     return _with_rings(regions, transformed, crs=crs)

@@ -202,8 +202,9 @@ def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: fl
     # Gaussian absorption lines; each affects only its neighbourhood.
     total = np.zeros_like(wavelength)
     starts = np.searchsorted(wavelength, centres - 4 * width)
-    stops = np.searchsorted(wavelength, centres + 4 * width)
-    for centre, depth, start, stop in zip(centres, depths, starts, stops, strict=True):
+    for centre, depth, start, stop in zip(
+        centres, depths, starts, np.searchsorted(wavelength, centres + 4 * width), strict=True
+    ):
         total[start:stop] += depth * np.exp(-4 * np.log(2) * ((wavelength[start:stop] - centre) / width) ** 2)
     return total
 
@@ -520,9 +521,9 @@ class Haze:
 
         # share of Henyey-Greenstein scattering beyond 90 degrees; the formula is 0/0 for g = 0
         g = self.asymmetry
-        backward_share = 0.5
-        if abs(g) >= 1e-6:
-            backward_share = (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)
+        backward_share = (
+            (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0) if abs(g) >= 1e-6 else 0.5
+        )
         # the sun's light comes down and leaves upwards: the cosine of the scattering angle is -cos(zenith)
         rayleigh = 0.75 * (1.0 + cosine**2)
         henyey_greenstein = float((1.0 - g**2) / (1.0 + g**2 + 2.0 * g * cosine) ** 1.5)

@@ -187,8 +187,7 @@ class BandSet:
                 "dims-wrong",
             ),
         ):
-            if is_fault:
-                problems.add(found, expected=expected, mend=mend, code=code)
+            problems.add_if(is_fault, found, expected=expected, mend=mend, code=code)
         problems.raise_if_any()
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", np.broadcast_to(fwhm, wavelength.shape).copy())
@@ -215,12 +214,12 @@ class BandSet:
             return bands
         problems = Problems("these bands cannot be rendered", SchemaError)
         for name in ("wavelength", "fwhm"):
-            if getattr(bands, name, None) is None:
-                problems.add(
-                    f"{name!r} is missing",
-                    mend="pass a BandSet, or a Dataset with wavelength and fwhm",
-                    code="variable-missing",
-                )
+            problems.add_if(
+                getattr(bands, name, None) is None,
+                f"{name!r} is missing",
+                mend="pass a BandSet, or a Dataset with wavelength and fwhm",
+                code="variable-missing",
+            )
         problems.raise_if_any()
         attrs = getattr(bands, "attrs", {})
         shape = attrs.get("srf_shape", "gaussian") if attrs else getattr(bands, "shape", "gaussian")
@@ -497,9 +496,11 @@ class Imager(BandSet):
     def whole_reach(self) -> float:
         # distance from the nominal centre of a band beyond which no column responds [nm]
         smile_reach = float(np.abs(self.wavelength_shift).max())
-        if self.shape == "gaussian":
-            return GAUSSIAN_REACH * float(self.fwhm.max()) + smile_reach
-        return float((self.fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+        return (
+            GAUSSIAN_REACH * float(self.fwhm.max()) + smile_reach
+            if self.shape == "gaussian"
+            else float((self.fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+        )
 
     def response(self, band: int, grid: Floats, shift: Floats) -> Floats:
         # R_b without element factors at wavelength shifts [nm], shape (grid, shift)
@@ -753,8 +754,9 @@ def _displaced(across: Floats, shift: Floats) -> Floats:
     extra = int(np.ceil(np.abs(shift).max()))
     whole_columns = np.floor(shift).astype(int)
     weights = np.zeros((len(shift), len(across) + 2 * extra))
-    places = zip((whole_columns + extra).tolist(), (shift - whole_columns).tolist(), strict=True)
-    for band, (start, fraction) in enumerate(places):
+    for band, (start, fraction) in enumerate(
+        zip((whole_columns + extra).tolist(), (shift - whole_columns).tolist(), strict=True)
+    ):
         weights[band, start : start + len(across)] += (1.0 - fraction) * across
         if fraction:
             weights[band, start + 1 : start + 1 + len(across)] += fraction * across

@@ -899,13 +899,13 @@ def _prepare(root: Path, overwrite: bool) -> Path:
             )
         # files of a collect that no simulation wrote are not replaced
         entries = [name for name in PARTS if (root / name).exists() or (root / name).is_symlink()]
-        if entries and head_of(root / "collect.toml", len(MARKER)) != MARKER.encode():
-            raise StoreError(
-                f"{root} holds {', '.join(entries[:3])}, and no collect.toml that begins with {MARKER!r}",
-                expected="an earlier simulated collect",
-                mend="choose another folder; nothing was removed",
-                code="folder-foreign",
-            )
+        StoreError.raise_if(
+            entries and head_of(root / "collect.toml", len(MARKER)) != MARKER.encode(),
+            f"{root} holds {', '.join(entries[:3])}, and no collect.toml that begins with {MARKER!r}",
+            expected="an earlier simulated collect",
+            mend="choose another folder; nothing was removed",
+            code="folder-foreign",
+        )
         (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
         for name in PARTS[:-1]:
             target = root / name

@@ -94,8 +94,9 @@ def write_navigation(
     # stamps: microseconds of the instrument's clock, shape (row,)
     # utc: the same instants in UTC, shape (row,)
     header = "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTimestamp\tGps_UTC_Date&Time\tStatus\tHeading\n"
-    names = ("roll", "pitch", "heading", "latitude", "longitude", "altitude")
-    columns = [pose[name].tolist() for name in names]
+    columns = [
+        pose[name].tolist() for name in ("roll", "pitch", "heading", "latitude", "longitude", "altitude")
+    ]
     clock = [
         text.replace("-", "/").replace("T", " ") for text in np.datetime_as_string(utc, unit="us").tolist()
     ]
@@ -150,8 +151,9 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
         (2, b"lamp_sim.ill", _LAMP),
         (3, b"fo_sim.raw", _LAMP_COUNTS),
     )
-    times = stamp, utc_offset, reference_stamp
-    _write_asd(path, _IRRADIANCE, counts, np.ones(len(ASD_WAVELENGTH)), times, blocks)
+    _write_asd(
+        path, _IRRADIANCE, counts, np.ones(len(ASD_WAVELENGTH)), (stamp, utc_offset, reference_stamp), blocks
+    )
 
 
 def write_asd_reflectance(

@@ -210,13 +210,13 @@ class RenderedFlight(Flight):
         before = ahead + max(_MARGIN_BEFORE_M, yaw_margin + 1.0) + max(map(abs, path.lever_arm))
         start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
         length = start + settings.lines * self.ground_sample + before
-        if length > _MAX_LENGTH_M:
-            raise SchemaError(
-                f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
-                expected=f"at most {_MAX_LENGTH_M:g} m",
-                mend="take fewer lines, more columns, or scene='plan'",
-                code="flight-too-long",
-            )
+        SchemaError.raise_if(
+            length > _MAX_LENGTH_M,
+            f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park",
+            expected=f"at most {_MAX_LENGTH_M:g} m",
+            mend="take fewer lines, more columns, or scene='plan'",
+            code="flight-too-long",
+        )
         park = car_park(
             length=float(length),
             width=SWATH_M,
@@ -267,8 +267,9 @@ class RenderedFlight(Flight):
         level = self.incident.mean(axis=(1, 2)) @ factors
         normal = self.incident[0].mean() / self._cosine * factors[0]
         glint = np.where(mirrored, block.weight, 0.0).sum(axis=1) * (normal / level)[:, None] > GLINT
-        cubes = self._cubes(stop - start, into)
-        record = Lines(self._surface[block.material], np.asarray(glint), *cubes, layers)
+        record = Lines(
+            self._surface[block.material], np.asarray(glint), *self._cubes(stop - start, into), layers
+        )
         # the array of radiance holds INT L R until counts are computed
         direct, diffuse = factors[:, :, None, None]
         weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)

@@ -65,11 +65,11 @@ def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
     except (TypeError, ValueError):
         problems.add(f"{name} is not an array of numbers", code="type-wrong")
         return np.zeros(0)
-    if not np.isfinite(array).all():
-        problems.add(
-            f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite",
-            code="not-finite",
-        )
+    problems.add_if(
+        not np.isfinite(array).all(),
+        f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite",
+        code="not-finite",
+    )
     return array
 
 
@@ -263,9 +263,11 @@ _ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]
 
 def _is_start_time(value: object) -> bool:
     # times must fit the files of the spectrometer, which count seconds in 32 bits
-    if not isinstance(value, str) or not _ISO_TIME.fullmatch(value):
-        return False
-    return bool(np.datetime64("1980-01-01") <= moment_of(value) < np.datetime64("2038-01-01"))
+    return (
+        False
+        if not isinstance(value, str) or not _ISO_TIME.fullmatch(value)
+        else bool(np.datetime64("1980-01-01") <= moment_of(value) < np.datetime64("2038-01-01"))
+    )
 
 
 def _is_frame_selection(value: object) -> bool:
@@ -795,8 +797,9 @@ class SimulationSettings(OpticsSettings):
             ),
         ]
         for is_fault, name, found, expected, mend, code in rows:
-            if is_fault:
-                problems.add(f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code)
+            problems.add_if(
+                is_fault, f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code
+            )
 
 
 #: Fields of `hyperpaint.simulation.SimulationSettings` that define the camera.

@@ -177,12 +177,12 @@ class SweepSettings:
         sweep_fields = {field.name for field in fields(cls)} - {"camera"}
         camera_fields = _FRAME_FIELDS if camera is not None else _FRAME_FIELDS | CAMERA_FIELDS
         unknown = sorted(set(values) - sweep_fields - camera_fields)
-        if unknown:
-            raise SchemaError(
-                f"unknown settings {', '.join(unknown)}",
-                expected=f"some of {', '.join(sorted(sweep_fields | camera_fields))}",
-                code="key-unknown",
-            )
+        SchemaError.raise_if(
+            unknown,
+            f"unknown settings {', '.join(unknown)}",
+            expected=f"some of {', '.join(sorted(sweep_fields | camera_fields))}",
+            code="key-unknown",
+        )
         changes = {name: value for name, value in values.items() if name in camera_fields}
         camera = SimulationSettings.of(changes) if camera is None else replace(camera, **changes)
         return cls(camera=camera, **{name: value for name, value in values.items() if name in sweep_fields})

@@ -64,8 +64,9 @@ def match_places(
         else:
             further = f", {distances[others[0]]:.1f} m from the next paint" if others else ""
             paint, text = keys[first], f"{distance:.1f} m from {name}{further}"
-        near = frozenset(keys[k] for k in np.flatnonzero(distances <= accuracy_m))
-        matches[number] = PlaceMatch(paint, text, near)
+        matches[number] = PlaceMatch(
+            paint, text, frozenset(keys[k] for k in np.flatnonzero(distances <= accuracy_m))
+        )
     counts = Counter((match.paint, instruments[number]) for number, match in matches.items())
     for number, match in matches.items():
         count = counts[match.paint, instruments[number]]

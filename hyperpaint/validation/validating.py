@@ -187,12 +187,12 @@ class Validation:
         count, excluded = int(cell["bands"]), int(cell["bands_left_out"])
         if cell["judged"]:
             return str(cell["part"].item())
-        reason = f"{count} of {count + excluded} bands, too few to judge"
-        if cell["exclusion"].item():
-            reason = cell["exclusion"].item()
-        elif float(cell["rmse_limit"]) > MAX_TOLERANCE_SHARE * float(cell["level"]):
-            level, limit = float(cell["level"]), float(cell["rmse_limit"])
-            reason = f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
+        level, limit = float(cell["level"]), float(cell["rmse_limit"])
+        reason = cell["exclusion"].item() or (
+            f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
+            if limit > MAX_TOLERANCE_SHARE * level
+            else f"{count} of {count + excluded} bands, too few to judge"
+        )
         return f"{cell['part'].item()} ({reason})"
 
     @property
@@ -807,8 +807,7 @@ def _library_spectra(
             dataset = dataset.assign_coords({SIGNATURE: label})
         dataset = dataset.expand_dims(SIGNATURE)
     optional = [name for name in (*_SPREADS, "fwhm", "n", "n_eff") if name in dataset.variables]
-    purpose = "a validation"
-    required = require(dataset, [SIGNATURE, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
+    required = require(dataset, [SIGNATURE, "reflectance", "wavelength"], "a validation", LIBRARY_VARIABLES)
     arrays = {**required, **find(dataset, optional, LIBRARY_VARIABLES)[0]}
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
     values = arrays["reflectance"].values.astype(np.float64)
@@ -849,8 +848,9 @@ def _uncorrected_coat(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]
     # The quantity of a paint without correction for its coat, in a library of corrected paints
     if attrs.get("quantity") != BODY or "coat_transmission" not in dataset.variables:
         return {}
-    names = ("coat_transmission", "coat_transmission_u")
-    shares = [dataset[name].values for name in names if name in dataset]
+    shares = [
+        dataset[name].values for name in ("coat_transmission", "coat_transmission_u") if name in dataset
+    ]
     if any(share.ndim != 2 for share in shares):
         return {}
     is_uncorrected = (shares[0][number] == 1.0).all() and all((u[number] == 0.0).all() for u in shares[1:])
@@ -958,9 +958,11 @@ def _aspecular_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any]) ->
         return stated if np.isfinite(stated) else 45.0
     place = [float(value(name)) for name in ("latitude", "longitude")]
     time = value("time") if "time" in dataset.variables else np.datetime64("NaT")
-    if "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all():
-        return float("nan")
-    return float(solar_position(time, *place)[0])
+    return (
+        float("nan")
+        if "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all()
+        else float(solar_position(time, *place)[0])
+    )
 
 
 def _place_of(dataset: xr.Dataset, number: int, dim: str) -> Place:
@@ -1026,8 +1028,7 @@ class _Channels:
             if np.isfinite(fwhm).all() and (fwhm > 0).all():
                 _check_widths(fwhm, nm_sorted)
                 return cls(order, nm_sorted, fwhm, tuple(notes))
-        channel_detector = number if detector is None else detector[order]
-        fwhm, source = channel_widths(nm_sorted, channel_detector, instrument)
+        fwhm, source = channel_widths(nm_sorted, number if detector is None else detector[order], instrument)
         return cls(order, nm_sorted, fwhm, (*notes, source))
 
     def spectrum(
@@ -1492,23 +1493,25 @@ class Compared:
             return ""
         text = f"{signature.finish} paint, whose level holds for one geometry only"
         angles = np.array([signature.aspecular, *(reading.aspecular for reading in self.pair.references)])
-        if not np.isfinite(angles[0]):
-            return f"{text}, and the signature states none: aspecular_angle is missing"
-        if not np.isfinite(angles[1:]).all():
-            return (
-                f"{text}, and the reference states none: give it aspecular_angle [degree], "
-                'measurement_geometry such as "45/0", or time, latitude and longitude'
-            )
-        if np.ptp(angles) > _MAX_ASPECULAR_CHANGE_DEG:
-            return f"{text}: seen {angles[0]:.0f} degrees from the mirror direction, the reference " + (
-                f"{', '.join(f'{angle:.0f}' for angle in angles[1:])}"
-            )
-        if angles.min() < _MIN_ASPECULAR_DEG:
-            return (
-                f"{text}: {angles.min():.0f} degrees from the mirror direction, a degree of lean changes it "
-                f"by several per cent; compare it at {_MIN_ASPECULAR_DEG:.0f} degrees or more"
-            )
-        return ""
+        reasons = (
+            (np.isnan(angles[0]), ", and the signature states none: aspecular_angle is missing"),
+            (
+                np.isnan(angles).any(),
+                ", and the reference states none: give it aspecular_angle [degree], "
+                'measurement_geometry such as "45/0", or time, latitude and longitude',
+            ),
+            (
+                np.ptp(angles) > _MAX_ASPECULAR_CHANGE_DEG,
+                f": seen {angles[0]:.0f} degrees from the mirror direction, the reference "
+                f"{', '.join(f'{angle:.0f}' for angle in angles[1:])}",
+            ),
+            (
+                angles.min() < _MIN_ASPECULAR_DEG,
+                f": {angles.min():.0f} degrees from the mirror direction, a degree of lean changes it by "
+                f"several per cent; compare it at {_MIN_ASPECULAR_DEG:.0f} degrees or more",
+            ),
+        )
+        return next((text + reason for applies, reason in reasons if applies), "")
 
     @property
     def matched(self) -> bool:
@@ -1550,22 +1553,25 @@ class Compared:
 
     def notes(self) -> tuple[str, ...]:
         # Return remarks for the reader of the result
-        notes = [note for reference in self.pair.references for note in reference.notes]
-        notes += [f"signature: {note}" for note in self.pair.signature.notes]
-        if self.exclusion:
-            notes.append(f"not judged: {self.exclusion}")
-        elif self.pair.signature.finish in ("metallic", "pearl") and not self.pair.between:
-            angles = (self.pair.signature.aspecular, self.pair.references[0].aspecular)
-            notes.append(
-                f"{self.pair.signature.finish} paint, compared at its geometry: {angles[0]:.0f} degrees from "
-                f"the mirror direction, the reference {angles[1]:.0f}; the result holds for it only"
-            )
-        if self.matched:
-            notes.append(
-                "the reference is overlap-matched: its values were scaled below the join of its detectors"
-            )
-        if self.bands is not self.pair.signature:
-            notes.append("the signature was resampled to the reference's bands")
+        signature, references = self.pair.signature, self.pair.references
+        has_flakes = signature.finish in ("metallic", "pearl") and not self.pair.between
+        remarks = (
+            (self.exclusion, f"not judged: {self.exclusion}"),
+            (
+                has_flakes and not self.exclusion,
+                f"{signature.finish} paint, compared at its geometry: {signature.aspecular:.0f} degrees from "
+                f"the mirror direction, the reference {references[0].aspecular:.0f}; the result holds for it "
+                "only",
+            ),
+            (
+                self.matched,
+                "the reference is overlap-matched: its values were scaled below the join of its detectors",
+            ),
+            (self.bands is not signature, "the signature was resampled to the reference's bands"),
+        )
+        notes = [note for reference in references for note in reference.notes]
+        notes += [f"signature: {note}" for note in signature.notes]
+        notes += [text for applies, text in remarks if applies]
         narrow = np.any(
             [~operator.is_covered & np.isfinite(operator.noise_gain) for operator in self.operators], axis=0
         )
@@ -1578,14 +1584,13 @@ class Compared:
             for reason, excluded in reasons.items()
             if excluded.any()
         ]
-        is_absolute = self.pair.signature.absolute
-        if any(reference.absolute != is_absolute for reference in self.pair.references):
+        is_absolute = signature.absolute
+        if any(reference.absolute != is_absolute for reference in references):
             sides = ("reference", "signature") if is_absolute else ("signature", "reference")
             notes.append(
                 f"the {sides[0]} is relative to a white panel, the {sides[1]} is absolute: the panel's own "
                 f"reflectance is in the difference{'; pass panel=' if is_absolute else ''}"
             )
-        signature, references = self.pair.signature, self.pair.references
         has_uncertainty = {
             "signature": signature.has_uncertainty,
             "reference": len(references) > 1 or references[0].has_uncertainty,
@@ -1601,9 +1606,11 @@ class Compared:
     @property
     def scatter(self) -> float:
         # Standard deviation of repeated readings, RMS over the bands compared [1]
-        if len(self.pair.references) < 2 or not self.used.any():
-            return 0.0
-        return float(np.sqrt((self._spreads()["reference_sd"][self.used] ** 2).mean()))
+        return (
+            0.0
+            if len(self.pair.references) < 2 or not self.used.any()
+            else float(np.sqrt((self._spreads()["reference_sd"][self.used] ** 2).mean()))
+        )
 
     def dataset(self) -> xr.Dataset:
         # Return both spectra on the common bands
@@ -1617,8 +1624,9 @@ class Compared:
         if self.errors is not None:
             for name, errors in zip(("signature_u", "reference_u"), self.errors, strict=True):
                 columns[name] = np.sqrt((errors**2).mean(axis=0))
-        sides = ("signature", "reference")
-        meanings = dict(MEANINGS) | {name: f"Reflectance of the {name} on common bands" for name in sides}
+        meanings = dict(MEANINGS) | {
+            name: f"Reflectance of the {name} on common bands" for name in ("signature", "reference")
+        }
         variables = {
             name: (BAND, values, {"units": "1", "long_name": meanings[name]})
             for name, values in columns.items()
@@ -1651,8 +1659,9 @@ def compare(pair: Pair, seed: int) -> Compared:
     # Resample a pair to common bands, and draw its errors there. Every pair has its own generator of the same
     # seed: the draws do not depend on the order of pairs.
     if not pair.between:
-        converted = tuple(as_body(reference, pair.signature) for reference in pair.references)
-        pair = replace(pair, references=converted)
+        pair = replace(
+            pair, references=tuple(as_body(reference, pair.signature) for reference in pair.references)
+        )
     bands = bands_of(pair.signature, list(pair.references))
     operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
     resampled = list(zip(operators[:-1], pair.references, strict=True))
@@ -1681,8 +1690,9 @@ def compare(pair: Pair, seed: int) -> Compared:
                     noise = reading.u_random * rng.standard_normal((DRAWS, reading.u_random.size))
                     of_mean += resample(noise) / count
         errors = of_signature, np.asarray(of_mean)
-    signature = operators[-1](pair.signature.values)
-    return Compared(pair, bands, signature, readings.mean(axis=0), operators, errors)
+    return Compared(
+        pair, bands, operators[-1](pair.signature.values), readings.mean(axis=0), operators, errors
+    )
 
 
 # --- validation, band by band and in parts of the spectrum -------------------------------------------------

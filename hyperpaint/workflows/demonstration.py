@@ -97,18 +97,16 @@ class Comparison:
     @property
     def problems(self) -> tuple[str, ...]:
         # Values of the closure outside the tolerance, one line each.
-        problems = [
-            f"{agreement.material}: bias {agreement.bias:+.4f}, tolerance {MAX_BIAS}"
-            for agreement in (*self.materials, self.overall)
-            if not abs(agreement.bias) < MAX_BIAS
-        ]
-        if not self.overall.rmse < MAX_RMSE:
-            problems.append(f"all pixels: RMSE {self.overall.rmse:.4f}, tolerance {MAX_RMSE}")
-        if not self.overall.oxygen < MAX_OXYGEN:
-            problems.append(
-                f"all pixels: oxygen window {self.overall.oxygen:.2%}, tolerance {MAX_OXYGEN:.1%}"
-            )
-        return tuple(problems)
+        rmse, oxygen = self.overall.rmse, self.overall.oxygen
+        checks = (
+            *(
+                (abs(row.bias) < MAX_BIAS, f"{row.material}: bias {row.bias:+.4f}, tolerance {MAX_BIAS}")
+                for row in (*self.materials, self.overall)
+            ),
+            (rmse < MAX_RMSE, f"all pixels: RMSE {rmse:.4f}, tolerance {MAX_RMSE}"),
+            (oxygen < MAX_OXYGEN, f"all pixels: oxygen window {oxygen:.2%}, tolerance {MAX_OXYGEN:.1%}"),
+        )
+        return tuple(text for holds, text in checks if not holds)
 
     @property
     def ok(self) -> bool:
@@ -205,8 +203,9 @@ def compare_with_field(store: Path, folder: Path) -> Validation | None:
     regions = read_regions(folder / REGIONS)
     if not len(regions):
         return None
-    line = xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}")
-    paints = extract_signatures(line, regions, specular_sky=True, members=0)
+    paints = extract_signatures(
+        xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}"), regions, specular_sky=True, members=0
+    )
     return validate(paints, open_svc(folder / SVC_FOLDER))
 
 
@@ -216,9 +215,7 @@ def field_table(validation: Validation) -> str:
     rows: list[tuple[str, ...]] = []
     for row, spectra in enumerate(validation.spectra):
         whole = validation.statistics.isel(pair=row)
-        verdict = "pass" if whole["passes"].all() else "FAIL"
-        if whole["exclusion"].item():
-            verdict = "not judged"
+        verdict = "not judged" if whole["exclusion"].item() else "pass" if whole["passes"].all() else "FAIL"
         of_all = whole.sel(part="all")
         ends = ("", "", ""), (f"{of_all['rmse']:.4f}", f"{of_all['rmse_limit']:.4f}", verdict)
         sides = {"signature": "camera", "reference": str(whole["instrument"].item())}

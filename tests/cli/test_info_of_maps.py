@@ -48,8 +48,7 @@ def facts(path: Path) -> dict[str, Any]:
 
 def test_info_of_maps(folder: Path) -> None:
     facts(folder / "map.zarr")
-    text = run("info", folder / "map.zarr")
-    expect_words(text, "WGS 84 / UTM zone 17N", "0.01 x 0.01 map units, north up")
+    expect_words(run("info", folder / "map.zarr"), "WGS 84 / UTM zone 17N", "0.01 x 0.01 map units, north up")
     turned = re.search(r"up is ([0-9.]+) degrees from north", run("info", folder / "turned.zarr"))
     assert turned is not None
     assert float(turned[1]) == pytest.approx(30.0, abs=0.1)

@@ -163,8 +163,7 @@ def test_options_of_dirsig(store: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("form", "name"), [("envi", "p.sli"), ("csv", "p.csv"), ("zarr", "p.zarr")])
 def test_libraries(form: str, name: str, store: Path, tmp_path: Path) -> None:
     assert "2 paints, 6 bands" in export(store, "--format", form, "--out", tmp_path / name, status=0).output
-    opened = open_library(tmp_path / name)
-    assert sorted(opened["signature"].values.tolist()) == ["Türkis, matt", "rot/blau"]
+    assert sorted(open_library(tmp_path / name)["signature"].values.tolist()) == ["Türkis, matt", "rot/blau"]
 
 
 def test_one_row_a_paint_or_all_of_them(store: Path, tmp_path: Path) -> None:
@@ -309,8 +308,7 @@ def _painted(truth: Path, store: Path) -> hp.Regions:
         windows = np.lib.stride_tricks.sliding_window_view(surface == number, (4, 4)).all(axis=(2, 3))
         if windows.any():
             y, x = map(int, np.argwhere(windows)[0])
-            corners = [(x, y), (x + 3, y), (x + 3, y + 3), (x, y + 3)]
-            made[name] = hp.Region(name, corners, flightline="raw_0")
+            made[name] = hp.Region(name, [(x, y), (x + 3, y), (x + 3, y + 3), (x, y + 3)], flightline="raw_0")
     assert len(made) >= 4
     return hp.Regions(tuple(made.values()))
 

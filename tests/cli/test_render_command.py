@@ -181,8 +181,7 @@ def test_without_noise_counts_are_rounded_light(tmp_path: Path) -> None:
     text = text.replace("fwhm_nm = 30", "fwhm_nm = 6")
     path = hp.render_scene(scene_file(tmp_path, text), tmp_path / "out.zarr", atmospheres=["noon"])
     found = xr.open_zarr(path, group="renders/noon").paint.reflectance()
-    error = (found.reflectance - found.true_reflectance).where(found.quality == 0)
-    assert float(np.abs(error).max()) < 0.005
+    assert float(np.abs((found.reflectance - found.true_reflectance).where(found.quality == 0)).max()) < 0.005
 
 
 # --- the same whatever computes it -------------------------------------------------------------------------

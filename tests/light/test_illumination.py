@@ -72,8 +72,7 @@ def test_a_level_panel_is_exactly_one_at_any_hour_and_one_turned_from_the_sun_se
     np.testing.assert_array_equal(Tilt(0.0, 77.0).factor(times, 43.08, -77.67, np.array([450.0, 850.0])), 1.0)
     time = np.array(["2020-12-21T17:10"], "datetime64[ns]")  # zenith 66 degrees
     steep = Tilt(60.0, 0.0, ground_reflectance=0.0, diffuse_fraction=0.3)
-    factor = steep.factor(time, 43.08, -77.67, np.array([550.0]))
-    assert factor[0, 0] == pytest.approx(0.3 * 0.75, rel=1e-9)
+    assert steep.factor(time, 43.08, -77.67, np.array([550.0]))[0, 0] == pytest.approx(0.3 * 0.75, rel=1e-9)
 
 
 def test_match_refuses() -> None:

@@ -79,8 +79,7 @@ def test_two_gaussians_equal_the_residual_kernel(imager: float) -> None:
 def test_samples_in_any_order() -> None:
     bands = Responses([530.0, 550.0], [6.0, 6.0])
     for turn in (np.arange(141)[::-1], np.random.default_rng(0).permutation(141)):
-        turned = weights_of(bands, SAMPLES[turn])
-        np.testing.assert_allclose(turned, weights_of(bands)[..., turn], atol=1e-12)
+        np.testing.assert_allclose(weights_of(bands, SAMPLES[turn]), weights_of(bands)[..., turn], atol=1e-12)
 
 
 def test_what_is_not_covered_is_missing() -> None:

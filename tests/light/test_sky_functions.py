@@ -93,8 +93,7 @@ def test_the_monte_carlo_has_the_diffuse_light_of_spectrl2() -> None:
 @pytest.mark.parametrize("sun", [45.0, 60.0, 75.0])
 def test_perezsky_means_the_same_sky(sun: float) -> None:
     perezsky = pytest.importorskip("perezsky")
-    nm = np.arange(300.0, 2500.0, 5.0)
-    direct, diffuse = (5.0 * part.sum() for part in ClearSky(sun).irradiance(nm))
+    direct, diffuse = (5.0 * part.sum() for part in ClearSky(sun).irradiance(np.arange(300.0, 2500.0, 5.0)))
     state = perezsky.perez_parameters(direct / np.cos(np.radians(sun)), diffuse, sun)
     zenith = np.degrees(np.arccos(COSINE))
     from_sun = np.degrees(np.arccos(scattering_cosine(COSINE, AZIMUTH, sun).clip(-1.0, 1.0)))

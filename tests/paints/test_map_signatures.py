@@ -137,8 +137,7 @@ def test_a_map_gives_the_pixels_of_the_line(
 def test_outlines_of_the_sensor_are_those_of_the_pixels_that_a_map_shows(line: xr.Dataset) -> None:
     # corners beyond the first line and column: cells without a pixel say -1
     region = Region("corner", [(-2, -2), (40, -2), (40, 30), (-2, 30)])
-    made = hp.geometry.orthorectify(line, GSD / 3, grid="north")
-    pairs = used(extract(made, region), 0)
+    pairs = used(extract(hp.geometry.orthorectify(line, GSD / 3, grid="north"), region), 0)
     everywhere = {(along, across) for along in range(31) for across in range(41)}
     assert pairs <= everywhere
     assert len(pairs) > 0.99 * len(everywhere)
@@ -186,8 +185,7 @@ def test_only_the_tiles_of_the_regions_are_read(flown: Flown, line: xr.Dataset) 
     cube = da.from_array(made["reflectance"].values, chunks=(32, 32, -1)).map_blocks(
         block, dtype=np.float32, meta=np.empty((0, 0, 0), np.float32)
     )
-    watched = made.assign(reflectance=(("y", "x", "band"), cube, made["reflectance"].attrs))
-    extract(watched, drawn(flown)[1:])
+    extract(made.assign(reflectance=(("y", "x", "band"), cube, made["reflectance"].attrs)), drawn(flown)[1:])
     rows, cols = (-(-made.sizes[name] // 32) for name in ("y", "x"))
     assert 0 < len(set(read)) < 0.6 * rows * cols
 
@@ -255,8 +253,7 @@ def test_degrees_without_a_crs_are_not_guessed_but_said(flown: Flown, line: xr.D
     with pytest.raises(SchemaError, match=r"OGC:CRS84.*region-empty"):
         extract(line, document)
     # as the error says
-    library = extract(line, {**document, "crs": "OGC:CRS84"})
-    assert (library["n"] > 50).all()
+    assert (extract(line, {**document, "crs": "OGC:CRS84"})["n"] > 50).all()
     # what can be no degrees is not taken for them
     with pytest.raises(SchemaError, match="region-empty") as caught:
         extract(line, Region("far", [(500, 500), (600, 500), (600, 600)]))

@@ -157,8 +157,7 @@ def test_uncertainty_of_a_rectangle_is_that_of_the_mean() -> None:
     np.testing.assert_allclose(row.reflectance_u_random, expected.u_random, rtol=1e-5)
     np.testing.assert_allclose(row.reflectance_errors, expected.reflectance_errors, rtol=1e-5)
     square = (part.reflectance_u_random.astype(float) ** 2).mean(["along_track", "cross_track"])
-    alone = np.sqrt(square / float(row.n))
-    np.testing.assert_allclose(row.reflectance_u_random, alone, rtol=1e-5)
+    np.testing.assert_allclose(row.reflectance_u_random, np.sqrt(square / float(row.n)), rtol=1e-5)
     assert row.reflectance_u_systematic.attrs["components"] == "radiance_gain_u_systematic"
     assert "electrons_per_count" in row.reflectance_u_random.attrs["components"]
 
@@ -167,8 +166,7 @@ def test_uncertainties_that_are_not_known_are_not_zero() -> None:
     library = extract_signatures(made(), TWO)
     assert np.isnan(library.reflectance_u_random).all()
     assert library.reflectance_u_random.attrs["components"] == "none known"
-    line = raw().drop_vars("radiance_gain_u_systematic")
-    library = extract_signatures(line, RAW)
+    library = extract_signatures(raw().drop_vars("radiance_gain_u_systematic"), RAW)
     assert np.isnan(library.reflectance_u_systematic).all()
     assert (library.reflectance_u_random[:, 1:-1] > 0).all()
     np.testing.assert_array_equal(np.isnan(library.reflectance_u_random), np.isnan(library.reflectance))

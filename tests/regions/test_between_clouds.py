@@ -56,8 +56,7 @@ def test_sun__is_free_far_from_the_edges_of_clouds() -> None:
     assert (fraction, np.flatnonzero(lines).tolist()) == (pytest.approx(CLEAR), list(range(20)))
     line["irradiance"][7] = np.nan
     assert sunny_lines(line, model, None, 30.0)[0].sum() == 20
-    thin = line.assign(irradiance=line["irradiance"].clip(0.75))
-    assert not sunny_lines(thin, model, None, 30.0)[0].any()
+    assert not sunny_lines(line.assign(irradiance=line["irradiance"].clip(0.75)), model, None, 30.0)[0].any()
     model.attrs["sky_states"] = "clear"
     assert sunny_lines(line, model, None, 30.0) is None
 

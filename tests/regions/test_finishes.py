@@ -39,8 +39,7 @@ def picture_of(model: SceneModel, zenith: float, flakes: float) -> tuple[Picture
     change = (1.0 - flakes) * body + flakes * float(body.mean())
     sky = 0.04 * diffuse * model.zenith_radiance
     seen = body + lean * (1.0 - diffuse) * change + sky
-    relative = ((seen - sky) @ body) / float(body @ body)
-    return Picture(model, seen.astype(np.float32), {}, zenith), relative
+    return Picture(model, seen.astype(np.float32), {}, zenith), (((seen - sky) @ body) / float(body @ body))
 
 
 def stated(

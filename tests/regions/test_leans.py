@@ -16,8 +16,7 @@ def crowned(lean_deg: float) -> np.ndarray:
     # Return ground with a roof of 1.2 x 1.6 m, whose ends lie 5 cm below its middle, leaning to the sun
     y, x = (np.indices(SHAPE) - np.array(SHAPE)[:, None, None] / 2) * SPACING
     top = 1.5 - 0.05 * ((y / 0.6) ** 2 + (x / 0.8) ** 2) + y * np.tan(np.radians(lean_deg))
-    roof = (np.abs(y) <= 0.6) & (np.abs(x) <= 0.8)
-    return np.where(roof, top, 0.0)
+    return np.where((np.abs(y) <= 0.6) & (np.abs(x) <= 0.8), top, 0.0)
 
 
 def lean_of(height: np.ndarray | None, prior: float = 1.1) -> tuple[float, float, float]:
@@ -54,8 +53,7 @@ def test_noise__is_stated() -> None:
 
 def test_bare_ground_and_flat_roofs_have_no_lean() -> None:
     # Rationale: most height models show the ground without cars. Expected: as if there were none.
-    bare = np.add.outer(0.02 * np.arange(40.0), np.zeros(50))
-    assert lean_of(bare)[:2] == lean_of(None)[:2] == (1.1, 0.0)
+    assert lean_of(np.add.outer(0.02 * np.arange(40.0), np.zeros(50)))[:2] == lean_of(None)[:2] == (1.1, 0.0)
     y = (np.arange(40) - 20) * SPACING
     height = np.full(SHAPE, 1.5) + 0.05 * y[:, None]
     height[:4] = height[-4:] = 0.0

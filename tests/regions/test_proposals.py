@@ -388,10 +388,8 @@ def test_flags_that_a_region_names__are_those_left_out(car: tuple[xr.Dataset, An
     # there are not are refused by name
     line, found = car
     region = replace(found[0], flightline="")
-    glint = xr.full_like(line["reflectance"][:, 0], int(hp.Quality.GLINT), np.uint16)
-    flagged = line.assign(quality=glint)
-    paints = hp.extract_signatures(flagged, hp.Regions((region,)))
-    assert int(paints["n"][0]) == region.properties["pixels"]
+    flagged = line.assign(quality=xr.full_like(line["reflectance"][:, 0], int(hp.Quality.GLINT), np.uint16))
+    assert int(hp.extract_signatures(flagged, hp.Regions((region,)))["n"][0]) == region.properties["pixels"]
     for names, code in ((["glint"], "region-too-small"), (["dust"], "choice-unknown")):
         other = replace(region, properties={**region.properties, "excluded_flags": names})
         with pytest.raises(SchemaError, match=code):

@@ -202,8 +202,7 @@ def count_over(mesh: Mesh, x: float, y: float, low: float, high: float) -> int:
 
 @pytest.mark.parametrize(("length", "width"), [(21.3, 16.0), (30.0, 32.0), (12.0, 11.0)])
 def test_the_ground_covers_everything_once(length: float, width: float) -> None:
-    layout = strips_across(length, width, None, margin=12.0, line_width=0.12, islands=False)
-    ground = built(paved(layout))
+    ground = built(paved(strips_across(length, width, None, margin=12.0, line_width=0.12, islands=False)))
     for x, y in np.random.default_rng(0).uniform(
         (-0.5 * width - 11.9, -11.9), (0.5 * width + 11.9, length + 11.9), (400, 2)
     ):

@@ -395,15 +395,19 @@ def sample_paints(
     >>> drawn["signature"].item(), dict(drawn.member_reflectance.sizes)
     ('Synthetic Polar White (synthetic)', {'signature': 1, 'member': 200, 'band': 272})
     """
-    required = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
-    variables, faults = schema.find(library, required, schema.LIBRARY_VARIABLES)
+    variables, faults = schema.find(
+        library, [SIGNATURE, "reflectance", "member_reflectance", "wavelength"], schema.LIBRARY_VARIABLES
+    )
     problems = Problems("variants cannot be drawn", SchemaError)
     problems.extend(faults)
-    if count < 1:
-        problems.add(f"count={count!r}", expected="1 or more", code="value-out-of-range")
+    problems.add_if(count < 1, f"count={count!r}", expected="1 or more", code="value-out-of-range")
     one_of(form, ("members", "paints"), "form", problems=problems)
-    if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
-        problems.add(f"bandwidth={bandwidth!r}", expected="0 or more, or None", code="value-out-of-range")
+    problems.add_if(
+        bandwidth is not None and not 0.0 <= bandwidth < np.inf,
+        f"bandwidth={bandwidth!r}",
+        expected="0 or more, or None",
+        code="value-out-of-range",
+    )
     problems.raise_if_any()
     members = np.asarray(variables["member_reflectance"].values)
     names = [str(name) for name in library[SIGNATURE].values]

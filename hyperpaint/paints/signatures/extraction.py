@@ -394,9 +394,11 @@ def strength_of(
     excess = max(1.0, float(np.mean((misfit / noise) ** 2))) * max(1.0, target.size / 10.0)
     gradient = np.array([-strength, 1.0]) / amounts[0]
     u = float(np.hypot(np.sqrt(gradient @ covariance @ gradient * excess), STRENGTH.first_order * strength))
-    if not u <= STRENGTH.max_u:
-        return *unknown, f"the body is too bright: the strength would be uncertain by {u:.1f}"
-    return strength, u, ""
+    return (
+        (*unknown, f"the body is too bright: the strength would be uncertain by {u:.1f}")
+        if not u <= STRENGTH.max_u
+        else (strength, u, "")
+    )
 
 
 def with_coat_strength(library: xr.Dataset, sun_zenith: float | None = None) -> xr.Dataset:
@@ -603,17 +605,22 @@ def extract_signatures(
     region_list = regions_from(regions)
     flags = EXCLUDED if exclude is None else exclude
     problems = Problems("signatures cannot be extracted", SchemaError)
-    if not len(region_list):
-        problems.add("regions= is empty", mend="draw regions, or call propose_regions", code="empty-input")
-    if not isinstance(flags, int) or not 0 <= flags < 2 * max(Quality):
-        problems.add(
-            f"exclude={flags!r:.40}",
-            expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
-            code="choice-unknown",
-        )
+    problems.add_if(
+        not len(region_list),
+        "regions= is empty",
+        mend="draw regions, or call propose_regions",
+        code="empty-input",
+    )
+    problems.add_if(
+        not isinstance(flags, int) or not 0 <= flags < 2 * max(Quality),
+        f"exclude={flags!r:.40}",
+        expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
+        code="choice-unknown",
+    )
     for name, count, minimum in (("members", members, 0), ("min_pixels", min_pixels, 1)):
-        if count < minimum:
-            problems.add(f"{name}={count}", expected=f"{minimum} or more", code="value-out-of-range")
+        problems.add_if(
+            count < minimum, f"{name}={count}", expected=f"{minimum} or more", code="value-out-of-range"
+        )
     one_of(centre, CENTRES, "centre", problems=problems)
     problems.raise_if_any()
     for option, value in (("sun_zenith", sun_zenith), ("diffuse", diffuse)):
@@ -683,8 +690,9 @@ def extract_signatures(
         remaining, [drafts[k] for k in large_enough], [names[k] for k in large_enough], sources, notes
     )
     if sun_zenith is not None:  # takes precedence over the clock
-        zenith = np.full(library.sizes[SIGNATURE], float(sun_zenith))
-        library = library.assign(sun_zenith=library["sun_zenith"].copy(data=zenith))
+        library = library.assign(
+            sun_zenith=library["sun_zenith"].copy(data=np.full(library.sizes[SIGNATURE], float(sun_zenith)))
+        )
     library = with_coat_strength(library, sun_zenith)
     if specular_sky if coat is None else coat:
         library = without_coat(library, remaining, coat_index, sun_zenith)
@@ -731,8 +739,9 @@ def _pixels_of_regions(
         # sensor coordinates that are all valid longitudes and latitudes, as in RFC 7946
         corners = np.abs(np.concatenate([region.polygon for region in line_regions]))
         could_be_degrees = line_regions.coordinates == "sensor" and bool((corners <= [180.0, 90.0]).all())
-        pixels_of_line = distinct_pixels(line, pixels_of(line_regions, line))
-        for position, region_pixels in zip(positions, pixels_of_line, strict=True):
+        for position, region_pixels in zip(
+            positions, distinct_pixels(line, pixels_of(line_regions, line)), strict=True
+        ):
             pixels[position] = region_pixels
             if not region_pixels.size:
                 size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"
@@ -960,9 +969,11 @@ def _sun_geometry(variables: Mapping[str, Array]) -> dict[str, Any]:
     # Mean time, position of the sun and maximum age of the irradiance, from values of pixels (pixel,)
     times = variables.get("time", np.full(0, _NAT)).astype("datetime64[ns]")
     times = times[~np.isnat(times)]
-    mean_time = _NAT
-    if times.size:
-        mean_time = times[0] + np.timedelta64(round(float((times - times[0]).astype(np.int64).mean())), "ns")
+    mean_time = (
+        times[0] + np.timedelta64(round(float((times - times[0]).astype(np.int64).mean())), "ns")
+        if times.size
+        else _NAT
+    )
     position = [variables.get(name, np.full(0, np.nan)) for name in ("latitude", "longitude")]
     position = [values[np.isfinite(values)] for values in position]
     zenith = azimuth = np.nan

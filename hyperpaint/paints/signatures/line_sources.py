@@ -166,8 +166,9 @@ class Viewing:
 
     def __init__(self, line: xr.Dataset) -> None:
         look_names = ("look_across", "look_along", "look_angle")
-        names = [name for name in (*_VIEW_ANGLES, *look_names, *ATTITUDE) if name in line.variables]
-        variables, faults = schema.find(line, names)
+        variables, faults = schema.find(
+            line, [name for name in (*_VIEW_ANGLES, *look_names, *ATTITUDE) if name in line.variables]
+        )
         problems = [fault.text() for fault in faults]
         self.planes: dict[str, xr.DataArray] = {}
         self.lines: dict[str, xr.DataArray] = {}
@@ -191,8 +192,9 @@ class Viewing:
             self.description = "; ".join([f"{look} with {', '.join(self.lines)}", mounting, *problems])
         else:
             missing = [name for name in ("look_angle", "roll", "pitch") if name not in variables]
-            reason = f"unknown: no view_zenith of the pixels, and no {', '.join(missing)}"
-            self.description = "; ".join([reason, *problems])
+            self.description = "; ".join(
+                [f"unknown: no view_zenith of the pixels, and no {', '.join(missing)}", *problems]
+            )
 
 
 def mean_view(
@@ -423,12 +425,12 @@ def source_of(
     light = _split_of_lines(line, diffuse, sun_zenith, required=specular_sky)
     filtering = None
     if smoothing is not None:
-        if earlier_smoothing is not None:
-            raise SchemaError(
-                f"the reflectance is smoothed already ({earlier_smoothing})",
-                mend="remove the argument smooth=",
-                code="already-smoothed",
-            )
+        SchemaError.raise_if(
+            earlier_smoothing is not None,
+            f"the reflectance is smoothed already ({earlier_smoothing})",
+            mend="remove the argument smooth=",
+            code="already-smoothed",
+        )
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
         filtering = None if errors is None else smoothing_matrix(good, options)
@@ -517,9 +519,11 @@ def _by_name(line: Any) -> dict[str, xr.Dataset]:
     if isinstance(line, xr.DataTree):
         # a store, its group of flight lines, or a single line
         parent = line["flightlines"] if "flightlines" in line.children else line
-        if not parent.children:
-            return {str(parent.name or ""): parent.to_dataset()}
-        return {name: child.to_dataset() for name, child in parent.children.items()}
+        return (
+            {str(parent.name or ""): parent.to_dataset()}
+            if not parent.children
+            else {name: child.to_dataset() for name, child in parent.children.items()}
+        )
     if isinstance(line, Mapping):
         return dict(line)
     raise SchemaError(

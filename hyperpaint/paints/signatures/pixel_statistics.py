@@ -51,8 +51,9 @@ def summarise(values: Array, centre: str) -> dict[str, Floats]:
             # linear quantiles; np.quantile takes ten times as long
             position = np.array(QUANTILES) * (ordered.size - 1)
             lower = position.astype(np.intp)
-            upper = np.minimum(lower + 1, ordered.size - 1)
-            quantiles[:, band] = ordered[lower] + (position - lower) * (ordered[upper] - ordered[lower])
+            quantiles[:, band] = ordered[lower] + (position - lower) * (
+                ordered[np.minimum(lower + 1, ordered.size - 1)] - ordered[lower]
+            )
             centres[band] = _trimmed_mean(ordered) if centre == "trimmed_mean" else _median(ordered)
         if ordered.size > 1:
             spreads[band] = ordered.std(ddof=1)
@@ -97,8 +98,9 @@ def geometric_median(values: Array) -> Floats:
         distance = np.sqrt((np.where(has_value, filled - centre, 0.0) ** 2).sum(axis=1) / count)
         # limits the weight of a spectrum at the centre
         weight = 1.0 / np.maximum(distance, CONVERGED_CHANGE)
-        total = (has_value * weight[:, None]).sum(axis=0)
-        moved = (filled * weight[:, None]).sum(axis=0) / np.where(band_has_value, total, 1.0)
+        moved = (filled * weight[:, None]).sum(axis=0) / np.where(
+            band_has_value, (has_value * weight[:, None]).sum(axis=0), 1.0
+        )
         change = np.abs(moved - centre).max(initial=0.0)
         centre = moved
         if change < CONVERGED_CHANGE:

@@ -179,8 +179,7 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
         usable &= ~mask
     # largest connected set of pixels, without parts narrower than three pixels
     sets, _ = label(binary_opening(usable, np.ones((3, 3), bool)))
-    sizes = np.bincount(sets.ravel(), minlength=2)[1:]
-    usable = np.asarray(sets == 1 + int(np.argmax(sizes)))
+    usable = np.asarray(sets == 1 + int(np.argmax(np.bincount(sets.ravel(), minlength=2)[1:])))
     lost = {name: share for name, share in lost.items() if share}
     if not usable.any():
         return Measures(usable, np.full(spectra.shape[2], np.nan), lost)
@@ -310,9 +309,11 @@ def height_model_of(line: xr.Dataset) -> tuple[Array, float] | None:
     east, north, height = dask.compute(*(line[name].transpose(*dims).data for name in names))
     steps = [np.hypot(np.diff(east, axis=axis), np.diff(north, axis=axis)) for axis in (0, 1)]
     spacings = np.concatenate([step[np.isfinite(step)] for step in steps])
-    if not spacings.size or not float(np.median(spacings)) > 0.0:
-        return None
-    return np.asarray(height, np.float64), float(np.median(spacings))
+    return (
+        None
+        if not spacings.size or not float(np.median(spacings)) > 0.0
+        else (np.asarray(height, np.float64), float(np.median(spacings)))
+    )
 
 
 def lean_to_sun(axis: Floats, shadow_side: Floats | None) -> float:

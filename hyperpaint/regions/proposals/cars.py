@@ -95,8 +95,9 @@ def footprints_of(
             high = np.minimum(np.array(origin) + inside.shape + pad, shape)
             key = pad, wide_brightness
             if key not in matches:
-                window = np.s_[low[0] : high[0], low[1] : high[1]]
-                matches[key] = _matched_colour(colour, picture, window, wide_brightness)
+                matches[key] = _matched_colour(
+                    colour, picture, np.s_[low[0] : high[0], low[1] : high[1]], wide_brightness
+                )
             paint, ground, dark, brightness = matches[key]
             seed = np.zeros(paint.shape, bool)
             seed[window_of((origin[0] - low[0], origin[1] - low[1]), inside)] = inside
@@ -291,8 +292,9 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     if isinstance(roof, Roof) or not car.cut:
         return roof
     # the longer side of a car cut off by the picture's edge may be its width
-    turned = car._replace(axis=_aside(car), length=car.width, width=car.length)
-    turned_roof = _roof_along(turned, glass, level)
+    turned_roof = _roof_along(
+        car._replace(axis=_aside(car), length=car.width, width=car.length), glass, level
+    )
     return roof if isinstance(turned_roof, NoRoof) else turned_roof
 
 
@@ -370,9 +372,11 @@ def _judge_run(
     # a bed has walls along it, too, but no paint beyond both ends
     worth = share + sided + (ROOFS.between_worth if is_between else 0.0)
     if car.cut:
-        if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * car.width:
-            return f"a roof: windows end it on both sides, {evidence}", worth
-        return None
+        return (
+            (f"a roof: windows end it on both sides, {evidence}", worth)
+            if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * car.width
+            else None
+        )
     # a section between a windscreen and the car's own shadow looks as if it ended at two windows
     min_slenderness = (
         ROOFS.min_slenderness if ends == 2 and sided > ROOFS.surely_sided else FOOTPRINTS.slenderness[0]
@@ -399,9 +403,11 @@ def _judge_run(
     if share > ROOFS.min_van_roof and is_behind_bonnet:
         return f"a roof: it is all of the car behind a windscreen with a bonnet, {evidence}", worth
     min_sided = ROOFS.long_sided if share < ROOFS.min_van_roof else ROOFS.van_sided
-    if share > ROOFS.max_bonnet and sided > min_sided:
-        return f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
-    return None
+    return (
+        (f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided)
+        if share > ROOFS.max_bonnet and sided > min_sided
+        else None
+    )
 
 
 def _level_place(car: Footprint, runs: list[_Run], number: int) -> tuple[float, float]:
@@ -601,8 +607,7 @@ def judge_level(verdict: Verdict, picture: Picture, rake: float, level: Level) -
     }
     verdict.level_sd, verdict.lean = float(np.hypot.reduce(list(contributions.values()))), rake
     has_lobe = direct > JUDGING.min_direct and level.lean_change > JUDGING.max_solid_gain * slope
-    max_sd = JUDGING.max_lobe_sd if has_lobe else JUDGING.max_level_sd
-    allowed = max(max_sd, JUDGING.max_dark_sd / brightness)
+    allowed = max(JUDGING.max_lobe_sd if has_lobe else JUDGING.max_level_sd, JUDGING.max_dark_sd / brightness)
     largest = max(contributions, key=contributions.__getitem__)
     text = f"the uncertainty of its level is {verdict.level_sd:.1%}, mainly from {largest}"
     if has_lobe and level.is_measured:
@@ -688,8 +693,9 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
         # an edge is not visible, or too far from the windows
         shift, across_sd = 0.0, max(across_sd, LEVELS.edged_sd_px)
     line, column = _to_picture(roof.centre, roof.axis, np.zeros(()), np.array(shift))
-    half_length = max(0.5 * float(np.ptp(along)), 1.0)
-    return Place(float(line), float(column), along_sd, across_sd, half_width, half_length)
+    return Place(
+        float(line), float(column), along_sd, across_sd, half_width, max(0.5 * float(np.ptp(along)), 1.0)
+    )
 
 
 def _to_car(centre: tuple[float, float], axis: Floats, y: Array, x: Array) -> tuple[Floats, Floats]:
@@ -893,8 +899,9 @@ def find_cars(pieces: Iterable[Piece], picture: Picture) -> list[Car]:
     uncertain = car_park.add_certain([Car([piece]) for piece in sorted(pieces, key=order)], narrow, np.inf)
     sizes = [car.size for car in car_park.cars]
     max_size = CARS.max_size * float(np.median(sizes)) if len(sizes) >= CARS.min_sizes else np.inf
-    removed = [Car([piece]) for piece in car_park.remove_larger(max_size)]
-    uncertain += car_park.add_certain(removed, narrow, max_size)
+    uncertain += car_park.add_certain(
+        [Car([piece]) for piece in car_park.remove_larger(max_size)], narrow, max_size
+    )
     # certain cars with paint of wide brightness, then the best uncertain ones beside them
     uncertain = car_park.add_certain([car.unless_larger(max_size) for car in uncertain], wide, max_size)
     for car in sorted(uncertain, key=lambda car: car.rank, reverse=True):
@@ -922,8 +929,9 @@ class _CarPark:
                 continue
             colour = np.median(self._picture.without_sky(piece.window)[piece.inside], axis=0)
             for footprint in footprints_of(piece.inside, piece.origin, colour, self._picture, joinings):
-                roof = find_roof(footprint, self._picture.level[footprint.window])
-                car = Car([piece], footprint, roof).unless_larger(max_size)
+                car = Car(
+                    [piece], footprint, find_roof(footprint, self._picture.level[footprint.window])
+                ).unless_larger(max_size)
                 best = max(best, car, key=lambda car: car.rank[0])
                 if best.rank[0] == _CERTAIN:
                     break
@@ -979,9 +987,11 @@ class _CarPark:
 
 def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Verdict]:
     # Return the verdicts on a car's roof and on the other pieces of its paint; at most one is proposed.
-    roof = None
-    if isinstance(car.roof, Roof) and car.footprint is not None:
-        roof = _judge_roof(car.footprint, car.roof, picture, limits)
+    roof = (
+        _judge_roof(car.footprint, car.roof, picture, limits)
+        if isinstance(car.roof, Roof) and car.footprint is not None
+        else None
+    )
     parts = [_judge_part(piece, car, picture, limits) for piece in car.pieces]
     verdicts = parts if roof is None else [roof, *parts]
     for verdict in verdicts:
@@ -1010,11 +1020,11 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
         return None
     y, x = piece.origin[0] - footprint.origin[0], piece.origin[1] - footprint.origin[1]
     brightness = footprint.brightness[window_of((y, x), piece.inside)]
+    prior = lean_to_sun(roof.axis, picture.shadow_side)
     lit = piece.inside & (picture.layers["blocked_direct"][piece.window] < limits["shadow"])
     # where it is level, by its edges, and by the height model
     place = level_place(footprint, roof)
     centre = (place.line - y, place.column - x)
-    prior = lean_to_sun(roof.axis, picture.shadow_side)
     rake, shift, angle = measured_lean(
         picture.heights, piece.window, piece.inside, centre, prior, picture.shadow_side
     )
@@ -1103,8 +1113,9 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ver
         # colour and brightness like the car's other paint
         of_roof = car.roof.inside if isinstance(car.roof, Roof) else car.footprint.paint & car.footprint.area
         car_spectrum = np.nanmedian(picture.channels[car.footprint.window][of_roof], axis=0)
-        zenith = 45.0 if picture.zenith is None else picture.zenith
-        slope = picture.direct_share * float(np.tan(np.radians(zenith)))
+        slope = picture.direct_share * float(
+            np.tan(np.radians(45.0 if picture.zenith is None else picture.zenith))
+        )
         ratio = float(spectrum.mean() / car_spectrum.mean())
         allowed = max(CARS.max_step, CARS.max_lean * slope)
         if _cosine(spectrum, car_spectrum) < FOOTPRINTS.min_cosine:
@@ -1129,5 +1140,4 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Ver
 
 
 def _cosine(first: Floats, second: Floats) -> float:
-    lengths = float(np.linalg.norm(first) * np.linalg.norm(second))
-    return float(first @ second) / max(lengths, 1e-9)
+    return float(first @ second) / max(float(np.linalg.norm(first) * np.linalg.norm(second)), 1e-9)

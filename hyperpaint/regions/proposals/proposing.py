@@ -272,11 +272,19 @@ def propose_regions(
     }
     problems = Problems("regions cannot be proposed", SchemaError)
     for key, value in limits.items():
-        if not is_number(value) or value < 0:
-            problems.add(f"{key}={value!r}", expected="a number from 0 on", code="value-out-of-range")
+        problems.add_if(
+            not is_number(value) or value < 0,
+            f"{key}={value!r}",
+            expected="a number from 0 on",
+            code="value-out-of-range",
+        )
     for key, count in (("min_pixels", min_pixels), ("most", most)):
-        if count is not None and count < 1:
-            problems.add(f"{key}={count!r}", expected="1 or more", code="value-out-of-range")
+        problems.add_if(
+            count is not None and count < 1,
+            f"{key}={count!r}",
+            expected="1 or more",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     limits["min_pixels"] = min_pixels
     unknown = sorted(set(options) - set(signature(survey).parameters))

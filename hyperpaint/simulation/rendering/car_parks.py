@@ -792,13 +792,13 @@ def note_car_park_faults(
         return
     rows = values["rows"] or 1
     least = _least_width(rows)
-    if values["width"] + _ROUNDING_M < least:
-        problems.add(
-            spelled("width", values["width"]),
-            expected=f"{least:.1f} m or more for {rows} rows of bays",
-            mend="make it wider, or take fewer rows",
-            code="car-park-too-narrow",
-        )
+    problems.add_if(
+        values["width"] + _ROUNDING_M < least,
+        spelled("width", values["width"]),
+        expected=f"{least:.1f} m or more for {rows} rows of bays",
+        mend="make it wider, or take fewer rows",
+        code="car-park-too-narrow",
+    )
 
 
 _GLOSS = Coat(1.5, 0.02, waviness=0.0)  # glass has no orange peel

@@ -263,12 +263,12 @@ class Atmosphere:
             precipitable_water=precipitable_water,
         )
         coarse = np.asarray(table["wavelength"], dtype=np.float64)
-        if not (coarse[0] <= grid[0] and grid[-1] <= coarse[-1]):
-            raise SchemaError(
-                f"wavelength goes from {grid[0]:g} to {grid[-1]:g} nm",
-                expected=f"{coarse[0]:g} to {coarse[-1]:g} nm, the range of SPECTRL2",
-                code="value-out-of-range",
-            )
+        SchemaError.raise_if(
+            not (coarse[0] <= grid[0] and grid[-1] <= coarse[-1]),
+            f"wavelength goes from {grid[0]:g} to {grid[-1]:g} nm",
+            expected=f"{coarse[0]:g} to {coarse[-1]:g} nm, the range of SPECTRL2",
+            code="value-out-of-range",
+        )
         sun, sky = (np.interp(grid, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
         return cls._with_haze(
             grid, sun, sky, haze, aerosol=aerosol, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
@@ -450,8 +450,7 @@ class Atmosphere:
         # `UnitsError`: A variable has no units, or units of another quantity.
         problems = Problems("an atmosphere cannot be read", SchemaError)
         for name in ("wavelength", *_CURVES, *_NUMBERS):
-            if name not in dataset.variables:
-                problems.add(f"{name!r} is missing", code="variable-missing")
+            problems.add_if(name not in dataset.variables, f"{name!r} is missing", code="variable-missing")
         problems.raise_if_any()
         sun, sky, extinction, path = (
             convert(dataset[name], units).values for name, (units, _) in _CURVES.items()
@@ -485,13 +484,13 @@ def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
     check_wavelengths(grid)
     first = last = 0  # samples before and after the time
     weight = 0.0
-    if time is None and len(values) != 1:
-        raise SchemaError(
-            f"the irradiance series has {len(values)} samples",
-            expected="1 without time",
-            mend="pass time= in UTC",
-            code="argument-missing",
-        )
+    SchemaError.raise_if(
+        time is None and len(values) != 1,
+        f"the irradiance series has {len(values)} samples",
+        expected="1 without time",
+        mend="pass time= in UTC",
+        code="argument-missing",
+    )
     if time is not None:
         times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values
         stamps = times.astype("datetime64[ns]").astype(np.int64)
@@ -503,12 +502,12 @@ def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
             code="time-unreadable",
         )
         time_ns = moment.astype(np.int64)
-        if not len(stamps) or not stamps[0] <= time_ns <= stamps[-1]:
-            raise SchemaError(
-                f"time {moment} is outside the irradiance series",
-                expected=f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples",
-                code="irradiance-coverage",
-            )
+        SchemaError.raise_if(
+            not len(stamps) or not stamps[0] <= time_ns <= stamps[-1],
+            f"time {moment} is outside the irradiance series",
+            expected=f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples",
+            code="irradiance-coverage",
+        )
         if len(stamps) > 1:
             last = min(max(int(np.searchsorted(stamps, time_ns)), 1), len(stamps) - 1)
             first = last - 1

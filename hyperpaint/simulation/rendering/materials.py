@@ -121,8 +121,12 @@ class Flakes:
     def __post_init__(self) -> None:
         problems = Problems("metal flakes cannot be made", SchemaError)
         check_fields(self, problems)
-        if not self.spectrum:
-            problems.add("spectrum is empty", expected="a name such as 'aluminium'", code="argument-missing")
+        problems.add_if(
+            not self.spectrum,
+            "spectrum is empty",
+            expected="a name such as 'aluminium'",
+            code="argument-missing",
+        )
         problems.raise_if_any()
 
 
@@ -161,8 +165,7 @@ class Material:
 
     def __post_init__(self) -> None:
         problems = Problems(f"material {self.name!r} cannot be made", SchemaError)
-        if not self.name:
-            problems.add("name is empty", code="argument-missing")
+        problems.add_if(not self.name, "name is empty", code="argument-missing")
         problems.add_if(
             not self.spectrum,
             "spectrum is empty",
@@ -170,14 +173,18 @@ class Material:
             code="argument-missing",
         )
         one_of(self.kind, KINDS, "kind", problems=problems)
-        if self.flakes is not None and self.coat is None:
-            problems.add("flakes without a coat", mend="pass coat=Coat()", code="coat-missing")
-        if self.transmittance and self.coat is not None:
-            problems.add(
-                "transmittance with a coat",
-                mend="leave one out: only thin surfaces without a coat transmit light",
-                code="option-conflict",
-            )
+        problems.add_if(
+            self.flakes is not None and self.coat is None,
+            "flakes without a coat",
+            mend="pass coat=Coat()",
+            code="coat-missing",
+        )
+        problems.add_if(
+            self.transmittance and self.coat is not None,
+            "transmittance with a coat",
+            mend="leave one out: only thin surfaces without a coat transmit light",
+            code="option-conflict",
+        )
         problems.raise_if_any()
 
 
@@ -690,13 +697,13 @@ def flakes_of_flop(
     old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
     flops = np.array(_flops(material, _lobes_by_alpha(index), wavelength, body, flakes))
     peak = int(flops.argmax())  # sharper lobes do not reach the first angle
-    if not (nearest or flops[-1] <= flop <= flops[peak]):
-        raise SchemaError(
-            f"flop index is {flop}",
-            expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {old_flakes.share}",
-            mend="for more flop, raise the flake share or darken the pigment",
-            code="value-out-of-range",
-        )
+    SchemaError.raise_if(
+        not (nearest or flops[-1] <= flop <= flops[peak]),
+        f"flop index is {flop}",
+        expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {old_flakes.share}",
+        mend="for more flop, raise the flake share or darken the pigment",
+        code="value-out-of-range",
+    )
     return replace(
         old_flakes, roughness=float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
     )

@@ -90,8 +90,7 @@ def pixel_edges(columns: int, ifov: float) -> tuple[Floats, Floats]:
 def note_faults(problems: Problems, *rows: tuple[object, str, str, str]) -> None:
     # rows: whether there is a fault; what was found, what was expected, and the code
     for is_fault, found, expected, code in rows:
-        if is_fault:
-            problems.add(found, expected=expected, code=code)
+        problems.add_if(is_fault, found, expected=expected, code=code)
 
 
 @dataclass(frozen=True, eq=False)
@@ -657,12 +656,12 @@ def note_pushbroom_faults(
     exposure, period = (
         present.get(name, PUSHBROOM[name].default) for name in ("exposure_time", "frame_period")
     )
-    if exposure > period:
-        problems.add(
-            f"{spelled('exposure_time', exposure)} exceeds {spelled('frame_period', period)}",
-            mend="shorten the exposure, or lengthen the period",
-            code="exposure-too-long",
-        )
+    problems.add_if(
+        exposure > period,
+        f"{spelled('exposure_time', exposure)} exceeds {spelled('frame_period', period)}",
+        mend="shorten the exposure, or lengthen the period",
+        code="exposure-too-long",
+    )
     angle = _pixel_angle(values)
     if angle * values["columns"] / 2 > MAX_VIEW_TANGENT:
         aside = np.degrees(np.arctan(angle * values["columns"] / 2))

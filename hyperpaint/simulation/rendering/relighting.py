@@ -249,10 +249,12 @@ def trace(
         clear=bool(clear),
         sun_radius=sun_radius,
     )
-    if isinstance(chunk_lines, bool) or not isinstance(chunk_lines, int) or chunk_lines < 1:
-        raise SchemaError(
-            f"chunk_lines={chunk_lines!r}", expected="a whole number above 0", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        isinstance(chunk_lines, bool) or not isinstance(chunk_lines, int) or chunk_lines < 1,
+        f"chunk_lines={chunk_lines!r}",
+        expected="a whole number above 0",
+        code="value-out-of-range",
+    )
     record = SceneRecord.of(scene)
     record.codes(settings)  # raises here, before any task, if they do not fit
     # one task a block computes all variables; it holds the poses of its lines only
@@ -276,8 +278,9 @@ def trace(
         meta=np.empty(0, object),
     )
     sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
-    layout = {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}
-    arrays = split_outputs(blocks, "l", layout, sizes)
+    arrays = split_outputs(
+        blocks, "l", {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}, sizes
+    )
     labels = record.labels()
     utc = platform.utc.astype("datetime64[ns]")
     coords = {
@@ -312,8 +315,9 @@ def _directions(suns: Any) -> tuple[Any, bool]:
     directions = [
         (light.sun_zenith, light.sun_azimuth) if isinstance(light, Atmosphere) else light for light in lights
     ]
-    different = [sun for place, sun in enumerate(directions) if sun not in directions[:place]]
-    return different, any(light.overcast_share > 0 for light in named)
+    return [sun for place, sun in enumerate(directions) if sun not in directions[:place]], any(
+        light.overcast_share > 0 for light in named
+    )
 
 
 #: Variable to its dims, one letter each: line, slot, sun (u), column (x).
@@ -398,38 +402,38 @@ class Table:
 
     def population(self, wavelength: Floats) -> Floats | None:
         # members at ``wavelength`` [nm], (member, wavelength); None without a population
-        if self.members is None:
-            return None
-        return np.stack([np.interp(wavelength, self.wavelength, row) for row in self.members])
+        return (
+            None
+            if self.members is None
+            else np.stack([np.interp(wavelength, self.wavelength, row) for row in self.members])
+        )
 
 
 def is_library(value: Any) -> bool:
     # whether a value is a dataset with ``reflectance`` (signature, band)
-    if not hasattr(value, "data_vars") or "reflectance" not in value:
-        return False
+    is_dataset = hasattr(value, "data_vars") and "reflectance" in value
     # "paint" is the dim in libraries of version 0.2
-    return SIGNATURE in value["reflectance"].dims or "paint" in value["reflectance"].dims
+    return is_dataset and not {SIGNATURE, "paint"}.isdisjoint(value["reflectance"].dims)
 
 
 def _paints_by_name(library: xr.Dataset) -> dict[str, xr.Dataset]:
     # paints of a library by name, lazily, with the variables that the renderer needs; SchemaError for other
     # datasets, and for paints without or with equal names
     library = with_new_names(library) if is_library(library) else library
-    if not is_library(library) or SIGNATURE not in library.variables:
-        raise SchemaError(
-            f"spectra is {type(library).__name__}",
-            expected="a mapping of names to spectra, or a paint library with reflectance (signature, band)",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not is_library(library) or SIGNATURE not in library.variables,
+        f"spectra is {type(library).__name__}",
+        expected="a mapping of names to spectra, or a paint library with reflectance (signature, band)",
+        code="type-wrong",
+    )
     names = [str(name) for name in library[SIGNATURE].values]
-    if duplicates := sorted({name for name in names if names.count(name) > 1}):
-        raise SchemaError(
-            f"the library has several paints named {', '.join(map(repr, duplicates))}",
-            mend="rename them, or select one with library.isel(signature=...)",
-            code="paint-ambiguous",
-        )
-    variables = [name for name in PAINT_VARIABLES if name in library.variables]
-    reduced = library[variables].reset_coords(drop=True)
+    SchemaError.raise_if(
+        duplicates := sorted({name for name in names if names.count(name) > 1}),
+        f"the library has several paints named {', '.join(map(repr, duplicates))}",
+        mend="rename them, or select one with library.isel(signature=...)",
+        code="paint-ambiguous",
+    )
+    reduced = library[[name for name in PAINT_VARIABLES if name in library.variables]].reset_coords(drop=True)
     reduced = reduced.assign_coords(
         {name: library[name].variable for name in (("wavelength", "good")) if name in library.variables}
     )
@@ -824,13 +828,13 @@ def _assign_spectra(
     materials = [material.name for material in record.materials]
     rank = {**dict.fromkeys(original, 0), **dict.fromkeys(materials, 1), **dict.fromkeys(instances, 2)}
     for key in paints:
-        if key not in rank:
-            problems.add(
-                f"paints[{key!r}] names no instance, material or spectrum of the scene",
-                expected=f"a spectrum such as {some_names(original)}, or an instance such as "
-                f"{some_names(instances)}",
-                code="paint-target-unknown",
-            )
+        problems.add_if(
+            key not in rank,
+            f"paints[{key!r}] names no instance, material or spectrum of the scene",
+            expected=f"a spectrum such as {some_names(original)}, or an instance such as "
+            f"{some_names(instances)}",
+            code="paint-target-unknown",
+        )
     for key in sorted((key for key in paints if key in rank), key=rank.__getitem__):
         name = paints[key] if isinstance(paints[key], str) else key
         if not isinstance(paints[key], str):
@@ -1089,24 +1093,24 @@ def relight(
     record, settings = SceneRecord.from_attrs(traced.attrs)
     variables = require(traced, _PATHS, "radiance from traced paths")
     sky = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
-    if not isinstance(sky, Atmosphere):
-        raise SchemaError(
-            f"atmosphere is {type(sky).__name__}",
-            expected="an Atmosphere or the name of a preset",
-            code="type-wrong",
-        )
+    SchemaError.raise_if(
+        not isinstance(sky, Atmosphere),
+        f"atmosphere is {type(sky).__name__}",
+        expected="an Atmosphere or the name of a preset",
+        code="type-wrong",
+    )
     camera = BandSet.of(bands)
     lines, columns = (variables["distance"].sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     problems = Problems("the traced scene cannot be relit", SchemaError)
     min_nm = camera.wavelength[0] + camera.nodes.min() - _COVERED * camera.fwhm[0]
     max_nm = camera.wavelength[-1] + camera.nodes.max() + _COVERED * camera.fwhm[-1]
     first_nm, last_nm = sky.wavelength[[0, -1]]
-    if first_nm > min_nm or last_nm < max_nm:
-        problems.add(
-            f"atmosphere {sky.name!r} covers {first_nm:.1f} to {last_nm:.1f} nm",
-            expected=f"the range of the bands and their wings, {min_nm:.1f} to {max_nm:.1f} nm",
-            code="atmosphere-coverage",
-        )
+    problems.add_if(
+        first_nm > min_nm or last_nm < max_nm,
+        f"atmosphere {sky.name!r} covers {first_nm:.1f} to {last_nm:.1f} nm",
+        expected=f"the range of the bands and their wings, {min_nm:.1f} to {max_nm:.1f} nm",
+        code="atmosphere-coverage",
+    )
     if camera.wavelength_shift is not None and camera.wavelength_shift.size != columns:
         problems.add(
             f"wavelength_shift has {camera.wavelength_shift.size} columns",
@@ -1360,12 +1364,12 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
         mend="trace the scene with overcast=True",
         code="sky-not-traced",
     )
-    if has_clear_sky and not settings.clear:
-        raise SchemaError(
-            f"atmosphere {atmosphere.name!r} has a clear sky, but no clear sky was traced",
-            mend="trace the scene with clear=True",
-            code="sky-not-traced",
-        )
+    SchemaError.raise_if(
+        has_clear_sky and not settings.clear,
+        f"atmosphere {atmosphere.name!r} has a clear sky, but no clear sky was traced",
+        mend="trace the scene with clear=True",
+        code="sky-not-traced",
+    )
     return nearest
 
 
@@ -1424,8 +1428,9 @@ class Lighting:
         populations: Populations | None,
         distance: Floats32,
     ) -> Floats32:
-        surface = self.surface_radiance(weight, code, variation, rows, populations)
-        return self.at_sensor(surface, distance, in_place=True)
+        return self.at_sensor(
+            self.surface_radiance(weight, code, variation, rows, populations), distance, in_place=True
+        )
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
         # L exp(-k d) + Lp d, the radiance after a distance d of air; NaN distances have no air
@@ -1449,8 +1454,9 @@ class Lighting:
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
         # shares of light by source, (line, share, column); see `SHARES`
         distinct, index = index_paths(code)
-        node = int(np.abs(self.table.bands.nodes).argmin())
-        level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
+        level = self.table.rows(distinct)[int(np.abs(self.table.bands.nodes).argmin())].mean(
+            axis=1, dtype=np.float64
+        )
         # weight of every path in the total light, and in the layers of `SHARES`
         sun, mirrored, indirect = is_direct(distinct), is_mirrored(distinct), is_indirect(distinct)
         mirror_image = mirrored & ~indirect
@@ -1466,10 +1472,12 @@ class Lighting:
 
 
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
-    if variation is None:
-        return weight
-    return np.asarray(
-        weight * np.where(is_direct(code), *variation.astype(np.float32).reshape(2, len(weight), 1, -1))
+    return (
+        weight
+        if variation is None
+        else np.asarray(
+            weight * np.where(is_direct(code), *variation.astype(np.float32).reshape(2, len(weight), 1, -1))
+        )
     )
 
 
@@ -1612,8 +1620,9 @@ class ProductTable:
         if self.bands.wavelength_shift is None:
             return np.moveaxis(at_nodes, -2, -1)
         first, weight = self.bands.between_nodes()
-        at_columns = sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))
-        return np.moveaxis(np.asarray(at_columns), -2, -1)
+        return np.moveaxis(
+            np.asarray(sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))), -2, -1
+        )
 
     def mix(
         self,
@@ -1633,9 +1642,11 @@ class ProductTable:
             distinct, index = distinct[lit], new_index[index]
         products = self.rows(distinct)
         columns = out.shape[2]
-        nodes = np.zeros(columns, np.int64), np.ones((columns, 1))
-        if self.bands.wavelength_shift is not None:
-            nodes = self.bands.between_nodes()
+        nodes = (
+            self.bands.between_nodes()
+            if self.bands.wavelength_shift is not None
+            else (np.zeros(columns, np.int64), np.ones((columns, 1)))
+        )
         if texture is not None:
             texture = texture._replace(paths=self.codes.factors(distinct))
         mix_shifted(weight, index, products, *nodes, out, texture)

@@ -191,12 +191,12 @@ class Scene:
             if "" in names:
                 place = [item.name for item in items].index("")
                 problems.add(f"{kind} {place} has an empty name", code="name-empty")
-            if duplicates := sorted(name for name, count in names.items() if count > 1):
-                problems.add(
-                    f"several {kind}s are named {', '.join(duplicates[:5])}",
-                    mend="rename them",
-                    code="name-duplicate",
-                )
+            problems.add_if(
+                duplicates := sorted(name for name, count in names.items() if count > 1),
+                f"several {kind}s are named {', '.join(duplicates[:5])}",
+                mend="rename them",
+                code="name-duplicate",
+            )
         for instance in self.instances:
             one_of(instance.kind, INSTANCE_KINDS, f"kind of instance {instance.name!r}", problems=problems)
         problems.raise_if_any()
@@ -250,13 +250,13 @@ class Scene:
         materials = (material,) if isinstance(material, Material) else tuple(material)
         count = len(np.atleast_1d(np.asarray(faces)))
         if face_material is None:
-            if len(materials) != 1:
-                raise SchemaError(
-                    f"scene of {scene_instance.name!r} has {len(materials)} materials and no face_material",
-                    expected="the number of the material of every triangle",
-                    mend="pass face_material=",
-                    code="argument-missing",
-                )
+            SchemaError.raise_if(
+                len(materials) != 1,
+                f"scene of {scene_instance.name!r} has {len(materials)} materials and no face_material",
+                expected="the number of the material of every triangle",
+                mend="pass face_material=",
+                code="argument-missing",
+            )
             face_material = np.zeros(count, np.int32)
         return cls(
             name or scene_instance.name,
@@ -368,8 +368,9 @@ class Scene:
         """
         sine, cosine = np.sin(np.radians(heading)), np.cos(np.radians(heading))
         turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        vertices = self.vertices @ turn + np.asarray(offset, np.float64)
-        return replace(self, vertices=vertices, normals=self.normals @ turn)
+        return replace(
+            self, vertices=self.vertices @ turn + np.asarray(offset, np.float64), normals=self.normals @ turn
+        )
 
 
 def plane(

@@ -87,8 +87,12 @@ class TraceSettings:
             ) from None
         object.__setattr__(self, "suns", directions)
         problems = Problems("the scene cannot be traced", SchemaError)
-        if not 1 <= len(self.suns) <= MAX_SUNS:
-            problems.add(f"{len(self.suns)} suns", expected=f"1 to {MAX_SUNS}", code="sun-number")
+        problems.add_if(
+            not 1 <= len(self.suns) <= MAX_SUNS,
+            f"{len(self.suns)} suns",
+            expected=f"1 to {MAX_SUNS}",
+            code="sun-number",
+        )
         for number, sun in enumerate(self.suns):
             if len(sun) != 2 or not all(np.isfinite(sun)):
                 problems.add(
@@ -190,15 +194,18 @@ class SceneRecord:
             except (TypeError, ValueError, RecursionError):
                 problems.add(f"attribute {name!r} is not JSON text", code="metadata-damaged")
             else:
-                if not isinstance(texts[name], list) or not texts[name]:
-                    problems.add(f"attribute {name!r} is not a list with entries", code="metadata-damaged")
-        for name in ("samples", "depth", "seed", "overcast", "clear"):
-            if not isinstance(attrs.get(name), int | np.integer):
-                problems.add(
-                    f"attribute {name!r} is {attrs.get(name)!r}",
-                    expected="a whole number",
+                problems.add_if(
+                    not isinstance(texts[name], list) or not texts[name],
+                    f"attribute {name!r} is not a list with entries",
                     code="metadata-damaged",
                 )
+        for name in ("samples", "depth", "seed", "overcast", "clear"):
+            problems.add_if(
+                not isinstance(attrs.get(name), int | np.integer),
+                f"attribute {name!r} is {attrs.get(name)!r}",
+                expected="a whole number",
+                code="metadata-damaged",
+            )
         problems.raise_if_any()
         try:
             parts = {"coat": Coat, "flakes": Flakes}

@@ -92,8 +92,9 @@ class PathCodes:
         # Return the codes for a number of factors and of scatterings.
         #
         # Raises `SchemaError`: The digits do not fit into 63 bits.
-        if depth < 1:
-            raise SchemaError(f"depth={depth}", expected="at least 1 scattering", code="value-out-of-range")
+        SchemaError.raise_if(
+            depth < 1, f"depth={depth}", expected="at least 1 scattering", code="value-out-of-range"
+        )
         bits = max(factors, 1).bit_length()
         if FIRST_DIGIT + depth * bits > USABLE_BITS:
             max_depth = (USABLE_BITS - FIRST_DIGIT) // bits

@@ -43,8 +43,7 @@ def test_mixtures_by_hand() -> None:
     # without an interface: R = 0.5 has K/S 0.25, R = 0.2 has 1.6; a half of each 0.925
     library = library_of({"a": [0.5, 0.5], "b": [0.2, 0.5]})
     made = hp.paints.mix_paints(library, {"c": {"a": 1.0, "b": 1.0}}, k1=0.0, k2=0.0)
-    expected = [1.925 - np.sqrt(1.925**2 - 1.0), 0.5]
-    np.testing.assert_allclose(made.reflectance.values[0], expected, rtol=1e-6)
+    np.testing.assert_allclose(made.reflectance.values[0], [1.925 - np.sqrt(1.925**2 - 1.0), 0.5], rtol=1e-6)
     library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
     thrice = hp.paints.mix_paints(library, {"c": {"a": 1, "b": 1}}, scattering={"a": 3.0})
     parts = hp.paints.mix_paints(library, {"c": {"a": 3, "b": 1}})
@@ -248,6 +247,5 @@ def test_a_coat_in_percent_is_converted(paints: xr.Dataset) -> None:
         specular_reflectance=(100.0 * paints.specular_reflectance).assign_attrs(units="%")
     )
     mixed = hp.paints.mix_paints(percent, {"same": {RED: 1.0}})
-    shades = hp.paints.shade_paints(percent.isel(signature=[5]), [1.0])
-    for made in (mixed, shades):
+    for made in (mixed, hp.paints.shade_paints(percent.isel(signature=[5]), [1.0])):
         np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5], rtol=1e-5)
