@@ -520,8 +520,9 @@ def documented(**descriptions: str) -> Callable[[_Function], _Function]:
     texts = PARAMETERS | {name: PARAMETERS.get(text, text) for name, text in descriptions.items()}
 
     def decorated(function: _Function) -> _Function:
-        doc = inspect.cleandoc(function.__doc__ or "")
-        before, heading, after = doc.partition("\nParameters\n----------\n")
+        before, heading, after = inspect.cleandoc(function.__doc__ or "").partition(
+            "\nParameters\n----------\n"
+        )
         if heading:
             end = re.search(r"^\S.*\n---", after, re.MULTILINE)
             section, rest = (after[: end.start()], after[end.start() :]) if end else (after, "")

@@ -137,13 +137,15 @@ class Explored:
             # a cube that is not computed from counts and light, under the name of reflectance
             shown, _ = with_shown_cube(self.line)
             self.quantity = quantity_label(shown[quantity])
-            cube = shown[quantity].assign_attrs(units="1")
-            self.line = shown.drop_vars(_CUBES, errors="ignore").assign(reflectance=cube)
+            self.line = shown.drop_vars(_CUBES, errors="ignore").assign(
+                reflectance=shown[quantity].assign_attrs(units="1")
+            )
         self.shape = self.line.sizes[ALONG_TRACK], self.line.sizes[CROSS_TRACK]
         orientation = orientation_of(self._numbered)
         self.aspect, self.is_mirrored = orientation.aspect, is_upright or orientation.is_mirrored
-        variable = schema.require(self.line, ["wavelength"], "an explorer")["wavelength"]
-        self.wavelength = np.asarray(variable.values, np.float64)
+        self.wavelength = np.asarray(
+            schema.require(self.line, ["wavelength"], "an explorer")["wavelength"].values, np.float64
+        )
         self.recipes = {name: recipe for name, recipe in _RECIPES.items() if self.has_bands(recipe)}
         if "true colour" not in self.recipes and self.wavelength.size > 2:
             three = np.nanquantile(self.wavelength, (0.75, 0.5, 0.25), method="nearest").tolist()
@@ -273,8 +275,9 @@ class Explored:
                 window["quality"].values[indices] if "quality" in window else np.zeros(along.size, np.uint16)
             )
             is_used = (flags & excluded_of(place, self._excluded)) == 0
-            shares = schema.flag_shares(flags)
-            flag_texts = [f"{flag_label(flag)} {percent(share)}" for flag, share in shares.items()]
+            flag_texts = [
+                f"{flag_label(flag)} {percent(share)}" for flag, share in schema.flag_shares(flags).items()
+            ]
             if not is_used.any():
                 raise SchemaError(
                     f"{place.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
@@ -1331,8 +1334,9 @@ def explore(
         library = starter_library(members=0)
     elif isinstance(library, str | os.PathLike):
         library = open_library(library)
-    state = Explored(line, regions, library=library, flightline=flightline, exclude=exclude)
-    return Explorer(state, theme=theme)
+    return Explorer(
+        Explored(line, regions, library=library, flightline=flightline, exclude=exclude), theme=theme
+    )
 
 
 def require_panel() -> None:
@@ -1502,5 +1506,6 @@ def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
     size = "{:,} {}, {:,} {}, ".format(*sizes) + f"{nm.size} bands"
     size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm" if state.has_wavelength else ", no wavelengths"
     size += f"; {state.quantity}".replace("$^{", "").replace("}$", "")
-    text = f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}"
-    return panel.pane.HTML(text, **FULL_WIDTH)
+    return panel.pane.HTML(
+        f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}", **FULL_WIDTH
+    )

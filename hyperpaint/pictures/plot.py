@@ -264,8 +264,9 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     # `OVERVIEW_SHAPE`; None with fewer than three visible bands.
     dims = ALONG_TRACK, CROSS_TRACK
     steps = {dim: -(-dataset.sizes[dim] // size) for dim, size in zip(dims, OVERVIEW_SHAPE, strict=True)}
-    names = [name for name in ("reflectance", "quality") if name in dataset.variables]
-    subsample = dataset[names].isel({dim: slice(None, None, step) for dim, step in steps.items()})
+    subsample = dataset[[name for name in ("reflectance", "quality") if name in dataset.variables]].isel(
+        {dim: slice(None, None, step) for dim, step in steps.items()}
+    )
     try:
         picture = rgb(subsample)
     except SchemaError:  # fewer than three visible bands
@@ -615,8 +616,9 @@ def _draw_layer(
     colours = ScalarMappable(
         Normalize(-limit if is_signed else 0.0, limit), "PuOr_r" if is_signed else "inferno"
     )
-    masked = np.ma.masked_invalid(values)
-    image = show_picture(axes, masked, orientation, cmap=colours.cmap, norm=colours.norm)
+    image = show_picture(
+        axes, np.ma.masked_invalid(values), orientation, cmap=colours.cmap, norm=colours.norm
+    )
     magnitude = np.abs(values) if is_signed else np.maximum(values, 0.0)
     image.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * magnitude / limit, 0.0, 1.0)))
     units = str(array.attrs.get("units", ""))
@@ -817,14 +819,16 @@ def adjacency_figure(
     rows, columns = numbers_of(line, ALONG_TRACK), numbers_of(line, CROSS_TRACK)
     start, stop = ((columns[across], rows[along]) for along, across in route[[0, -1], width // 2])
     for thickness, colour in ((3.0, "white"), (1.2, "black")):
-        arrow = {"arrowstyle": "->", "color": colour, "linewidth": thickness}
-        axes.annotate("", stop, start, arrowprops=arrow)
+        axes.annotate(
+            "", stop, start, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": thickness}
+        )
     transects = {}
     for name, dataset in lines.items():
         cube = require(dataset, ["reflectance"], "a figure of adjacency")["reflectance"]
         style, is_labelled = ("--", False) if name else ("-", True)
-        values = _spectra_at(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1)
-        transects[name] = _mean(values, axis=1)
+        transects[name] = _mean(
+            _spectra_at(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1), axis=1
+        )
         _draw_bands(plots["along"], distance, transects[name], nm, wavelengths, style, is_labelled)
         for region, place, colour in zip(regions, places, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
             # mean of the region's pixels; for the line itself also their middle half

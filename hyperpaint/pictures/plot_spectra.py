@@ -360,8 +360,7 @@ def draw_pixels(
         variable = require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
         shift = np.broadcast_to(variable.values, shift.shape)
     name = "reflectance" if "reflectance" in cubes else next(iter(cubes))
-    colours = _curve_colours(np.where(is_good, cubes[name], np.nan), wavelength, name)
-    styles = styles_of(colours)
+    styles = styles_of(_curve_colours(np.where(is_good, cubes[name], np.nan), wavelength, name))
     for axes, cube in zip(plots, cubes.values(), strict=True):
         for number, (along, across) in enumerate(places.tolist()):
             nm, values = wavelength + shift[:, across], np.where(is_good, cube[number], np.nan)
@@ -505,8 +504,9 @@ def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
     total = np.sqrt(sum(np.nan_to_num(u) ** 2 for u in uncertainties))
     total[np.isnan(uncertainties).all(axis=0)] = np.nan
     for number, style in enumerate(styles_of(paint_colours(first_paints))):
-        label = label_for(first_paints[SIGNATURE].values[number])
-        draw_curve(axes, nm, total[number], {**style, "ls": "-"}, label)
+        draw_curve(
+            axes, nm, total[number], {**style, "ls": "-"}, label_for(first_paints[SIGNATURE].values[number])
+        )
         if len(present) > 1:
             axes.plot(nm, uncertainties[0][number], ls="--", lw=0.9, color=style["color"])
     axes.set(xlabel="wavelength [nm]", ylabel="standard uncertainty [1]", ylim=(0, None))

@@ -426,8 +426,9 @@ def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
     group = rename_to_roles(orthomap)
 
     def picture() -> Markup:
-        steps = {ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}
-        bytes_ = picture_bytes(rgb(group.isel(steps)))
+        bytes_ = picture_bytes(
+            rgb(group.isel({ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}))
+        )
         caption = f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right."
         return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=caption)
 
@@ -463,8 +464,9 @@ def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
         f" {line.sizes[CROSS_TRACK]} columns, counted to the {columns}."
     )
     pictures.append(True)
-    src = data_uri(encode_png(np.ascontiguousarray(upright)))
-    return page_part("true_colour", src=src, caption=caption, kind="half")
+    return page_part(
+        "true_colour", src=data_uri(encode_png(np.ascontiguousarray(upright))), caption=caption, kind="half"
+    )
 
 
 def _flags(
@@ -718,14 +720,16 @@ def _map(line: xr.Dataset) -> Markup:
         f"{y.min():.0f} to {y.max():.0f} m."
     )
     picture = picture_bytes(rgb(rename_to_roles(orthomap)))
-    src = data_uri(encode_png(picture))
-    return page_part("true_colour", src=src, caption=caption, heading="Map", kind="half")
+    return page_part(
+        "true_colour", src=data_uri(encode_png(picture)), caption=caption, heading="Map", kind="half"
+    )
 
 
 def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide") -> Markup:
     # Return a figure for a page; a figure of kind ``chart`` may be inverted in dark themes.
-    src = data_uri(png_of(figure, dpi=_DPI))
-    return page_part("picture", src=src, caption=caption, heading=heading, kind=kind)
+    return page_part(
+        "picture", src=data_uri(png_of(figure, dpi=_DPI)), caption=caption, heading=heading, kind=kind
+    )
 
 
 def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:

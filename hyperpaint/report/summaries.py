@@ -146,8 +146,9 @@ def with_times(dataset: xr.Dataset) -> xr.Dataset:
         name: xr.Variable(var.dims, var.values.view("M8[ns]"), fastpath=True) for name, var in coded.items()
     }
     coords = xr.Coordinates({name: times[name] for name in times if name in dataset.coords}, indexes={})
-    variables = {name: times[name] for name in times if name in dataset.data_vars}
-    return dataset.assign(variables).assign_coords(coords)
+    return dataset.assign({name: times[name] for name in times if name in dataset.data_vars}).assign_coords(
+        coords
+    )
 
 
 def size_of(count: int) -> str:

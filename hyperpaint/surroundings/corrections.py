@@ -218,8 +218,9 @@ def correct_light(
         f"{name} {f'{value:g}' if name in plain else 'given'}"
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
     )
-    text = f"{amounts}, diffuse fraction ({split.source}), sky ({split.sky})"
-    return _with_correction(line, corrected, "light_corrected", text)
+    return _with_correction(
+        line, corrected, "light_corrected", f"{amounts}, diffuse fraction ({split.source}), sky ({split.sky})"
+    )
 
 
 def _checked(

@@ -222,8 +222,9 @@ class SceneModel:
     def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
         """Return `nearest_at` of the pixels of some lines (line, column, 2)."""
         line, column = (np.arange(length) // CELL for length in self.segment.shape)
-        cells = self.neighbour[line[start:stop]][:, column]
-        return _first_two(cells, self.body, self.paint, self.segment[start:stop])
+        return _first_two(
+            self.neighbour[line[start:stop]][:, column], self.body, self.paint, self.segment[start:stop]
+        )
 
     def to_dataset(self) -> xr.Dataset:
         """Return the model as a Dataset that `hyperpaint.to_store` takes."""

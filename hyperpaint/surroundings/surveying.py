@@ -516,8 +516,7 @@ def nearest_coloured(
     cells = tuple(-(-length // CELL) for length in number.shape)
     labels = np.full((*cells, BODIES.neighbours_of_cell), -1, np.int32)
     labels[: centre.shape[0], : centre.shape[1], 0] = np.where(np.append(sends, False)[centre], centre, -1)
-    distances = np.where(labels >= 0, 0.0, np.inf)
-    nearest_sources(labels, distances, reach / CELL)
+    nearest_sources(labels, np.where(labels >= 0, 0.0, np.inf), reach / CELL)
     return labels
 
 
@@ -660,8 +659,9 @@ def _added_light(
     nearest = neighbours[:, 0]
     neighbour_spectra = np.where(nearest[:, None] >= 0, finite_spectrum[nearest], 0.0)
     lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * neighbour_spectra
-    body = np.full(len(values), segment)
-    amount, _, added = unmix_spectra(lifted, body, finite_spectrum, light, 0.01, _AS_PIXEL, neighbours)
+    amount, _, added = unmix_spectra(
+        lifted, np.full(len(values), segment), finite_spectrum, light, 0.01, _AS_PIXEL, neighbours
+    )
     glint = amount[:, 2] + amount[:, 4] + added.sum(axis=1)
     return glint - BODIES.lift * neighbour_spectra.max(axis=1), amount[:, 0]
 
@@ -903,8 +903,9 @@ def survey(
     except SchemaError as error:
         if not (isinstance(diffuse, str) and diffuse == "shadow"):
             raise
-        subject = "diffuse='shadow' starts from the light of a clear sky"
-        raise SchemaError(subject, problems=[error.problem]) from error
+        raise SchemaError(
+            "diffuse='shadow' starts from the light of a clear sky", problems=[error.problem]
+        ) from error
     fraction, zenith = line_split.fraction.values, line_split.zenith
     channel = channel_numbers(wavelength, good)
     bits = None
@@ -951,8 +952,9 @@ def survey(
     trim_memory()
     number = penumbrae(channels, segments.number, matches, ground, light)
     if number is not segments.number:
-        sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
-        segments = Segments(number, segments.sure, sizes)
+        segments = Segments(
+            number, segments.sure, np.bincount(number[number >= 0], minlength=count).astype(np.int64)
+        )
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
     paint, same_paint = same_paints(spectrum, segments.size, pairs, matches, light)
     neighbours = partial(nearest_at, neighbour, matches.body, paint, segments.number)
@@ -1055,9 +1057,10 @@ def fraction_in_shadow(
         )
     bodies = matches.body[shaded]
     largest = bodies[np.argmax(size[bodies])]
-    flat = channels.reshape(-1, channels.shape[2])
-    indices = np.concatenate([samples[segment] for segment in shaded[bodies == largest]])
-    values = gather(flat, indices).astype(np.float64)
+    values = gather(
+        channels.reshape(-1, channels.shape[2]),
+        np.concatenate([samples[segment] for segment in shaded[bodies == largest]]),
+    ).astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
     low, high = np.quantile(blue, SHADOWS.open_sky_quantiles)

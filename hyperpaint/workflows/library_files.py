@@ -141,8 +141,9 @@ def write_signatures(
         for name, line in lines.items():
             if name not in maps:
                 load, besides = budget.Load.of(line), budget.LOADED + MAX_GATHERED_BYTES
-                subject = f"extracting from {name or store}"
-                stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
+                stack.enter_context(
+                    budget.planned(f"extracting from {name or store}", a_thread=load.a_thread, fixed=besides)
+                )
         library = extract_signatures(lines, targets, progress=step_progress, **options)
     library.attrs |= {"store": store_path.name, "flags": "; ".join(dict.fromkeys(origins.values()))}
     if refused:

@@ -200,16 +200,18 @@ def write_groups(
         if "quality" in dataset.variables:
             try:
                 with errors_of_the_cluster(f"cannot compute the first lines of /{name}"):
-                    first_slab = dataset["quality"].isel({ALONG_TRACK: slice(0, 1)})
-                    first_slab.compute(**({} if client is None else {"retries": RETRIES}))
+                    dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute(
+                        **({} if client is None else {"retries": RETRIES})
+                    )
             except StoreError:  # a fault of the cluster, not of the data
                 raise
             except (PaintError, OSError) as error:
                 problems.add_error(f"/{name}", error)
     problems.raise_if_any()
     resumed = finishing_command(f"{command} {quote(str(Path(source).absolute()))}", options)
-    contents = run_contents(groups)
-    with whole_run(out, contents, products, attrs, command=resumed, overwrite=overwrite, codec=codec) as turn:
+    with whole_run(
+        out, run_contents(groups), products, attrs, command=resumed, overwrite=overwrite, codec=codec
+    ) as turn:
         for name, dataset in products.items():
             if announce is not None and (line := announce(name)):
                 sys.stderr.write(line)

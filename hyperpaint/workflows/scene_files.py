@@ -367,8 +367,9 @@ def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
         return platform, camera
     note_pushbroom_faults(platform, problems, _spelled(tables, ["platform"]))
     if len(problems) == before:
-        fields = camera_fields(platform, camera)
-        SimulationSettings.note_faults(fields, problems, _spelled(tables, ["camera", "platform"]))
+        SimulationSettings.note_faults(
+            camera_fields(platform, camera), problems, _spelled(tables, ["camera", "platform"])
+        )
     return platform, camera
 
 
@@ -606,8 +607,9 @@ def build_parts(file: SceneFile) -> RenderParts:
         "[platform]": lambda: _platform(file, parts.get("[scene]")),
     }
     _built(builders, Problems(f"{file.path} cannot be rendered", FormatError), parts)
-    noise = file.camera.get("noise", True)
-    return RenderParts(**{table.strip("[]"): part for table, part in parts.items()}, noise=noise)
+    return RenderParts(
+        **{table.strip("[]"): part for table, part in parts.items()}, noise=file.camera.get("noise", True)
+    )
 
 
 def _built(

@@ -165,8 +165,9 @@ def virtualise(
         out, overwrite=True, foreign=lambda folder: "" if is_virtual(folder) else "other files"
     ) as folder:
         write_icechunk(folder, groups, attrs)
-    corrected = corrections_of({name: companions for name, (companions, _) in groups.items()})
-    return Outcome(out, tuple(groups), (), corrected)
+    return Outcome(
+        out, tuple(groups), (), corrections_of({name: companions for name, (companions, _) in groups.items()})
+    )
 
 
 def _cubes(

@@ -274,10 +274,9 @@ def locate(
     # store the poses used; lazy ones in chunks of the cube
     if not isinstance(poses, np.ndarray):
         poses = da.from_delayed(poses, (len(POSE), line.sizes[ALONG_TRACK]), np.float64).rechunk((1, chunks))
-    columns_used = {
-        name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
-    }
-    located = line.drop_vars(POSE, errors="ignore").assign_coords(columns_used)
+    located = line.drop_vars(POSE, errors="ignore").assign_coords(
+        {name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)}
+    )
     # the positions of pixels, and a flag for those without
     dims = (ALONG_TRACK, CROSS_TRACK)
     attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}

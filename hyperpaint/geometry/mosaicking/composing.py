@@ -233,9 +233,10 @@ class _Tiles:
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
         tile_index = self.first[0] + place[0], self.first[1] + place[1]
-        strips = enumerate(self.strips)
         return {
-            number: strip.recipe(names, tile_index) for number, strip in strips if strip.reaches(tile_index)
+            number: strip.recipe(names, tile_index)
+            for number, strip in enumerate(self.strips)
+            if strip.reaches(tile_index)
         }
 
     def planes(self, rule: str, names: list[str]) -> da.Array:

@@ -192,11 +192,12 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
         slabs = np.searchsorted(first_lines, lines, side="right") - 1
         needed_slabs = np.unique(slabs)
         surveyed = _computed_survey(east, north, [[slab] for slab in needed_slabs.tolist()], NORTH, None)
-        rows = [
-            table[lines[slabs == slab] - first_lines[slab], 4:8]
-            for slab, (table, _) in zip(needed_slabs, surveyed, strict=True)
-        ]
-        ends = np.concatenate(rows).reshape(-1, 2, 2)
+        ends = np.concatenate(
+            [
+                table[lines[slabs == slab] - first_lines[slab], 4:8]
+                for slab, (table, _) in zip(needed_slabs, surveyed, strict=True)
+            ]
+        ).reshape(-1, 2, 2)
         ends = ends[np.isfinite(ends).all(axis=(1, 2))]
         if len(ends):
             break
@@ -223,9 +224,8 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
     groups = [list(slabs[first : first + _TASK_SLABS]) for first in slabs[::_TASK_SLABS]]
     surveyed = _computed_survey(east, north, groups, axes, progress)
     table = np.concatenate([rows for rows, _ in surveyed])
-    starts = np.cumsum([len(rows) for rows, _ in surveyed])
     for (_, (_, last_pixels)), (_, (first_pixels, _)), start in zip(
-        surveyed, surveyed[1:], starts, strict=False
+        surveyed, surveyed[1:], np.cumsum([len(rows) for rows, _ in surveyed]), strict=False
     ):
         table[start - 1, 9] = _median(np.hypot(*(first_pixels - last_pixels)))
     if np.isnan(table[:, :4]).all() or np.isnan(table[:, 8:]).all():

@@ -483,8 +483,9 @@ def write_library(
     library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
     if curves == "centre" or (curves is None and chosen != "zarr"):
         others = [name for name in spectral_variables(library) if name != CENTRE]
-        inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
-        library = library.drop_vars(others).drop_dims(inner, errors="ignore")
+        library = library.drop_vars(others).drop_dims(
+            {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}, errors="ignore"
+        )
     if chosen == "zarr":
         report, paints = progress or (lambda *_: None), library.sizes[SIGNATURE]
         report(0, paints)

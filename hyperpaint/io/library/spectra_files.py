@@ -538,8 +538,9 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
         if values.dtype.kind == "M":
             columns[str(name)] = ["" if np.isnat(value) else str(value) for value in values]
         elif values.dtype.kind in "biufOUT":
-            plain = values.tolist()
-            columns[str(name)] = [None if isinstance(v, float) and not math.isfinite(v) else v for v in plain]
+            columns[str(name)] = [
+                None if isinstance(v, float) and not math.isfinite(v) else v for v in values.tolist()
+            ]
     return columns
 
 
@@ -1575,8 +1576,9 @@ def read_csv_library(path: Path) -> xr.Dataset:
 
 def _csv_rows(path: Path) -> Iterator[list[str]]:
     try:
-        opened = open_input(path, "a paint library", _MAX_BYTES)
-        with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
+        with io.TextIOWrapper(
+            open_input(path, "a paint library", _MAX_BYTES), encoding="utf-8-sig", newline=""
+        ) as file:
             yield from filter(None, csv.reader(file, strict=True))
     except (csv.Error, UnicodeDecodeError, OSError) as error:
         raise FormatError(f"{path.name} cannot be read: {error!s:.200}", code="file-unreadable") from error

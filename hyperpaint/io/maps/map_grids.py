@@ -220,10 +220,9 @@ def _agree(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
         for k in (0, 3)
     )
     tolerance = _TOLERANCE * max(map(abs, (*reference[1:3], *reference[4:]))) + _ROUNDING
-    corners = [(col, row) for col in (0, dataset.sizes["x"]) for row in (0, dataset.sizes["y"])]
     return all(
         abs(a + b * col + c * row) <= tolerance and abs(d + e * col + f * row) <= tolerance
-        for col, row in corners
+        for col, row in [(col, row) for col in (0, dataset.sizes["x"]) for row in (0, dataset.sizes["y"])]
     )
 
 

@@ -251,8 +251,9 @@ def _lies_in(array: Any, location: Any, group: str) -> bool:
         return bool(place.store == location) and f"{place.path}/".startswith(f"{group}/" if group else "")
     root, base = getattr(place.store, "root", None), getattr(place.store, "path", None)
     if location.local is not None:  # local stores
-        target = (location.local / group).resolve()
-        return root is not None and (Path(root) / place.path).resolve().is_relative_to(target)
+        return root is not None and (Path(root) / place.path).resolve().is_relative_to(
+            (location.local / group).resolve()
+        )
     if base is None or root is not None:  # fsspec stores
         return False
     source = "/".join(part.strip("/") for part in (str(base), place.path) if part)

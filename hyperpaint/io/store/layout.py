@@ -275,8 +275,9 @@ def with_variables(
     dataset: xr.Dataset, variables: Mapping[Any, xr.Variable], coords: Collection[Hashable]
 ) -> xr.Dataset:
     # Return a dataset with variables added or replaced; names in ``coords`` become coordinates.
-    inner = {name: variable for name, variable in variables.items() if name not in coords}
-    return dataset.assign_coords({n: v for n, v in variables.items() if n in coords}).assign(inner)
+    return dataset.assign_coords({n: v for n, v in variables.items() if n in coords}).assign(
+        {name: variable for name, variable in variables.items() if name not in coords}
+    )
 
 
 def is_at_hand(variable: xr.Variable) -> bool:

@@ -557,7 +557,8 @@ def open_virtual(
         repository, session = _session(path, urls)
         # in a separate thread, since a notebook has a running event loop
         with ThreadPoolExecutor(1) as thread:
-            checked = _check_chunks(repository, session, name, urls, os.fspath(path))
-            thread.submit(asyncio.run, checked).result()
+            thread.submit(
+                asyncio.run, _check_chunks(repository, session, name, urls, os.fspath(path))
+            ).result()
         opened: xr.Dataset = xr.open_zarr(session.store, group=name, **{"consolidated": False, **kwargs})
     return opened

@@ -205,10 +205,9 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     name = clean_group(group)
     if location is not None and (manifest := Manifest.read(location)) is not None:
         # an error if a running or interrupted run has not written all its groups
-        writes = [write for write in manifest.writes if name in write.contents]
         if any(
             manifest.lacking(write, lambda group_name: content_of(location, group_name, manifest))
-            for write in writes
+            for write in [write for write in manifest.writes if name in write.contents]
         ):
             check_state(location)
     return open_group(path, name, **kwargs)

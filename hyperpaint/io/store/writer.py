@@ -274,10 +274,10 @@ class _StoreWriter:
                     writes = (self._write,) if len(self._write.contents) > 1 else ()
                     replace(self._manifest, groups={"": self._entries[""]}, writes=writes).write(place)
                 place.write_files({METADATA: json.dumps(root).encode()})
-                expected = [
-                    closed.joinpath(name, *key.split("/")) for name, keys in sums.items() for key in keys
-                ]
-                flush_group(closed, expected)
+                flush_group(
+                    closed,
+                    [closed.joinpath(name, *key.split("/")) for name, keys in sums.items() for key in keys],
+                )
                 if job.group:
                     self.announce(job.group)
                 stage.publish(closed, job.group)
@@ -583,9 +583,11 @@ def _write_arrays(
         # zarr writes metadata, and values of small arrays, in memory: on a disk its threads would write some
         # hundred small files slowly
         stored: dict[str, Any] = {}
-        holders = {name: chunks.placeholder(variable) for name, variable in streamed.items()}
-        rest = dataset.drop_vars(list(streamed)).compute()
-        template = layout.with_variables(rest, holders, dataset.coords)[list(dataset.variables)]
+        template = layout.with_variables(
+            dataset.drop_vars(list(streamed)).compute(),
+            {name: chunks.placeholder(variable) for name, variable in streamed.items()},
+            dataset.coords,
+        )[list(dataset.variables)]
         options: Any = {"mode": "w", "zarr_format": 3, "consolidated": False, "compute": False}
         template.to_zarr(MemoryStore(stored), encoding=layout.encoding(dataset, job.codec), **options)
         files = {key: content.to_bytes() for key, content in stored.items()}
@@ -787,10 +789,10 @@ def check_room(
     # Raise if groups, datasets by name, together need more than the free space of a store's disk.
     #
     # ``tokens``: their source tokens.
-    jobs = [
-        Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()
-    ]
-    _check_disk(jobs, Location.of(path))
+    _check_disk(
+        [Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()],
+        Location.of(path),
+    )
 
 
 def _check_disk(jobs: list[Job], location: Location) -> None:
