@@ -1434,7 +1434,28 @@ def serve_explorer(
         title=f"hyperpaint {first_name}",
     )
     signal.signal(signal.SIGINT, interrupted)  # panel replaced the handler of interrupts
-    _guard(server, token)
+    # refuse requests to the server from elsewhere than its own page
+    # The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
+    # websocket must have an origin; and every origin must be this server.
+    application = server._tornado
+    find_handler = application.find_handler
+    hosts = {f"localhost:{server.port}", f"127.0.0.1:{server.port}"}
+    origins = [f"http://{host}" for host in hosts]
+
+    def find_guarded(request: Any, **options: Any) -> Any:
+        path_start = request.path.split("/", 2)[1:2]
+        senders = request.headers.get_list("Origin")
+        is_websocket = "websocket" in request.headers.get("Upgrade", "").lower()
+        if (
+            request.host.lower() in hosts
+            and secrets.compare_digest("".join(path_start).encode(), token.encode())
+            and all(origin in origins for origin in senders)
+            and (senders or not is_websocket)
+        ):
+            return find_handler(request, **options)
+        return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+
+    application.find_handler = find_guarded
     server.start()
     announce(f"http://localhost:{server.port}/{token}/")
     server.io_loop.start()
@@ -1460,33 +1481,6 @@ def _open_cube(path: Path, group: str) -> xr.Dataset:
     if len(cubes) == 1 and not cubes & _CUBES:
         return dataset.rename({cubes.pop(): "values"})
     return dataset if group.startswith("flightlines/") else dataset.drop_vars(_CUBES - cubes, errors="ignore")
-
-
-def _guard(server: Any, token: str) -> None:
-    # Refuse requests to the server from elsewhere than its own page.
-    # The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
-    # websocket must have an origin; and every origin must be this server.
-    from tornado.web import ErrorHandler
-
-    application = server._tornado
-    find_handler = application.find_handler
-    hosts = {f"localhost:{server.port}", f"127.0.0.1:{server.port}"}
-    origins = [f"http://{host}" for host in hosts]
-
-    def find_guarded(request: Any, **options: Any) -> Any:
-        path_start = request.path.split("/", 2)[1:2]
-        senders = request.headers.get_list("Origin")
-        is_websocket = "websocket" in request.headers.get("Upgrade", "").lower()
-        if (
-            request.host.lower() in hosts
-            and secrets.compare_digest("".join(path_start).encode(), token.encode())
-            and all(origin in origins for origin in senders)
-            and (senders or not is_websocket)
-        ):
-            return find_handler(request, **options)
-        return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
-
-    application.find_handler = find_guarded
 
 
 def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:

@@ -215,7 +215,26 @@ def paint_card(
     4
     """
     line, (signature, region) = rename_to_roles(line), _find_paint(library, paint)
-    surroundings, in_region = _surroundings(line, region)
+    # crop of the line around the region, and which of its pixels (line, column) are in the region
+    ((line_indices, column_indices),) = pixels_of(Regions((region,)), line)
+    if not line_indices.size:
+        raise SchemaError(f"region {region.name!r} contains no pixel of this line", code="region-empty")
+    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(line_indices), np.ptp(column_indices)) + 1)))
+    rows, columns = (
+        slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
+        for places in (line_indices, column_indices)
+    )
+    cropped = line.isel({ALONG_TRACK: rows, CROSS_TRACK: columns})
+    shape = cropped.sizes[ALONG_TRACK], cropped.sizes[CROSS_TRACK]
+    in_region = np.zeros(shape, bool)
+    in_region[line_indices - rows.start, column_indices - columns.start] = True
+    # centres of pixels have their numbers in the line, also if the line has no coordinates
+    numbers = {
+        dim: np.arange(span.start, span.start + size)
+        for dim, span, size in zip((ALONG_TRACK, CROSS_TRACK), (rows, columns), shape, strict=True)
+        if dim not in cropped.coords
+    }
+    surroundings = cropped.assign_coords(numbers)
     is_wide = columns_for(width, 3.0, 3) == 3
     # name, kind and finish of the paint, and the reasons stored with its region
     properties = region.properties
@@ -283,29 +302,6 @@ def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Region]:
         code="region-coordinates",
     )
     return selection, regions_from(json.loads(str(selection["region"].item())))[0]
-
-
-def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
-    # crop of the line around the region, and which of its pixels (line, column) are in the region
-    ((line_indices, column_indices),) = pixels_of(Regions((region,)), line)
-    if not line_indices.size:
-        raise SchemaError(f"region {region.name!r} contains no pixel of this line", code="region-empty")
-    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(line_indices), np.ptp(column_indices)) + 1)))
-    rows, columns = (
-        slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
-        for places in (line_indices, column_indices)
-    )
-    cropped = line.isel({ALONG_TRACK: rows, CROSS_TRACK: columns})
-    shape = cropped.sizes[ALONG_TRACK], cropped.sizes[CROSS_TRACK]
-    in_region = np.zeros(shape, bool)
-    in_region[line_indices - rows.start, column_indices - columns.start] = True
-    # centres of pixels have their numbers in the line, also if the line has no coordinates
-    numbers = {
-        dim: np.arange(span.start, span.start + size)
-        for dim, span, size in zip((ALONG_TRACK, CROSS_TRACK), (rows, columns), shape, strict=True)
-        if dim not in cropped.coords
-    }
-    return cropped.assign_coords(numbers), in_region
 
 
 def _draw_exclusions(
