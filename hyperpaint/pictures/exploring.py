@@ -201,14 +201,14 @@ class Explored:
         # Save to a new file, or replace a file; `StoreError` if another program has changed it
         is_old = is_plain_file(path)
         digest = self._digests.get(os.path.realpath(path))
-        if is_old and digest != _digest(path):
-            raise StoreError(
-                f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
-                "so regions are not saved to it",
-                mend="move it away or choose another file, and save again",
-                option="move it away and save again, or begin anew with --regions and another file",
-                code="file-changed",
-            )
+        StoreError.raise_if(
+            is_old and digest != _digest(path),
+            f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
+            "so regions are not saved to it",
+            mend="move it away or choose another file, and save again",
+            option="move it away and save again, or begin anew with --regions and another file",
+            code="file-changed",
+        )
         return self.save(path, overwrite=is_old)
 
     # --- regions -------------------------------------------------------------------------------------------
@@ -278,11 +278,11 @@ class Explored:
             flag_texts = [
                 f"{flag_label(flag)} {percent(share)}" for flag, share in schema.flag_shares(flags).items()
             ]
-            if not is_used.any():
-                raise SchemaError(
-                    f"{place.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
-                    code="region-empty",
-                )
+            SchemaError.raise_if(
+                not is_used.any(),
+                f"{place.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
+                code="region-empty",
+            )
             quantiles = summarise(values[is_used], "median")["reflectance_quantiles"]
             quantiles[:, ~good_bands(self.line)] = np.nan
             subsampling = f" (every {step}. line)" if step > 1 else ""
@@ -306,10 +306,12 @@ class Explored:
     def _region_pixels(self, region: Region) -> tuple[Array, Array, int]:
         # pixels along and across the track, in every ``step``-th line of a large region
         along, across = pixels_of(Regions((Region(region.name, region.polygon),)), self.line)[0]
-        if not along.size:
-            raise SchemaError(
-                f"{region.name} contains no pixel centre", mend="draw it larger", code="region-empty"
-            )
+        SchemaError.raise_if(
+            not along.size,
+            f"{region.name} contains no pixel centre",
+            mend="draw it larger",
+            code="region-empty",
+        )
         step = -(-along.size // MAX_REGION_PIXELS)
         is_read = (along - along.min()) % step == 0
         return along[is_read], across[is_read], step
@@ -587,12 +589,12 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
     if others:
         names = {region.name for region in others}
         outlines = Regions(tuple(region for region in outlines if region.name not in names))
-    if holed := [region.name for region in outlines if region.holes]:
-        raise SchemaError(
-            f"regions with holes cannot be drawn: {', '.join(holed)}",
-            mend="leave them out",
-            code="region-holes",
-        )
+    SchemaError.raise_if(
+        holed := [region.name for region in outlines if region.holes],
+        f"regions with holes cannot be drawn: {', '.join(holed)}",
+        mend="leave them out",
+        code="region-holes",
+    )
     return outlines, tuple(others)
 
 
@@ -1388,12 +1390,12 @@ def serve_explorer(
     """
     lines = _lines_of(Path(store))
     first_name = next(iter(lines), "") if line is None else line.rpartition("/")[2]
-    if first_name not in lines:
-        raise StoreError(
-            f"{store} has no flight line {line!r:.80}" if line else f"{store} has no flight line",
-            expected=", ".join(lines) or "reflectance, radiance or counts of lines, bands and columns",
-            code="flightline-unknown",
-        )
+    StoreError.raise_if(
+        first_name not in lines,
+        f"{store} has no flight line {line!r:.80}" if line else f"{store} has no flight line",
+        expected=", ".join(lines) or "reflectance, radiance or counts of lines, bands and columns",
+        code="flightline-unknown",
+    )
     require_panel()
     import panel
 
@@ -1437,6 +1439,8 @@ def serve_explorer(
     # refuse requests to the server from elsewhere than its own page
     # The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
     # websocket must have an origin; and every origin must be this server.
+    from tornado.web import ErrorHandler
+
     application = server._tornado
     find_handler = application.find_handler
     hosts = {f"localhost:{server.port}", f"127.0.0.1:{server.port}"}

@@ -353,8 +353,12 @@ def quicklook(
 def flags_of(dataset: xr.Dataset) -> Array:
     # Return the flags of all pixels (along_track, cross_track) as integers
     quality = require(dataset, ["quality"], "a picture of flags")["quality"]
-    if quality.dtype.kind not in "iu":
-        raise SchemaError(f"quality is {quality.dtype}", expected="uint16, one bit a flag", code="type-wrong")
+    SchemaError.raise_if(
+        quality.dtype.kind not in "iu",
+        f"quality is {quality.dtype}",
+        expected="uint16, one bit a flag",
+        code="type-wrong",
+    )
     return np.asarray(quality.values)
 
 
@@ -885,8 +889,7 @@ def _checked_regions(lines: dict[str, xr.Dataset], near: Any, far: Any, width: i
         for comparison in comparisons
         if "reflectance" not in comparison.variables or dict(comparison["reflectance"].sizes) != shape
     )
-    if width < 1:
-        problems.add(f"width={width}", expected="1 or more pixels", code="value-out-of-range")
+    problems.add_if(width < 1, f"width={width}", expected="1 or more pixels", code="value-out-of-range")
     pairs = [regions_from(regions) for regions in (near, far)]
     problems.extend(
         Problem(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")

@@ -217,8 +217,9 @@ def paint_card(
     line, (signature, region) = rename_to_roles(line), _find_paint(library, paint)
     # crop of the line around the region, and which of its pixels (line, column) are in the region
     ((line_indices, column_indices),) = pixels_of(Regions((region,)), line)
-    if not line_indices.size:
-        raise SchemaError(f"region {region.name!r} contains no pixel of this line", code="region-empty")
+    SchemaError.raise_if(
+        not line_indices.size, f"region {region.name!r} contains no pixel of this line", code="region-empty"
+    )
     margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(line_indices), np.ptp(column_indices)) + 1)))
     rows, columns = (
         slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
@@ -284,10 +285,12 @@ def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Region]:
         code="library-missing",
     )
     names = [str(name) for name in usable[SIGNATURE].values]
-    if paint not in names:
-        raise SchemaError(
-            f"there is no paint {paint!r}", expected=", ".join(names[:20]), code="paint-unknown"
-        )
+    SchemaError.raise_if(
+        paint not in names,
+        f"there is no paint {paint!r}",
+        expected=", ".join(names[:20]),
+        code="paint-unknown",
+    )
     selection = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
     SchemaError.raise_if(
         "region" not in selection.variables or not str(selection["region"].item()),

@@ -434,8 +434,9 @@ def library_overview(
     problems.extend(Problem(problem, code="variable-unusable") for problem in faults)
     problems.raise_if_any()
     variables = require(paints, ["reflectance", "wavelength"], "an overview", LIBRARY_VARIABLES)
-    if not (count := paints.sizes[SIGNATURE]):
-        raise SchemaError("the library has no paint to draw", code="library-empty")
+    SchemaError.raise_if(
+        not (count := paints.sizes[SIGNATURE]), "the library has no paint to draw", code="library-empty"
+    )
     shown_count = min(count, MAX_PAINTS)
     columns = max(1, min(columns, shown_count))
     rows = -(-shown_count // columns)

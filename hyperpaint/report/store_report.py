@@ -151,8 +151,9 @@ def write_report(
     page_path = Path(out)
     check_place(page_path, "the report", example="report.html", store=Path(store), overwrite=overwrite)
     for option, value, least in (("max_lines", max_lines, 1), ("cards", cards, 0)):
-        if value < least:
-            raise SchemaError(f"{option}={value}", expected=f"{least} or more", code="value-out-of-range")
+        SchemaError.raise_if(
+            value < least, f"{option}={value}", expected=f"{least} or more", code="value-out-of-range"
+        )
     groups = groups_to_show(store, flightlines, library)
     lines, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
     paints: list[tuple[str, xr.Dataset, str, Region]] = []  # flight line, library, name and region of paints
@@ -445,11 +446,11 @@ def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
 
 def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
     # add an entry to ``pictures`` if the picture can be drawn
-    if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
-        raise SchemaError(
-            f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",
-            code="line-empty",
-        )
+    SchemaError.raise_if(
+        not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK],
+        f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",
+        code="line-empty",
+    )
     try:
         picture = background(line, max(1, -(-line.sizes[ALONG_TRACK] // lines)))
     except SchemaError as error:  # no reflectance, no visible bands

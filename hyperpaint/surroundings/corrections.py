@@ -234,11 +234,14 @@ def _checked(
     line = schema.rename_to_roles(line)
     problems = Problems("reflectance cannot be corrected", SchemaError)
     for name in ("reflectance", "wavelength"):
-        if name not in line.variables:
-            problems.add(f"{name!r} is missing", code="variable-missing")
+        problems.add_if(name not in line.variables, f"{name!r} is missing", code="variable-missing")
     for name, (value, low, high) in numbers.items():
-        if not low <= value <= high:
-            problems.add(f"{name}={value!r}", expected=f"{low:g} to {high:g}", code="value-out-of-range")
+        problems.add_if(
+            not low <= value <= high,
+            f"{name}={value!r}",
+            expected=f"{low:g} to {high:g}",
+            code="value-out-of-range",
+        )
     attrs = line["reflectance"].attrs if "reflectance" in line.variables else {}
     earlier = [name for name in excluded if name in attrs]
     for name in earlier:

@@ -146,8 +146,12 @@ def flag(
     limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": edge}
     problems = Problems("thresholds cannot be used", SchemaError)
     for name, value in limits.items():
-        if not is_number(value) or value < 0:
-            problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
+        problems.add_if(
+            not is_number(value) or value < 0,
+            f"{name}={value!r}",
+            expected="a number from 0 on",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     if model is None:
         model = survey(line, progress=progress, **options)

@@ -109,8 +109,9 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
                 expected=f"{cells}",
                 code="grid-mismatch",
             )
-    if not np.isfinite(fields.get("shift", np.empty(0))).all():
-        problems.add("'shift' is not finite", code="not-finite")
+    problems.add_if(
+        not np.isfinite(fields.get("shift", np.empty(0))).all(), "'shift' is not finite", code="not-finite"
+    )
     for name, low, high in (
         ("noise", 0.0, np.inf),
         ("tilt", 1e-6, np.inf),
@@ -119,8 +120,11 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
         ("sunward_radiance", 0.0, np.inf),
     ):
         values = fields.get(name, np.empty(0))
-        if not (np.isfinite(values) & (values >= low) & (values <= high)).all():
-            problems.add(f"{name!r} is not finite, or outside {low:g} to {high:g}", code="value-out-of-range")
+        problems.add_if(
+            not (np.isfinite(values) & (values >= low) & (values <= high)).all(),
+            f"{name!r} is not finite, or outside {low:g} to {high:g}",
+            code="value-out-of-range",
+        )
 
 
 @dataclass(frozen=True, eq=False)

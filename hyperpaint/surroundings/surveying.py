@@ -1048,13 +1048,13 @@ def fraction_in_shadow(
     pixels of every segment. Raises `SchemaError`: no cast shadow is large enough.
     """
     shaded = np.flatnonzero((matches.state == SHADED) & (size >= SHADOWS.min_shadow_px))
-    if not shaded.size:
-        raise SchemaError(
-            f"diffuse='shadow': no cast shadow of at least {SHADOWS.min_shadow_px} pixels on ground that is "
-            "also seen in full sun",
-            mend="pass diffuse='model', or a measured spectrum",
-            code="shadow-missing",
-        )
+    SchemaError.raise_if(
+        not shaded.size,
+        f"diffuse='shadow': no cast shadow of at least {SHADOWS.min_shadow_px} pixels on ground that is "
+        "also seen in full sun",
+        mend="pass diffuse='model', or a measured spectrum",
+        code="shadow-missing",
+    )
     bodies = matches.body[shaded]
     largest = bodies[np.argmax(size[bodies])]
     values = gather(

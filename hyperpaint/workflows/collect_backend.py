@@ -75,11 +75,11 @@ class CollectBackendEntrypoint(BackendEntrypoint):
             filename_or_obj, drop_variables=drop_variables, need_irradiance=need_irradiance
         )
         groups = {node.path.lstrip("/"): node for node in tree.subtree if node.has_data}
-        if (name := (group or "").strip("/")) not in groups:
-            raise SchemaError(
-                f"group {group!r} of a collect",
-                expected=f"one of {', '.join(sorted(groups))}",
-                mend="name one of them, or open all by xarray.open_datatree",
-                code="group-missing",
-            )
+        SchemaError.raise_if(
+            (name := (group or "").strip("/")) not in groups,
+            f"group {group!r} of a collect",
+            expected=f"one of {', '.join(sorted(groups))}",
+            mend="name one of them, or open all by xarray.open_datatree",
+            code="group-missing",
+        )
         return groups[name].to_dataset()

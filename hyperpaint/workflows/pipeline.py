@@ -562,11 +562,11 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
         command = shlex.split(manifest.command) if manifest is not None else []
     except ValueError:  # unbalanced quotes, which hyperpaint does not write
         command = []
-    if command[:2] != ["hyperpaint", "process"] or len(command) < 3:
-        raise StoreError(
-            f"{location.url} was not written by hyperpaint process and has no record of inputs",
-            code="inputs-unrecorded",
-        )
+    StoreError.raise_if(
+        command[:2] != ["hyperpaint", "process"] or len(command) < 3,
+        f"{location.url} was not written by hyperpaint process and has no record of inputs",
+        code="inputs-unrecorded",
+    )
     source = Path(command[2]) if collect is None else collect
     StoreError.raise_if(
         not source.is_file(),

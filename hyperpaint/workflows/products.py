@@ -91,8 +91,11 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
     )
     for path in dict.fromkeys(map(Path.resolve, paths_in(settings))):
         relation = "is" if output == path else "holds" if output in path.parents else "lies in"
-        if relation != "lies in" or (path in output.parents and path.is_dir()):
-            problems.add(f"it {relation} {path}, an input", code="output-is-input")
+        problems.add_if(
+            relation != "lies in" or (path in output.parents and path.is_dir()),
+            f"it {relation} {path}, an input",
+            code="output-is-input",
+        )
     problems.raise_if_any()
 
 

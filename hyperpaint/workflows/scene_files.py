@@ -427,8 +427,12 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
     reader.exclude(place, table, *_SOURCES)
     name = table.get("name", table.get("preset"))
     if name is None:
-        if not present & {"name", "preset"}:
-            problems.add(f"{place} name is missing", mend="name its group in the store", code="key-missing")
+        problems.add_if(
+            not present & {"name", "preset"},
+            f"{place} name is missing",
+            mend="name its group in the store",
+            code="key-missing",
+        )
         return None
     reader.is_name(place, "name", name)
     measured = [source for source in sources if source != "preset"]

@@ -228,12 +228,12 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
         for start in (0, local.size // 2, max(0, local.size - _SAMPLE_BYTES)):
             file.seek(start)
             stop = min(start + _SAMPLE_BYTES, local.size)
-            if fs.cat_file(key, start=start, end=stop) != file.read(stop - start):
-                raise StoreError(
-                    f"{copy.url} differs from {path} at byte {start} or after it",
-                    mend="copy it again",
-                    code="copy-differs",
-                )
+            StoreError.raise_if(
+                fs.cat_file(key, start=start, end=stop) != file.read(stop - start),
+                f"{copy.url} differs from {path} at byte {start} or after it",
+                mend="copy it again",
+                code="copy-differs",
+            )
     return copy
 
 

@@ -328,8 +328,9 @@ def _check(
             is_valid = np.shape(vector) == (3,) and bool(np.isfinite(np.asarray(vector, np.float64)).all())
         except (TypeError, ValueError):
             is_valid = False
-        if not is_valid:
-            problems.add(f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong")
+        problems.add_if(
+            not is_valid, f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong"
+        )
     problems.add_if(
         (ground is None) == (dem is None),
         "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
@@ -544,8 +545,9 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
 
 def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
     # Return the first coordinate and the step.
-    if name not in dem.coords:
-        raise SchemaError(f"no coordinate {name!r} of cell centres", code="variable-missing")
+    SchemaError.raise_if(
+        name not in dem.coords, f"no coordinate {name!r} of cell centres", code="variable-missing"
+    )
     values = dem[name].values.astype(np.float64)
     SchemaError.raise_if(
         values.size < 2, f"{values.size} cells along {name!r}", expected="two or more", code="length-mismatch"

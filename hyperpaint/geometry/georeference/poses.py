@@ -315,8 +315,12 @@ def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
 
 
 def _nanoseconds(time: Array) -> Ints:
-    if time.dtype.kind != "M":
-        raise TimeError(f"times have dtype {time.dtype}", expected="datetime64[ns] (UTC)", code="type-wrong")
+    TimeError.raise_if(
+        time.dtype.kind != "M",
+        f"times have dtype {time.dtype}",
+        expected="datetime64[ns] (UTC)",
+        code="type-wrong",
+    )
     return time.astype("datetime64[ns]").astype(np.int64)
 
 

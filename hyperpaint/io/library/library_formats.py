@@ -314,13 +314,13 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
             code="grid-mismatch",
         )
         plain_dims = ((SIGNATURE, BAND), (SIGNATURE,))
-        if variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims):
-            problems.add(
-                f"{path.name} has {', '.join(variables)}",
-                expected="one spectrum per paint",
-                mend="open this file alone",
-                code="library-not-plain",
-            )
+        problems.add_if(
+            variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims),
+            f"{path.name} has {', '.join(variables)}",
+            expected="one spectrum per paint",
+            mend="open this file alone",
+            code="library-not-plain",
+        )
         if len(problems) >= _MAX_SHOWN_DIFFERENCES:
             break
     problems.raise_if_any()

@@ -1027,13 +1027,13 @@ def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) 
     )
     text = " ".join(preamble)
     title = None if "reflect" in text.lower() else _TITLE.search(text) or _OF_LIGHT.search(text)
-    if word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""):
-        raise FormatError(
-            f"{source}: the heading names {word!r}",
-            expected="reflectance",
-            mend=_SAY_SO,
-            code="quantity-wrong",
-        )
+    FormatError.raise_if(
+        word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""),
+        f"{source}: the heading names {word!r}",
+        expected="reflectance",
+        mend=_SAY_SO,
+        code="quantity-wrong",
+    )
 
 
 def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
@@ -1181,13 +1181,13 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     )
     problems.raise_if_any()
     table = _table(lines, first, 2, source)
-    if (count := fields["Number of X Values"]) != str(len(table)):
-        raise FormatError(
-            f"{source}: {len(table)} values",
-            expected=f"{count[:30]}, as the header says",
-            mend="copy the file again",
-            code="length-mismatch",
-        )
+    FormatError.raise_if(
+        (count := fields["Number of X Values"]) != str(len(table)),
+        f"{source}: {len(table)} values",
+        expected=f"{count[:30]}, as the header says",
+        mend="copy the file again",
+        code="length-mismatch",
+    )
     notes = []
     for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
         stated = number(fields.get(key, ""))

@@ -548,8 +548,7 @@ def open_virtual(
         )
     problems = Problems(f"{os.fspath(path)} refers to raw files that have changed", StoreError)
     for raw in groups[name][RAW_FILES]:
-        if difference := raw.difference():
-            problems.add(difference, mend=_AGAIN, code="raw-file-changed")
+        problems.add_if(difference := raw.difference(), difference, mend=_AGAIN, code="raw-file-changed")
     problems.raise_if_any()
     urls = [raw.url for raw in groups[name][RAW_FILES]]
     # every reference must be inside one of these files

@@ -168,13 +168,13 @@ def to_store(
         # raise for a group that would be replaced while the data are read from it
         problems = Problems(f"cannot write {location.url}", StoreError)
         for job, target in itertools.product(jobs, jobs):
-            if names := reads_from(job.dataset, location, target.group):
-                problems.add(
-                    f"group {'/' + target.group!r} would be overwritten while {', '.join(names)} "
-                    f"{'is' if len(names) == 1 else 'are'} read from it",
-                    mend="write to another group or path, or .load() the dataset first",
-                    code="source-overwritten",
-                )
+            problems.add_if(
+                names := reads_from(job.dataset, location, target.group),
+                f"group {'/' + target.group!r} would be overwritten while {', '.join(names)} "
+                f"{'is' if len(names) == 1 else 'are'} read from it",
+                mend="write to another group or path, or .load() the dataset first",
+                code="source-overwritten",
+            )
         problems.raise_if_any()
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
         if not pending and _is_done(location, contents, attrs):
@@ -631,16 +631,16 @@ def _write_to_store_object(
         groups = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
     problems = Problems(f"cannot write {store}", StoreError)
     for job in jobs:
-        if names := reads_from(job.dataset, store, job.group):
-            problems.add(
-                f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
-                code="source-overwritten",
-            )
-        if not job.group and groups and overwrite:
-            problems.add(
-                f"its root contains groups, which would be lost: {', '.join(groups[:5])}",
-                code="group-occupied",
-            )
+        problems.add_if(
+            names := reads_from(job.dataset, store, job.group),
+            f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
+            code="source-overwritten",
+        )
+        problems.add_if(
+            not job.group and groups and overwrite,
+            f"its root contains groups, which would be lost: {', '.join(groups[:5])}",
+            code="group-occupied",
+        )
     problems.raise_if_any()
     try:
         for group, attributes in attrs.items():
