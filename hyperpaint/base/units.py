@@ -329,12 +329,12 @@ def plain(labelled: Any) -> Any:
     arrays = {name: variable._data for name, variable in variables.items()}
     array_values = labelled.variable._data if isinstance(labelled, xr.DataArray) else None
     for name, data in [*arrays.items(), (getattr(labelled, "name", None), array_values)]:
-        if _is_quantity(getattr(data, "_meta", None)):
-            raise UnitsError(
-                f"{name!r} is a dask array of Quantities",
-                mend=f"make it a Quantity of a dask array, such as pint.Quantity({name}.data, unit)",
-                code="array-foreign",
-            )
+        UnitsError.raise_if(
+            _is_quantity(getattr(data, "_meta", None)),
+            f"{name!r} is a dask array of Quantities",
+            mend=f"make it a Quantity of a dask array, such as pint.Quantity({name}.data, unit)",
+            code="array-foreign",
+        )
     if _is_quantity(array_values):
         labelled = labelled.copy(data=_magnitude(array_values)).assign_attrs(units=_unit_text(array_values))
     coords = {name: data for name, data in arrays.items() if _is_quantity(data)}

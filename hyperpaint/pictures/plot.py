@@ -104,10 +104,12 @@ def rgb(
     (32, ['red', 'green', 'blue'], True)
     """
     dataset = rename_to_roles(dataset)
-    if lines is not None and lines < 1:
-        raise SchemaError(
-            f"lines={lines}", expected="1 line of the picture or more", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        lines is not None and lines < 1,
+        f"lines={lines}",
+        expected="1 line of the picture or more",
+        code="value-out-of-range",
+    )
     has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
         step = max(1, -(-dataset.sizes.get(ALONG_TRACK, 1) // lines)) if lines else None
@@ -514,12 +516,12 @@ def flag_overlay(
         for name, array in dataset.variables.items()
         if set(array.dims) == {ALONG_TRACK, CROSS_TRACK} and array.dtype.kind in "fiub"
     ]
-    if layer is not None and layer not in planes:
-        raise SchemaError(
-            f"no layer {layer!r} on (along_track, cross_track)",
-            expected=", ".join(planes) or "a line with layers",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        layer is not None and layer not in planes,
+        f"no layer {layer!r} on (along_track, cross_track)",
+        expected=", ".join(planes) or "a line with layers",
+        code="variable-missing",
+    )
     if "quality" not in dataset.variables and (layer is None or chosen):
         dataset = reflectance(dataset)
     require(dataset, ["quality"] if layer is None else [], "a picture of flags")
@@ -1025,12 +1027,12 @@ def triptych(
     figure = new_figure("a triptych", figsize=(width, _AXES_INCH[1] * (3 // columns)), layout="constrained")
     dataset = rename_to_roles(dataset)
     counts = require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
-    if (region is None) == (pixels is None):
-        raise SchemaError(
-            "a triptych shows either a region or pixels=(along_track, cross_track)",
-            mend="pass one of the two",
-            code="option-conflict",
-        )
+    SchemaError.raise_if(
+        (region is None) == (pixels is None),
+        "a triptych shows either a region or pixels=(along_track, cross_track)",
+        mend="pass one of the two",
+        code="option-conflict",
+    )
     calibrated = reflectance(dataset)
     cubes = {
         "counts": counts,

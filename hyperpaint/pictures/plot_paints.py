@@ -437,12 +437,12 @@ def detection_curve(
         )
         has_score = paint >= 0
         is_hit = is_target[has_score]
-        if not is_hit.any() or is_hit.all():
-            raise SchemaError(
-                f"truth is {bool(is_hit.any())} everywhere",
-                expected="True for pixels with a paint, False for all other pixels",
-                code="truth-uniform",
-            )
+        SchemaError.raise_if(
+            not is_hit.any() or is_hit.all(),
+            f"truth is {bool(is_hit.any())} everywhere",
+            expected="True for pixels with a paint, False for all other pixels",
+            code="truth-uniform",
+        )
         # false alarm and detection rates over all thresholds, and the two rates of the stored detections
         order = np.argsort(-(score - threshold[paint])[has_score], kind="stable")
         hits, alarms = (np.cumsum(which[order]) / which.sum() for which in (is_hit, ~is_hit))
@@ -518,10 +518,12 @@ def validation_figure(
     >>> len(validation_figure(agreement).axes)
     2
     """
-    if columns < 1 or (limit is not None and not limit > 0.0):
-        raise SchemaError(
-            f"columns={columns}, limit={limit}", expected="positive numbers", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        columns < 1 or (limit is not None and not limit > 0.0),
+        f"columns={columns}, limit={limit}",
+        expected="positive numbers",
+        code="value-out-of-range",
+    )
     # pairs by paint, of the `MAX_PAIRS` paints with the largest RMSE
     pairs_by_paint: dict[str, list[int]] = {}
     for number, spectra in enumerate(validation.spectra):

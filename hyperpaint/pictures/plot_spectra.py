@@ -263,10 +263,12 @@ def _draw_paints(
     names = [str(name) for name in library[SIGNATURE].values]
     chosen = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
     problems = Problems("paints cannot be drawn", SchemaError)
-    if unknown := [name for name in chosen if name not in names]:
-        problems.add(
-            f"no paint {', '.join(map(repr, unknown))}", expected=", ".join(names), code="paint-unknown"
-        )
+    problems.add_if(
+        unknown := [name for name in chosen if name not in names],
+        f"no paint {', '.join(map(repr, unknown))}",
+        expected=", ".join(names),
+        code="paint-unknown",
+    )
     problems.add_if(
         len(chosen) > MAX_CURVES,
         f"{len(chosen)} curves",

@@ -125,12 +125,12 @@ def write_site(
     SchemaError.raise_if(
         max_lines < 1, f"max_lines={max_lines}", expected="1 or more", code="value-out-of-range"
     )
-    if link is not None and library is not None:
-        raise SchemaError(
-            "link and library: a page that copies nothing shows only the store's signatures",
-            mend="leave out link or library",
-            code="option-conflict",
-        )
+    SchemaError.raise_if(
+        link is not None and library is not None,
+        "link and library: a page that copies nothing shows only the store's signatures",
+        mend="leave out link or library",
+        code="option-conflict",
+    )
     origin = "" if link is None else _remote_origin(link)
     folder = Path(out)
     StoreError.raise_if(

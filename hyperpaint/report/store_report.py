@@ -295,12 +295,12 @@ def groups_to_show(
             name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None)
             for name in flightlines
         }
-        if unknown := [name for name, key in keys.items() if key is None]:
-            raise SchemaError(
-                f"{store} has no flight line {', '.join(map(repr, unknown))}",
-                expected=", ".join(lines) or "none",
-                code="flightline-unknown",
-            )
+        SchemaError.raise_if(
+            unknown := [name for name, key in keys.items() if key is None],
+            f"{store} has no flight line {', '.join(map(repr, unknown))}",
+            expected=", ".join(lines) or "none",
+            code="flightline-unknown",
+        )
         lines = {key: lines[key] for key in keys.values() if key is not None}
     maps = {
         name or Path(store).name: group for name, group in groups.items() if {"y", "x"} <= set(group.dims)

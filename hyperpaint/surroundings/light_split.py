@@ -183,12 +183,12 @@ def split_of(
     if diffuse is None and (declared := _line_split(line, sun_zenith)) is not None:
         return _from_line_split(line, declared, wavelength, sun_zenith, sky)
     sources = SOURCES if from_shadow else SOURCES[:2]
-    if diffuse is not None and diffuse not in sources:
-        raise SchemaError(
-            f"diffuse={diffuse!r}",
-            expected=f"{', '.join(map(repr, sources))} or a measured spectrum",
-            code="choice-unknown",
-        )
+    SchemaError.raise_if(
+        diffuse is not None and diffuse not in sources,
+        f"diffuse={diffuse!r}",
+        expected=f"{', '.join(map(repr, sources))} or a measured spectrum",
+        code="choice-unknown",
+    )
     zenith = sun_zenith_of(line, sun_zenith)
     if diffuse is None:
         warn_user(CLEAR_SKY_ASSUMED, "clear-sky-assumed")

@@ -103,12 +103,12 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
         )
     if {"neighbour", "segment"} <= fields.keys():
         cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
-        if fields["neighbour"].shape[:2] != cells:
-            problems.add(
-                f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
-                expected=f"{cells}",
-                code="grid-mismatch",
-            )
+        problems.add_if(
+            fields["neighbour"].shape[:2] != cells,
+            f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
+            expected=f"{cells}",
+            code="grid-mismatch",
+        )
     problems.add_if(
         not np.isfinite(fields.get("shift", np.empty(0))).all(), "'shift' is not finite", code="not-finite"
     )

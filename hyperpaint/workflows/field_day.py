@@ -138,8 +138,12 @@ def run_field_day(
     if regions is None and (path.parent / "regions.geojson").is_file():
         regions = path.parent / "regions.geojson"
     # check this before hours of processing
-    if regions is not None and not Path(regions).exists():
-        raise SchemaError(f"regions {regions}: no such file", mend="check the path", code="file-not-found")
+    SchemaError.raise_if(
+        regions is not None and not Path(regions).exists(),
+        f"regions {regions}: no such file",
+        mend="check the path",
+        code="file-not-found",
+    )
     folder.mkdir(parents=True, exist_ok=True)
     day = FieldDayRun(
         settings=settings,

@@ -91,10 +91,12 @@ def write_signatures(
         code="output-in-store",
     )
     if keep:
-        if options.get("exclude") is not None:
-            raise SchemaError(
-                "keep= and exclude= cannot be combined", mend="pass one of them", code="option-conflict"
-            )
+        SchemaError.raise_if(
+            options.get("exclude") is not None,
+            "keep= and exclude= cannot be combined",
+            mend="pass one of them",
+            code="option-conflict",
+        )
         options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
     outlines = None if regions is None else regions_from(regions)
     lines, flagged_lines = _open_lines(store, () if outlines is None else outlines.flightlines)
@@ -157,12 +159,12 @@ def _located(
 ) -> dict[str, xr.Dataset]:
 
     problems = Problems("signatures cannot be extracted", SchemaError)
-    if maps and regions is None:
-        problems.add(
-            "regions are proposed on flight lines, not on a map",
-            mend="draw regions on the map",
-            code="regions-missing",
-        )
+    problems.add_if(
+        maps and regions is None,
+        "regions are proposed on flight lines, not on a map",
+        mend="draw regions on the map",
+        code="regions-missing",
+    )
     if location and maps:
         problems.add("a map has a location", mend=f"leave out {', '.join(location)}", code="location-on-map")
     elif location and (regions is None or regions.coordinates != "map"):

@@ -339,10 +339,12 @@ def run(
     ):
         one_of(value, allowed, word, problems=problems)
     for name in [accept] if isinstance(accept, str) else accept:
-        if name not in KINDS or isinstance(accept, str):
-            problems.add(
-                f"accept={name!r}", expected=f"a list of some of {', '.join(KINDS)}", code="choice-unknown"
-            )
+        problems.add_if(
+            name not in KINDS or isinstance(accept, str),
+            f"accept={name!r}",
+            expected=f"a list of some of {', '.join(KINDS)}",
+            code="choice-unknown",
+        )
     problems.add_if(
         flags and to == "radiance",
         "flags need reflectance",

@@ -59,13 +59,13 @@ class Outcome:
 
 def local_folder(out: str | Path, command: str) -> Path:
     # Return the store's folder; refuse a URL (`StoreError`).
-    if _URL.match(os.fspath(out)):
-        raise StoreError(
-            f"{command} writes to a folder, not to {os.fspath(out)!r}",
-            mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
-            "which accepts URLs (guide, 'Object stores')",
-            code="output-is-url",
-        )
+    StoreError.raise_if(
+        _URL.match(os.fspath(out)),
+        f"{command} writes to a folder, not to {os.fspath(out)!r}",
+        mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
+        "which accepts URLs (guide, 'Object stores')",
+        code="output-is-url",
+    )
     return Path(out)
 
 
@@ -348,13 +348,13 @@ class Record:
         recorded = (entry or {}).get("products") or {}
         foreign = [path for path in paths if path.exists() and states[path.name] != recorded.get(path.name)]
         try:
-            if foreign and not (overwrite or entry == _UNFINISHED):
-                raise StoreError(
-                    f"{', '.join(map(str, foreign))}: written or changed by another program",
-                    mend="move them away, or pass overwrite=True",
-                    option="move them away, or use --overwrite",
-                    code="product-foreign",
-                )
+            StoreError.raise_if(
+                foreign and not (overwrite or entry == _UNFINISHED),
+                f"{', '.join(map(str, foreign))}: written or changed by another program",
+                mend="move them away, or pass overwrite=True",
+                option="move them away, or use --overwrite",
+                code="product-foreign",
+            )
             # if this run is interrupted, its files are not taken for those of another program
             self.write({name: _UNFINISHED})
             text = make()

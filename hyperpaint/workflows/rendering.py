@@ -393,13 +393,13 @@ def run(
         MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", SimulationSettings.bands)
     )
     free_bytes = shutil.disk_usage(folder).free
-    if min_bytes > free_bytes:
-        raise StoreError(
-            f"{file.path} needs at least {size_text(min_bytes)} of disk; {size_text(free_bytes)} are free in "
-            f"{folder}",
-            mend="reduce lines, columns or bands, or use another disk",
-            code="disk-full",
-        )
+    StoreError.raise_if(
+        min_bytes > free_bytes,
+        f"{file.path} needs at least {size_text(min_bytes)} of disk; {size_text(free_bytes)} are free in "
+        f"{folder}",
+        mend="reduce lines, columns or bands, or use another disk",
+        code="disk-full",
+    )
     parts = build_parts(file)
     if library is not None:
         # paints of the file take precedence over those of the library

@@ -314,8 +314,7 @@ def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
                 "name a spectrum, or materials, part by part",
             ),
         ):
-            if is_missing:
-                reader.problems.add(f"{place} {key} is missing", mend=mend, code="key-missing")
+            reader.problems.add_if(is_missing, f"{place} {key} is missing", mend=mend, code="key-missing")
         for part, material in table.get("materials", {}).items():
             where = f"{place} materials.{part:.40}"
             surface = {"spectrum": material} if isinstance(material, str) else material
@@ -635,12 +634,12 @@ def chosen_atmospheres(parts: RenderParts, names: Sequence[str]) -> tuple[Atmosp
     # Return the atmospheres with these names, by default all; `SchemaError` for an unknown name.
     by_name = {light.name: light for light in parts.atmospheres}
     unknown = [name for name in names if name not in by_name]
-    if unknown:
-        raise SchemaError(
-            f"there is no atmosphere {', '.join(map(repr, unknown))} in the scene file",
-            expected=f"some of {', '.join(by_name)}",
-            code="choice-unknown",
-        )
+    SchemaError.raise_if(
+        unknown,
+        f"there is no atmosphere {', '.join(map(repr, unknown))} in the scene file",
+        expected=f"some of {', '.join(by_name)}",
+        code="choice-unknown",
+    )
     return tuple(by_name[name] for name in dict.fromkeys(names)) if names else parts.atmospheres
 
 

@@ -256,12 +256,12 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
     dims = FILE_DIMS[interleave]
     ends = list(itertools.accumulate(array.file_shape[0] for array in arrays))
     count = line.sizes[ALONG_TRACK]
-    if ends[-1] != count:
-        raise FormatError(
-            f"{count} lines, and {ends[-1]} in the files: frames were lost between the cubes",
-            mend="process the collect instead",
-            code="frames-lost",
-        )
+    FormatError.raise_if(
+        ends[-1] != count,
+        f"{count} lines, and {ends[-1]} in the files: frames were lost between the cubes",
+        mend="process the collect instead",
+        code="frames-lost",
+    )
     lines = slab_lines(ends)
     width = first_array.file_shape[1] * first_array.file_shape[2] * first_array.stored.itemsize
     lost_slabs = np.flatnonzero(np.isnat(line["time"].values)) // lines

@@ -339,8 +339,12 @@ def _check(
     )
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
         is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
-        if number is not None and not is_number:
-            problems.add(f"{name} {number!r:.80}", expected="a finite number", code="not-finite")
+        problems.add_if(
+            number is not None and not is_number,
+            f"{name} {number!r:.80}",
+            expected="a finite number",
+            code="not-finite",
+        )
     problems.raise_if_any()
 
 

@@ -309,8 +309,12 @@ def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     # Refuse an unknown interpolation and a gap of 0 or less, as SchemaError.
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
     one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
-    if max_gap_s is not None and not max_gap_s > 0.0:
-        problems.add(f"max_gap_s {max_gap_s!r:.60}", expected="a time above 0 [s]", code="value-out-of-range")
+    problems.add_if(
+        max_gap_s is not None and not max_gap_s > 0.0,
+        f"max_gap_s {max_gap_s!r:.60}",
+        expected="a time above 0 [s]",
+        code="value-out-of-range",
+    )
     problems.raise_if_any()
 
 

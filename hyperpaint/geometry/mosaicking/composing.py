@@ -125,8 +125,12 @@ def mosaic(
     lines_by_name = named_lines(lines)
     problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
     one_of(rule, RULES, "rule", problems=problems)
-    if levelling not in (None, "overlap"):
-        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
+    problems.add_if(
+        levelling not in (None, "overlap"),
+        f"levelling {levelling!r:.60}",
+        expected="'overlap' or None",
+        code="choice-unknown",
+    )
     check_cells(problems, gsd, tile)
     problems.raise_if_any()
     lines_by_name = located_lines(

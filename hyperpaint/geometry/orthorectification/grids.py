@@ -119,12 +119,18 @@ def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
 
 def check_cells(problems: Problems, gsd: Any, tile: Any) -> None:
     # Add the faults of the edge of a cell [m], None for the default, and of the cells of a tile's side.
-    if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
-        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
-    if not (isinstance(tile, int | np.integer) and tile > 0):
-        problems.add(
-            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
-        )
+    problems.add_if(
+        gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf),
+        f"gsd {gsd!r:.60}",
+        expected="a length above 0 [m]",
+        code="value-out-of-range",
+    )
+    problems.add_if(
+        not (isinstance(tile, int | np.integer) and tile > 0),
+        f"tile {tile!r:.60}",
+        expected="a whole number of cells above 0",
+        code="value-out-of-range",
+    )
 
 
 Place = tuple[int, int]  # row and column of a tile

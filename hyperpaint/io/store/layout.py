@@ -213,20 +213,20 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
     owners = {f"{name!r}": variable.attrs for name, variable in dataset.variables.items()}
     for owner, attrs in {"the dataset": dataset.attrs, **owners}.items():
         for key, value in attrs.items():
-            if not isinstance(key, str) or not _is_plain(value):
-                problems.add(
-                    f"attribute {key!r} of {owner} is a {type(value).__name__}",
-                    expected="text, numbers, lists or dicts of them",
-                    mend="write times as ISO text",
-                    code="attribute-type",
-                )
-    for name, variable in dataset.variables.items():
-        if not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")):
-            problems.add(
-                f"variable name {name!r}",
-                expected="text without '/' that does not start with '.' or '__'",
-                code="variable-name",
+            problems.add_if(
+                not isinstance(key, str) or not _is_plain(value),
+                f"attribute {key!r} of {owner} is a {type(value).__name__}",
+                expected="text, numbers, lists or dicts of them",
+                mend="write times as ISO text",
+                code="attribute-type",
             )
+    for name, variable in dataset.variables.items():
+        problems.add_if(
+            not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")),
+            f"variable name {name!r}",
+            expected="text without '/' that does not start with '.' or '__'",
+            code="variable-name",
+        )
         if variable.dtype.kind not in "biufcmMUOT":
             problems.add(
                 f"{name!r} has dtype {variable.dtype}",

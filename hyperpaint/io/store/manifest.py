@@ -417,10 +417,10 @@ def entry_of(location: Location, group: str) -> GroupEntry:
             entries[name] = ArrayEntry(document_checksum(document), len(keys), digest)
     metadata = location.metadata(group) or {}
     attributes = metadata.get("attributes", {}) if entries else {}
-    if attributes.get(SEAL, seal_of(entries)) != seal_of(entries):
-        raise IncompleteStoreError(
-            f"the arrays of {joined(location.url, group)} differ from those that were written",
-            mend="write the group again",
-            code="group-changed",
-        )
+    IncompleteStoreError.raise_if(
+        attributes.get(SEAL, seal_of(entries)) != seal_of(entries),
+        f"the arrays of {joined(location.url, group)} differ from those that were written",
+        mend="write the group again",
+        code="group-changed",
+    )
     return GroupEntry(content_of(location, group), document_checksum(metadata), entries, attributes)

@@ -320,20 +320,20 @@ def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
 
 def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[Any, Any]:
     refuse_kerchunk(path)
-    if not is_virtual(path):
-        raise StoreError(
-            f"{os.fspath(path)} is not a virtual store",
-            expected="a folder of `hyperpaint virtual`",
-            code="store-unreadable",
-        )
+    StoreError.raise_if(
+        not is_virtual(path),
+        f"{os.fspath(path)} is not a virtual store",
+        expected="a folder of `hyperpaint virtual`",
+        code="store-unreadable",
+    )
     for entry in Path(path).rglob("*"):
-        if entry.is_symlink():
-            raise StoreError(
-                f"{os.fspath(entry)!r} is a link",
-                expected="plain files and folders",
-                mend=_AGAIN,
-                code="link-refused",
-            )
+        StoreError.raise_if(
+            entry.is_symlink(),
+            f"{os.fspath(entry)!r} is a link",
+            expected="plain files and folders",
+            mend=_AGAIN,
+            code="link-refused",
+        )
     icechunk = _icechunk()
     config = _own_config(urls)
     access = {
@@ -366,13 +366,13 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
             )
         groups: dict[str, Any] = json.loads(text)
         for name, about in groups.items():
-            if not name or clean_group(name) != name or not name.isprintable():
-                raise StoreError(
-                    f"{os.fspath(path)} has a group {name!r:.200}",
-                    expected="a path such as 'flightlines/raw_0'",
-                    mend=_AGAIN,
-                    code="group-name",
-                )
+            StoreError.raise_if(
+                not name or clean_group(name) != name or not name.isprintable(),
+                f"{os.fspath(path)} has a group {name!r:.200}",
+                expected="a path such as 'flightlines/raw_0'",
+                mend=_AGAIN,
+                code="group-name",
+            )
             about[RAW_FILES] = [RawFile(**row) for row in about[RAW_FILES]]
             for raw in about[RAW_FILES]:
                 check_url(raw.url)
@@ -528,12 +528,12 @@ def open_virtual(
     name = (group or "").strip("/")
     if not name and len(groups) == 1:
         (name,) = groups
-    if name not in groups:
-        raise StoreError(
-            f"group {name!r} of {os.fspath(path)}",
-            expected=f"one of {', '.join(groups)}",
-            code="group-unknown",
-        )
+    StoreError.raise_if(
+        name not in groups,
+        f"group {name!r} of {os.fspath(path)}",
+        expected=f"one of {', '.join(groups)}",
+        code="group-unknown",
+    )
     # all raw files must be allowed, and unchanged
     refused, to_allow = outside(path, groups, allow)
     if refused:

@@ -439,10 +439,12 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
         for key in (joined(group, name, file) for name in names for file in METADATA_FILES):
             if not os.path.lexists(location.key(key)):
                 continue
-            if not os.path.isfile(location.key(key)):
-                raise StoreError(
-                    f"{location.key(key)} is not a regular file", expected="metadata", code="file-not-plain"
-                )
+            StoreError.raise_if(
+                not os.path.isfile(location.key(key)),
+                f"{location.key(key)} is not a regular file",
+                expected="metadata",
+                code="file-not-plain",
+            )
             yield key, os.path.getsize(location.key(key))
     elif hasattr(location.fs, "zip"):
         for entry in location.fs.zip.infolist():
