@@ -331,9 +331,8 @@ def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
                     found = f"{where}.{key} = {shown(value)}"
                     MATERIAL[key].note(reader.problems, found, value, MATERIAL[key].mend)
                 else:
-                    known = f"known are {', '.join(MATERIAL)}"
                     found = f"{where} unknown key {key[:40]!r}"
-                    reader.problems.add(found, mend=known, code="key-unknown")
+                    reader.problems.add(found, mend=f"known are {', '.join(MATERIAL)}", code="key-unknown")
         path = reader.path(place, "path", table.get("path"))
         reader.problems.add_if(
             name in names,

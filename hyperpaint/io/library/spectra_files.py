@@ -790,9 +790,10 @@ def _with_metadata(
     try:
         return library.assign(spectra).assign_coords(own_coords)
     except ValueError as error:  # sizes or dims differ
-        subject = f"{source} and its metadata belong to different libraries"
         problem = Problem(f"{error!s:.200}", code="grid-mismatch")
-        raise FormatError(subject, problems=[problem]) from error
+        raise FormatError(
+            f"{source} and its metadata belong to different libraries", problems=[problem]
+        ) from error
 
 
 # --- files -------------------------------------------------------------------------------------------------

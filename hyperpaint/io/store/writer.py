@@ -477,9 +477,10 @@ class WholeRun:
             self._placing is None or self._placing.done()
         ):  # raise an earlier error before computing this group
             self.settle()
-        settings = str(dataset.attrs.get(SETTINGS, ""))
         token = _token(dataset, str(dataset.attrs.get(INPUTS)))
-        job = Job(group, layout.prepare(dataset, group), token, settings, self._codec)
+        job = Job(
+            group, layout.prepare(dataset, group), token, str(dataset.attrs.get(SETTINGS, "")), self._codec
+        )
         output = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         with output, errors_of_the_system(self._location, {group: dataset}):
             place = self._writer.begin(job, progress=progress)
