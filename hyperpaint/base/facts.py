@@ -317,8 +317,10 @@ def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
         kinds = {bool: "flag", int: "whole", float: "number", tuple: "numbers"}
         kind = "choice" if options.get("choices") else kinds.get(type(default), "text")
     known = None if default is dataclasses.MISSING else default
-    declared = Fact(doc=doc, kind=kind, default=known, optional=default is None, **options)
-    return dataclasses.field(default=default, metadata={"fact": declared})
+    return dataclasses.field(
+        default=default,
+        metadata={"fact": Fact(doc=doc, kind=kind, default=known, optional=default is None, **options)},
+    )
 
 
 def facts_of(owner: Any) -> dict[str, Fact]:

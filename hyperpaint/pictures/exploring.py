@@ -661,8 +661,10 @@ def band_around(wavelength: Array, lower: Array, upper: Array) -> dict[str, Arra
     # Return the outline of the area between two curves, over wavelengths where both are finite
     is_finite = np.isfinite(lower) & np.isfinite(upper)
     nm = wavelength[is_finite]
-    outline = np.concatenate([lower[is_finite], upper[is_finite][::-1]])
-    return {"nm": np.concatenate([nm, nm[::-1]]), "reflectance": outline}
+    return {
+        "nm": np.concatenate([nm, nm[::-1]]),
+        "reflectance": np.concatenate([lower[is_finite], upper[is_finite][::-1]]),
+    }
 
 
 # --- the widget, made with panel and bokeh (extra ``interactive``) ------------------------------------------
@@ -815,8 +817,13 @@ class Explorer:
             plot.patches(
                 *axes, source=self._sources[name], fill_color="colour", fill_alpha=alpha, line_alpha=0.0
             )
-        style = {"line_color": "colour", "line_width": "width", "line_dash": "dash"}
-        curves = plot.multi_line(*axes, source=self._sources["curves"], **style)
+        curves = plot.multi_line(
+            *axes,
+            source=self._sources["curves"],
+            line_color="colour",
+            line_width="width",
+            line_dash="dash",
+        )
         # the wavelength of the band shown in the picture
         self._shown_band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
         plot.add_layout(self._shown_band)
@@ -1469,8 +1476,10 @@ def _lines_of(path: Path) -> dict[str, Callable[[], xr.Dataset]]:
     # Return functions that open the cubes of a file or store, by name: first flight lines of the folder
     if path.is_file() and path.suffix != ".zip":
         return {path.stem: functools.partial(open_envi, path)}
-    groups = sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/"))
-    openers = {group: functools.partial(_open_cube, path, group) for group in groups}
+    openers = {
+        group: functools.partial(_open_cube, path, group)
+        for group in sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/"))
+    }
     return {
         group.rpartition("/")[2] or path.stem: opener
         for group, opener in openers.items()

@@ -809,9 +809,12 @@ def adjacency_figure(
     route, distance = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
     nm = variables["wavelength"].values
     order = np.argsort(nm, kind="stable")
-    ratios = {"width_ratios": (0.9, 1.2, 1.2), "height_ratios": (3, 2)}
     plots = (
-        figure.subplot_mosaic([["picture", "along", "spectra"], ["picture", "added", "spectra"]], **ratios)
+        figure.subplot_mosaic(
+            [["picture", "along", "spectra"], ["picture", "added", "spectra"]],
+            width_ratios=(0.9, 1.2, 1.2),
+            height_ratios=(3, 2),
+        )
         if is_wide
         else figure.subplot_mosaic([["picture"], ["along"], ["added"], ["spectra"]])
     )
@@ -1173,8 +1176,11 @@ def straightening(
         nm = require(line, ["wavelength"], "a map")["wavelength"].values
         visible = line.isel({BAND: np.flatnonzero((nm > 380) & (nm < 780))})
         # quality tells saturated glint, which is white, from missing pixels, which are black
-        names = [name for name in ("reflectance", "quality") if name in line.variables]
-        orthomap = orthorectify(visible, grid="north", variables=names)
+        orthomap = orthorectify(
+            visible,
+            grid="north",
+            variables=[name for name in ("reflectance", "quality") if name in line.variables],
+        )
     columns = columns_for(width, 3.0, 2)
     datasets = (("as recorded", line), ("straightened", rename_to_roles(orthomap)))
     orientations = [orientation_of(dataset) for _, dataset in datasets]

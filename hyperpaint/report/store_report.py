@@ -197,8 +197,11 @@ def write_report(
         "reported": f"{created.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
     }
     head = page_part("head", pairs=list(facts.items()), problems=problems)
-    page = page_part("page", title=title, head=head, sections=drawn_sections)
-    publish_file(page_path, page.encode("utf-8", "replace"), overwrite=True)
+    publish_file(
+        page_path,
+        page_part("page", title=title, head=head, sections=drawn_sections).encode("utf-8", "replace"),
+        overwrite=True,
+    )
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
     return Written(page_path, tuple(lines), tuple(maps), tuple(problems))
@@ -235,8 +238,11 @@ def _draw_section(name: str, parts: Iterator[Part], problems: list[str]) -> list
         except Exception as error:
             message = message_of(error)
             problems.append(f"/{name}, {part_name}: {message}")
-            text = f"This could not be shown: {part_name}: {message}"
-            markups.append(page_part("paragraph", text=text, kind="problem"))
+            markups.append(
+                page_part(
+                    "paragraph", text=f"This could not be shown: {part_name}: {message}", kind="problem"
+                )
+            )
     return markups
 
 
@@ -430,8 +436,11 @@ def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
         bytes_ = picture_bytes(
             rgb(group.isel({ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}))
         )
-        caption = f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right."
-        return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=caption)
+        return page_part(
+            "true_colour",
+            src=data_uri(encode_png(bytes_)),
+            caption=f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right.",
+        )
 
     yield from (
         ("facts", lambda: page_part("facts", pairs=list(facts_of_map(orthomap)))),

@@ -206,8 +206,10 @@ def _picture_of(dataset: xr.Dataset) -> str:
         return ""
     step = max(1, -(-picture.shape[0] // 480))
     # without ground positions, which would have to be computed: the declared order of columns is used
-    orientation = orientation_of(dataset.drop_vars(["east", "north"], errors="ignore"))
-    oriented = flown_right(picture[::step, :: max(1, step // 2)], orientation)
+    oriented = flown_right(
+        picture[::step, :: max(1, step // 2)],
+        orientation_of(dataset.drop_vars(["east", "north"], errors="ignore")),
+    )
     return data_uri(encode_png(np.ascontiguousarray(oriented)))
 
 

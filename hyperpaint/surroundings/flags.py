@@ -187,12 +187,11 @@ def _flag_lazily(
     line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]
 ) -> xr.Dataset:
     data = line_chunked(cube).data
-    starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
     blocks = da.map_blocks(
         _flag_block,
         data,
         dask.delayed(model, traverse=False, pure=False),
-        starts=starts,
+        starts=tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1]))),
         limits=limits,
         dtype=object,
         name=None,

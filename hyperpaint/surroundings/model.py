@@ -275,8 +275,10 @@ class SceneModel:
                     )
         _check_numbers(fields, dataset.sizes, problems)
         problems.raise_if_any()
-        attrs = {name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"}
-        return cls(**fields, attrs=attrs)
+        return cls(
+            **fields,
+            attrs={name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"},
+        )
 
     def __repr__(self) -> str:
         lines, columns = self.segment.shape

@@ -77,8 +77,11 @@ def divide(channels: Floats32) -> Segments:
     count = kernels.number_segments(parent, has_data.ravel(), number)
     shape = lines, columns
     del parent
-    sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
-    return Segments(number.reshape(shape), sure.reshape(shape), sizes)
+    return Segments(
+        number.reshape(shape),
+        sure.reshape(shape),
+        np.bincount(number[number >= 0], minlength=count).astype(np.int64),
+    )
 
 
 #: Number of groups of steps, in ascending ranges of size, that are sorted one after another.

@@ -215,8 +215,10 @@ def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
     row = np.repeat(np.arange(counts.size), counts)
     pair = np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(start, counts)
     same = _same_surface(scene.spectrum, pairs.other[pair], mixtures.body[row])
-    lit = [np.bincount(row[same], pairs.sides[pair[same], direction], counts.size) for direction in range(4)]
-    return np.stack(lit, axis=1).astype(np.float64)
+    return np.stack(
+        [np.bincount(row[same], pairs.sides[pair[same], direction], counts.size) for direction in range(4)],
+        axis=1,
+    ).astype(np.float64)
 
 
 def _same_surface(spectrum: Floats, one: Ints, other: Ints) -> Bools:
@@ -277,10 +279,13 @@ def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Boo
     segments, row = np.unique(mixtures.segment, return_inverse=True)
     spectra = np.nan_to_num(spectrum[segments])
     ramp = DARK_COATS.slope * np.linspace(-1.0, 1.0, spectra.shape[1])
-    parts = [
-        np.broadcast_to(part, spectra.shape) for part in (1.0 + ramp, 1.0 - ramp, light.above, light.diffuse)
-    ]
-    amount, misfit = least_amounts(spectra, parts)
+    amount, misfit = least_amounts(
+        spectra,
+        [
+            np.broadcast_to(part, spectra.shape)
+            for part in (1.0 + ramp, 1.0 - ramp, light.above, light.diffuse)
+        ],
+    )
     body, mirrored = amount[:, :2].sum(axis=1), amount[:, 2:].sum(axis=1)
     dark = (
         (body > DARK_COATS.min_body)
@@ -553,8 +558,10 @@ def same_paints(
         finite_spectrum[one], other, finite_spectrum, light, GLINT.tolerance, AS_GLINT
     )
     one, other = one[misfit < 1.0], other[misfit < 1.0]
-    graph = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(size.size, size.size))
-    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    _, label = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(size.size, size.size)),
+        directed=False,
+    )
     _, first = np.unique(label, return_index=True)
     both_orders = np.concatenate([one, other]), np.concatenate([other, one])
     return first[label][matches.body].astype(np.int32), distinct_pairs(*both_orders, size.size)

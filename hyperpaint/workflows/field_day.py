@@ -237,12 +237,14 @@ class FieldDayRun:
         paths = tuple(self.out / step.product.format(line=line) for line in lines)
         if step.inputs == _OF_MAPS and self.is_visible:
             paths += tuple(map(colours_of, paths))
-        groups = {
-            group: open_store(self.store, group).attrs.get(INPUTS)
-            for group in list_groups(self.store)
-            if group
-        }
-        inputs = [groups, {entry: _INPUTS[entry](self) for entry in step.inputs}]
+        inputs = [
+            {
+                group: open_store(self.store, group).attrs.get(INPUTS)
+                for group in list_groups(self.store)
+                if group
+            },
+            {entry: _INPUTS[entry](self) for entry in step.inputs},
+        ]
         record = self.record
         outcome = record.produce(
             name, paths, inputs, functools.partial(step.make, self), overwrite=self.overwrite

@@ -218,9 +218,12 @@ def _propose(
         surveyed, model = (line, None) if survey is None else (survey.surveyed, survey.model)
         # with the model of a survey, only the shared options remain
         names = _SHARED_OPTIONS if survey else set(options) - {"edge"}
-        line_options = {key: options[key] for key in names if key in options}
         proposals_by_line[name] = propose_regions(
-            surveyed, model, flightline=name, name=prefix, **line_options
+            surveyed,
+            model,
+            flightline=name,
+            name=prefix,
+            **{key: options[key] for key in names if key in options},
         )
     regions = Regions(tuple(region for proposals in proposals_by_line.values() for region in proposals))
     refused = [
@@ -243,11 +246,12 @@ def table_of(library: xr.Dataset) -> str:
     # Return a table of the paints of a library, one line each.
     names = [str(name) for name in library["signature"].values]
     width = max(map(len, names))
-    rows = zip(names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True)
     return "\n".join(
         f"  {name:<{width}}  {n} pixels, {n_eff:.0f} independent"
         + (f", {excluded} left out" if excluded else "")
-        for name, n, n_eff, excluded in rows
+        for name, n, n_eff, excluded in zip(
+            names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True
+        )
     )
 
 

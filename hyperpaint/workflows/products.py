@@ -330,8 +330,11 @@ class Record:
 
     def write(self, entries: Mapping[str, Any]) -> None:
         # Write entries; others stay.
-        content = json.dumps({**self.entries(), **entries}, indent=1, sort_keys=True)
-        publish_file(self.path, content.encode(), overwrite=True)
+        publish_file(
+            self.path,
+            json.dumps({**self.entries(), **entries}, indent=1, sort_keys=True).encode(),
+            overwrite=True,
+        )
 
     def produce(
         self, name: str, paths: tuple[Path, ...], inputs: Any, make: Callable[[], str], *, overwrite: bool

@@ -479,8 +479,10 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
     )
     problems.extend(problem for is_wrong, problem in checks if is_wrong)
     files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
-    sky = {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)}
-    options = arguments_of(SCHEMA["atmospheres"], sky)
+    options = arguments_of(
+        SCHEMA["atmospheres"],
+        {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)},
+    )
     preset = table.get("preset", None if sources else name)
     return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
 

@@ -404,8 +404,10 @@ def _poses(
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
     # Return the chunks of the line, or else the chunks that radiometry will use.
-    pixels = [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)]
-    for array in sorted(pixels, key=lambda v: -v.ndim):
+    for array in sorted(
+        [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)],
+        key=lambda v: -v.ndim,
+    ):
         if array.chunks is not None:
             return tuple(array.chunksizes[ALONG_TRACK])
     samples = line.sizes[CROSS_TRACK] * line.sizes.get(BAND, 1)

@@ -94,8 +94,10 @@ def canonical_navigation(
 
 def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[Any, Any]:
     # Return attributes that declare this convention and no other.
-    rest = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
-    return {**rest, **convention.to_attrs()}
+    return {
+        **{name: value for name, value in attrs.items() if not str(name).startswith("convention_")},
+        **convention.to_attrs(),
+    }
 
 
 def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:

@@ -293,8 +293,11 @@ def _composed_map(
     flat = [name for name in names_of_all if first[name].ndim == 2]
     planes = tiles.planes(rule, flat)
     numbers = np.arange(len(strips), dtype=np.int16)
-    meanings = " ".join(strip.name.replace(" ", "_") for strip in strips)
-    flags = {"flag_values": numbers, "flag_meanings": meanings, "empty_value": int(NO_LINE)}
+    flags = {
+        "flag_values": numbers,
+        "flag_meanings": " ".join(strip.name.replace(" ", "_") for strip in strips),
+        "empty_value": int(NO_LINE),
+    }
     planes_of_choice: dict[str, tuple[Any, str, dict[str, Any]]] = {
         "flightline": (np.int16, "Flight line that shows a cell", flags),
         "line_count": (np.uint8, "How many flight lines show a cell", {"units": "1"}),
@@ -363,11 +366,14 @@ def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
         grid.centres(slice(0, rows), slice(0, 1)),
     )
     attrs = first["spatial_ref"].attrs if "spatial_ref" in first.variables else {}
-    transform = " ".join(repr(float(number)) for number in grid.transform)
     return {
         "x": ("x", east[0], first["x"].attrs if "x" in first.coords else {"units": "m"}),
         "y": ("y", north[:, 0], first["y"].attrs if "y" in first.coords else {"units": "m"}),
-        "spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform}),
+        "spatial_ref": (
+            (),
+            np.int64(0),
+            {**attrs, "GeoTransform": " ".join(repr(float(number)) for number in grid.transform)},
+        ),
     }
 
 

@@ -354,8 +354,11 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
                 variables_by_name[name] = present[0]
             else:
                 notes.append(f"{name} differs from file to file and is left out")
-    files = text_column([path.name for path, library in opened for _ in range(library.sizes[SIGNATURE])])
-    variables_by_name["file"] = xr.Variable(SIGNATURE, files, {"long_name": "File"})
+    variables_by_name["file"] = xr.Variable(
+        SIGNATURE,
+        text_column([path.name for path, library in opened for _ in range(library.sizes[SIGNATURE])]),
+        {"long_name": "File"},
+    )
     forms = dict.fromkeys(str(library.attrs.get("format", "")) for library in libraries)
     attrs = {
         "title": "Spectral library",

@@ -269,8 +269,10 @@ def _bands_in(path: Path, bands: list[int]) -> xr.DataArray:
         (height, width), dtype = raster.shape, raster.dtypes[0]
     rows = tuple(min(TILE, height - start) for start in range(0, height, TILE))
     chunks = (rows, (width,), (len(bands),))
-    values = da.map_blocks(read, chunks=chunks, dtype=dtype, name=f"read-{uuid.uuid4().hex}")
-    return xr.DataArray(values, dims=("y", "x", BAND))
+    return xr.DataArray(
+        da.map_blocks(read, chunks=chunks, dtype=dtype, name=f"read-{uuid.uuid4().hex}"),
+        dims=("y", "x", BAND),
+    )
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
@@ -358,8 +360,11 @@ def _write(
         (row, _), (column, _), (first, last) = block_info[0]["array-location"]
         window = Window(column, row, block.shape[1], block.shape[0])
         with lock:
-            bands = np.ascontiguousarray(np.moveaxis(block, -1, 0))
-            raster.write(bands, indexes=list(range(first + 1, last + 1)), window=window)
+            raster.write(
+                np.ascontiguousarray(np.moveaxis(block, -1, 0)),
+                indexes=list(range(first + 1, last + 1)),
+                window=window,
+            )
             done += block.size
             if progress is not None:
                 progress(done, stored.size)

@@ -210,8 +210,10 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
     import dask.array as da
 
     problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
-    owners = {f"{name!r}": variable.attrs for name, variable in dataset.variables.items()}
-    for owner, attrs in {"the dataset": dataset.attrs, **owners}.items():
+    for owner, attrs in {
+        "the dataset": dataset.attrs,
+        **{f"{name!r}": variable.attrs for name, variable in dataset.variables.items()},
+    }.items():
         for key, value in attrs.items():
             problems.add_if(
                 not isinstance(key, str) or not _is_plain(value),

@@ -163,11 +163,16 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
     from zarr.codecs import BytesCodec
 
     icechunk = _icechunk()
-    config = _own_config([file.url for _, cube in groups.values() for file in cube.files])
-    repository = icechunk.Repository.create(icechunk.local_filesystem_storage(str(folder)), config)
+    repository = icechunk.Repository.create(
+        icechunk.local_filesystem_storage(str(folder)),
+        _own_config([file.url for _, cube in groups.values() for file in cube.files]),
+    )
     session = repository.writable_session("main")
-    attributes = {**attrs, RAW_FILES: json.dumps(summary_of(groups), default=asdict)}
-    zarr.open_group(session.store, mode="a", attributes=attributes)
+    zarr.open_group(
+        session.store,
+        mode="a",
+        attributes={**attrs, RAW_FILES: json.dumps(summary_of(groups), default=asdict)},
+    )
     for name, (dataset, cube) in groups.items():
         companions = prepare(dataset, name)
         companions.to_zarr(

@@ -258,8 +258,10 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
         return
     problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
     if attributes_replaced(location, group, entry):
-        text = f"{where}: another program replaced its attributes; the manifest's are used"
-        warn_user(text, "attributes-replaced")
+        warn_user(
+            f"{where}: another program replaced its attributes; the manifest's are used",
+            "attributes-replaced",
+        )
     elif changed := changed_attributes(location, group, entry):
         problems.add(f"attributes differ from the manifest: {', '.join(changed)}", code="attributes-changed")
     files = location.files(group)

@@ -477,9 +477,12 @@ class WholeRun:
             self._placing is None or self._placing.done()
         ):  # raise an earlier error before computing this group
             self.settle()
-        token = _token(dataset, str(dataset.attrs.get(INPUTS)))
         job = Job(
-            group, layout.prepare(dataset, group), token, str(dataset.attrs.get(SETTINGS, "")), self._codec
+            group,
+            layout.prepare(dataset, group),
+            _token(dataset, str(dataset.attrs.get(INPUTS))),
+            str(dataset.attrs.get(SETTINGS, "")),
+            self._codec,
         )
         output = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         with output, errors_of_the_system(self._location, {group: dataset}):
@@ -800,8 +803,11 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
     if location.local is None or not jobs:
         return
     stage = Staging(real_folder(location.local))
-    begun = [folder for job in jobs for folder in stage.leftovers(job.group, job.build)]
-    check_disk(location.local, sum(disk_needed(job.dataset, job.codec) for job in jobs), begun)
+    check_disk(
+        location.local,
+        sum(disk_needed(job.dataset, job.codec) for job in jobs),
+        [folder for job in jobs for folder in stage.leftovers(job.group, job.build)],
+    )
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:
