@@ -173,7 +173,18 @@ class Convention:
         x, y, z = np.broadcast_arrays(*(sign * scale * np.asarray(a, np.float64) for sign, a in angles))
         x, y, z = _nan_together(x, y, z)
         if self.euler_order != "ZYX":
-            x, y, z = _reordered(x, y, z, self.euler_order)
+            # the same rotation in the order heading, pitch, roll
+            axes = {"X": x, "Y": y, "Z": z}
+            rotation = np.eye(3)
+            for axis in self.euler_order:
+                rotation = rotation @ _turn("XYZ".index(axis), np.radians(axes[axis]))
+            # R[2, 0] = -sin(pitch); R[2, 1:] = cos(pitch) (sin, cos)(roll);
+            # R[:2, 0] = cos(pitch) (cos, sin)(heading)
+            x, y, z = (
+                np.degrees(np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])),
+                np.degrees(np.arcsin(np.clip(-rotation[..., 2, 0], -1.0, 1.0))),
+                np.degrees(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])),
+            )
         x, y, z = _nan_together(x, y, z + self._north(convergence))
         # twice: the first mod turns a tiny negative angle into 360
         return wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
@@ -232,20 +243,6 @@ def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floa
 def wrapped(angle: Floats) -> Floats:
     # Return angles within -180 and 180; angles in that range keep their bits.
     return np.where(np.abs(angle) > 180.0, (angle + 180.0) % 360.0 - 180.0, angle)
-
-
-def _reordered(roll: Floats, pitch: Floats, heading: Floats, order: str) -> tuple[Floats, Floats, Floats]:
-    # Return the angles of the same rotation in the order heading, pitch, roll.
-    axes = {"X": roll, "Y": pitch, "Z": heading}
-    rotation = np.eye(3)
-    for axis in order:
-        rotation = rotation @ _turn("XYZ".index(axis), np.radians(axes[axis]))
-    # R[2, 0] = -sin(pitch); R[2, 1:] = cos(pitch) (sin, cos)(roll); R[:2, 0] = cos(pitch) (cos, sin)(heading)
-    return (
-        np.degrees(np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])),
-        np.degrees(np.arcsin(np.clip(-rotation[..., 2, 0], -1.0, 1.0))),
-        np.degrees(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])),
-    )
 
 
 def _turn(axis: int, angle: Floats) -> Floats:

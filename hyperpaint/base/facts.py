@@ -317,8 +317,10 @@ def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
         kinds = {bool: "flag", int: "whole", float: "number", tuple: "numbers"}
         kind = "choice" if options.get("choices") else kinds.get(type(default), "text")
     known = None if default is dataclasses.MISSING else default
-    declared = Fact(doc=doc, kind=kind, default=known, optional=default is None, **options)
-    return dataclasses.field(default=default, metadata={"fact": declared})
+    return dataclasses.field(
+        default=default,
+        metadata={"fact": Fact(doc=doc, kind=kind, default=known, optional=default is None, **options)},
+    )
 
 
 def facts_of(owner: Any) -> dict[str, Fact]:
@@ -520,8 +522,9 @@ def documented(**descriptions: str) -> Callable[[_Function], _Function]:
     texts = PARAMETERS | {name: PARAMETERS.get(text, text) for name, text in descriptions.items()}
 
     def decorated(function: _Function) -> _Function:
-        doc = inspect.cleandoc(function.__doc__ or "")
-        before, heading, after = doc.partition("\nParameters\n----------\n")
+        before, heading, after = inspect.cleandoc(function.__doc__ or "").partition(
+            "\nParameters\n----------\n"
+        )
         if heading:
             end = re.search(r"^\S.*\n---", after, re.MULTILINE)
             section, rest = (after[: end.start()], after[end.start() :]) if end else (after, "")

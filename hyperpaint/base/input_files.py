@@ -53,27 +53,29 @@ a local disk; download it, and give the path of the copy [url-not-local]
     """
     text = os.fsdecode(path)
     shown = text if len(text) <= 200 else f"{text[:120]}...{text[-40:]}"
-    if "\0" in text:
-        raise error(
-            f"{shown!r}: a name with a NUL character",
-            expected=f"the path of {expected}",
-            mend=_CHECK_PATH,
-            code="path-invalid",
-        )
+    error.raise_if(
+        "\0" in text,
+        f"{shown!r}: a name with a NUL character",
+        expected=f"the path of {expected}",
+        mend=_CHECK_PATH,
+        code="path-invalid",
+    )
     encoded = text.encode(errors="surrogatepass")
-    if len(encoded) > MAX_PATH_BYTES or any(
-        len(part) > MAX_NAME_BYTES for part in encoded.split(os.sep.encode())
-    ):
-        raise error(
-            f"{shown}: a path of {len(text)} characters",
-            expected=f"{expected} under names of at most {MAX_NAME_BYTES} bytes, {MAX_PATH_BYTES} in all",
-            mend=_CHECK_PATH,
-            code="path-too-long",
-        )
-    if _URL.match(text) and not ("://" not in text and _exists(text)):
-        raise error(
-            f"{shown}: a URL", expected=f"{expected} on a local disk", mend=instead, code="url-not-local"
-        )
+    error.raise_if(
+        len(encoded) > MAX_PATH_BYTES
+        or any(len(part) > MAX_NAME_BYTES for part in encoded.split(os.sep.encode())),
+        f"{shown}: a path of {len(text)} characters",
+        expected=f"{expected} under names of at most {MAX_NAME_BYTES} bytes, {MAX_PATH_BYTES} in all",
+        mend=_CHECK_PATH,
+        code="path-too-long",
+    )
+    error.raise_if(
+        _URL.match(text) and not ("://" not in text and _exists(text)),
+        f"{shown}: a URL",
+        expected=f"{expected} on a local disk",
+        mend=instead,
+        code="url-not-local",
+    )
     try:
         mode = os.stat(text).st_mode
     except (OSError, ValueError):

@@ -127,13 +127,18 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
 
     @functools.cached_property
     def _inner(self) -> _InnerKernel:
-        options = {**self.targetoptions, "no_cpython_wrapper": True}
-        return _InnerKernel(self.py_func, targetoptions=options, pipeline_class=_InnerCompiler)
+        return _InnerKernel(
+            self.py_func,
+            targetoptions={**self.targetoptions, "no_cpython_wrapper": True},
+            pipeline_class=_InnerCompiler,
+        )
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         # without literal types: numba would compile the inner kernel for every constant argument
-        kinds = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
-        return self._inner.get_call_template(tuple(map(types.unliteral, args)), kinds)
+        return self._inner.get_call_template(
+            tuple(map(types.unliteral, args)),
+            {name: types.unliteral(kind) for name, kind in dict(kws).items()},
+        )
 
     def get_overload(self, sig: Any) -> Any:
         return self._inner.get_overload(sig)

@@ -199,12 +199,12 @@ def flags_named(names: Iterable[str]) -> list[Quality]:
     # Raises `SchemaError`: There is no such flag; all unknown names are listed.
     by_name = dict(zip(flag_names(), Quality, strict=True))
     names = list(names)
-    if unknown := [name for name in names if name.lower() not in by_name]:
-        raise SchemaError(
-            f"no flag {', '.join(map(repr, unknown))}",
-            expected=f"some of {', '.join(by_name)}",
-            code="choice-unknown",
-        )
+    SchemaError.raise_if(
+        unknown := [name for name in names if name.lower() not in by_name],
+        f"no flag {', '.join(map(repr, unknown))}",
+        expected=f"some of {', '.join(by_name)}",
+        code="choice-unknown",
+    )
     return [by_name[name.lower()] for name in names]
 
 
@@ -237,12 +237,12 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     dataset = _with_table_units(plain(dataset))
     names: dict[Hashable, Hashable] = {}
     for role, name in (dims or {}).items():
-        if role not in CUBE or name not in dataset.dims:
-            raise SchemaError(
-                f"dims={{{role!r}: {name!r}}}",
-                expected=f"roles {list(CUBE)} and dims of the dataset {list(map(str, dataset.dims))}",
-                code="dim-missing",
-            )
+        SchemaError.raise_if(
+            role not in CUBE or name not in dataset.dims,
+            f"dims={{{role!r}: {name!r}}}",
+            expected=f"roles {list(CUBE)} and dims of the dataset {list(map(str, dataset.dims))}",
+            code="dim-missing",
+        )
         names[name] = role
     for role, aliases in DIM_ALIASES.items():
         if role in dataset.dims or role in names.values():

@@ -130,10 +130,12 @@ def _quantity(text: object) -> Any:
     text = _plain_powers(text[:201])
     is_huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
     is_unsafe = len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text))
-    if len(text) > 200 or is_huge or is_unsafe or not _READABLE.fullmatch(text):
-        raise UnitsError(
-            f"units {text[:60]!r} cannot be read", expected=_CF_SPELLING, code="units-unreadable"
-        )
+    UnitsError.raise_if(
+        len(text) > 200 or is_huge or is_unsafe or not _READABLE.fullmatch(text),
+        f"units {text[:60]!r} cannot be read",
+        expected=_CF_SPELLING,
+        code="units-unreadable",
+    )
     return _parse(text.strip() or "1")
 
 
@@ -177,12 +179,12 @@ def conversion_factor(found: str, wanted: str) -> float:
     if (found, wanted) in _USUAL_FACTORS:
         return _USUAL_FACTORS[found, wanted]
     source, target = _quantity(found), _quantity(wanted)
-    if source.dimensionality != target.dimensionality:
-        raise UnitsError(
-            f"units {found!r} are not convertible to {wanted!r}",
-            mend="check the quantity, and whether a solid angle (sr) or an exposure (s) is missing",
-            code="units-not-convertible",
-        )
+    UnitsError.raise_if(
+        source.dimensionality != target.dimensionality,
+        f"units {found!r} are not convertible to {wanted!r}",
+        mend="check the quantity, and whether a solid angle (sr) or an exposure (s) is missing",
+        code="units-not-convertible",
+    )
     # twelve digits: the factor of a decimal unit is then the decimal number itself
     return float(f"{(source / target).to_base_units().magnitude:.12g}")
 
@@ -278,10 +280,12 @@ def _unit_text(quantity: Any) -> str:
         parts = [(name, 1)]
         if not same_dimension(name, name):
             scale_unit, offset_unit = (type(quantity)(number, name).to_root_units() for number in (1.0, 0.0))
-            if offset_unit.magnitude:
-                raise UnitsError(
-                    f"units {name!r} have an offset zero", expected="multiples of a unit", code="units-offset"
-                )
+            UnitsError.raise_if(
+                offset_unit.magnitude,
+                f"units {name!r} have an offset zero",
+                expected="multiples of a unit",
+                code="units-offset",
+            )
             scale *= scale_unit.magnitude**power
             parts = list(scale_unit.unit_items())
         powers += [(_symbol(part), exponent * power) for part, exponent in parts]
@@ -325,12 +329,12 @@ def plain(labelled: Any) -> Any:
     arrays = {name: variable._data for name, variable in variables.items()}
     array_values = labelled.variable._data if isinstance(labelled, xr.DataArray) else None
     for name, data in [*arrays.items(), (getattr(labelled, "name", None), array_values)]:
-        if _is_quantity(getattr(data, "_meta", None)):
-            raise UnitsError(
-                f"{name!r} is a dask array of Quantities",
-                mend=f"make it a Quantity of a dask array, such as pint.Quantity({name}.data, unit)",
-                code="array-foreign",
-            )
+        UnitsError.raise_if(
+            _is_quantity(getattr(data, "_meta", None)),
+            f"{name!r} is a dask array of Quantities",
+            mend=f"make it a Quantity of a dask array, such as pint.Quantity({name}.data, unit)",
+            code="array-foreign",
+        )
     if _is_quantity(array_values):
         labelled = labelled.copy(data=_magnitude(array_values)).assign_attrs(units=_unit_text(array_values))
     coords = {name: data for name, data in arrays.items() if _is_quantity(data)}
@@ -460,12 +464,12 @@ def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -
         import pint_xarray  # noqa: F401
 
     units = units or registry(force_ndarray_like=True)
-    if not (units.force_ndarray_like or units.force_ndarray):
-        raise UnitsError(
-            "the registry turns 0-d arrays into plain numbers",
-            mend="make it by pint.UnitRegistry(force_ndarray_like=True)",
-            code="registry-scalars",
-        )
+    UnitsError.raise_if(
+        not (units.force_ndarray_like or units.force_ndarray),
+        "the registry turns 0-d arrays into plain numbers",
+        mend="make it by pint.UnitRegistry(force_ndarray_like=True)",
+        code="registry-scalars",
+    )
     problems = Problems("a Quantity view cannot be made", UnitsError)
     unit_of = {}
     dataset = plain(dataset)

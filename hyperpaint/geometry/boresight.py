@@ -626,8 +626,9 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     lowest = [k for k, median in enumerate(medians) if median <= min(padded[k], padded[k + 2])]
     candidates = [k for k in lowest if medians[k] <= RULES.candidate_ratio * min(medians)]
     candidates = sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]
-    fits = [_robust_fit(points, starts[k], plausible) for k in candidates]
-    best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
+    best, *rest = sorted(
+        [_robust_fit(points, starts[k], plausible) for k in candidates], key=lambda fit: fit.median_miss
+    )
     for rival in rest:
         is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
         SchemaError.raise_if(

@@ -625,10 +625,12 @@ def _setting(
         )
     selected = _middle_lines(line) if lines is None else lines
     part = line.isel({ALONG_TRACK: selected})
-    if part.sizes[ALONG_TRACK] < _MIN_LINES:
-        raise SchemaError(
-            f"{part.sizes[ALONG_TRACK]} lines", expected=f"at least {_MIN_LINES}", code="line-too-short"
-        )
+    SchemaError.raise_if(
+        part.sizes[ALONG_TRACK] < _MIN_LINES,
+        f"{part.sizes[ALONG_TRACK]} lines",
+        expected=f"at least {_MIN_LINES}",
+        code="line-too-short",
+    )
     observed = row_motion(_picture(part, None if image is None else image.isel({ALONG_TRACK: selected})))
     if observed is None:
         raise SchemaError(

@@ -137,13 +137,15 @@ class Explored:
             # a cube that is not computed from counts and light, under the name of reflectance
             shown, _ = with_shown_cube(self.line)
             self.quantity = quantity_label(shown[quantity])
-            cube = shown[quantity].assign_attrs(units="1")
-            self.line = shown.drop_vars(_CUBES, errors="ignore").assign(reflectance=cube)
+            self.line = shown.drop_vars(_CUBES, errors="ignore").assign(
+                reflectance=shown[quantity].assign_attrs(units="1")
+            )
         self.shape = self.line.sizes[ALONG_TRACK], self.line.sizes[CROSS_TRACK]
         orientation = orientation_of(self._numbered)
         self.aspect, self.is_mirrored = orientation.aspect, is_upright or orientation.is_mirrored
-        variable = schema.require(self.line, ["wavelength"], "an explorer")["wavelength"]
-        self.wavelength = np.asarray(variable.values, np.float64)
+        self.wavelength = np.asarray(
+            schema.require(self.line, ["wavelength"], "an explorer")["wavelength"].values, np.float64
+        )
         self.recipes = {name: recipe for name, recipe in _RECIPES.items() if self.has_bands(recipe)}
         if "true colour" not in self.recipes and self.wavelength.size > 2:
             three = np.nanquantile(self.wavelength, (0.75, 0.5, 0.25), method="nearest").tolist()
@@ -199,14 +201,14 @@ class Explored:
         # Save to a new file, or replace a file; `StoreError` if another program has changed it
         is_old = is_plain_file(path)
         digest = self._digests.get(os.path.realpath(path))
-        if is_old and digest != _digest(path):
-            raise StoreError(
-                f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
-                "so regions are not saved to it",
-                mend="move it away or choose another file, and save again",
-                option="move it away and save again, or begin anew with --regions and another file",
-                code="file-changed",
-            )
+        StoreError.raise_if(
+            is_old and digest != _digest(path),
+            f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
+            "so regions are not saved to it",
+            mend="move it away or choose another file, and save again",
+            option="move it away and save again, or begin anew with --regions and another file",
+            code="file-changed",
+        )
         return self.save(path, overwrite=is_old)
 
     # --- regions -------------------------------------------------------------------------------------------
@@ -273,13 +275,14 @@ class Explored:
                 window["quality"].values[indices] if "quality" in window else np.zeros(along.size, np.uint16)
             )
             is_used = (flags & excluded_of(place, self._excluded)) == 0
-            shares = schema.flag_shares(flags)
-            flag_texts = [f"{flag_label(flag)} {percent(share)}" for flag, share in shares.items()]
-            if not is_used.any():
-                raise SchemaError(
-                    f"{place.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
-                    code="region-empty",
-                )
+            flag_texts = [
+                f"{flag_label(flag)} {percent(share)}" for flag, share in schema.flag_shares(flags).items()
+            ]
+            SchemaError.raise_if(
+                not is_used.any(),
+                f"{place.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
+                code="region-empty",
+            )
             quantiles = summarise(values[is_used], "median")["reflectance_quantiles"]
             quantiles[:, ~good_bands(self.line)] = np.nan
             subsampling = f" (every {step}. line)" if step > 1 else ""
@@ -303,10 +306,12 @@ class Explored:
     def _region_pixels(self, region: Region) -> tuple[Array, Array, int]:
         # pixels along and across the track, in every ``step``-th line of a large region
         along, across = pixels_of(Regions((Region(region.name, region.polygon),)), self.line)[0]
-        if not along.size:
-            raise SchemaError(
-                f"{region.name} contains no pixel centre", mend="draw it larger", code="region-empty"
-            )
+        SchemaError.raise_if(
+            not along.size,
+            f"{region.name} contains no pixel centre",
+            mend="draw it larger",
+            code="region-empty",
+        )
         step = -(-along.size // MAX_REGION_PIXELS)
         is_read = (along - along.min()) % step == 0
         return along[is_read], across[is_read], step
@@ -584,12 +589,12 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
     if others:
         names = {region.name for region in others}
         outlines = Regions(tuple(region for region in outlines if region.name not in names))
-    if holed := [region.name for region in outlines if region.holes]:
-        raise SchemaError(
-            f"regions with holes cannot be drawn: {', '.join(holed)}",
-            mend="leave them out",
-            code="region-holes",
-        )
+    SchemaError.raise_if(
+        holed := [region.name for region in outlines if region.holes],
+        f"regions with holes cannot be drawn: {', '.join(holed)}",
+        mend="leave them out",
+        code="region-holes",
+    )
     return outlines, tuple(others)
 
 
@@ -656,8 +661,10 @@ def band_around(wavelength: Array, lower: Array, upper: Array) -> dict[str, Arra
     # Return the outline of the area between two curves, over wavelengths where both are finite
     is_finite = np.isfinite(lower) & np.isfinite(upper)
     nm = wavelength[is_finite]
-    outline = np.concatenate([lower[is_finite], upper[is_finite][::-1]])
-    return {"nm": np.concatenate([nm, nm[::-1]]), "reflectance": outline}
+    return {
+        "nm": np.concatenate([nm, nm[::-1]]),
+        "reflectance": np.concatenate([lower[is_finite], upper[is_finite][::-1]]),
+    }
 
 
 # --- the widget, made with panel and bokeh (extra ``interactive``) ------------------------------------------
@@ -810,8 +817,13 @@ class Explorer:
             plot.patches(
                 *axes, source=self._sources[name], fill_color="colour", fill_alpha=alpha, line_alpha=0.0
             )
-        style = {"line_color": "colour", "line_width": "width", "line_dash": "dash"}
-        curves = plot.multi_line(*axes, source=self._sources["curves"], **style)
+        curves = plot.multi_line(
+            *axes,
+            source=self._sources["curves"],
+            line_color="colour",
+            line_width="width",
+            line_dash="dash",
+        )
         # the wavelength of the band shown in the picture
         self._shown_band = Span(dimension="height", line_color=NEAR_COLOUR, line_dash="dotted", visible=False)
         plot.add_layout(self._shown_band)
@@ -1331,8 +1343,9 @@ def explore(
         library = starter_library(members=0)
     elif isinstance(library, str | os.PathLike):
         library = open_library(library)
-    state = Explored(line, regions, library=library, flightline=flightline, exclude=exclude)
-    return Explorer(state, theme=theme)
+    return Explorer(
+        Explored(line, regions, library=library, flightline=flightline, exclude=exclude), theme=theme
+    )
 
 
 def require_panel() -> None:
@@ -1384,12 +1397,12 @@ def serve_explorer(
     """
     lines = _lines_of(Path(store))
     first_name = next(iter(lines), "") if line is None else line.rpartition("/")[2]
-    if first_name not in lines:
-        raise StoreError(
-            f"{store} has no flight line {line!r:.80}" if line else f"{store} has no flight line",
-            expected=", ".join(lines) or "reflectance, radiance or counts of lines, bands and columns",
-            code="flightline-unknown",
-        )
+    StoreError.raise_if(
+        first_name not in lines,
+        f"{store} has no flight line {line!r:.80}" if line else f"{store} has no flight line",
+        expected=", ".join(lines) or "reflectance, radiance or counts of lines, bands and columns",
+        code="flightline-unknown",
+    )
     require_panel()
     import panel
 
@@ -1430,36 +1443,7 @@ def serve_explorer(
         title=f"hyperpaint {first_name}",
     )
     signal.signal(signal.SIGINT, interrupted)  # panel replaced the handler of interrupts
-    _guard(server, token)
-    server.start()
-    announce(f"http://localhost:{server.port}/{token}/")
-    server.io_loop.start()
-
-
-def _lines_of(path: Path) -> dict[str, Callable[[], xr.Dataset]]:
-    # Return functions that open the cubes of a file or store, by name: first flight lines of the folder
-    if path.is_file() and path.suffix != ".zip":
-        return {path.stem: functools.partial(open_envi, path)}
-    groups = sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/"))
-    openers = {group: functools.partial(_open_cube, path, group) for group in groups}
-    return {
-        group.rpartition("/")[2] or path.stem: opener
-        for group, opener in openers.items()
-        if group.startswith("flightlines/") or _CUBES & set(opener().data_vars)
-    }
-
-
-def _open_cube(path: Path, group: str) -> xr.Dataset:
-    # Open a group; of other programs, the only variable of lines, columns and bands is the cube
-    dataset = rename_to_roles(open_store(path, group))
-    cubes = {str(name) for name, array in dataset.data_vars.items() if set(schema.CUBE) == set(array.dims)}
-    if len(cubes) == 1 and not cubes & _CUBES:
-        return dataset.rename({cubes.pop(): "values"})
-    return dataset if group.startswith("flightlines/") else dataset.drop_vars(_CUBES - cubes, errors="ignore")
-
-
-def _guard(server: Any, token: str) -> None:
-    # Refuse requests to the server from elsewhere than its own page.
+    # refuse requests to the server from elsewhere than its own page
     # The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
     # websocket must have an origin; and every origin must be this server.
     from tornado.web import ErrorHandler
@@ -1483,6 +1467,33 @@ def _guard(server: Any, token: str) -> None:
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
 
     application.find_handler = find_guarded
+    server.start()
+    announce(f"http://localhost:{server.port}/{token}/")
+    server.io_loop.start()
+
+
+def _lines_of(path: Path) -> dict[str, Callable[[], xr.Dataset]]:
+    # Return functions that open the cubes of a file or store, by name: first flight lines of the folder
+    if path.is_file() and path.suffix != ".zip":
+        return {path.stem: functools.partial(open_envi, path)}
+    openers = {
+        group: functools.partial(_open_cube, path, group)
+        for group in sorted(list_groups(path), key=lambda group: not group.startswith("flightlines/"))
+    }
+    return {
+        group.rpartition("/")[2] or path.stem: opener
+        for group, opener in openers.items()
+        if group.startswith("flightlines/") or _CUBES & set(opener().data_vars)
+    }
+
+
+def _open_cube(path: Path, group: str) -> xr.Dataset:
+    # Open a group; of other programs, the only variable of lines, columns and bands is the cube
+    dataset = rename_to_roles(open_store(path, group))
+    cubes = {str(name) for name, array in dataset.data_vars.items() if set(schema.CUBE) == set(array.dims)}
+    if len(cubes) == 1 and not cubes & _CUBES:
+        return dataset.rename({cubes.pop(): "values"})
+    return dataset if group.startswith("flightlines/") else dataset.drop_vars(_CUBES - cubes, errors="ignore")
 
 
 def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
@@ -1502,5 +1513,6 @@ def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
     size = "{:,} {}, {:,} {}, ".format(*sizes) + f"{nm.size} bands"
     size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm" if state.has_wavelength else ", no wavelengths"
     size += f"; {state.quantity}".replace("$^{", "").replace("}$", "")
-    text = f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}"
-    return panel.pane.HTML(text, **FULL_WIDTH)
+    return panel.pane.HTML(
+        f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}", **FULL_WIDTH
+    )

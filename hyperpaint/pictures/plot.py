@@ -104,10 +104,12 @@ def rgb(
     (32, ['red', 'green', 'blue'], True)
     """
     dataset = rename_to_roles(dataset)
-    if lines is not None and lines < 1:
-        raise SchemaError(
-            f"lines={lines}", expected="1 line of the picture or more", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        lines is not None and lines < 1,
+        f"lines={lines}",
+        expected="1 line of the picture or more",
+        code="value-out-of-range",
+    )
     has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
         step = max(1, -(-dataset.sizes.get(ALONG_TRACK, 1) // lines)) if lines else None
@@ -264,8 +266,9 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     # `OVERVIEW_SHAPE`; None with fewer than three visible bands.
     dims = ALONG_TRACK, CROSS_TRACK
     steps = {dim: -(-dataset.sizes[dim] // size) for dim, size in zip(dims, OVERVIEW_SHAPE, strict=True)}
-    names = [name for name in ("reflectance", "quality") if name in dataset.variables]
-    subsample = dataset[names].isel({dim: slice(None, None, step) for dim, step in steps.items()})
+    subsample = dataset[[name for name in ("reflectance", "quality") if name in dataset.variables]].isel(
+        {dim: slice(None, None, step) for dim, step in steps.items()}
+    )
     try:
         picture = rgb(subsample)
     except SchemaError:  # fewer than three visible bands
@@ -352,8 +355,12 @@ def quicklook(
 def flags_of(dataset: xr.Dataset) -> Array:
     # Return the flags of all pixels (along_track, cross_track) as integers
     quality = require(dataset, ["quality"], "a picture of flags")["quality"]
-    if quality.dtype.kind not in "iu":
-        raise SchemaError(f"quality is {quality.dtype}", expected="uint16, one bit a flag", code="type-wrong")
+    SchemaError.raise_if(
+        quality.dtype.kind not in "iu",
+        f"quality is {quality.dtype}",
+        expected="uint16, one bit a flag",
+        code="type-wrong",
+    )
     return np.asarray(quality.values)
 
 
@@ -509,12 +516,12 @@ def flag_overlay(
         for name, array in dataset.variables.items()
         if set(array.dims) == {ALONG_TRACK, CROSS_TRACK} and array.dtype.kind in "fiub"
     ]
-    if layer is not None and layer not in planes:
-        raise SchemaError(
-            f"no layer {layer!r} on (along_track, cross_track)",
-            expected=", ".join(planes) or "a line with layers",
-            code="variable-missing",
-        )
+    SchemaError.raise_if(
+        layer is not None and layer not in planes,
+        f"no layer {layer!r} on (along_track, cross_track)",
+        expected=", ".join(planes) or "a line with layers",
+        code="variable-missing",
+    )
     if "quality" not in dataset.variables and (layer is None or chosen):
         dataset = reflectance(dataset)
     require(dataset, ["quality"] if layer is None else [], "a picture of flags")
@@ -615,8 +622,9 @@ def _draw_layer(
     colours = ScalarMappable(
         Normalize(-limit if is_signed else 0.0, limit), "PuOr_r" if is_signed else "inferno"
     )
-    masked = np.ma.masked_invalid(values)
-    image = show_picture(axes, masked, orientation, cmap=colours.cmap, norm=colours.norm)
+    image = show_picture(
+        axes, np.ma.masked_invalid(values), orientation, cmap=colours.cmap, norm=colours.norm
+    )
     magnitude = np.abs(values) if is_signed else np.maximum(values, 0.0)
     image.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * magnitude / limit, 0.0, 1.0)))
     units = str(array.attrs.get("units", ""))
@@ -801,9 +809,12 @@ def adjacency_figure(
     route, distance = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
     nm = variables["wavelength"].values
     order = np.argsort(nm, kind="stable")
-    ratios = {"width_ratios": (0.9, 1.2, 1.2), "height_ratios": (3, 2)}
     plots = (
-        figure.subplot_mosaic([["picture", "along", "spectra"], ["picture", "added", "spectra"]], **ratios)
+        figure.subplot_mosaic(
+            [["picture", "along", "spectra"], ["picture", "added", "spectra"]],
+            width_ratios=(0.9, 1.2, 1.2),
+            height_ratios=(3, 2),
+        )
         if is_wide
         else figure.subplot_mosaic([["picture"], ["along"], ["added"], ["spectra"]])
     )
@@ -817,14 +828,16 @@ def adjacency_figure(
     rows, columns = numbers_of(line, ALONG_TRACK), numbers_of(line, CROSS_TRACK)
     start, stop = ((columns[across], rows[along]) for along, across in route[[0, -1], width // 2])
     for thickness, colour in ((3.0, "white"), (1.2, "black")):
-        arrow = {"arrowstyle": "->", "color": colour, "linewidth": thickness}
-        axes.annotate("", stop, start, arrowprops=arrow)
+        axes.annotate(
+            "", stop, start, arrowprops={"arrowstyle": "->", "color": colour, "linewidth": thickness}
+        )
     transects = {}
     for name, dataset in lines.items():
         cube = require(dataset, ["reflectance"], "a figure of adjacency")["reflectance"]
         style, is_labelled = ("--", False) if name else ("-", True)
-        values = _spectra_at(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1)
-        transects[name] = _mean(values, axis=1)
+        transects[name] = _mean(
+            _spectra_at(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1), axis=1
+        )
         _draw_bands(plots["along"], distance, transects[name], nm, wavelengths, style, is_labelled)
         for region, place, colour in zip(regions, places, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
             # mean of the region's pixels; for the line itself also their middle half
@@ -881,8 +894,7 @@ def _checked_regions(lines: dict[str, xr.Dataset], near: Any, far: Any, width: i
         for comparison in comparisons
         if "reflectance" not in comparison.variables or dict(comparison["reflectance"].sizes) != shape
     )
-    if width < 1:
-        problems.add(f"width={width}", expected="1 or more pixels", code="value-out-of-range")
+    problems.add_if(width < 1, f"width={width}", expected="1 or more pixels", code="value-out-of-range")
     pairs = [regions_from(regions) for regions in (near, far)]
     problems.extend(
         Problem(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")
@@ -1018,12 +1030,12 @@ def triptych(
     figure = new_figure("a triptych", figsize=(width, _AXES_INCH[1] * (3 // columns)), layout="constrained")
     dataset = rename_to_roles(dataset)
     counts = require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
-    if (region is None) == (pixels is None):
-        raise SchemaError(
-            "a triptych shows either a region or pixels=(along_track, cross_track)",
-            mend="pass one of the two",
-            code="option-conflict",
-        )
+    SchemaError.raise_if(
+        (region is None) == (pixels is None),
+        "a triptych shows either a region or pixels=(along_track, cross_track)",
+        mend="pass one of the two",
+        code="option-conflict",
+    )
     calibrated = reflectance(dataset)
     cubes = {
         "counts": counts,
@@ -1164,8 +1176,11 @@ def straightening(
         nm = require(line, ["wavelength"], "a map")["wavelength"].values
         visible = line.isel({BAND: np.flatnonzero((nm > 380) & (nm < 780))})
         # quality tells saturated glint, which is white, from missing pixels, which are black
-        names = [name for name in ("reflectance", "quality") if name in line.variables]
-        orthomap = orthorectify(visible, grid="north", variables=names)
+        orthomap = orthorectify(
+            visible,
+            grid="north",
+            variables=[name for name in ("reflectance", "quality") if name in line.variables],
+        )
     columns = columns_for(width, 3.0, 2)
     datasets = (("as recorded", line), ("straightened", rename_to_roles(orthomap)))
     orientations = [orientation_of(dataset) for _, dataset in datasets]

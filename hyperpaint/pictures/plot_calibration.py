@@ -160,8 +160,12 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
             expected="equal sizes",
             code="grid-mismatch",
         )
-    if column is not None and not 0 <= column < sizes[CROSS_TRACK]:
-        problems.add(f"column={column}", expected=f"0 to {sizes[CROSS_TRACK] - 1}", code="value-out-of-range")
+    problems.add_if(
+        column is not None and not 0 <= column < sizes[CROSS_TRACK],
+        f"column={column}",
+        expected=f"0 to {sizes[CROSS_TRACK] - 1}",
+        code="value-out-of-range",
+    )
     problems.raise_if_any()
     values: Values = {}
     for name, dims in _DIMS.items():

@@ -215,7 +215,27 @@ def paint_card(
     4
     """
     line, (signature, region) = rename_to_roles(line), _find_paint(library, paint)
-    surroundings, in_region = _surroundings(line, region)
+    # crop of the line around the region, and which of its pixels (line, column) are in the region
+    ((line_indices, column_indices),) = pixels_of(Regions((region,)), line)
+    SchemaError.raise_if(
+        not line_indices.size, f"region {region.name!r} contains no pixel of this line", code="region-empty"
+    )
+    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(line_indices), np.ptp(column_indices)) + 1)))
+    rows, columns = (
+        slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
+        for places in (line_indices, column_indices)
+    )
+    cropped = line.isel({ALONG_TRACK: rows, CROSS_TRACK: columns})
+    shape = cropped.sizes[ALONG_TRACK], cropped.sizes[CROSS_TRACK]
+    in_region = np.zeros(shape, bool)
+    in_region[line_indices - rows.start, column_indices - columns.start] = True
+    # centres of pixels have their numbers in the line, also if the line has no coordinates
+    numbers = {
+        dim: np.arange(span.start, span.start + size)
+        for dim, span, size in zip((ALONG_TRACK, CROSS_TRACK), (rows, columns), shape, strict=True)
+        if dim not in cropped.coords
+    }
+    surroundings = cropped.assign_coords(numbers)
     is_wide = columns_for(width, 3.0, 3) == 3
     # name, kind and finish of the paint, and the reasons stored with its region
     properties = region.properties
@@ -265,10 +285,12 @@ def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Region]:
         code="library-missing",
     )
     names = [str(name) for name in usable[SIGNATURE].values]
-    if paint not in names:
-        raise SchemaError(
-            f"there is no paint {paint!r}", expected=", ".join(names[:20]), code="paint-unknown"
-        )
+    SchemaError.raise_if(
+        paint not in names,
+        f"there is no paint {paint!r}",
+        expected=", ".join(names[:20]),
+        code="paint-unknown",
+    )
     selection = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
     SchemaError.raise_if(
         "region" not in selection.variables or not str(selection["region"].item()),
@@ -283,29 +305,6 @@ def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Region]:
         code="region-coordinates",
     )
     return selection, regions_from(json.loads(str(selection["region"].item())))[0]
-
-
-def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
-    # crop of the line around the region, and which of its pixels (line, column) are in the region
-    ((line_indices, column_indices),) = pixels_of(Regions((region,)), line)
-    if not line_indices.size:
-        raise SchemaError(f"region {region.name!r} contains no pixel of this line", code="region-empty")
-    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(line_indices), np.ptp(column_indices)) + 1)))
-    rows, columns = (
-        slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
-        for places in (line_indices, column_indices)
-    )
-    cropped = line.isel({ALONG_TRACK: rows, CROSS_TRACK: columns})
-    shape = cropped.sizes[ALONG_TRACK], cropped.sizes[CROSS_TRACK]
-    in_region = np.zeros(shape, bool)
-    in_region[line_indices - rows.start, column_indices - columns.start] = True
-    # centres of pixels have their numbers in the line, also if the line has no coordinates
-    numbers = {
-        dim: np.arange(span.start, span.start + size)
-        for dim, span, size in zip((ALONG_TRACK, CROSS_TRACK), (rows, columns), shape, strict=True)
-        if dim not in cropped.coords
-    }
-    return cropped.assign_coords(numbers), in_region
 
 
 def _draw_exclusions(
@@ -438,12 +437,12 @@ def detection_curve(
         )
         has_score = paint >= 0
         is_hit = is_target[has_score]
-        if not is_hit.any() or is_hit.all():
-            raise SchemaError(
-                f"truth is {bool(is_hit.any())} everywhere",
-                expected="True for pixels with a paint, False for all other pixels",
-                code="truth-uniform",
-            )
+        SchemaError.raise_if(
+            not is_hit.any() or is_hit.all(),
+            f"truth is {bool(is_hit.any())} everywhere",
+            expected="True for pixels with a paint, False for all other pixels",
+            code="truth-uniform",
+        )
         # false alarm and detection rates over all thresholds, and the two rates of the stored detections
         order = np.argsort(-(score - threshold[paint])[has_score], kind="stable")
         hits, alarms = (np.cumsum(which[order]) / which.sum() for which in (is_hit, ~is_hit))
@@ -519,10 +518,12 @@ def validation_figure(
     >>> len(validation_figure(agreement).axes)
     2
     """
-    if columns < 1 or (limit is not None and not limit > 0.0):
-        raise SchemaError(
-            f"columns={columns}, limit={limit}", expected="positive numbers", code="value-out-of-range"
-        )
+    SchemaError.raise_if(
+        columns < 1 or (limit is not None and not limit > 0.0),
+        f"columns={columns}, limit={limit}",
+        expected="positive numbers",
+        code="value-out-of-range",
+    )
     # pairs by paint, of the `MAX_PAIRS` paints with the largest RMSE
     pairs_by_paint: dict[str, list[int]] = {}
     for number, spectra in enumerate(validation.spectra):

@@ -263,10 +263,12 @@ def _draw_paints(
     names = [str(name) for name in library[SIGNATURE].values]
     chosen = [paints] if isinstance(paints, str) else names if paints is None else list(paints)
     problems = Problems("paints cannot be drawn", SchemaError)
-    if unknown := [name for name in chosen if name not in names]:
-        problems.add(
-            f"no paint {', '.join(map(repr, unknown))}", expected=", ".join(names), code="paint-unknown"
-        )
+    problems.add_if(
+        unknown := [name for name in chosen if name not in names],
+        f"no paint {', '.join(map(repr, unknown))}",
+        expected=", ".join(names),
+        code="paint-unknown",
+    )
     problems.add_if(
         len(chosen) > MAX_CURVES,
         f"{len(chosen)} curves",
@@ -360,8 +362,7 @@ def draw_pixels(
         variable = require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
         shift = np.broadcast_to(variable.values, shift.shape)
     name = "reflectance" if "reflectance" in cubes else next(iter(cubes))
-    colours = _curve_colours(np.where(is_good, cubes[name], np.nan), wavelength, name)
-    styles = styles_of(colours)
+    styles = styles_of(_curve_colours(np.where(is_good, cubes[name], np.nan), wavelength, name))
     for axes, cube in zip(plots, cubes.values(), strict=True):
         for number, (along, across) in enumerate(places.tolist()):
             nm, values = wavelength + shift[:, across], np.where(is_good, cube[number], np.nan)
@@ -435,8 +436,9 @@ def library_overview(
     problems.extend(Problem(problem, code="variable-unusable") for problem in faults)
     problems.raise_if_any()
     variables = require(paints, ["reflectance", "wavelength"], "an overview", LIBRARY_VARIABLES)
-    if not (count := paints.sizes[SIGNATURE]):
-        raise SchemaError("the library has no paint to draw", code="library-empty")
+    SchemaError.raise_if(
+        not (count := paints.sizes[SIGNATURE]), "the library has no paint to draw", code="library-empty"
+    )
     shown_count = min(count, MAX_PAINTS)
     columns = max(1, min(columns, shown_count))
     rows = -(-shown_count // columns)
@@ -505,8 +507,9 @@ def draw_uncertainties(axes: Any, paints: xr.Dataset) -> None:
     total = np.sqrt(sum(np.nan_to_num(u) ** 2 for u in uncertainties))
     total[np.isnan(uncertainties).all(axis=0)] = np.nan
     for number, style in enumerate(styles_of(paint_colours(first_paints))):
-        label = label_for(first_paints[SIGNATURE].values[number])
-        draw_curve(axes, nm, total[number], {**style, "ls": "-"}, label)
+        draw_curve(
+            axes, nm, total[number], {**style, "ls": "-"}, label_for(first_paints[SIGNATURE].values[number])
+        )
         if len(present) > 1:
             axes.plot(nm, uncertainties[0][number], ls="--", lw=0.9, color=style["color"])
     axes.set(xlabel="wavelength [nm]", ylabel="standard uncertainty [1]", ylim=(0, None))

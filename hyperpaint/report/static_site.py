@@ -122,18 +122,23 @@ def write_site(
     >>> write_site(store, folder / "page", flags=False).flightlines
     ('flightlines/raw_0',)
     """
-    if max_lines < 1:
-        raise SchemaError(f"max_lines={max_lines}", expected="1 or more", code="value-out-of-range")
-    if link is not None and library is not None:
-        raise SchemaError(
-            "link and library: a page that copies nothing shows only the store's signatures",
-            mend="leave out link or library",
-            code="option-conflict",
-        )
+    SchemaError.raise_if(
+        max_lines < 1, f"max_lines={max_lines}", expected="1 or more", code="value-out-of-range"
+    )
+    SchemaError.raise_if(
+        link is not None and library is not None,
+        "link and library: a page that copies nothing shows only the store's signatures",
+        mend="leave out link or library",
+        code="option-conflict",
+    )
     origin = "" if link is None else _remote_origin(link)
     folder = Path(out)
-    if Path(store).resolve() in (folder.resolve(), *folder.resolve().parents):
-        raise StoreError(f"{out} is in the store itself", mend="choose another path", code="path-in-store")
+    StoreError.raise_if(
+        Path(store).resolve() in (folder.resolve(), *folder.resolve().parents),
+        f"{out} is in the store itself",
+        mend="choose another path",
+        code="path-in-store",
+    )
     groups = groups_to_show(store, flightlines, library)
     problems, unreadable = list(groups.problems), set()
     shown: dict[str, xr.Dataset] = {}

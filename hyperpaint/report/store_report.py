@@ -151,8 +151,9 @@ def write_report(
     page_path = Path(out)
     check_place(page_path, "the report", example="report.html", store=Path(store), overwrite=overwrite)
     for option, value, least in (("max_lines", max_lines, 1), ("cards", cards, 0)):
-        if value < least:
-            raise SchemaError(f"{option}={value}", expected=f"{least} or more", code="value-out-of-range")
+        SchemaError.raise_if(
+            value < least, f"{option}={value}", expected=f"{least} or more", code="value-out-of-range"
+        )
     groups = groups_to_show(store, flightlines, library)
     lines, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
     paints: list[tuple[str, xr.Dataset, str, Region]] = []  # flight line, library, name and region of paints
@@ -196,8 +197,11 @@ def write_report(
         "reported": f"{created.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
     }
     head = page_part("head", pairs=list(facts.items()), problems=problems)
-    page = page_part("page", title=title, head=head, sections=drawn_sections)
-    publish_file(page_path, page.encode("utf-8", "replace"), overwrite=True)
+    publish_file(
+        page_path,
+        page_part("page", title=title, head=head, sections=drawn_sections).encode("utf-8", "replace"),
+        overwrite=True,
+    )
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
     return Written(page_path, tuple(lines), tuple(maps), tuple(problems))
@@ -234,8 +238,11 @@ def _draw_section(name: str, parts: Iterator[Part], problems: list[str]) -> list
         except Exception as error:
             message = message_of(error)
             problems.append(f"/{name}, {part_name}: {message}")
-            text = f"This could not be shown: {part_name}: {message}"
-            markups.append(page_part("paragraph", text=text, kind="problem"))
+            markups.append(
+                page_part(
+                    "paragraph", text=f"This could not be shown: {part_name}: {message}", kind="problem"
+                )
+            )
     return markups
 
 
@@ -294,12 +301,12 @@ def groups_to_show(
             name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None)
             for name in flightlines
         }
-        if unknown := [name for name, key in keys.items() if key is None]:
-            raise SchemaError(
-                f"{store} has no flight line {', '.join(map(repr, unknown))}",
-                expected=", ".join(lines) or "none",
-                code="flightline-unknown",
-            )
+        SchemaError.raise_if(
+            unknown := [name for name, key in keys.items() if key is None],
+            f"{store} has no flight line {', '.join(map(repr, unknown))}",
+            expected=", ".join(lines) or "none",
+            code="flightline-unknown",
+        )
         lines = {key: lines[key] for key in keys.values() if key is not None}
     maps = {
         name or Path(store).name: group for name, group in groups.items() if {"y", "x"} <= set(group.dims)
@@ -426,10 +433,14 @@ def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
     group = rename_to_roles(orthomap)
 
     def picture() -> Markup:
-        steps = {ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}
-        bytes_ = picture_bytes(rgb(group.isel(steps)))
-        caption = f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right."
-        return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=caption)
+        bytes_ = picture_bytes(
+            rgb(group.isel({ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}))
+        )
+        return page_part(
+            "true_colour",
+            src=data_uri(encode_png(bytes_)),
+            caption=f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right.",
+        )
 
     yield from (
         ("facts", lambda: page_part("facts", pairs=list(facts_of_map(orthomap)))),
@@ -444,11 +455,11 @@ def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
 
 def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
     # add an entry to ``pictures`` if the picture can be drawn
-    if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
-        raise SchemaError(
-            f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",
-            code="line-empty",
-        )
+    SchemaError.raise_if(
+        not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK],
+        f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",
+        code="line-empty",
+    )
     try:
         picture = background(line, max(1, -(-line.sizes[ALONG_TRACK] // lines)))
     except SchemaError as error:  # no reflectance, no visible bands
@@ -463,8 +474,9 @@ def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
         f" {line.sizes[CROSS_TRACK]} columns, counted to the {columns}."
     )
     pictures.append(True)
-    src = data_uri(encode_png(np.ascontiguousarray(upright)))
-    return page_part("true_colour", src=src, caption=caption, kind="half")
+    return page_part(
+        "true_colour", src=data_uri(encode_png(np.ascontiguousarray(upright))), caption=caption, kind="half"
+    )
 
 
 def _flags(
@@ -718,14 +730,16 @@ def _map(line: xr.Dataset) -> Markup:
         f"{y.min():.0f} to {y.max():.0f} m."
     )
     picture = picture_bytes(rgb(rename_to_roles(orthomap)))
-    src = data_uri(encode_png(picture))
-    return page_part("true_colour", src=src, caption=caption, heading="Map", kind="half")
+    return page_part(
+        "true_colour", src=data_uri(encode_png(picture)), caption=caption, heading="Map", kind="half"
+    )
 
 
 def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide") -> Markup:
     # Return a figure for a page; a figure of kind ``chart`` may be inverted in dark themes.
-    src = data_uri(png_of(figure, dpi=_DPI))
-    return page_part("picture", src=src, caption=caption, heading=heading, kind=kind)
+    return page_part(
+        "picture", src=data_uri(png_of(figure, dpi=_DPI)), caption=caption, heading=heading, kind=kind
+    )
 
 
 def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:

@@ -146,8 +146,9 @@ def with_times(dataset: xr.Dataset) -> xr.Dataset:
         name: xr.Variable(var.dims, var.values.view("M8[ns]"), fastpath=True) for name, var in coded.items()
     }
     coords = xr.Coordinates({name: times[name] for name in times if name in dataset.coords}, indexes={})
-    variables = {name: times[name] for name in times if name in dataset.data_vars}
-    return dataset.assign(variables).assign_coords(coords)
+    return dataset.assign({name: times[name] for name in times if name in dataset.data_vars}).assign_coords(
+        coords
+    )
 
 
 def size_of(count: int) -> str:
@@ -205,8 +206,10 @@ def _picture_of(dataset: xr.Dataset) -> str:
         return ""
     step = max(1, -(-picture.shape[0] // 480))
     # without ground positions, which would have to be computed: the declared order of columns is used
-    orientation = orientation_of(dataset.drop_vars(["east", "north"], errors="ignore"))
-    oriented = flown_right(picture[::step, :: max(1, step // 2)], orientation)
+    oriented = flown_right(
+        picture[::step, :: max(1, step // 2)],
+        orientation_of(dataset.drop_vars(["east", "north"], errors="ignore")),
+    )
     return data_uri(encode_png(np.ascontiguousarray(oriented)))
 
 

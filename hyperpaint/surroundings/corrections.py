@@ -218,8 +218,9 @@ def correct_light(
         f"{name} {f'{value:g}' if name in plain else 'given'}"
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
     )
-    text = f"{amounts}, diffuse fraction ({split.source}), sky ({split.sky})"
-    return _with_correction(line, corrected, "light_corrected", text)
+    return _with_correction(
+        line, corrected, "light_corrected", f"{amounts}, diffuse fraction ({split.source}), sky ({split.sky})"
+    )
 
 
 def _checked(
@@ -233,11 +234,14 @@ def _checked(
     line = schema.rename_to_roles(line)
     problems = Problems("reflectance cannot be corrected", SchemaError)
     for name in ("reflectance", "wavelength"):
-        if name not in line.variables:
-            problems.add(f"{name!r} is missing", code="variable-missing")
+        problems.add_if(name not in line.variables, f"{name!r} is missing", code="variable-missing")
     for name, (value, low, high) in numbers.items():
-        if not low <= value <= high:
-            problems.add(f"{name}={value!r}", expected=f"{low:g} to {high:g}", code="value-out-of-range")
+        problems.add_if(
+            not low <= value <= high,
+            f"{name}={value!r}",
+            expected=f"{low:g} to {high:g}",
+            code="value-out-of-range",
+        )
     attrs = line["reflectance"].attrs if "reflectance" in line.variables else {}
     earlier = [name for name in excluded if name in attrs]
     for name in earlier:

@@ -146,8 +146,12 @@ def flag(
     limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": edge}
     problems = Problems("thresholds cannot be used", SchemaError)
     for name, value in limits.items():
-        if not is_number(value) or value < 0:
-            problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
+        problems.add_if(
+            not is_number(value) or value < 0,
+            f"{name}={value!r}",
+            expected="a number from 0 on",
+            code="value-out-of-range",
+        )
     problems.raise_if_any()
     if model is None:
         model = survey(line, progress=progress, **options)
@@ -183,12 +187,11 @@ def _flag_lazily(
     line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]
 ) -> xr.Dataset:
     data = line_chunked(cube).data
-    starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
     blocks = da.map_blocks(
         _flag_block,
         data,
         dask.delayed(model, traverse=False, pure=False),
-        starts=starts,
+        starts=tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1]))),
         limits=limits,
         dtype=object,
         name=None,

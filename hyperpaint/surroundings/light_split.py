@@ -183,12 +183,12 @@ def split_of(
     if diffuse is None and (declared := _line_split(line, sun_zenith)) is not None:
         return _from_line_split(line, declared, wavelength, sun_zenith, sky)
     sources = SOURCES if from_shadow else SOURCES[:2]
-    if diffuse is not None and diffuse not in sources:
-        raise SchemaError(
-            f"diffuse={diffuse!r}",
-            expected=f"{', '.join(map(repr, sources))} or a measured spectrum",
-            code="choice-unknown",
-        )
+    SchemaError.raise_if(
+        diffuse is not None and diffuse not in sources,
+        f"diffuse={diffuse!r}",
+        expected=f"{', '.join(map(repr, sources))} or a measured spectrum",
+        code="choice-unknown",
+    )
     zenith = sun_zenith_of(line, sun_zenith)
     if diffuse is None:
         warn_user(CLEAR_SKY_ASSUMED, "clear-sky-assumed")
@@ -268,8 +268,9 @@ def _from_line_split(
         states = state if hasattr(state, "isin") else xr.full_like(excess, state)
         cloud = excess.where(~states.isin(clear_states), 0.0)
         cloud = cloud.where(states != SKY_STATES.index("overcast"), 1.0)
-    source = "of the lines' own record"
-    return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith, state)
+    return LightSplit(
+        wavelength, fraction, u, cloud, "of the lines' own record", sky or RECORDED, zenith, state
+    )
 
 
 # --- position of the sun, fractions of models and measurements, radiances of skies ------------------------
@@ -348,8 +349,9 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
         dayofyear=172,
     )
     direct = spectra["poa_global"] - spectra["poa_sky_diffuse"] - spectra["poa_ground_diffuse"]
-    share = 1.0 - np.ravel(direct) / np.ravel(spectra["poa_global"])
-    return np.interp(wavelength, np.ravel(spectra["wavelength"]), share)
+    return np.interp(
+        wavelength, np.ravel(spectra["wavelength"]), 1.0 - np.ravel(direct) / np.ravel(spectra["poa_global"])
+    )
 
 
 def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:

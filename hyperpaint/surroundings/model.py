@@ -103,14 +103,15 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
         )
     if {"neighbour", "segment"} <= fields.keys():
         cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
-        if fields["neighbour"].shape[:2] != cells:
-            problems.add(
-                f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
-                expected=f"{cells}",
-                code="grid-mismatch",
-            )
-    if not np.isfinite(fields.get("shift", np.empty(0))).all():
-        problems.add("'shift' is not finite", code="not-finite")
+        problems.add_if(
+            fields["neighbour"].shape[:2] != cells,
+            f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
+            expected=f"{cells}",
+            code="grid-mismatch",
+        )
+    problems.add_if(
+        not np.isfinite(fields.get("shift", np.empty(0))).all(), "'shift' is not finite", code="not-finite"
+    )
     for name, low, high in (
         ("noise", 0.0, np.inf),
         ("tilt", 1e-6, np.inf),
@@ -119,8 +120,11 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
         ("sunward_radiance", 0.0, np.inf),
     ):
         values = fields.get(name, np.empty(0))
-        if not (np.isfinite(values) & (values >= low) & (values <= high)).all():
-            problems.add(f"{name!r} is not finite, or outside {low:g} to {high:g}", code="value-out-of-range")
+        problems.add_if(
+            not (np.isfinite(values) & (values >= low) & (values <= high)).all(),
+            f"{name!r} is not finite, or outside {low:g} to {high:g}",
+            code="value-out-of-range",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,8 +226,9 @@ class SceneModel:
     def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
         """Return `nearest_at` of the pixels of some lines (line, column, 2)."""
         line, column = (np.arange(length) // CELL for length in self.segment.shape)
-        cells = self.neighbour[line[start:stop]][:, column]
-        return _first_two(cells, self.body, self.paint, self.segment[start:stop])
+        return _first_two(
+            self.neighbour[line[start:stop]][:, column], self.body, self.paint, self.segment[start:stop]
+        )
 
     def to_dataset(self) -> xr.Dataset:
         """Return the model as a Dataset that `hyperpaint.to_store` takes."""
@@ -270,8 +275,10 @@ class SceneModel:
                     )
         _check_numbers(fields, dataset.sizes, problems)
         problems.raise_if_any()
-        attrs = {name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"}
-        return cls(**fields, attrs=attrs)
+        return cls(
+            **fields,
+            attrs={name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"},
+        )
 
     def __repr__(self) -> str:
         lines, columns = self.segment.shape

@@ -40,8 +40,11 @@ def survey_planned(line: xr.Dataset, subject: str) -> AbstractContextManager[Non
     from hyperpaint.io.store import budget
 
     pixels = math.prod(line.sizes.get(dim, 1) for dim in (ALONG_TRACK, CROSS_TRACK))
-    survey_bytes = budget.LOADED + SURVEY_BYTES_PER_PIXEL * pixels
-    return budget.planned(subject, a_thread=budget.Load.of(line).a_thread, min_bytes=survey_bytes)
+    return budget.planned(
+        subject,
+        a_thread=budget.Load.of(line).a_thread,
+        min_bytes=budget.LOADED + SURVEY_BYTES_PER_PIXEL * pixels,
+    )
 
 
 def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:

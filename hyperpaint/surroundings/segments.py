@@ -77,8 +77,11 @@ def divide(channels: Floats32) -> Segments:
     count = kernels.number_segments(parent, has_data.ravel(), number)
     shape = lines, columns
     del parent
-    sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
-    return Segments(number.reshape(shape), sure.reshape(shape), sizes)
+    return Segments(
+        number.reshape(shape),
+        sure.reshape(shape),
+        np.bincount(number[number >= 0], minlength=count).astype(np.int64),
+    )
 
 
 #: Number of groups of steps, in ascending ranges of size, that are sorted one after another.
@@ -92,8 +95,9 @@ def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]
 
     total = np.concatenate([[0], np.cumsum(counts)])
     # last bin of every group; steps that are not finite lie beyond the last group
-    last_bins = np.searchsorted(total, np.linspace(0, total[-1], _GROUPS + 1)[1:])
-    edges = np.unique(np.concatenate([[0], last_bins]))
+    edges = np.unique(
+        np.concatenate([[0], np.searchsorted(total, np.linspace(0, total[-1], _GROUPS + 1)[1:])])
+    )
     max_count = np.diff(total[edges]).max(initial=0)
     # allocated once: repeated allocation would not reuse all memory
     indices, values = np.empty((2, max_count), np.int32), np.empty((2, max_count), np.uint32)
@@ -202,8 +206,9 @@ def edge_distance(
     to_surface = np.empty(segments.number.shape, np.uint8)
     to_body = np.empty_like(to_surface)
     for labels, distance in ((surface, to_surface), (body, to_body)):
-        pixel_labels = np.append(labels, np.int32(-1))[segments.number].astype(np.int32)
-        boundary_distance(pixel_labels, segments.sure, 255, distance)
+        boundary_distance(
+            np.append(labels, np.int32(-1))[segments.number].astype(np.int32), segments.sure, 255, distance
+        )
     to_surface[to_body == 0] = 0
     return to_surface
 
@@ -490,13 +495,13 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> I
     centre = number[::CELL, ::CELL]
     labels = np.full((*centre.shape, MIXTURES.neighbours_of_cell), -1, np.int32)
     labels[..., 0] = np.where(np.append(sends, False)[centre], centre, -1)
-    distances = np.where(labels >= 0, 0.0, np.inf)
-    nearest_sources(labels, distances, MIXTURES.reach_px / CELL)
+    nearest_sources(labels, np.where(labels >= 0, 0.0, np.inf), MIXTURES.reach_px / CELL)
     # number of cells of every segment to which a sender is nearest
     cell_segment = np.repeat(centre.ravel().astype(np.int64), MIXTURES.neighbours_of_cell)
     nearest = labels.ravel().astype(np.int64)
-    codes = (cell_segment * size.size + nearest)[(cell_segment >= 0) & (nearest >= 0)]
-    pairs, cells = np.unique(codes, return_counts=True)
+    pairs, cells = np.unique(
+        (cell_segment * size.size + nearest)[(cell_segment >= 0) & (nearest >= 0)], return_counts=True
+    )
     segment, sender = np.divmod(pairs, max(size.size, 1))
     order = np.lexsort((sender, -cells, segment))
     segment, sender = segment[order], sender[order]

@@ -215,8 +215,10 @@ def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
     row = np.repeat(np.arange(counts.size), counts)
     pair = np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(start, counts)
     same = _same_surface(scene.spectrum, pairs.other[pair], mixtures.body[row])
-    lit = [np.bincount(row[same], pairs.sides[pair[same], direction], counts.size) for direction in range(4)]
-    return np.stack(lit, axis=1).astype(np.float64)
+    return np.stack(
+        [np.bincount(row[same], pairs.sides[pair[same], direction], counts.size) for direction in range(4)],
+        axis=1,
+    ).astype(np.float64)
 
 
 def _same_surface(spectrum: Floats, one: Ints, other: Ints) -> Bools:
@@ -277,10 +279,13 @@ def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Boo
     segments, row = np.unique(mixtures.segment, return_inverse=True)
     spectra = np.nan_to_num(spectrum[segments])
     ramp = DARK_COATS.slope * np.linspace(-1.0, 1.0, spectra.shape[1])
-    parts = [
-        np.broadcast_to(part, spectra.shape) for part in (1.0 + ramp, 1.0 - ramp, light.above, light.diffuse)
-    ]
-    amount, misfit = least_amounts(spectra, parts)
+    amount, misfit = least_amounts(
+        spectra,
+        [
+            np.broadcast_to(part, spectra.shape)
+            for part in (1.0 + ramp, 1.0 - ramp, light.above, light.diffuse)
+        ],
+    )
     body, mirrored = amount[:, :2].sum(axis=1), amount[:, 2:].sum(axis=1)
     dark = (
         (body > DARK_COATS.min_body)
@@ -516,8 +521,7 @@ def nearest_coloured(
     cells = tuple(-(-length // CELL) for length in number.shape)
     labels = np.full((*cells, BODIES.neighbours_of_cell), -1, np.int32)
     labels[: centre.shape[0], : centre.shape[1], 0] = np.where(np.append(sends, False)[centre], centre, -1)
-    distances = np.where(labels >= 0, 0.0, np.inf)
-    nearest_sources(labels, distances, reach / CELL)
+    nearest_sources(labels, np.where(labels >= 0, 0.0, np.inf), reach / CELL)
     return labels
 
 
@@ -554,8 +558,10 @@ def same_paints(
         finite_spectrum[one], other, finite_spectrum, light, GLINT.tolerance, AS_GLINT
     )
     one, other = one[misfit < 1.0], other[misfit < 1.0]
-    graph = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(size.size, size.size))
-    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    _, label = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(size.size, size.size)),
+        directed=False,
+    )
     _, first = np.unique(label, return_index=True)
     both_orders = np.concatenate([one, other]), np.concatenate([other, one])
     return first[label][matches.body].astype(np.int32), distinct_pairs(*both_orders, size.size)
@@ -660,8 +666,9 @@ def _added_light(
     nearest = neighbours[:, 0]
     neighbour_spectra = np.where(nearest[:, None] >= 0, finite_spectrum[nearest], 0.0)
     lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * neighbour_spectra
-    body = np.full(len(values), segment)
-    amount, _, added = unmix_spectra(lifted, body, finite_spectrum, light, 0.01, _AS_PIXEL, neighbours)
+    amount, _, added = unmix_spectra(
+        lifted, np.full(len(values), segment), finite_spectrum, light, 0.01, _AS_PIXEL, neighbours
+    )
     glint = amount[:, 2] + amount[:, 4] + added.sum(axis=1)
     return glint - BODIES.lift * neighbour_spectra.max(axis=1), amount[:, 0]
 
@@ -903,8 +910,9 @@ def survey(
     except SchemaError as error:
         if not (isinstance(diffuse, str) and diffuse == "shadow"):
             raise
-        subject = "diffuse='shadow' starts from the light of a clear sky"
-        raise SchemaError(subject, problems=[error.problem]) from error
+        raise SchemaError(
+            "diffuse='shadow' starts from the light of a clear sky", problems=[error.problem]
+        ) from error
     fraction, zenith = line_split.fraction.values, line_split.zenith
     channel = channel_numbers(wavelength, good)
     bits = None
@@ -951,8 +959,9 @@ def survey(
     trim_memory()
     number = penumbrae(channels, segments.number, matches, ground, light)
     if number is not segments.number:
-        sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
-        segments = Segments(number, segments.sure, sizes)
+        segments = Segments(
+            number, segments.sure, np.bincount(number[number >= 0], minlength=count).astype(np.int64)
+        )
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
     paint, same_paint = same_paints(spectrum, segments.size, pairs, matches, light)
     neighbours = partial(nearest_at, neighbour, matches.body, paint, segments.number)
@@ -1046,18 +1055,19 @@ def fraction_in_shadow(
     pixels of every segment. Raises `SchemaError`: no cast shadow is large enough.
     """
     shaded = np.flatnonzero((matches.state == SHADED) & (size >= SHADOWS.min_shadow_px))
-    if not shaded.size:
-        raise SchemaError(
-            f"diffuse='shadow': no cast shadow of at least {SHADOWS.min_shadow_px} pixels on ground that is "
-            "also seen in full sun",
-            mend="pass diffuse='model', or a measured spectrum",
-            code="shadow-missing",
-        )
+    SchemaError.raise_if(
+        not shaded.size,
+        f"diffuse='shadow': no cast shadow of at least {SHADOWS.min_shadow_px} pixels on ground that is "
+        "also seen in full sun",
+        mend="pass diffuse='model', or a measured spectrum",
+        code="shadow-missing",
+    )
     bodies = matches.body[shaded]
     largest = bodies[np.argmax(size[bodies])]
-    flat = channels.reshape(-1, channels.shape[2])
-    indices = np.concatenate([samples[segment] for segment in shaded[bodies == largest]])
-    values = gather(flat, indices).astype(np.float64)
+    values = gather(
+        channels.reshape(-1, channels.shape[2]),
+        np.concatenate([samples[segment] for segment in shaded[bodies == largest]]),
+    ).astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
     low, high = np.quantile(blue, SHADOWS.open_sky_quantiles)

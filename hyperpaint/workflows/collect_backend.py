@@ -55,8 +55,10 @@ class CollectBackendEntrypoint(BackendEntrypoint):
 
     def open_groups_as_dict(self, filename_or_obj: Any, **options: Any) -> dict[str, xr.Dataset]:
         # Open all files of the collect, as datasets by group.
-        tree = self.open_datatree(filename_or_obj, **options)
-        return {path: node.to_dataset() for path, node in tree.to_dict().items()}
+        return {
+            path: node.to_dataset()
+            for path, node in self.open_datatree(filename_or_obj, **options).to_dict().items()
+        }
 
     def open_dataset(
         self,
@@ -71,15 +73,18 @@ class CollectBackendEntrypoint(BackendEntrypoint):
         # Raises `SchemaError`: The collect has no such group, or none was named; those that exist are listed.
         from hyperpaint.base.errors import SchemaError
 
-        tree = self.open_datatree(
-            filename_or_obj, drop_variables=drop_variables, need_irradiance=need_irradiance
+        groups = {
+            node.path.lstrip("/"): node
+            for node in self.open_datatree(
+                filename_or_obj, drop_variables=drop_variables, need_irradiance=need_irradiance
+            ).subtree
+            if node.has_data
+        }
+        SchemaError.raise_if(
+            (name := (group or "").strip("/")) not in groups,
+            f"group {group!r} of a collect",
+            expected=f"one of {', '.join(sorted(groups))}",
+            mend="name one of them, or open all by xarray.open_datatree",
+            code="group-missing",
         )
-        groups = {node.path.lstrip("/"): node for node in tree.subtree if node.has_data}
-        if (name := (group or "").strip("/")) not in groups:
-            raise SchemaError(
-                f"group {group!r} of a collect",
-                expected=f"one of {', '.join(sorted(groups))}",
-                mend="name one of them, or open all by xarray.open_datatree",
-                code="group-missing",
-            )
         return groups[name].to_dataset()

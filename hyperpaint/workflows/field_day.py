@@ -138,8 +138,12 @@ def run_field_day(
     if regions is None and (path.parent / "regions.geojson").is_file():
         regions = path.parent / "regions.geojson"
     # check this before hours of processing
-    if regions is not None and not Path(regions).exists():
-        raise SchemaError(f"regions {regions}: no such file", mend="check the path", code="file-not-found")
+    SchemaError.raise_if(
+        regions is not None and not Path(regions).exists(),
+        f"regions {regions}: no such file",
+        mend="check the path",
+        code="file-not-found",
+    )
     folder.mkdir(parents=True, exist_ok=True)
     day = FieldDayRun(
         settings=settings,
@@ -233,12 +237,14 @@ class FieldDayRun:
         paths = tuple(self.out / step.product.format(line=line) for line in lines)
         if step.inputs == _OF_MAPS and self.is_visible:
             paths += tuple(map(colours_of, paths))
-        groups = {
-            group: open_store(self.store, group).attrs.get(INPUTS)
-            for group in list_groups(self.store)
-            if group
-        }
-        inputs = [groups, {entry: _INPUTS[entry](self) for entry in step.inputs}]
+        inputs = [
+            {
+                group: open_store(self.store, group).attrs.get(INPUTS)
+                for group in list_groups(self.store)
+                if group
+            },
+            {entry: _INPUTS[entry](self) for entry in step.inputs},
+        ]
         record = self.record
         outcome = record.produce(
             name, paths, inputs, functools.partial(step.make, self), overwrite=self.overwrite

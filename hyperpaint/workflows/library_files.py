@@ -91,10 +91,12 @@ def write_signatures(
         code="output-in-store",
     )
     if keep:
-        if options.get("exclude") is not None:
-            raise SchemaError(
-                "keep= and exclude= cannot be combined", mend="pass one of them", code="option-conflict"
-            )
+        SchemaError.raise_if(
+            options.get("exclude") is not None,
+            "keep= and exclude= cannot be combined",
+            mend="pass one of them",
+            code="option-conflict",
+        )
         options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
     outlines = None if regions is None else regions_from(regions)
     lines, flagged_lines = _open_lines(store, () if outlines is None else outlines.flightlines)
@@ -141,8 +143,9 @@ def write_signatures(
         for name, line in lines.items():
             if name not in maps:
                 load, besides = budget.Load.of(line), budget.LOADED + MAX_GATHERED_BYTES
-                subject = f"extracting from {name or store}"
-                stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
+                stack.enter_context(
+                    budget.planned(f"extracting from {name or store}", a_thread=load.a_thread, fixed=besides)
+                )
         library = extract_signatures(lines, targets, progress=step_progress, **options)
     library.attrs |= {"store": store_path.name, "flags": "; ".join(dict.fromkeys(origins.values()))}
     if refused:
@@ -156,12 +159,12 @@ def _located(
 ) -> dict[str, xr.Dataset]:
 
     problems = Problems("signatures cannot be extracted", SchemaError)
-    if maps and regions is None:
-        problems.add(
-            "regions are proposed on flight lines, not on a map",
-            mend="draw regions on the map",
-            code="regions-missing",
-        )
+    problems.add_if(
+        maps and regions is None,
+        "regions are proposed on flight lines, not on a map",
+        mend="draw regions on the map",
+        code="regions-missing",
+    )
     if location and maps:
         problems.add("a map has a location", mend=f"leave out {', '.join(location)}", code="location-on-map")
     elif location and (regions is None or regions.coordinates != "map"):
@@ -215,9 +218,12 @@ def _propose(
         surveyed, model = (line, None) if survey is None else (survey.surveyed, survey.model)
         # with the model of a survey, only the shared options remain
         names = _SHARED_OPTIONS if survey else set(options) - {"edge"}
-        line_options = {key: options[key] for key in names if key in options}
         proposals_by_line[name] = propose_regions(
-            surveyed, model, flightline=name, name=prefix, **line_options
+            surveyed,
+            model,
+            flightline=name,
+            name=prefix,
+            **{key: options[key] for key in names if key in options},
         )
     regions = Regions(tuple(region for proposals in proposals_by_line.values() for region in proposals))
     refused = [
@@ -240,11 +246,12 @@ def table_of(library: xr.Dataset) -> str:
     # Return a table of the paints of a library, one line each.
     names = [str(name) for name in library["signature"].values]
     width = max(map(len, names))
-    rows = zip(names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True)
     return "\n".join(
         f"  {name:<{width}}  {n} pixels, {n_eff:.0f} independent"
         + (f", {excluded} left out" if excluded else "")
-        for name, n, n_eff, excluded in rows
+        for name, n, n_eff, excluded in zip(
+            names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True
+        )
     )
 
 

@@ -273,13 +273,13 @@ def map_planned(orthomap: xr.Dataset, subject: str, *, is_file: bool) -> Abstrac
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     # Return a flight line of a store by its name, by default the only one; or the map of a store.
     lines = lines_of_store(store)
-    if not lines and line is not None:
-        raise SchemaError(
-            f"{store} has no flight line {line!r}, and no named flight lines",
-            mend="pass line=None",
-            option="leave out --line",
-            code="flightline-unknown",
-        )
+    SchemaError.raise_if(
+        not lines and line is not None,
+        f"{store} has no flight line {line!r}, and no named flight lines",
+        mend="pass line=None",
+        option="leave out --line",
+        code="flightline-unknown",
+    )
     name = lines[0] if line is None and len(lines) == 1 else line
     if lines and name not in lines:
         problem = "several flight lines" if line is None else f"no flight line {line!r}"

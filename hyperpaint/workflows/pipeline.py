@@ -137,8 +137,9 @@ def refuse_findings(
     # for findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
     refused = []
     accepted: dict[str, dict[str, Any]] = {}
-    groups = [name for name in lines if name in opened.members]
-    for group, findings in _findings(opened, groups, lit=lit).items():
+    for group, findings in _findings(
+        opened, [name for name in lines if name in opened.members], lit=lit
+    ).items():
         for finding in findings:
             if finding.kind.name in accept:
                 accepted.setdefault(group, {"accepted_findings": []})["accepted_findings"].append(
@@ -338,9 +339,12 @@ def run(
     ):
         one_of(value, allowed, word, problems=problems)
     for name in [accept] if isinstance(accept, str) else accept:
-        if name not in KINDS or isinstance(accept, str):
-            expected = f"a list of some of {', '.join(KINDS)}"
-            problems.add(f"accept={name!r}", expected=expected, code="choice-unknown")
+        problems.add_if(
+            name not in KINDS or isinstance(accept, str),
+            f"accept={name!r}",
+            expected=f"a list of some of {', '.join(KINDS)}",
+            code="choice-unknown",
+        )
     problems.add_if(
         flags and to == "radiance",
         "flags need reflectance",
@@ -449,8 +453,9 @@ def opened_groups(
         # version of the numerics, and a digest of all settings
         parts = [FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, line_parameters if name in cubes else {}]
         settings = f"numerics={NUMERICS_VERSION} digest={digest_of(parts)[:32]}"
-        digest = inputs_digest(dataset, cubes.get(name, ()), settings)
-        groups[name] = dataset.assign_attrs({INPUTS: digest, SETTINGS: settings})
+        groups[name] = dataset.assign_attrs(
+            {INPUTS: inputs_digest(dataset, cubes.get(name, ()), settings), SETTINGS: settings}
+        )
     return opened, groups
 
 
@@ -559,11 +564,11 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
         command = shlex.split(manifest.command) if manifest is not None else []
     except ValueError:  # unbalanced quotes, which hyperpaint does not write
         command = []
-    if command[:2] != ["hyperpaint", "process"] or len(command) < 3:
-        raise StoreError(
-            f"{location.url} was not written by hyperpaint process and has no record of inputs",
-            code="inputs-unrecorded",
-        )
+    StoreError.raise_if(
+        command[:2] != ["hyperpaint", "process"] or len(command) < 3,
+        f"{location.url} was not written by hyperpaint process and has no record of inputs",
+        code="inputs-unrecorded",
+    )
     source = Path(command[2]) if collect is None else collect
     StoreError.raise_if(
         not source.is_file(),

@@ -59,13 +59,13 @@ class Outcome:
 
 def local_folder(out: str | Path, command: str) -> Path:
     # Return the store's folder; refuse a URL (`StoreError`).
-    if _URL.match(os.fspath(out)):
-        raise StoreError(
-            f"{command} writes to a folder, not to {os.fspath(out)!r}",
-            mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
-            "which accepts URLs (guide, 'Object stores')",
-            code="output-is-url",
-        )
+    StoreError.raise_if(
+        _URL.match(os.fspath(out)),
+        f"{command} writes to a folder, not to {os.fspath(out)!r}",
+        mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
+        "which accepts URLs (guide, 'Object stores')",
+        code="output-is-url",
+    )
     return Path(out)
 
 
@@ -91,8 +91,11 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
     )
     for path in dict.fromkeys(map(Path.resolve, paths_in(settings))):
         relation = "is" if output == path else "holds" if output in path.parents else "lies in"
-        if relation != "lies in" or (path in output.parents and path.is_dir()):
-            problems.add(f"it {relation} {path}, an input", code="output-is-input")
+        problems.add_if(
+            relation != "lies in" or (path in output.parents and path.is_dir()),
+            f"it {relation} {path}, an input",
+            code="output-is-input",
+        )
     problems.raise_if_any()
 
 
@@ -200,16 +203,18 @@ def write_groups(
         if "quality" in dataset.variables:
             try:
                 with errors_of_the_cluster(f"cannot compute the first lines of /{name}"):
-                    first_slab = dataset["quality"].isel({ALONG_TRACK: slice(0, 1)})
-                    first_slab.compute(**({} if client is None else {"retries": RETRIES}))
+                    dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute(
+                        **({} if client is None else {"retries": RETRIES})
+                    )
             except StoreError:  # a fault of the cluster, not of the data
                 raise
             except (PaintError, OSError) as error:
                 problems.add_error(f"/{name}", error)
     problems.raise_if_any()
     resumed = finishing_command(f"{command} {quote(str(Path(source).absolute()))}", options)
-    contents = run_contents(groups)
-    with whole_run(out, contents, products, attrs, command=resumed, overwrite=overwrite, codec=codec) as turn:
+    with whole_run(
+        out, run_contents(groups), products, attrs, command=resumed, overwrite=overwrite, codec=codec
+    ) as turn:
         for name, dataset in products.items():
             if announce is not None and (line := announce(name)):
                 sys.stderr.write(line)
@@ -325,8 +330,11 @@ class Record:
 
     def write(self, entries: Mapping[str, Any]) -> None:
         # Write entries; others stay.
-        content = json.dumps({**self.entries(), **entries}, indent=1, sort_keys=True)
-        publish_file(self.path, content.encode(), overwrite=True)
+        publish_file(
+            self.path,
+            json.dumps({**self.entries(), **entries}, indent=1, sort_keys=True).encode(),
+            overwrite=True,
+        )
 
     def produce(
         self, name: str, paths: tuple[Path, ...], inputs: Any, make: Callable[[], str], *, overwrite: bool
@@ -343,13 +351,13 @@ class Record:
         recorded = (entry or {}).get("products") or {}
         foreign = [path for path in paths if path.exists() and states[path.name] != recorded.get(path.name)]
         try:
-            if foreign and not (overwrite or entry == _UNFINISHED):
-                raise StoreError(
-                    f"{', '.join(map(str, foreign))}: written or changed by another program",
-                    mend="move them away, or pass overwrite=True",
-                    option="move them away, or use --overwrite",
-                    code="product-foreign",
-                )
+            StoreError.raise_if(
+                foreign and not (overwrite or entry == _UNFINISHED),
+                f"{', '.join(map(str, foreign))}: written or changed by another program",
+                mend="move them away, or pass overwrite=True",
+                option="move them away, or use --overwrite",
+                code="product-foreign",
+            )
             # if this run is interrupted, its files are not taken for those of another program
             self.write({name: _UNFINISHED})
             text = make()

@@ -137,10 +137,9 @@ def flight_line(
         line = line.drop_vars("true_reflectance")
     if file.product == "counts":
         exposure_time, seed = parts.platform.exposure_time, file.sampling["seed"]
-        counts = counts_of(
-            line["radiance"], parts.camera, exposure_time, seed, atmosphere.name, noise=parts.noise
+        line = line.drop_vars("radiance").merge(
+            counts_of(line["radiance"], parts.camera, exposure_time, seed, atmosphere.name, noise=parts.noise)
         )
-        line = line.drop_vars("radiance").merge(counts)
     # the irradiance that a spectrometer logs every 2 s, from before to after the flight
     first, last = (moment.astype("datetime64[s]") for moment in parts.platform.utc[[0, -1]])
     count = int((last - first).astype(np.int64) + 2 * _MARGIN_S) // _INTERVAL_S + 2
@@ -394,19 +393,20 @@ def run(
         MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", SimulationSettings.bands)
     )
     free_bytes = shutil.disk_usage(folder).free
-    if min_bytes > free_bytes:
-        raise StoreError(
-            f"{file.path} needs at least {size_text(min_bytes)} of disk; {size_text(free_bytes)} are free in "
-            f"{folder}",
-            mend="reduce lines, columns or bands, or use another disk",
-            code="disk-full",
-        )
+    StoreError.raise_if(
+        min_bytes > free_bytes,
+        f"{file.path} needs at least {size_text(min_bytes)} of disk; {size_text(free_bytes)} are free in "
+        f"{folder}",
+        mend="reduce lines, columns or bands, or use another disk",
+        code="disk-full",
+    )
     parts = build_parts(file)
     if library is not None:
         # paints of the file take precedence over those of the library
         paints = by_name(read_paints(Path(library)))
-        targets = assigned_paints(SceneRecord.of(parts.scene), list(paints))
-        file = dataclasses.replace(file, paints={**targets, **file.paints})
+        file = dataclasses.replace(
+            file, paints={**assigned_paints(SceneRecord.of(parts.scene), list(paints)), **file.paints}
+        )
         parts = dataclasses.replace(parts, spectra={**paints, **parts.spectra})
     names = [light.name for light in chosen_atmospheres(parts, atmospheres)]
     with contextlib.ExitStack() as stack:
@@ -424,8 +424,9 @@ def run(
         meshes = []
         for mesh in file.meshes:
             with open_input(mesh.path, "an input of a scene") as content:
-                digest = hashlib.file_digest(content, "sha256").hexdigest()
-                meshes.append([digest, mesh.name, dict(mesh.options)])
+                meshes.append(
+                    [hashlib.file_digest(content, "sha256").hexdigest(), mesh.name, dict(mesh.options)]
+                )
         inputs = {
             "format": [FORMAT_VERSION, NUMERICS_VERSION],
             "scene": {**file.scene, "name": file.name},
@@ -435,8 +436,9 @@ def run(
             "suns": parts.suns,
             "overcast": parts.overcast,
         }
-        attrs = {INPUTS: digest_of(inputs)[:32], **_SETTINGS}
-        traced = traced.assign_coords(pose_of(parts.platform)).assign_attrs(attrs)
+        traced = traced.assign_coords(pose_of(parts.platform)).assign_attrs(
+            {INPUTS: digest_of(inputs)[:32], **_SETTINGS}
+        )
         planned = {TRANSPORT: traced, **_renders(traced, file, parts, names)}
         size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
 

@@ -314,8 +314,7 @@ def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
                 "name a spectrum, or materials, part by part",
             ),
         ):
-            if is_missing:
-                reader.problems.add(f"{place} {key} is missing", mend=mend, code="key-missing")
+            reader.problems.add_if(is_missing, f"{place} {key} is missing", mend=mend, code="key-missing")
         for part, material in table.get("materials", {}).items():
             where = f"{place} materials.{part:.40}"
             surface = {"spectrum": material} if isinstance(material, str) else material
@@ -332,9 +331,8 @@ def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
                     found = f"{where}.{key} = {shown(value)}"
                     MATERIAL[key].note(reader.problems, found, value, MATERIAL[key].mend)
                 else:
-                    known = f"known are {', '.join(MATERIAL)}"
                     found = f"{where} unknown key {key[:40]!r}"
-                    reader.problems.add(found, mend=known, code="key-unknown")
+                    reader.problems.add(found, mend=f"known are {', '.join(MATERIAL)}", code="key-unknown")
         path = reader.path(place, "path", table.get("path"))
         reader.problems.add_if(
             name in names,
@@ -367,8 +365,9 @@ def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
         return platform, camera
     note_pushbroom_faults(platform, problems, _spelled(tables, ["platform"]))
     if len(problems) == before:
-        fields = camera_fields(platform, camera)
-        SimulationSettings.note_faults(fields, problems, _spelled(tables, ["camera", "platform"]))
+        SimulationSettings.note_faults(
+            camera_fields(platform, camera), problems, _spelled(tables, ["camera", "platform"])
+        )
     return platform, camera
 
 
@@ -426,8 +425,12 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
     reader.exclude(place, table, *_SOURCES)
     name = table.get("name", table.get("preset"))
     if name is None:
-        if not present & {"name", "preset"}:
-            problems.add(f"{place} name is missing", mend="name its group in the store", code="key-missing")
+        problems.add_if(
+            not present & {"name", "preset"},
+            f"{place} name is missing",
+            mend="name its group in the store",
+            code="key-missing",
+        )
         return None
     reader.is_name(place, "name", name)
     measured = [source for source in sources if source != "preset"]
@@ -476,8 +479,10 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
     )
     problems.extend(problem for is_wrong, problem in checks if is_wrong)
     files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
-    sky = {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)}
-    options = arguments_of(SCHEMA["atmospheres"], sky)
+    options = arguments_of(
+        SCHEMA["atmospheres"],
+        {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)},
+    )
     preset = table.get("preset", None if sources else name)
     return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
 
@@ -606,8 +611,9 @@ def build_parts(file: SceneFile) -> RenderParts:
         "[platform]": lambda: _platform(file, parts.get("[scene]")),
     }
     _built(builders, Problems(f"{file.path} cannot be rendered", FormatError), parts)
-    noise = file.camera.get("noise", True)
-    return RenderParts(**{table.strip("[]"): part for table, part in parts.items()}, noise=noise)
+    return RenderParts(
+        **{table.strip("[]"): part for table, part in parts.items()}, noise=file.camera.get("noise", True)
+    )
 
 
 def _built(
@@ -629,12 +635,12 @@ def chosen_atmospheres(parts: RenderParts, names: Sequence[str]) -> tuple[Atmosp
     # Return the atmospheres with these names, by default all; `SchemaError` for an unknown name.
     by_name = {light.name: light for light in parts.atmospheres}
     unknown = [name for name in names if name not in by_name]
-    if unknown:
-        raise SchemaError(
-            f"there is no atmosphere {', '.join(map(repr, unknown))} in the scene file",
-            expected=f"some of {', '.join(by_name)}",
-            code="choice-unknown",
-        )
+    SchemaError.raise_if(
+        unknown,
+        f"there is no atmosphere {', '.join(map(repr, unknown))} in the scene file",
+        expected=f"some of {', '.join(by_name)}",
+        code="choice-unknown",
+    )
     return tuple(by_name[name] for name in dict.fromkeys(names)) if names else parts.atmospheres
 
 

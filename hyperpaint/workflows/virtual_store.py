@@ -165,8 +165,9 @@ def virtualise(
         out, overwrite=True, foreign=lambda folder: "" if is_virtual(folder) else "other files"
     ) as folder:
         write_icechunk(folder, groups, attrs)
-    corrected = corrections_of({name: companions for name, (companions, _) in groups.items()})
-    return Outcome(out, tuple(groups), (), corrected)
+    return Outcome(
+        out, tuple(groups), (), corrections_of({name: companions for name, (companions, _) in groups.items()})
+    )
 
 
 def _cubes(
@@ -227,12 +228,12 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
         for start in (0, local.size // 2, max(0, local.size - _SAMPLE_BYTES)):
             file.seek(start)
             stop = min(start + _SAMPLE_BYTES, local.size)
-            if fs.cat_file(key, start=start, end=stop) != file.read(stop - start):
-                raise StoreError(
-                    f"{copy.url} differs from {path} at byte {start} or after it",
-                    mend="copy it again",
-                    code="copy-differs",
-                )
+            StoreError.raise_if(
+                fs.cat_file(key, start=start, end=stop) != file.read(stop - start),
+                f"{copy.url} differs from {path} at byte {start} or after it",
+                mend="copy it again",
+                code="copy-differs",
+            )
     return copy
 
 
@@ -255,12 +256,12 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
     dims = FILE_DIMS[interleave]
     ends = list(itertools.accumulate(array.file_shape[0] for array in arrays))
     count = line.sizes[ALONG_TRACK]
-    if ends[-1] != count:
-        raise FormatError(
-            f"{count} lines, and {ends[-1]} in the files: frames were lost between the cubes",
-            mend="process the collect instead",
-            code="frames-lost",
-        )
+    FormatError.raise_if(
+        ends[-1] != count,
+        f"{count} lines, and {ends[-1]} in the files: frames were lost between the cubes",
+        mend="process the collect instead",
+        code="frames-lost",
+    )
     lines = slab_lines(ends)
     width = first_array.file_shape[1] * first_array.file_shape[2] * first_array.stored.itemsize
     lost_slabs = np.flatnonzero(np.isnat(line["time"].values)) // lines

@@ -134,8 +134,7 @@ def test_a_part_is_compiled_once_and_kept_in_the_whole_alone(
     assert len(module.times._inner.overloads) == 1
     # another process loads the kernel without the modules that compiling needs; it can compile after that
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    run = [sys.executable, "-c", LOADED]
-    loaded = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    loaded = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True).stdout
     assert loaded.split() == ["125", "False", "42", "True"]
     # a part of a whole is a kernel of its own for Python
     assert (module.times(7, 6), len(_files(tmp_path, "nbc"))) == (42, 2)

@@ -80,16 +80,16 @@ def test_a_stuck_bad_element_does_not_saturate_its_column() -> None:
     got = reflectance(line).compute()
     assert (got.quality.values.any(), np.isnan(got.reflectance.values[:, 9, 1]).all()) == (False, True)
     # in a pixel where another element saturates, it does
-    flags = quality_of(with_samples(line, counts=[((5, 20, 1), 4095)]))
-    np.testing.assert_array_equal(np.argwhere(flags), [[5, 1]])
+    np.testing.assert_array_equal(
+        np.argwhere(quality_of(with_samples(line, counts=[((5, 20, 1), 4095)]))), [[5, 1]]
+    )
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_below_dark_by_five_sigma(dtype: Any) -> None:
     # five times sqrt(2^2 + 1/12) is 10.104: quantisation is noise too
     samples = [((1, 3, 0), 89), ((2, 3, 0), 90 if dtype == np.uint16 else 89.95)]
-    line = with_samples(flight(bands=40, dark=100.0, dtype=dtype).line, counts=samples)
-    got = reflectance(line).compute()
+    got = reflectance(with_samples(flight(bands=40, dark=100.0, dtype=dtype).line, counts=samples)).compute()
     np.testing.assert_array_equal(np.argwhere(got.quality.values == Quality.BELOW_DARK), [[1, 0]])
     assert got.quality.values.sum() == Quality.BELOW_DARK
     assert got.reflectance.values[1, 3, 0] < 0  # kept
@@ -148,8 +148,9 @@ def test_nothing_is_extrapolated() -> None:
     is_gap = got.quality.values == Quality.IRRADIANCE_GAP
     assert (np.isnan(got.reflectance.values) == outside[:, None, None]).all()
     assert (is_gap == outside[:, None]).all()
-    age = np.minimum(np.abs(seconds - 12), np.abs(seconds - 14))
-    np.testing.assert_allclose(got.irradiance_age.values, age, atol=1e-6)
+    np.testing.assert_allclose(
+        got.irradiance_age.values, np.minimum(np.abs(seconds - 12), np.abs(seconds - 14)), atol=1e-6
+    )
     assert got.irradiance_age.dtype == np.float32
 
 

@@ -121,11 +121,12 @@ def test_other_dims_are_named_by_role() -> None:
 
 
 def test_an_index_of_wavelengths_becomes_a_plain_coordinate() -> None:
-    cube = xr.Dataset(
-        {"reflectance": (("y", "x", "wavelength"), np.zeros((2, 3, 4), "f4"))},
-        {"wavelength": ("wavelength", [1.0, 2.0, 3.0, 4.0], {"units": "nm"})},
+    made = rename_to_roles(
+        xr.Dataset(
+            {"reflectance": (("y", "x", "wavelength"), np.zeros((2, 3, 4), "f4"))},
+            {"wavelength": ("wavelength", [1.0, 2.0, 3.0, 4.0], {"units": "nm"})},
+        )
     )
-    made = rename_to_roles(cube)
     assert made.wavelength.dims == ("band",)
     assert "wavelength" not in made.xindexes
     assert made.wavelength.attrs["units"] == "nm"

@@ -173,8 +173,9 @@ def test_convert_keeps_floats_and_loses_no_integer(dtype: str) -> None:
 
 
 def test_small_integers_are_not_converted_in_half_precision() -> None:
-    heights = xr.DataArray(np.array([0, 200, 255], np.uint8), attrs={"units": "m"})
-    assert convert(heights, "mm", "height").values.tolist() == [0.0, 200_000.0, 255_000.0]
+    assert convert(
+        xr.DataArray(np.array([0, 200, 255], np.uint8), attrs={"units": "m"}), "mm", "height"
+    ).values.tolist() == [0.0, 200_000.0, 255_000.0]
 
 
 def test_convert_is_lazy(no_compute: Any) -> None:

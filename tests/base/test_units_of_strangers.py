@@ -171,8 +171,9 @@ def test_a_view_in_quantities_goes_through_the_chain_like_the_line() -> None:
             of(view).drop_vars(set(of(line).coords)), of(line).drop_vars(set(of(line).coords))
         )
     # what pint-xarray turns back has text that is read
-    back = view.pint.dequantify()
-    np.testing.assert_allclose(back.paint.reflectance().reflectance, line.paint.reflectance().reflectance)
+    np.testing.assert_allclose(
+        view.pint.dequantify().paint.reflectance().reflectance, line.paint.reflectance().reflectance
+    )
 
 
 def test_a_quantity_stays_lazy(no_compute: Any) -> None:
@@ -215,8 +216,9 @@ def test_units_of_places() -> None:
     pytest.importorskip("pyproj")
     convention = hp.Convention(column_order="left_to_right")
     camera = hp.geometry.PinholeCamera(3, field_of_view=90.0, edges="centres")
-    same = hp.geometry.PinholeCamera(3, field_of_view=SECOND.Quantity(np.pi / 2, "rad"), edges="centres")
-    assert same.field_of_view == pytest.approx(90.0)
+    assert hp.geometry.PinholeCamera(
+        3, field_of_view=SECOND.Quantity(np.pi / 2, "rad"), edges="centres"
+    ).field_of_view == pytest.approx(90.0)
     options = {"camera": camera, "convention": convention}
     located = line.paint.locate(
         ground=50.0, lever_arm=(1.0, 2.0, 0.3048), boresight=(2.0, 0.0, 0.0), **options
@@ -252,8 +254,9 @@ def test_a_height_model_in_feet() -> None:
         (dem / 0.3048).assign_attrs(dem.attrs, units="ft"),
         dem.copy(data=FIRST.Quantity(dem.values, "m")),
     ):
-        located = line.paint.locate(dem=heights, **options)
-        np.testing.assert_allclose(located.east, level.east, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(
+            line.paint.locate(dem=heights, **options).east, level.east, rtol=0, atol=1e-3
+        )
     expect_error(
         UnitsError,
         "dem",
@@ -285,11 +288,10 @@ def test_times_angles_and_shares() -> None:
         {"wavelength": ("band", SECOND.Quantity(np.array([0.41, 0.85]), "um"))},
     )
     bare = paint.paint.remove_mirrored_sky(**sky)
-    plain_paint = xr.Dataset(
+    expected = xr.Dataset(
         {"reflectance": ("band", np.array([0.042, 0.033]), {"units": "1"})},
         {"wavelength": ("band", np.array([410.0, 850.0]), {"units": "nm"})},
-    )
-    expected = plain_paint.paint.remove_mirrored_sky(sun_zenith=30.0)
+    ).paint.remove_mirrored_sky(sun_zenith=30.0)
     np.testing.assert_allclose(bare.reflectance, expected.reflectance, atol=1e-7)
     assert (bare.reflectance < [0.036, 0.032]).all()  # a sky was removed
     expect_error(UnitsError, "strength", lambda: paint.paint.remove_mirrored_sky(strength=0.04 * u.m, **sky))
@@ -412,10 +414,11 @@ def test_plain_gives_back_what_holds_no_quantity() -> None:
     )
     assert plain(tree)["a/t"].attrs == {"units": "ms"}
     assert plain(plain(tree)) is not None
-    indexed = xr.DataArray(
-        [1.0, 2.0], dims="x", coords={"w": ("x", FIRST.Quantity(np.array([3.0, 4.0]), "um"))}, name="w"
-    )
-    assert plain(indexed).w.attrs == {"units": "um"}
+    assert plain(
+        xr.DataArray(
+            [1.0, 2.0], dims="x", coords={"w": ("x", FIRST.Quantity(np.array([3.0, 4.0]), "um"))}, name="w"
+        )
+    ).w.attrs == {"units": "um"}
 
 
 def test_other_packages_units_are_read_by_their_text() -> None:

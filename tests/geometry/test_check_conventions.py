@@ -30,8 +30,9 @@ def flight_of(seed: int, lines: int = 600) -> tuple[Flight, xr.Dataset, xr.Datas
 def check(flight: Flight, made: Made, **options: Any) -> ConventionCheck:
     line, nav, declared = made
     camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
-    given = {"convention": declared, "camera": camera, "ground": flight.ground} | options
-    return check_conventions(line, nav, **given)
+    return check_conventions(
+        line, nav, **{"convention": declared, "camera": camera, "ground": flight.ground} | options
+    )
 
 
 @pytest.mark.slow

@@ -98,8 +98,9 @@ def test_clouds_in_the_record_and_in_the_picture(seed: int, offset: float) -> No
 @pytest.mark.parametrize(("offset", "names"), [(1.6, ["raw_0"]), (0.85, [])])
 def test_an_offset_of_the_irradiance_record_is_a_finding(offset: float, names: list[str]) -> None:
     line, record = lit(offset, 0.5, 1)
-    lines = {"short": line.isel(along_track=slice(0, 50)), "raw_0": xr.merge([line, record])}
-    found = navigation_findings(lines)
+    found = navigation_findings(
+        {"short": line.isel(along_track=slice(0, 50)), "raw_0": xr.merge([line, record])}
+    )
     assert [name for name, _ in found] == names
     for _, finding in found:
         assert (finding.field, finding.verdict) == ("irradiance clock", "wrong")

@@ -33,8 +33,9 @@ def mapped(line: xr.Dataset, **options: Any) -> tuple[xr.Dataset, xr.Dataset]:
     if "dem" in given:
         del given["ground"]
     located = hp.geometry.locate(line, **given)
-    variables = ["number", "east", "north", "view_azimuth", "quality"]
-    made = hp.geometry.orthorectify(located, variables=variables, method="bilinear").compute()
+    made = hp.geometry.orthorectify(
+        located, variables=["number", "east", "north", "view_azimuth", "quality"], method="bilinear"
+    ).compute()
     located = located.compute()
     lost = np.isnan(located.east.values)
     for name in PLACES:
@@ -65,8 +66,9 @@ def test_a_gap_of_the_navigation() -> None:
     record = recorded(line.compute())
     bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
     located, made = mapped(bare, navigation=record.isel(navigation_time=np.r_[0:40, 80:LINES]), max_gap_s=0.1)
-    lost = np.isnan(located.east.values).all(axis=1)
-    np.testing.assert_array_equal(np.flatnonzero(lost), np.arange(40, 80))
+    np.testing.assert_array_equal(
+        np.flatnonzero(np.isnan(located.east.values).all(axis=1)), np.arange(40, 80)
+    )
     inside = made.hits.values == 0
     assert made.gap.values[made.sizes["y"] // 2].sum() > COLUMNS / 2
     assert not ((made.number.values > 39.5) & (made.number.values < 79.5))[~inside].any()
@@ -82,8 +84,9 @@ def test_a_pose_that_is_half_known(name: str) -> None:
     line[name][30] = np.inf
     for chunked in (line, line.chunk(along_track=32)):
         located, made = mapped(chunked)
-        lost = np.isnan(located.east.values).all(axis=1)
-        np.testing.assert_array_equal(np.flatnonzero(lost), [0, 7, 30, 50, 51, LINES - 1])
+        np.testing.assert_array_equal(
+            np.flatnonzero(np.isnan(located.east.values).all(axis=1)), [0, 7, 30, 50, 51, LINES - 1]
+        )
         assert made.gap.values.any()
     # one missing row of a record is between two known ones
     bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
@@ -173,8 +176,9 @@ def test_a_real_raster_with_holes() -> None:
     assert (np.isfinite(near).all(), np.isfinite(corner).all(), made.gap.values.any()) == (True, True, True)
     np.testing.assert_allclose(np.where(lost, np.nan, flat.east), located.east, rtol=0, atol=1e-6)
     # with the holes as a number, and in a leading band, as files have them
-    marked = dem.fillna(-9999.0).expand_dims(band=[1]).assign_attrs(dem.attrs, _FillValue=-9999.0)
-    again, same = mapped(line, dem=marked)
+    again, same = mapped(
+        line, dem=dem.fillna(-9999.0).expand_dims(band=[1]).assign_attrs(dem.attrs, _FillValue=-9999.0)
+    )
     np.testing.assert_array_equal(again.east, located.east)
     np.testing.assert_array_equal(same.hits, made.hits)
     # a line that half leaves the raster

@@ -58,8 +58,9 @@ def test_what_is_hidden_is_a_gap(seen: Seen, chunk: int, turn: int) -> None:
 
 def test_without_heights_it_was_shown(seen: Seen) -> None:
     line = located(seen)
-    level = line.drop_vars(["ground_height", "view_zenith"])
-    made = hp.geometry.orthorectify(level, SPACING, variables=[], max_stretch=20.0).compute()
+    made = hp.geometry.orthorectify(
+        line.drop_vars(["ground_height", "view_zenith"]), SPACING, variables=[], max_stretch=20.0
+    ).compute()
     east, north = np.meshgrid(made["x"], made["y"])
     assert ((made["hits"].values > 0) & is_hidden(east, north)).sum() > 1500
     # of level ground no height is read
@@ -84,8 +85,9 @@ def test_a_line_that_is_located_on_a_model_of_the_surface(seen: Seen) -> None:
         heights, {"y": y, "x": x}, ("y", "x"), attrs={"crs": MAP, "height_reference": "ellipsoid"}
     )
     camera = hp.geometry.PinholeCamera(COLUMNS, pixel_pitch=SPACING, focal_length=HEIGHT)
-    facing = Convention(column_order="left_to_right")
-    placed = line.paint.locate(dem=dem, camera=camera, convention=facing, crs=MAP)
+    placed = line.paint.locate(
+        dem=dem, camera=camera, convention=Convention(column_order="left_to_right"), crs=MAP
+    )
     assert np.median(np.hypot(placed["east"] - seen.east, placed["north"] - seen.north).values) < 0.02
     made = hp.geometry.orthorectify(placed, SPACING, variables=["ground_height"]).compute()
     east, north = np.meshgrid(made["x"], made["y"])

@@ -36,8 +36,9 @@ def test_regions_of_the_map_find_their_pixels() -> None:
     located = line_with_poses().paint.locate(ground=0.0, camera=CAMERA).paint.reflectance()
     east, north = located.east.values, located.north.values
     corner = (east[10, 2], north[10, 2])
-    box = [(corner[0] + a, corner[1] + b) for a, b in ((-1, -0.03), (1, -0.03), (1, 0.03), (-1, 0.03))]
-    region = hp.Region("panel", box)
+    region = hp.Region(
+        "panel", [(corner[0] + a, corner[1] + b) for a, b in ((-1, -0.03), (1, -0.03), (1, 0.03), (-1, 0.03))]
+    )
     along, across = pixels(region, located, coordinates="map", crs=UTM)
     inside = (np.abs(east - corner[0]) <= 1) & (np.abs(north - corner[1]) <= 0.03)
     assert inside[10, 2]

@@ -118,8 +118,9 @@ def test_map_north_and_scale() -> None:
     geod = pyproj.Geod(ellps="WGS84")
     far_lon, far_lat, _ = geod.fwd([-80.2], [34.0], [37.0], [1000.0])
     ends = flown(2, 1, roll=0, pitch=0, heading=0, latitude=[34.0, far_lat[0]], longitude=[-80.2, far_lon[0]])
-    camera = hp.geometry.PinholeCamera(1, field_of_view=1.0, edges="outer")
-    made = hp.geometry.locate(ends, ground=0.0, crs=UTM, camera=camera)
+    made = hp.geometry.locate(
+        ends, ground=0.0, crs=UTM, camera=hp.geometry.PinholeCamera(1, field_of_view=1.0, edges="outer")
+    )
     back = pyproj.Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(made.east, made.north)
     _, _, distance = geod.inv(back[0][0], back[1][0], back[0][1], back[1][1])
     assert distance[0] == pytest.approx(1000.0, abs=1e-3)
@@ -178,8 +179,9 @@ def test_tables_of_look_angles() -> None:
         np.testing.assert_allclose(made.north, wanted["north"], rtol=0, atol=1e-8)
     # the angles that come with a calibration, in radians, need no order of columns
     line.attrs = Convention().to_attrs()
-    lab = line.assign(look_angle=("cross_track", np.radians(across), {"units": "radian"}))
-    made = hp.geometry.locate(lab, ground=1.0, crs=UTM)
+    made = hp.geometry.locate(
+        line.assign(look_angle=("cross_track", np.radians(across), {"units": "radian"})), ground=1.0, crs=UTM
+    )
     tangents[:, 0] = 0.0
     np.testing.assert_allclose(made.east, exact_places(line, tangents, level(1.0))["east"], rtol=0, atol=1e-8)
 
@@ -293,8 +295,9 @@ def test_it_may_be_located_again() -> None:
     line = flown(20, 5)
     line["roll"] = -line["roll"]
     line["roll"].attrs["units"] = "degree"
-    mirrored = LEFT_TO_RIGHT.replace(roll_positive="right_wing_up")
-    once = hp.geometry.locate(line, ground=0.0, camera=CAMERA, convention=mirrored)
+    once = hp.geometry.locate(
+        line, ground=0.0, camera=CAMERA, convention=LEFT_TO_RIGHT.replace(roll_positive="right_wing_up")
+    )
     np.testing.assert_array_equal(once.east, hp.geometry.locate(flown(20, 5), ground=0.0, camera=CAMERA).east)
     again = hp.geometry.locate(once, ground=0.0, camera=CAMERA)
     np.testing.assert_allclose(again.east, once.east, rtol=0, atol=1e-9)

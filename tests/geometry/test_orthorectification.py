@@ -99,8 +99,9 @@ def test_it_is_lazy_and_reads_the_lines_it_needs() -> None:
     cube = da.map_blocks(
         block, chunks=((16,) * 20, (3,), (40,)), dtype=np.float32, meta=np.empty((0, 0, 0), "f4")
     )
-    line = located(flown, chunk=16).assign(radiance=(CUBE, cube, {"units": "W m-2 sr-1 nm-1"}))
-    made = hp.geometry.orthorectify(line, tile=64)
+    made = hp.geometry.orthorectify(
+        located(flown, chunk=16).assign(radiance=(CUBE, cube, {"units": "W m-2 sr-1 nm-1"})), tile=64
+    )
     assert not read
     assert all(dask.is_dask_collection(part.data) for part in made.data_vars.values())
     made.radiance[-64:].compute(scheduler="sync")
@@ -174,8 +175,9 @@ def test_a_gap_is_empty_flagged_and_counted() -> None:
         "most_hits": 1,
     }
     # the same frames never recorded: lines follow one another, far apart
-    dropped = line.isel(along_track=np.r_[0:80, 120:200]).chunk(along_track=32)
-    made = hp.geometry.orthorectify(dropped, GSD, variables=["red"]).compute()
+    made = hp.geometry.orthorectify(
+        line.isel(along_track=np.r_[0:80, 120:200]).chunk(along_track=32), GSD, variables=["red"]
+    ).compute()
     assert (made.hits.values == 0).sum() == 40 * 40
 
 
@@ -235,9 +237,9 @@ def test_regions_of_the_map_are_pixels_of_the_line(order: str) -> None:
     low, high, left, right = 20, 33, 11, 25
     sensor = hp.Region("hood", [(left, low), (right, low), (right, high), (left, high)])
     # the outline of these pixels on the ground, half a pixel around their centres
-    edge = [(low - 1, left - 1), (low - 1, right), (high, right), (high, left - 1)]
     corners = [
-        tuple(part[i : i + 2, j : j + 2].mean() for part in (flown.east, flown.north)) for i, j in edge
+        tuple(part[i : i + 2, j : j + 2].mean() for part in (flown.east, flown.north))
+        for i, j in [(low - 1, left - 1), (low - 1, right), (high, right), (high, left - 1)]
     ]
     along = [(low - 1, j) for j in range(left - 1, right + 1)] + [(i, right) for i in range(low, high + 1)]
     along += [(high, j) for j in range(right - 1, left - 2, -1)] + [

@@ -31,14 +31,17 @@ def record(rows: int = 60, period: float = 0.01, **fixed: Any) -> xr.Dataset:
         "roll": 4 * np.sin(7 * t), "pitch": 3 * np.cos(5 * t), "heading": np.mod(-2 + 20 * t, 360),
     } | {name: np.asarray(value, float) for name, value in fixed.items()}  # fmt: skip
     units = {"altitude": "m"}
-    made = {n: ("navigation_time", v, {"units": units.get(n, "degree")}) for n, v in values.items()}
-    times = START + np.round(t * 1e9).astype("timedelta64[ns]")
-    return xr.Dataset(made, {"navigation_time": times}, CANONICAL.to_attrs())
+    return xr.Dataset(
+        {n: ("navigation_time", v, {"units": units.get(n, "degree")}) for n, v in values.items()},
+        {"navigation_time": START + np.round(t * 1e9).astype("timedelta64[ns]")},
+        CANONICAL.to_attrs(),
+    )
 
 
 def at(seconds: Any) -> xr.DataArray:
-    times = START + np.round(np.asarray(seconds, float) * 1e9).astype("timedelta64[ns]")
-    return xr.DataArray(times, dims="along_track")
+    return xr.DataArray(
+        START + np.round(np.asarray(seconds, float) * 1e9).astype("timedelta64[ns]"), dims="along_track"
+    )
 
 
 def scipy_rotations(data: xr.Dataset) -> Rotation:
@@ -119,8 +122,9 @@ def known(made: xr.Dataset) -> list[bool]:
 
 @pytest.mark.parametrize("kind", ["linear", "cubic"])
 def test_nothing_is_extrapolated(kind: Any) -> None:
-    made = hp.geometry.interpolate_pose(record(), at([-0.001, 0.0, 0.3, 0.59, 0.591]), interpolation=kind)
-    assert known(made) == [False, True, True, True, False]
+    assert known(
+        hp.geometry.interpolate_pose(record(), at([-0.001, 0.0, 0.3, 0.59, 0.591]), interpolation=kind)
+    ) == [False, True, True, True, False]
     times = at([0.1, 0.2])
     times[1] = np.datetime64("NaT", "ns")
     assert known(hp.geometry.interpolate_pose(record(), times, interpolation=kind)) == [True, False]
@@ -220,8 +224,9 @@ def test_units_references_and_heights() -> None:
     made = hp.geometry.canonical_navigation(radians, convention=Convention(angle_unit="radian"))
     np.testing.assert_allclose(made["heading"], data["heading"], rtol=0, atol=1e-12)
     assert made["heading"].attrs["units"] == "degree"
-    magnetic = Convention(heading_reference="magnetic", declination=-7.5)
-    turned = hp.geometry.canonical_navigation(data, convention=magnetic)["heading"]
+    turned = hp.geometry.canonical_navigation(
+        data, convention=Convention(heading_reference="magnetic", declination=-7.5)
+    )["heading"]
     assert np.abs((turned - data["heading"] + 7.5 + 180) % 360 - 180).max() < 1e-9
     high = Convention(height_reference="geoid", geoid_undulation=-33.2)
     np.testing.assert_allclose(

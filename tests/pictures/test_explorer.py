@@ -154,8 +154,9 @@ def test_on_a_crop_regions_have_the_numbers_of_the_line() -> None:
     assert state.add([2, 9, 9], [1, 1, 4]) == "region 1"
     assert state.regions[1].polygon.tolist() == [[11, 102], [11, 109], [14, 109]]
     spectrum = spectrum_of(state, state.drawn[1])
-    library = hp.extract_signatures(line, state.regions[1:2], members=0, min_pixels=1)
-    middle = library["reflectance_quantiles"].sel(quantile=0.5, method="nearest")[0]
+    middle = hp.extract_signatures(line, state.regions[1:2], members=0, min_pixels=1)[
+        "reflectance_quantiles"
+    ].sel(quantile=0.5, method="nearest")[0]
     np.testing.assert_array_equal(spectrum.reflectance.astype(np.float32), middle.values)
     assert "line 105, column 13" in spectrum_of(state, (5, 3)).text
 
@@ -228,10 +229,12 @@ def test_a_click_has_the_bits_of_the_pixel(state: Explored) -> None:
         pixel = line.paint.pixels(along, across)
         good = line["good"].values if "good" in line.variables else np.ones(pixel.sizes["band"], bool)
         for other in (pixel.reflectance, whole.reflectance[along, :, across]):
-            expected = np.where(good, other.values, np.float32(np.nan))
-            assert spectrum.reflectance.tobytes() == expected.tobytes()
-        names = hp.base.schema.flag_names(int(pixel.quality))
-        assert all(name.replace("_", " ") in spectrum.text for name in names)
+            assert (
+                spectrum.reflectance.tobytes() == np.where(good, other.values, np.float32(np.nan)).tobytes()
+            )
+        assert all(
+            name.replace("_", " ") in spectrum.text for name in hp.base.schema.flag_names(int(pixel.quality))
+        )
 
 
 def test_flags_of_a_region_are_named_and_left_out() -> None:
@@ -249,8 +252,9 @@ def test_flags_of_a_region_are_named_and_left_out() -> None:
     assert "glint 100 %" in message
     assert message.endswith("[region-empty]")
     # a sliver between the pixels' centres
-    sliver = hp.Region("sliver", [(0.2, 0.2), (0.4, 0.2), (0.4, 20.0)])
-    assert "sliver contains no pixel" in str(state.spectrum_of(sliver))
+    assert "sliver contains no pixel" in str(
+        state.spectrum_of(hp.Region("sliver", [(0.2, 0.2), (0.4, 0.2), (0.4, 20.0)]))
+    )
 
 
 def test_of_a_large_region_every_nth_line_is_taken(state: Explored, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -259,8 +263,9 @@ def test_of_a_large_region_every_nth_line_is_taken(state: Explored, monkeypatch:
     spectrum = spectrum_of(state, state.drawn[1])
     assert "of 48 pixels (every 3. line)" in spectrum.text
     rows = flight().line.paint.reflectance().compute().isel(along_track=slice(None, None, 3))
-    used = (rows.quality.values & exploring.EXCLUDED) == 0
-    values = rows.reflectance.transpose("along_track", "cross_track", "band").values[used]
+    values = rows.reflectance.transpose("along_track", "cross_track", "band").values[
+        (rows.quality.values & exploring.EXCLUDED) == 0
+    ]
     np.testing.assert_allclose(spectrum.reflectance, np.median(values, axis=0), rtol=1e-6)
 
 
@@ -274,8 +279,9 @@ def test_the_uncertainty_is_that_of_the_mean() -> None:
     assert not isinstance(sure, str), sure
     u, text = sure
     expect_words(text, "of a pixel", "systematic")
-    part = line.isel(along_track=slice(7, 8), cross_track=slice(3, 4)).paint.reflectance(uncertainty=True)
-    mean = hp.radiometry.mean_uncertainty(part)
+    mean = hp.radiometry.mean_uncertainty(
+        line.isel(along_track=slice(7, 8), cross_track=slice(3, 4)).paint.reflectance(uncertainty=True)
+    )
     np.testing.assert_array_equal(u, np.hypot(mean.u_random.values, np.nan_to_num(mean.u_systematic.values)))
     state.add([2, 2, 9, 9], [1, 4, 4, 1])
     whole = state.uncertainty_of(state.drawn[0])
@@ -370,8 +376,9 @@ def test_a_click_shows_the_spectrum_and_a_drag_the_median(shown: Any) -> None:
     shown.tap(7.2, 2.9)
     curves = shown._sources["curves"].data
     assert curves["name"] == ["roof", "clicked"]
-    pixel = flight().line.paint.pixels(7, 3)
-    np.testing.assert_array_equal(curves["reflectance"][1], pixel.reflectance.values)
+    np.testing.assert_array_equal(
+        curves["reflectance"][1], flight().line.paint.pixels(7, 3).reflectance.values
+    )
     assert "line 7, column 3" in shown._widgets.spectrum.object
     assert len(shown._widgets.paint_boxes.options) <= 5
     shown.tap(40.0, 2.0)  # beside the picture

@@ -100,8 +100,9 @@ def test_all_is_inside_and_apart(draw: Draw, width: float | None, theme: str) ->
         assert box.y0 > -0.03, "cut off below"
         assert box.x1 < size[0] + 0.03, "cut off on the right"
         assert box.y1 < size[1] + 0.03, "cut off above"
-        boxes = [axes.get_window_extent(renderer) for axes in figure.axes if axes.axison]
-        for one, other in itertools.combinations(boxes, 2):
+        for one, other in itertools.combinations(
+            [axes.get_window_extent(renderer) for axes in figure.axes if axes.axison], 2
+        ):
             overlap = one.intersection(one, other)
             assert overlap is None or min(overlap.width, overlap.height) < 1.0
             assert min(one.width, one.height) > 10.0
@@ -118,10 +119,10 @@ def test_before_and_after_straightening(width: float) -> None:
     # Expected: the line upright with all its lines, beside it the map, north up, in metres
     flown = fly(60, 30, "calm")
     values = np.random.default_rng(0).uniform(0.1, 0.6, (60, 4, 30)).astype("f4")
-    cube = xr.DataArray(values, dims=("along_track", "band", "cross_track"), attrs={"units": "1"})
-    line = located(flown, reflectance=cube).assign_coords(
-        wavelength=("band", [450.0, 550.0, 650.0, 900.0], {"units": "nm"})
-    )
+    line = located(
+        flown,
+        reflectance=xr.DataArray(values, dims=("along_track", "band", "cross_track"), attrs={"units": "1"}),
+    ).assign_coords(wavelength=("band", [450.0, 550.0, 650.0, 900.0], {"units": "nm"}))
     # a saturated pixel without values is a white glint in both pictures
     line["quality"] = xr.zeros_like(line.reflectance.isel(band=0), dtype="u4")
     line["quality"][30, 15], line["reflectance"][30, :, 15] = hp.Quality.SATURATED, np.nan

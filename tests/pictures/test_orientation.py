@@ -72,14 +72,15 @@ def test_columns_run_as_declared(order: str | None, rightwards: bool, label: str
 def test_a_map_has_north_up(rows_go_south: bool) -> None:
     north = 4_770_000.0 + 0.5 * np.arange(LINES) * (-1 if rows_go_south else 1)
     attrs = {"units": "m", "standard_name": "projection_y_coordinate"}
-    dataset = xr.Dataset(
-        {"quality": (("along_track", "cross_track"), np.zeros((LINES, COLUMNS), np.uint16))},
-        {
-            "y": ("along_track", north, attrs),
-            "x": ("cross_track", 3e5 + 0.5 * np.arange(COLUMNS), {"units": "m"}),
-        },
+    axes, to_screen = on_screen(
+        xr.Dataset(
+            {"quality": (("along_track", "cross_track"), np.zeros((LINES, COLUMNS), np.uint16))},
+            {
+                "y": ("along_track", north, attrs),
+                "x": ("cross_track", 3e5 + 0.5 * np.arange(COLUMNS), {"units": "m"}),
+            },
+        )
     )
-    axes, to_screen = on_screen(dataset)
     south, far_north = to_screen([(3e5, north.min()), (3e5, north.max())])
     assert far_north[1] > south[1]
     assert axes.images[0].get_extent()[2] == north[0] - 0.25 * np.sign(north[1] - north[0])

@@ -23,8 +23,9 @@ def measured() -> tuple[xr.Dataset, xr.Dataset]:
     quality[10:12, 1:3] = Quality.GLINT
     line["quality"] = line.quality.copy(data=quality)
     reasons = {"kind": "roof", "finish": "solid", "reasons": ["windows end it on both sides", "40 pixels"]}
-    corners = [(1, 10), (4, 10), (4, 19), (1, 19)]
-    region = hp.Region("red $roof", corners, flightline="raw_0", properties=reasons)
+    region = hp.Region(
+        "red $roof", [(1, 10), (4, 10), (4, 19), (1, 19)], flightline="raw_0", properties=reasons
+    )
     return line, hp.extract_signatures({"raw_0": line}, hp.Regions((region,)))
 
 

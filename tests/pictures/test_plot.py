@@ -50,8 +50,9 @@ def test_grey_is_grey_and_white_is_white() -> None:
 
 
 def test_colours_have_their_names() -> None:
-    edges = [(600, 780), (500, 580), (385, 480)]
-    spectra = np.array([0.05 + 0.8 * ((low <= NM) & (high >= NM)) for low, high in edges])
+    spectra = np.array(
+        [0.05 + 0.8 * ((low <= NM) & (high >= NM)) for low, high in [(600, 780), (500, 580), (385, 480)]]
+    )
     made = rgb(scene(spectra), stretch=WHITE)
     assert made.rgb.values.tolist() == ["red", "green", "blue"]
     assert made.values[:, 0].argmax(axis=1).tolist() == [0, 1, 2]

@@ -41,9 +41,9 @@ def hood(added: float = 0.04) -> xr.Dataset:
 
 def test_curves_are_the_mean_of_their_pixels(tmp_path: Path) -> None:
     line, plain = hood(), hood(0.0)
-    lazy = line.chunk(along_track=7)
-    figure = adjacency_figure(lazy, NEAR, FAR, tmp_path / "a.png", without=plain, width=3)
-    _, along, spectra, added = figure.axes
+    _, along, spectra, added = adjacency_figure(
+        line.chunk(along_track=7), NEAR, FAR, tmp_path / "a.png", without=plain, width=3
+    ).axes
     assert (tmp_path / "a.png").stat().st_size > 10_000
     distance, values = along.lines[2].get_data()  # 650 nm
     np.testing.assert_array_equal(distance, np.arange(21))
@@ -54,8 +54,9 @@ def test_curves_are_the_mean_of_their_pixels(tmp_path: Path) -> None:
     np.testing.assert_allclose(added.lines[2].get_ydata(), expected - 0.2, atol=1e-6)
     np.testing.assert_allclose(added.lines[-1].get_ydata(), expected - 0.2, atol=1e-6)  # as flagged
     near = spectra.lines[0].get_ydata()
-    lit = 0.2 + 0.04 * np.exp(-np.array([2, 3, 4]) / 6).mean()
-    np.testing.assert_allclose(near[NM > 600], lit, rtol=1e-5)
+    np.testing.assert_allclose(
+        near[NM > 600], 0.2 + 0.04 * np.exp(-np.array([2, 3, 4]) / 6).mean(), rtol=1e-5
+    )
     np.testing.assert_allclose(near[NM < 600], 0.2, rtol=1e-5)
     labels = [text.get_text() for text in spectra.get_legend().get_texts()]
     assert labels == ["near", "far", "without the neighbour's colour"]

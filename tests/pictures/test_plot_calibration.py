@@ -104,8 +104,9 @@ def test_maps_and_curves_are_those_of_the_calibration(figure: Any, calibration: 
     residual = panel(figure, "wavelength residual").collections[0].get_array()
     expected = calibration.line_centre - calibration.step_wavelength
     np.testing.assert_allclose(residual.filled(np.nan), expected.where(calibration.line_trusted).values.T)
-    smile = panel(figure, "smile").collections[0].get_array()
-    np.testing.assert_allclose(smile, calibration.wavelength_shift.values.T)
+    np.testing.assert_allclose(
+        panel(figure, "smile").collections[0].get_array(), calibration.wavelength_shift.values.T
+    )
     np.testing.assert_array_equal(curve(panel(figure, "width of"), "calibration"), calibration.fwhm)
     response = panel(figure, "responsivity")
     np.testing.assert_array_equal(

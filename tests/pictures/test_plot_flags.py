@@ -81,8 +81,7 @@ def test_the_legend_tells_shares_of_all_pixels(line: xr.Dataset) -> None:
 
 def test_chosen_flags_alone(line: xr.Dataset) -> None:
     by_name = flag_overlay(line, "glint").axes[0].images[1].get_array()
-    by_bit = flag_overlay(line, Quality.GLINT).axes[0].images[1].get_array()
-    np.testing.assert_array_equal(by_name, by_bit)
+    np.testing.assert_array_equal(by_name, flag_overlay(line, Quality.GLINT).axes[0].images[1].get_array())
     assert int((by_name[..., 3] > 0).sum()) == 2
     assert labels(flag_overlay(line, ["low_sun"]).axes[0]) == ["low sun  0 %"]
 
@@ -135,8 +134,7 @@ def test_a_line_without_flags_says_so_and_quality_is_computed_where_it_is_missin
     clean = line.assign(quality=line.quality * np.uint16(0))
     assert labels(flag_overlay(clean).axes[0]) == ["no flag set"]
     assert flag_shares(clean.quality.values) == {}
-    made = flag_overlay(flight(lines=12).line).axes[0]
-    assert made.get_ylabel() == "along_track [line], flown upwards"
+    assert flag_overlay(flight(lines=12).line).axes[0].get_ylabel() == "along_track [line], flown upwards"
 
 
 def test_the_stored_picture_is_taken_where_it_fits(line: xr.Dataset) -> None:

@@ -62,8 +62,9 @@ def test_pixels_tell_their_flags_and_uncertainty(line: xr.Dataset) -> None:
     full["reflectance_u_random"], full["reflectance_u_systematic"] = u, u * np.float32(4 / 3)
     made = spectrum(full, pixels=[(3, 4), (0, 0)]).axes[0]
     assert texts(made) == ["(3, 4): low sun, glint", "(0, 0)"]
-    band = made.collections[0].get_paths()[0].vertices
-    assert band[:, 1].max() == pytest.approx(full.reflectance.values[3, :, 4].max() + 0.05, abs=1e-6)
+    assert made.collections[0].get_paths()[0].vertices[:, 1].max() == pytest.approx(
+        full.reflectance.values[3, :, 4].max() + 0.05, abs=1e-6
+    )
 
 
 def test_bands_that_are_not_good_are_left_out(line: xr.Dataset) -> None:
@@ -88,8 +89,9 @@ def test_regions_are_signatures_with_their_quantiles(line: xr.Dataset, paints: x
 def test_paints_of_a_library_by_name(paints: xr.Dataset) -> None:
     made = paints.paint.spectrum(paints="left", spread="sd").axes[0]
     assert len(made.lines) == 1
-    band = made.collections[0].get_paths()[0].vertices[:, 1]
-    assert band.max() == pytest.approx(float((paints.reflectance + paints.reflectance_sd)[0].max()))
+    assert made.collections[0].get_paths()[0].vertices[:, 1].max() == pytest.approx(
+        float((paints.reflectance + paints.reflectance_sd)[0].max())
+    )
     assert len(paints.paint.spectrum().axes[0].lines) == 2
 
 
@@ -197,8 +199,9 @@ def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:
 def test_a_triptych_counts_pixels_that_have_a_value(line: xr.Dataset) -> None:
     # of a column without a gain there are counts, and no reflectance
     gain = line.radiance_gain.copy(data=np.where(np.arange(6) == 1, np.nan, line.radiance_gain.values))
-    figure = triptych(line.assign(radiance_gain=gain), LEFT, exclude=0)
-    assert figure.get_suptitle() == "left: 40 of 60 pixels"
+    assert (
+        triptych(line.assign(radiance_gain=gain), LEFT, exclude=0).get_suptitle() == "left: 40 of 60 pixels"
+    )
 
 
 # --- the library -------------------------------------------------------------------------------------------

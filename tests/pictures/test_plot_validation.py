@@ -19,8 +19,9 @@ mpl.use("Agg")
 
 def test_curves_are_the_spectra() -> None:
     nm = np.arange(500.0, 901.0)
-    paints = library(seen(NM, 6.0), reflectance_sd=np.full(NM.size, 0.01))
-    found = hp.validate(paints, field(0.97 * seen(nm, 3.0), nm=nm))
+    found = hp.validate(
+        library(seen(NM, 6.0), reflectance_sd=np.full(NM.size, 0.01)), field(0.97 * seen(nm, 3.0), nm=nm)
+    )
     upper, lower = hp.pictures.validation_figure(found).axes
     spectra = found.spectra[0]
     used = spectra["used"].values
@@ -44,8 +45,9 @@ def test_curves_are_the_spectra() -> None:
 def test_instruments_are_drawn_over_one_another() -> None:
     paints, asd = agreeing()
     nm = np.arange(390.0, 1011.0, 1.5)
-    svc = field(1.01 * seen(nm, 3.5), nm=nm, fwhm=3.5, instrument="SVC")
-    upper, lower = hp.pictures.validation_figure(hp.validate(paints, [asd, svc])).axes
+    upper, lower = hp.pictures.validation_figure(
+        hp.validate(paints, [asd, field(1.01 * seen(nm, 3.5), nm=nm, fwhm=3.5, instrument="SVC")])
+    ).axes
     assert (len(upper.lines), len(lower.lines)) == (3, 1 + 2)
     assert len({line.get_linestyle() for line in upper.lines}) == 3
 

@@ -108,8 +108,9 @@ def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     layer = xr.zeros_like(line.quality, np.float32).assign_attrs(units="1")
     layered = line.assign(glint_fraction=layer.rename("glint_fraction")).assign_attrs(collect="a car park")
     hp.to_store(layered, store, "flightlines/raw_0")
-    hostile = line.assign_attrs(name=HOSTILE, source=HOSTILE, dark_source="x" * 5000)
-    hp.to_store(hostile, store, "flightlines/raw_20")
+    hp.to_store(
+        line.assign_attrs(name=HOSTILE, source=HOSTILE, dark_source="x" * 5000), store, "flightlines/raw_20"
+    )
     hp.to_store(paints(line), store, "signatures")
     return store
 
@@ -224,8 +225,9 @@ def test_one_line_alone_and_what_is_refused(lot: Path, tmp_path: Path) -> None:
         (StoreError, "folder-missing", lambda: write(lot, tmp_path / "no" / "report.html")),
     )
     assert (page.read_text(), none.exists()) == ("mine", False)
-    done = write(lot, page, flightlines=["raw_20"], max_lines=5, cards=1, overwrite=True)
-    assert done.flightlines == ("flightlines/raw_20",)
+    assert write(lot, page, flightlines=["raw_20"], max_lines=5, cards=1, overwrite=True).flightlines == (
+        "flightlines/raw_20",
+    )
     parsed(page)
 
 

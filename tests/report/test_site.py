@@ -113,9 +113,8 @@ def test_the_folder_holds_all_and_names_nothing_outside(page: Path) -> None:
     names = {file.name for file in page.iterdir()}
     own = {"index.html", "site.css", "site.js", "chart.js", "codecs.js", "zarrita.min.js"}
     assert names == own | {"site.json", "pictures", "store.zarr"}
-    html = (page / "index.html").read_text()
     expect_words(
-        html,
+        (page / "index.html").read_text(),
         "default-src 'none'; script-src 'self'; style-src 'self';",
         without=("unsafe", "%ORIGIN%"),
     )
@@ -329,8 +328,7 @@ def test_a_map_copied_or_where_it_is(tab: Any, tmp_path: Path, link: str | None)
         box = tab.locator("#stage").bounding_box()  # north up: columns run along x
         tab.mouse.click(box["x"] + 8.5 / 40 * box["width"], box["y"] + 2.5 / 70 * box["height"])
         assert tab.inner_text("#place") == "column 8, row 2"
-        read = tab.evaluate(READ, ["map.zarr", 8, 2])
-        assert (read["bits"], tab.inner_text("#flagged")) == (
+        assert (tab.evaluate(READ, ["map.zarr", 8, 2])["bits"], tab.inner_text("#flagged")) == (
             cube().reflectance.values[2, :, 8].view(np.uint32).tolist(),
             "There are no flags here.",
         )
@@ -343,8 +341,9 @@ def test_paints_are_outlined_and_drawn_in_their_colours(tab: Any, served: str, p
     assert tab.locator("#outlines g.ticked").count() == tab.locator("#outlines g").count() == 1
     # corners are pixel centres, lines run to the right
     assert tab.locator("#outlines .own").get_attribute("points").split()[0] == "3.5,2.5"
-    styles = "[...document.querySelectorAll('#chart .curve')].map(one => one.style.getPropertyValue('--own'))"
-    assert tab.evaluate(styles) == ["", colour]
+    assert tab.evaluate(
+        "[...document.querySelectorAll('#chart .curve')].map(one => one.style.getPropertyValue('--own'))"
+    ) == ["", colour]
     tab.uncheck("#outlining")
     assert tab.locator("#outlines g").count() == 0
 

@@ -57,8 +57,9 @@ def test_nothing_is_computed(no_compute: Any) -> None:
     # small variables as they are, cubes lazy
     whole = with_overview(flight().line)
     line = whole.chunk(along_track=8).assign_coords(whole.coords)
-    small = {name: whole[name] for name in whole.data_vars if "along_track" not in whole[name].dims}
-    line = line.assign(small).paint.reflectance()
+    line = line.assign(
+        {name: whole[name] for name in whole.data_vars if "along_track" not in whole[name].dims}
+    ).paint.reflectance()
     line["overview"] = line.overview.chunk(overview_y=8)
     with no_compute():
         shown = line.paint._repr_html_()

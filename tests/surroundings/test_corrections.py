@@ -19,11 +19,10 @@ PART = {"direct": 1.2, "sky_view_factor": 0.6}
 
 def line(values: Any) -> xr.Dataset:
     cube = np.broadcast_to(np.asarray(values, np.float32)[None, :, None], (4, NM.size, 3))
-    made = xr.Dataset(
+    return xr.Dataset(
         {"reflectance": (("along_track", "band", "cross_track"), cube.copy(), {"units": "1"})},
         {"wavelength": ("band", NM, {"units": "nm"})},
-    )
-    return made.chunk(along_track=2)
+    ).chunk(along_track=2)
 
 
 def test_black_paint_and_tilted_panels() -> None:

@@ -99,8 +99,7 @@ def test_who_has_been_looked_at(tmp_path: Path, no_compute: Callable[[], Any]) -
     assert is_flagged(line.assign(quality=bits))
     bits[3, 4] = int(Quality.SATURATED | Quality.LOW_SUN)
     assert not is_flagged(line.assign(quality=bits))
-    path = stored(flagged.compute(), tmp_path)
-    assert is_flagged(hp.open_store(path, "flightlines/raw_0"))
+    assert is_flagged(hp.open_store(stored(flagged.compute(), tmp_path), "flightlines/raw_0"))
 
 
 @pytest.mark.slow
@@ -120,8 +119,7 @@ def test_the_command_flags_first(lot: Path, tmp_path: Path, surveys: list[dict[s
     assert "clear sky of hyperpaint.light.sun" in flagged.attrs["flags"]
     assert unflagged.attrs["flags"] == "not looked for"
     # the same as by hand
-    line = hp.open_store(lot, "flightlines/raw_0").paint.flag()
-    by_hand = line.paint.signatures(hp.Regions((HOOD,)))
+    by_hand = hp.open_store(lot, "flightlines/raw_0").paint.flag().paint.signatures(hp.Regions((HOOD,)))
     for name in by_hand.data_vars:
         assert by_hand[name].values.tobytes() == flagged[name].values.tobytes(), name
 
@@ -200,8 +198,7 @@ def test_smile_is_taken_out_before_flags() -> None:
     bent = line.assign_coords(wavelength_shift=("cross_track", shift, {"units": "nm"}))
     done = flag_line(bent)
     assert "wavelength_shift" not in done.surveyed.variables
-    expected = hp.surroundings.flag(bent.paint.to_nominal()).quality
-    np.testing.assert_array_equal(done.line.quality, expected)
+    np.testing.assert_array_equal(done.line.quality, hp.surroundings.flag(bent.paint.to_nominal()).quality)
     assert "wavelength_shift" in done.line.variables
     small = bent.assign_coords(wavelength_shift=("cross_track", 0.1 * shift, {"units": "nm"}))
     assert flag_line(small).surveyed is small

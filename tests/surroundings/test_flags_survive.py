@@ -41,8 +41,7 @@ def line() -> xr.Dataset:
     # the others are found anew whenever reflectance is computed from counts
     for number, flag in enumerate(flag for flag in Quality if Quality.GLINT <= flag <= Quality.OFF_SWATH):
         bits[number : number + 3, 7] |= np.uint16(flag)
-    quality = flagged.quality.copy(data=bits)
-    return flagged.assign(quality=quality).chunk(along_track=8)
+    return flagged.assign(quality=flagged.quality.copy(data=bits)).chunk(along_track=8)
 
 
 def assert_still_set(made: xr.Dataset, line: xr.Dataset, name: str) -> None:
@@ -65,13 +64,13 @@ def test_after_one_step(line: xr.Dataset, name: str) -> None:
 
 def test_saturated_samples_stay_missing_and_flagged_through_smoothing(line: xr.Dataset) -> None:
     saturated = (line.quality.values & int(Quality.SATURATED)) > 0
-    raw = line.reflectance.values
-    assert np.isnan(raw).any(axis=1)[saturated].all()
+    assert np.isnan(line.reflectance.values).any(axis=1)[saturated].all()
     smoothed = line.paint.smooth("box", 5)
     # what a window fills in is still a value of a pixel that is flagged
     assert_still_set(smoothed, line, "smooth")
-    again = smoothed.paint.remove_mirrored_sky(**SUN).paint.correct_light(direct=0.9, **SUN)
-    np.testing.assert_array_equal(again.quality, line.quality)
+    np.testing.assert_array_equal(
+        smoothed.paint.remove_mirrored_sky(**SUN).paint.correct_light(direct=0.9, **SUN).quality, line.quality
+    )
 
 
 def test_after_everything_a_store_and_signatures(line: xr.Dataset, tmp_path: Path) -> None:

@@ -84,8 +84,7 @@ def test_a_survey_takes_the_mean_of_the_lines() -> None:
     np.testing.assert_allclose(model.attrs["diffuse_fraction_u"], np.hypot(0.02, 0.2), rtol=1e-5)
     assert model.attrs["sky_states"] == "broken"
     assert "own record, sky broken" in model.attrs["diffuse_fraction_from"]
-    again = hp.surroundings.SceneModel.from_dataset(model.to_dataset())
-    assert again.attrs["sky_states"] == "broken"
+    assert hp.surroundings.SceneModel.from_dataset(model.to_dataset()).attrs["sky_states"] == "broken"
 
 
 def test_a_line_with_a_record_alone() -> None:

@@ -28,8 +28,7 @@ def panel(paint: Any, flakes: float, peak: float, width: float = 0.8) -> tuple[A
     inside = (y > 10) & (y < 70) & (x > 12) & (x < 92)
     broad = flakes * np.exp(-far / (2.0 * 14.0**2))
     spot = np.where(inside, peak * np.exp(-far / (2.0 * width**2)), 0.0)
-    lit = paint + broad[..., None] * DIRECT
-    cube = np.where(inside[..., None], lit, ASPHALT) + spot[..., None] * DIRECT
+    cube = np.where(inside[..., None], paint + broad[..., None] * DIRECT, ASPHALT) + spot[..., None] * DIRECT
     return cube, spot * DIRECT.mean() > 0.04 * (cube.mean(axis=2) - spot * DIRECT.mean())
 
 

@@ -40,9 +40,8 @@ def traced(request: pytest.FixtureRequest) -> tuple[xr.Dataset, int]:
         length=11.7, width=16.0, seed=103, neighbours=("walls",), margin=10.0, flakes=False, coat=coat
     )
     flight = pushbroom(176, 192, altitude=15.0, ground_sample=0.035, line_spacing=0.035, start=(-4.0, 2.0))
-    both = [*skies().values()]
     return hp.simulation.trace(
-        park, flight, both, samples=samples, seed=103, sun_radius=0.267
+        park, flight, [*skies().values()], samples=samples, seed=103, sun_radius=0.267
     ).compute(), glinting_px
 
 

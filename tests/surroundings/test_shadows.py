@@ -76,8 +76,7 @@ def test_a_black_car_and_an_enclosed_shadow() -> None:
     number = np.zeros((60, 60), int)
     number[10:30, 10:50] = 1
     number[30:40, 10:50] = 2
-    black = shadow_of(ASPHALT, 0.015, 0.7)
-    assert matched(number, [ASPHALT, black, shadow_of(ASPHALT, 0.005, 0.75)]) == [2]
+    assert matched(number, [ASPHALT, shadow_of(ASPHALT, 0.015, 0.7), shadow_of(ASPHALT, 0.005, 0.75)]) == [2]
     number = np.zeros((40, 40), int)
     number[12:24, 12:24] = 1
     assert matched(number, [ASPHALT, shadow_of(ASPHALT, 0.01, 0.85)]) == [1]
@@ -152,8 +151,7 @@ def test_under_a_low_sun_shade_is_as_blue_as_the_zenith() -> None:
     assert amount[0, 1] == pytest.approx(
         0.3 + 0.7 * LOW_LIGHT.above.sum() / LOW_LIGHT.diffuse.sum(), rel=1e-4
     )
-    mean_only = LOW_LIGHT._replace(above=LOW_LIGHT.diffuse)
-    assert solve(seen[None], ASPHALT[None], None, mean_only)[1][0] > 0.03
+    assert solve(seen[None], ASPHALT[None], None, LOW_LIGHT._replace(above=LOW_LIGHT.diffuse))[1][0] > 0.03
 
 
 @pytest.mark.parametrize(("is_coat", "shaded"), [(False, [1, 2]), (True, [1])])
@@ -189,6 +187,5 @@ def test_a_shadow_beside_a_dark_car_tells_its_side_by_the_ground(recwarn: pytest
     number[20:35, 20:60] = 2
     number[35:42, 20:60] = 1
     # on the ground much of the sky is hidden; of the car's paint, it would be nearly all of it
-    shade = 0.4 * ASPHALT * LIGHT.diffuse
-    assert matched(number, [ASPHALT, shade, 0.5 * ASPHALT]) == [1]
+    assert matched(number, [ASPHALT, 0.4 * ASPHALT * LIGHT.diffuse, 0.5 * ASPHALT]) == [1]
     assert not recwarn.list

@@ -48,8 +48,9 @@ def test_a_shadow_is_matched_to_the_ground_around_it(
     assert shaded.size >= 1
     lit = model.body[shaded]
     assert (model.state[lit] == LIT).all()
-    expected = np.bincount(model.channel, ASPHALT) / np.bincount(model.channel)
-    np.testing.assert_allclose(model.reference[lit[0]], expected, rtol=0.01)
+    np.testing.assert_allclose(
+        model.reference[lit[0]], np.bincount(model.channel, ASPHALT) / np.bincount(model.channel), rtol=0.01
+    )
     assert (model.shade_distance[model.segment == shaded[0]] == 0).all()
     hp.to_store(model.to_dataset(), tmp_path / "model.zarr", group="scene")
     stored = xr.open_zarr(tmp_path / "model.zarr", group="scene")
@@ -155,8 +156,7 @@ def test_a_line_that_cannot_be_surveyed_says_why(shadow_line: xr.Dataset) -> Non
 @pytest.mark.parametrize("value", [0.0, np.nan])
 def test_scenes_of_nothing_have_no_flags(value: float) -> None:
     cube = np.full((32, 40, NM.size), value)
-    flagged = hp.surroundings.flag(as_line(cube, NM), sun_zenith=40.0).compute()
-    assert not flagged.quality.values.any()
+    assert not hp.surroundings.flag(as_line(cube, NM), sun_zenith=40.0).compute().quality.values.any()
     cube[:, 20:] = 0.5
     assert hp.surroundings.survey(as_line(cube, NM), sun_zenith=40.0).segments == (2 if value == 0 else 1)
 
@@ -245,9 +245,10 @@ def test_a_smile_changes_no_flags() -> None:
         [[np.interp(NM + nm, NM, here) for nm, here in zip(smile, row, strict=True)] for row in cube]
     )
     straight = hp.surroundings.flag(as_line(cube, NM, snr=200.0), sun_zenith=30.0)
-    line = as_line(bent, NM, snr=200.0)
-    given = line.assign_coords(wavelength_shift=("cross_track", smile, {"units": "nm"}))
-    flagged = hp.surroundings.flag(given, sun_zenith=30.0)
+    flagged = hp.surroundings.flag(
+        as_line(bent, NM, snr=200.0).assign_coords(wavelength_shift=("cross_track", smile, {"units": "nm"})),
+        sun_zenith=30.0,
+    )
     assert (flagged.quality.values != straight.quality.values).mean() < 0.01
     inside = np.s_[:, 30:66]
     apart = (flagged.glint_fraction - straight.glint_fraction).values[inside]
@@ -286,11 +287,13 @@ def test_a_clear_sky_has_a_dark_zenith_and_a_bright_side(tmp_path: Path, shadow_
     assert 1.0 < model.sunward_radiance[blue] < model.sunward_radiance[red]
     hp.to_store(model.to_dataset(), tmp_path / "m.zarr", "models/raw_0")
     stored = hp.open_store(tmp_path / "m.zarr", "models/raw_0")
-    again = hp.surroundings.SceneModel.from_dataset(stored)
-    np.testing.assert_array_equal(again.sunward_radiance, model.sunward_radiance)
+    np.testing.assert_array_equal(
+        hp.surroundings.SceneModel.from_dataset(stored).sunward_radiance, model.sunward_radiance
+    )
     # models of before say nothing of directions: they were made with a uniform sky
-    of_before = stored.drop_vars(["zenith_radiance", "sunward_radiance"])
-    before = hp.surroundings.SceneModel.from_dataset(of_before)
+    before = hp.surroundings.SceneModel.from_dataset(
+        stored.drop_vars(["zenith_radiance", "sunward_radiance"])
+    )
     assert (before.zenith_radiance == 1.0).all()
     assert (before.sunward_radiance == 0.0).all()
     with pytest.raises(SchemaError, match=r"zenith.*out-of-range"):

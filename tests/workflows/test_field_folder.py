@@ -83,9 +83,10 @@ def test_the_collect_opens_to_what_its_author_wrote(simulated: Path, folder: Pat
     truth[1] = truth[1].assign_coords(along_track=truth[1]["along_track"] + truth[0].sizes["along_track"])
     for name in ("counts", "time"):
         xr.testing.assert_equal(line[name], xr.concat([part[name] for part in truth], "along_track"))
-    reflectance = [part.paint.reflectance()["reflectance"] for part in truth]
     xr.testing.assert_allclose(
-        line.paint.reflectance()["reflectance"], xr.concat(reflectance, "along_track"), rtol=1e-6
+        line.paint.reflectance()["reflectance"],
+        xr.concat([part.paint.reflectance()["reflectance"] for part in truth], "along_track"),
+        rtol=1e-6,
     )
 
 
@@ -96,8 +97,9 @@ def test_what_lies_elsewhere_is_named(folder: Path, tmp_path: Path) -> None:
     table.write_text("wavelength [nm],red,blue\n" + "".join(f"{nm},0.1,0.2\n" for nm in range(400, 1000)))
     elsewhere = {name: tmp_path / path for name, path in (("asd", "asd"), ("dark", "dark"))}
     elsewhere["calibration"] = tmp_path / "calibration.zarr"
-    found = find_field_files(folder, **elsewhere, references=[tmp_path / "svc" / "*.sig", table])
-    path = write_collect_toml(found)
+    path = write_collect_toml(
+        find_field_files(folder, **elsewhere, references=[tmp_path / "svc" / "*.sig", table])
+    )
     written = tomllib.loads(path.read_text(encoding="utf-8"))
     assert (written["irradiance"]["files"], written["dark"]["cubes"], written["calibration"]["path"]) == (
         "../asd/*.asd",
@@ -112,11 +114,13 @@ def test_what_lies_elsewhere_is_named(folder: Path, tmp_path: Path) -> None:
     opened = hp.open_collect(path)
     assert set(opened.children) >= {"flightlines", "irradiance", "calibration"}
     assert opened["references/svc_2"]["signature"].values.tolist() == ["red", "blue"]
-    folders = find_field_files(folder, **elsewhere, references=[tmp_path / "svc"])
-    assert folders.references["svc"] == [tmp_path / "svc" / "*.sig"]
+    assert find_field_files(folder, **elsewhere, references=[tmp_path / "svc"]).references["svc"] == [
+        tmp_path / "svc" / "*.sig"
+    ]
     for name in ("*.sig", "dark", "asd", "nothing"):
-        refused = partial(find_field_files, folder, references=[tmp_path / name])
-        expect_error(hp.PaintError, "file-not-found", refused)
+        expect_error(
+            hp.PaintError, "file-not-found", partial(find_field_files, folder, references=[tmp_path / name])
+        )
 
 
 def test_what_no_file_says_is_marked_and_refused_by_name(folder: Path) -> None:
@@ -454,8 +458,9 @@ def test_products_of_another_library_are_made_again(day: FieldDay, folder_day: P
     assert states["signatures"].state == "failed"
     assert "paints.zarr: written or changed by another program" in states["signatures"].text
     assert hp.open_library(library).sizes["signature"] == 3  # it is the user's
-    used = run_field_day(copied, skip=["signatures", *skip])
-    assert {one.step: one.text for one in used.outcomes}["dirsig"].endswith("3 materials")
+    assert {one.step: one.text for one in run_field_day(copied, skip=["signatures", *skip]).outcomes}[
+        "dirsig"
+    ].endswith("3 materials")
     states = {outcome.step: outcome for outcome in run_field_day(copied, skip=skip, overwrite=True).outcomes}
     assert (
         {states[step].state for step in ("signatures", "validate", "dirsig")},
@@ -526,8 +531,9 @@ def test_proposed_paints_are_not_compared_by_name(day: FieldDay, folder_day: Pat
         folder_day, copied, ignore=shutil.ignore_patterns("regions.geojson", "products", "truth.zarr")
     )
     shutil.copytree(day.out / "lot.zarr", copied / "products" / "lot.zarr")
-    proposed = run_field_day(copied, skip=["map", "dirsig", "report"])
-    outcome = {one.step: one for one in proposed.outcomes}["validate"]
+    outcome = {one.step: one for one in run_field_day(copied, skip=["map", "dirsig", "report"]).outcomes}[
+        "validate"
+    ]
     assert outcome.state == "left out"
     assert "--pairs" in outcome.text
 
@@ -547,8 +553,9 @@ def test_a_flight_cut_into_five_cubes_has_the_same_signatures(tmp_path: Path) ->
         hp.write_regions([ROOF], flight / "regions.geojson", overwrite=True)
         for name in names:
             elsewhere += [f"--{name}", shutil.move(flight / name, tmp_path / name)]
-        written = hyperpaint("init", flight, *elsewhere, status=0)
-        assert re.search(rf"\b{cubes} cubes?, 1 dark", written.output)
+        assert re.search(
+            rf"\b{cubes} cubes?, 1 dark", hyperpaint("init", flight, *elsewhere, status=0).output
+        )
         day = run_field_day(flight, skip=["validate", "map", "dirsig", "report"])
         libraries.append(hp.open_library(day.out / "paints.zarr"))
     one, five = libraries

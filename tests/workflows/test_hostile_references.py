@@ -162,8 +162,9 @@ class Repository:
         repository.save_config()
         session = repository.writable_session("main")
         size = self.slab if length is None else length
-        chunk = ice.VirtualChunkSpec([1, 0, 0], url, offset, size, None, None)
-        assert not session.store.set_virtual_refs(f"/{GROUP}/counts", [chunk])
+        assert not session.store.set_virtual_refs(
+            f"/{GROUP}/counts", [ice.VirtualChunkSpec([1, 0, 0], url, offset, size, None, None)]
+        )
         session.commit("forged")
         if record:
             local = Path(url.removeprefix("file://"))
@@ -174,8 +175,9 @@ class Repository:
 
     def record(self, change: Callable[[Any], Any]) -> None:
         # Change the record of raw files
-        storage = self.icechunk.local_filesystem_storage(str(self.path))
-        session = self.icechunk.Repository.open(storage).writable_session("main")
+        session = self.icechunk.Repository.open(
+            self.icechunk.local_filesystem_storage(str(self.path))
+        ).writable_session("main")
         root = zarr.open_group(session.store, mode="r+")
         groups = json.loads(root.attrs["raw_files"])
         change(groups)
@@ -206,8 +208,9 @@ def s3_container(repository: Repository, server: str, *, record: bool = True) ->
 
 
 def http_container(repository: Repository, server: str) -> None:
-    place = repository.icechunk.http_store({"allow_http": "true"})
-    repository.refer("http://localhost/cube", place=place, record=True)
+    repository.refer(
+        "http://localhost/cube", place=repository.icechunk.http_store({"allow_http": "true"}), record=True
+    )
 
 
 def record_with_another_url(repository: Repository, server: str) -> None:
@@ -306,8 +309,9 @@ def test_references_to_the_file_of_another_line(home: Path, name: str) -> None:
 
 def test_records_that_are_none(home: Path) -> None:
     repository = Repository(home)
-    storage = repository.icechunk.local_filesystem_storage(str(repository.path))
-    session = repository.icechunk.Repository.open(storage).readonly_session("main")
+    session = repository.icechunk.Repository.open(
+        repository.icechunk.local_filesystem_storage(str(repository.path))
+    ).readonly_session("main")
     record = zarr.open_group(session.store, mode="r").attrs["raw_files"]
     changes: list[Callable[[Any], Any]] = [
         lambda groups: groups.update({"../x": groups[GROUP]}),

@@ -28,8 +28,9 @@ TOLERANCE = 2.0**-11
 
 def numbers_of(folder: Path) -> dict[str, list[float]]:
     # Process a small collect; return the mean and 16 samples of every variable
-    size = {"lines": 40, "bands": 12, "columns": 8}
-    collect = hp.simulate_collect(folder / "raw", scene="plan", seed=3, truth=False, **size)
+    collect = hp.simulate_collect(
+        folder / "raw", scene="plan", seed=3, truth=False, lines=40, bands=12, columns=8
+    )
     line = xr.open_zarr(hp.process(collect, folder / "lot.zarr"), group="flightlines/raw_0").load()
     numbers = {}
     for name in (*INPUTS, *RESULTS):

@@ -101,8 +101,9 @@ def test_a_collect_becomes_one_group_a_line_and_the_archives(source: Path, store
         # the overview is the picture of the line
         assert line["overview"].dims == ("overview_y", "overview_x", "rgb")
         assert line["overview"].shape == (line.sizes["along_track"], line.sizes["cross_track"], 3)
-        expected = hp.pictures.rgb(line[["reflectance"]]).values
-        np.testing.assert_allclose(line["overview"].values / 255.0, expected, atol=0.51 / 255)
+        np.testing.assert_allclose(
+            line["overview"].values / 255.0, hp.pictures.rgb(line[["reflectance"]]).values, atol=0.51 / 255
+        )
     # how its light divides
     assert line["sky_state"].attrs["flag_meanings"].split()[int(line["sky_state"][0])] == "clear"
     for part in (line["diffuse_fraction"], line["diffuse_fraction_u"]):
@@ -307,8 +308,9 @@ def test_content_alone_tells_other_inputs(tiny: Path, radiance_store: Path, tmp_
     values[7] += 1
     values.tofile(cube)
     os.utime(cube, ns=(status.st_atime_ns, status.st_mtime_ns))
-    error = expect_error(hp.StoreError, r"raw_1 .*store-exists", lambda: process(tiny, radiance_store))
-    assert "raw_0" not in str(error)
+    assert "raw_0" not in str(
+        expect_error(hp.StoreError, r"raw_1 .*store-exists", lambda: process(tiny, radiance_store))
+    )
     assert process(tiny, radiance_store, overwrite=True).written == (LINES[1],)
 
 
@@ -415,8 +417,9 @@ def test_a_folder_with_a_calibration_is_no_damaged_store(tmp_path: Path) -> None
 
 def test_paths_are_found_in_whatever_names_them(tmp_path: Path) -> None:
     one, two, three = (tmp_path / name for name in "abc")
-    settings = {"cubes": [one, (two, "no path")], "more": {"deep": {three}}, "type": Path, "none": None}
-    assert set(paths_in(settings)) == {one, two, three}
+    assert set(
+        paths_in({"cubes": [one, (two, "no path")], "more": {"deep": {three}}, "type": Path, "none": None})
+    ) == {one, two, three}
 
 
 def test_inputs_are_compared_whole(
@@ -491,8 +494,9 @@ def test_a_wrong_width_is_corrected_by_default(wide: Path, tmp_path: Path) -> No
     assert "irradiance record corrected in flight" in line.attrs["alignment"]
     assert oxygen_error(line, wide) < 0.003
     # the store computes again what it holds
-    again = hp.reflectance(line.drop_vars("reflectance"), keep_bits=12)
-    np.testing.assert_array_equal(again.reflectance, line.reflectance)
+    np.testing.assert_array_equal(
+        hp.reflectance(line.drop_vars("reflectance"), keep_bits=12).reflectance, line.reflectance
+    )
     assert hp.open_store(store, "irradiance").irradiance_fwhm.values == pytest.approx(3.0)
 
 

@@ -172,8 +172,9 @@ sun_zenith_deg = 50.0
         "flat",
     ]
     assert chosen_atmospheres(parts, []) == parts.atmospheres
-    caught = expect_error(SchemaError, "choice-unknown", lambda: chosen_atmospheres(parts, ["noon"]))
-    assert "flat, dull, cloudy" in str(caught)
+    assert "flat, dull, cloudy" in str(
+        expect_error(SchemaError, "choice-unknown", lambda: chosen_atmospheres(parts, ["noon"]))
+    )
 
 
 @pytest.mark.parametrize(
@@ -720,8 +721,7 @@ def test_all_faults_come_in_one_error(folder: Path, kind: str) -> None:
     }
     for line, (instead, _) in wrong.items():
         text = text.replace(f"{line}\n", f"{instead}\n", 1)
-    codes = refusal(folder, kind, text).codes
-    assert sorted(code for code in codes if code in (RANGE, TYPE)) == sorted(
+    assert sorted(code for code in refusal(folder, kind, text).codes if code in (RANGE, TYPE)) == sorted(
         code for _, code in wrong.values()
     )
 

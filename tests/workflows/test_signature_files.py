@@ -179,8 +179,9 @@ def test_a_light_sensor_on_the_aircraft_is_levelled(collect: Path) -> None:
     navigation = hp.open_navigation(collect.parent / "flight" / "imu_gps.txt")
     line = next(iter(levelled["flightlines"].children.values())).to_dataset()
     declared = {name: text for name, text in line.attrs.items() if name.startswith("convention_")}
-    expected = hp.light.level_irradiance(plain, navigation.assign_attrs(declared))
-    np.testing.assert_array_equal(record.irradiance, expected.irradiance)
+    np.testing.assert_array_equal(
+        record.irradiance, hp.light.level_irradiance(plain, navigation.assign_attrs(declared)).irradiance
+    )
     there = np.isfinite(record.irradiance_tilt.values)
     assert 2 < there.sum() < there.size
     assert record.attrs["irradiance_mount"].startswith("aircraft, corrected to level")
@@ -190,8 +191,9 @@ def test_a_light_sensor_on_the_aircraft_is_levelled(collect: Path) -> None:
 @NO_ATTITUDE
 def test_it_needs_an_attitude_in_utc(collect: Path) -> None:
     said(collect, "[irradiance]", '[irradiance]\nmount = "aircraft"')
-    text = collect.read_text(encoding="utf-8")
-    lines = [each for each in text.splitlines() if not each.startswith("nav = ")]
+    lines = [
+        each for each in collect.read_text(encoding="utf-8").splitlines() if not each.startswith("nav = ")
+    ]
     # beside the cube it would be found
     (collect.parent / "flight" / "imu_gps.txt").rename(collect.parent / "flight" / "hidden.txt")
     collect.write_text("\n".join(lines), encoding="utf-8")
@@ -270,8 +272,9 @@ def test_a_refused_panel_stops_the_run_before_it_writes(flown: Path, tmp_path: P
     with pytest.warns(PaintWarning, match="show something else"), refused as error:
         hp.process(collect, tmp_path / "out.zarr")
     assert "Panel(..., tilt=(angle, azimuth))" in str(error.value)
-    text = error.value.text(on_command_line=True)
-    expect_words(text, "under [[panels]] of the collect.toml", without=("Panel(",))
+    expect_words(
+        error.value.text(on_command_line=True), "under [[panels]] of the collect.toml", without=("Panel(",)
+    )
 
 
 @NO_ATTITUDE
@@ -333,6 +336,7 @@ def test_signatures_have_the_scale_of_a_declared_panel(too_bright: Path, tmp_pat
         np.testing.assert_allclose(again.panel_scale_u, line.panel_scale_u)
         assert "panel" in again.reflectance_u_systematic.attrs["components"]
         # a crop without the panel has its scale as well
-        crop = hp.reflectance(line.isel(along_track=slice(30, 40), cross_track=slice(0, 20)))
-        expected_crop = again.reflectance.isel(along_track=slice(30, 40), cross_track=slice(0, 20))
-        np.testing.assert_array_equal(crop.reflectance, expected_crop)
+        np.testing.assert_array_equal(
+            hp.reflectance(line.isel(along_track=slice(30, 40), cross_track=slice(0, 20))).reflectance,
+            again.reflectance.isel(along_track=slice(30, 40), cross_track=slice(0, 20)),
+        )

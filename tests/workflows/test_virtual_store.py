@@ -54,8 +54,9 @@ def copied(collect: Path, tmp_path: Path) -> Path:
 def assert_same(line: xr.Dataset, wanted: xr.Dataset) -> None:
     product = line.paint.reflectance().compute()
     for name in ("counts", "reflectance", "quality", "irradiance_age", "irradiance_misfit"):
-        values = product[name].transpose(*wanted[name].dims).values
-        assert values.tobytes() == wanted[name].values.tobytes(), name
+        assert (
+            product[name].transpose(*wanted[name].dims).values.tobytes() == wanted[name].values.tobytes()
+        ), name
         assert product[name].dtype == wanted[name].dtype
     assert product["reflectance"].attrs == wanted["reflectance"].attrs
 
@@ -81,8 +82,7 @@ def rewritten(collect: Path, interleave: str = "bil", dtype: str = "<u2", offset
 
 def test_the_bits_of_process_and_nothing_copied(collect: Path, wanted: xr.Dataset, tmp_path: Path) -> None:
     out, flight = tmp_path / NAME, str(collect.parent / "flight")
-    run = hyperpaint("virtual", collect, "--out", out, status=0)
-    assert f"allow={flight!r}" in run.output
+    assert f"allow={flight!r}" in hyperpaint("virtual", collect, "--out", out, status=0).output
     line = hp.io.open_virtual(out, GROUP, allow=collect.parent)
     assert line["counts"].variable.chunksizes["along_track"] == (40, 40)
     assert_same(line, wanted)
@@ -97,8 +97,9 @@ def test_the_bits_of_process_and_nothing_copied(collect: Path, wanted: xr.Datase
             {f"file://{collect.parent.parent}/": None}
         ),
     )
-    store = repository.readonly_session("main").store
-    assert_same(xr.open_zarr(store, group=GROUP, consolidated=False), wanted)
+    assert_same(
+        xr.open_zarr(repository.readonly_session("main").store, group=GROUP, consolidated=False), wanted
+    )
     # as the command line describes it
     facts = facts_of_path(out, [str(collect.parent)])
     assert "1 flight line" in facts["is"]
@@ -126,8 +127,9 @@ def shortened(collect: Path, lines: int) -> None:
     # Cut a collect's cube and its frame index
     flight = collect.parent / "flight"
     os.truncate(flight / "raw_0", lines * 6 * 10 * 2)
-    text = (flight / "raw_0.hdr").read_text()
-    (flight / "raw_0.hdr").write_text(re.sub(r"lines *= *\d+", f"lines = {lines}", text))
+    (flight / "raw_0.hdr").write_text(
+        re.sub(r"lines *= *\d+", f"lines = {lines}", (flight / "raw_0.hdr").read_text())
+    )
     index = (flight / "frameIndex_0.txt").read_text().splitlines(keepends=True)
     (flight / "frameIndex_0.txt").write_text("".join(index[: lines + (len(index) - LINES)]))
 

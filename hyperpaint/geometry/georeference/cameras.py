@@ -58,10 +58,12 @@ class PinholeCamera:
 
     def __post_init__(self) -> None:
         problems = Problems("the description of this camera is not valid", SchemaError)
-        if not (isinstance(self.columns, int | np.integer) and self.columns > 0):
-            problems.add(
-                f"columns {self.columns!r:.60}", expected="a whole number above 0", code="value-out-of-range"
-            )
+        problems.add_if(
+            not (isinstance(self.columns, int | np.integer) and self.columns > 0),
+            f"columns {self.columns!r:.60}",
+            expected="a whole number above 0",
+            code="value-out-of-range",
+        )
         lengths = (self.pixel_pitch, self.focal_length)
         problems.add_if(
             (self.field_of_view is None) == (None in lengths)
@@ -76,8 +78,12 @@ class PinholeCamera:
             ("field_of_view", 2 * _MAX_LOOK_ANGLE_DEG, "0 to 178 [degree]"),
         ):
             value = getattr(self, name)
-            if value is not None and not 0.0 < value < limit:
-                problems.add(f"{name} {value!r:.60}", expected=expected, code="value-out-of-range")
+            problems.add_if(
+                value is not None and not 0.0 < value < limit,
+                f"{name} {value!r:.60}",
+                expected=expected,
+                code="value-out-of-range",
+            )
         problems.add_if(
             self.field_of_view is not None
             and one_of(self.edges, ("centres", "outer"), "edges", problems=problems)

@@ -82,8 +82,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
         mend="look at poses and at the quality's off_swath",
         code="ground-not-seen",
     )
-    corners = np.concatenate([ends[pairs], ends[pairs + 1]], axis=1)
-    quads = shapely.convex_hull(shapely.multipoints(corners))
+    quads = shapely.convex_hull(shapely.multipoints(np.concatenate([ends[pairs], ends[pairs + 1]], axis=1)))
     bend = 0.5 * float(np.nanmedian(np.concatenate([steps.ravel() for steps in _steps(east, north)])))
     covered = shapely.simplify(shapely.union_all(quads), bend)
     target = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)

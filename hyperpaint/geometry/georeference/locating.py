@@ -274,10 +274,9 @@ def locate(
     # store the poses used; lazy ones in chunks of the cube
     if not isinstance(poses, np.ndarray):
         poses = da.from_delayed(poses, (len(POSE), line.sizes[ALONG_TRACK]), np.float64).rechunk((1, chunks))
-    columns_used = {
-        name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
-    }
-    located = line.drop_vars(POSE, errors="ignore").assign_coords(columns_used)
+    located = line.drop_vars(POSE, errors="ignore").assign_coords(
+        {name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)}
+    )
     # the positions of pixels, and a flag for those without
     dims = (ALONG_TRACK, CROSS_TRACK)
     attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
@@ -329,8 +328,9 @@ def _check(
             is_valid = np.shape(vector) == (3,) and bool(np.isfinite(np.asarray(vector, np.float64)).all())
         except (TypeError, ValueError):
             is_valid = False
-        if not is_valid:
-            problems.add(f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong")
+        problems.add_if(
+            not is_valid, f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong"
+        )
     problems.add_if(
         (ground is None) == (dem is None),
         "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
@@ -339,8 +339,12 @@ def _check(
     )
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
         is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
-        if number is not None and not is_number:
-            problems.add(f"{name} {number!r:.80}", expected="a finite number", code="not-finite")
+        problems.add_if(
+            number is not None and not is_number,
+            f"{name} {number!r:.80}",
+            expected="a finite number",
+            code="not-finite",
+        )
     problems.raise_if_any()
 
 
@@ -400,8 +404,10 @@ def _poses(
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
     # Return the chunks of the line, or else the chunks that radiometry will use.
-    pixels = [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)]
-    for array in sorted(pixels, key=lambda v: -v.ndim):
+    for array in sorted(
+        [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)],
+        key=lambda v: -v.ndim,
+    ):
         if array.chunks is not None:
             return tuple(array.chunksizes[ALONG_TRACK])
     samples = line.sizes[CROSS_TRACK] * line.sizes.get(BAND, 1)
@@ -545,8 +551,9 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
 
 def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
     # Return the first coordinate and the step.
-    if name not in dem.coords:
-        raise SchemaError(f"no coordinate {name!r} of cell centres", code="variable-missing")
+    SchemaError.raise_if(
+        name not in dem.coords, f"no coordinate {name!r} of cell centres", code="variable-missing"
+    )
     values = dem[name].values.astype(np.float64)
     SchemaError.raise_if(
         values.size < 2, f"{values.size} cells along {name!r}", expected="two or more", code="length-mismatch"

@@ -94,8 +94,10 @@ def canonical_navigation(
 
 def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[Any, Any]:
     # Return attributes that declare this convention and no other.
-    rest = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
-    return {**rest, **convention.to_attrs()}
+    return {
+        **{name: value for name, value in attrs.items() if not str(name).startswith("convention_")},
+        **convention.to_attrs(),
+    }
 
 
 def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
@@ -309,14 +311,22 @@ def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     # Refuse an unknown interpolation and a gap of 0 or less, as SchemaError.
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
     one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
-    if max_gap_s is not None and not max_gap_s > 0.0:
-        problems.add(f"max_gap_s {max_gap_s!r:.60}", expected="a time above 0 [s]", code="value-out-of-range")
+    problems.add_if(
+        max_gap_s is not None and not max_gap_s > 0.0,
+        f"max_gap_s {max_gap_s!r:.60}",
+        expected="a time above 0 [s]",
+        code="value-out-of-range",
+    )
     problems.raise_if_any()
 
 
 def _nanoseconds(time: Array) -> Ints:
-    if time.dtype.kind != "M":
-        raise TimeError(f"times have dtype {time.dtype}", expected="datetime64[ns] (UTC)", code="type-wrong")
+    TimeError.raise_if(
+        time.dtype.kind != "M",
+        f"times have dtype {time.dtype}",
+        expected="datetime64[ns] (UTC)",
+        code="type-wrong",
+    )
     return time.astype("datetime64[ns]").astype(np.int64)
 
 

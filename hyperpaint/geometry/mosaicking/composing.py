@@ -125,8 +125,12 @@ def mosaic(
     lines_by_name = named_lines(lines)
     problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
     one_of(rule, RULES, "rule", problems=problems)
-    if levelling not in (None, "overlap"):
-        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
+    problems.add_if(
+        levelling not in (None, "overlap"),
+        f"levelling {levelling!r:.60}",
+        expected="'overlap' or None",
+        code="choice-unknown",
+    )
     check_cells(problems, gsd, tile)
     problems.raise_if_any()
     lines_by_name = located_lines(
@@ -233,9 +237,10 @@ class _Tiles:
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
         tile_index = self.first[0] + place[0], self.first[1] + place[1]
-        strips = enumerate(self.strips)
         return {
-            number: strip.recipe(names, tile_index) for number, strip in strips if strip.reaches(tile_index)
+            number: strip.recipe(names, tile_index)
+            for number, strip in enumerate(self.strips)
+            if strip.reaches(tile_index)
         }
 
     def planes(self, rule: str, names: list[str]) -> da.Array:
@@ -288,8 +293,11 @@ def _composed_map(
     flat = [name for name in names_of_all if first[name].ndim == 2]
     planes = tiles.planes(rule, flat)
     numbers = np.arange(len(strips), dtype=np.int16)
-    meanings = " ".join(strip.name.replace(" ", "_") for strip in strips)
-    flags = {"flag_values": numbers, "flag_meanings": meanings, "empty_value": int(NO_LINE)}
+    flags = {
+        "flag_values": numbers,
+        "flag_meanings": " ".join(strip.name.replace(" ", "_") for strip in strips),
+        "empty_value": int(NO_LINE),
+    }
     planes_of_choice: dict[str, tuple[Any, str, dict[str, Any]]] = {
         "flightline": (np.int16, "Flight line that shows a cell", flags),
         "line_count": (np.uint8, "How many flight lines show a cell", {"units": "1"}),
@@ -358,11 +366,14 @@ def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
         grid.centres(slice(0, rows), slice(0, 1)),
     )
     attrs = first["spatial_ref"].attrs if "spatial_ref" in first.variables else {}
-    transform = " ".join(repr(float(number)) for number in grid.transform)
     return {
         "x": ("x", east[0], first["x"].attrs if "x" in first.coords else {"units": "m"}),
         "y": ("y", north[:, 0], first["y"].attrs if "y" in first.coords else {"units": "m"}),
-        "spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform}),
+        "spatial_ref": (
+            (),
+            np.int64(0),
+            {**attrs, "GeoTransform": " ".join(repr(float(number)) for number in grid.transform)},
+        ),
     }
 
 

@@ -253,8 +253,10 @@ def _cut_map(
         code="variable-missing",
     )
     corner, *edges = tiles
-    spans = zip(map_grid.first, map_grid.shape, edges, strict=True)
-    pads = [(start - edge[0], edge[-1] - (start + count)) for start, count, edge in spans]
+    pads = [
+        (start - edge[0], edge[-1] - (start + count))
+        for start, count, edge in zip(map_grid.first, map_grid.shape, edges, strict=True)
+    ]
     sizes = [tuple(np.diff(edge).tolist()) for edge in edges]
     names = list(line.data_vars) if variables is None else [*dict.fromkeys([*_MAP_VARIABLES, *variables])]
     cut = {}

@@ -171,12 +171,18 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     names = {name for name in line.data_vars if BAND in line[name].dims}
     # without index coordinates the map holds positions in the line, also for a crop
     other = [n for n in line.coords if BAND in line[n].dims or n in (ALONG_TRACK, CROSS_TRACK)]
-    flat = line.drop_vars([*names, *other]).assign(picture=image.drop_vars(other, errors="ignore"))
     orthomap = orthorectify(
-        flat, gsd, grid="north", variables=["picture", "ground_height"], method="bilinear"
+        line.drop_vars([*names, *other]).assign(picture=image.drop_vars(other, errors="ignore")),
+        gsd,
+        grid="north",
+        variables=["picture", "ground_height"],
+        method="bilinear",
     )[["picture", *_FIELDS]].compute()
-    fields = np.stack([orthomap[name].values for name in _FIELDS])
-    return _Picture(grid.first, orthomap["picture"].values.astype(np.float64), fields)
+    return _Picture(
+        grid.first,
+        orthomap["picture"].values.astype(np.float64),
+        np.stack([orthomap[name].values for name in _FIELDS]),
+    )
 
 
 def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rules: Rules) -> Floats:

@@ -119,12 +119,18 @@ def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
 
 def check_cells(problems: Problems, gsd: Any, tile: Any) -> None:
     # Add the faults of the edge of a cell [m], None for the default, and of the cells of a tile's side.
-    if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
-        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
-    if not (isinstance(tile, int | np.integer) and tile > 0):
-        problems.add(
-            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
-        )
+    problems.add_if(
+        gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf),
+        f"gsd {gsd!r:.60}",
+        expected="a length above 0 [m]",
+        code="value-out-of-range",
+    )
+    problems.add_if(
+        not (isinstance(tile, int | np.integer) and tile > 0),
+        f"tile {tile!r:.60}",
+        expected="a whole number of cells above 0",
+        code="value-out-of-range",
+    )
 
 
 Place = tuple[int, int]  # row and column of a tile
@@ -192,11 +198,12 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
         slabs = np.searchsorted(first_lines, lines, side="right") - 1
         needed_slabs = np.unique(slabs)
         surveyed = _computed_survey(east, north, [[slab] for slab in needed_slabs.tolist()], NORTH, None)
-        rows = [
-            table[lines[slabs == slab] - first_lines[slab], 4:8]
-            for slab, (table, _) in zip(needed_slabs, surveyed, strict=True)
-        ]
-        ends = np.concatenate(rows).reshape(-1, 2, 2)
+        ends = np.concatenate(
+            [
+                table[lines[slabs == slab] - first_lines[slab], 4:8]
+                for slab, (table, _) in zip(needed_slabs, surveyed, strict=True)
+            ]
+        ).reshape(-1, 2, 2)
         ends = ends[np.isfinite(ends).all(axis=(1, 2))]
         if len(ends):
             break
@@ -223,9 +230,8 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
     groups = [list(slabs[first : first + _TASK_SLABS]) for first in slabs[::_TASK_SLABS]]
     surveyed = _computed_survey(east, north, groups, axes, progress)
     table = np.concatenate([rows for rows, _ in surveyed])
-    starts = np.cumsum([len(rows) for rows, _ in surveyed])
     for (_, (_, last_pixels)), (_, (first_pixels, _)), start in zip(
-        surveyed, surveyed[1:], starts, strict=False
+        surveyed, surveyed[1:], np.cumsum([len(rows) for rows, _ in surveyed]), strict=False
     ):
         table[start - 1, 9] = _median(np.hypot(*(first_pixels - last_pixels)))
     if np.isnan(table[:, :4]).all() or np.isnan(table[:, 8:]).all():

@@ -346,8 +346,11 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
         _, north = grid.centres(slice(0, rows), slice(0, 1))
         for name, values, direction in (("x", east[0], "east"), ("y", north[:, 0], "north")):
             axis = {"standard_name": f"projection_{name}_coordinate", "axis": name.upper()}
-            meaning = f"Map coordinate to the {direction}"
-            coordinates[name] = (name, values, {"units": "m", **axis, "long_name": meaning, **crs_attrs})
+            coordinates[name] = (
+                name,
+                values,
+                {"units": "m", **axis, "long_name": f"Map coordinate to the {direction}", **crs_attrs},
+            )
         return coordinates
     # x and y would be distances from a corner, which other programs would read as map coordinates near 0, 0
     for name, lazy in zip(("east", "north"), tiles.centres(), strict=True):

@@ -91,8 +91,9 @@ def needed_slabs(
             covering_pairs = pairs[
                 (high[pairs, 1] >= col_slice.start - 1) & (low[pairs, 0] <= col_slice.stop)
             ]
-            slabs = np.searchsorted(ends, np.concatenate([covering_pairs, covering_pairs + 1]), side="right")
-            needed[row, col] = np.unique(slabs).tolist()
+            needed[row, col] = np.unique(
+                np.searchsorted(ends, np.concatenate([covering_pairs, covering_pairs + 1]), side="right")
+            ).tolist()
     return needed
 
 
@@ -516,5 +517,6 @@ def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
 
 def in_memory(values: Array, name: str, chunks: tuple[Any, ...]) -> da.Array:
     # Return an array in memory as a dask array, whose chunks are views of it.
-    meta = np.empty((0,) * values.ndim, values.dtype)
-    return da.from_array(_InMemory(values), chunks, name, asarray=False, meta=meta)
+    return da.from_array(
+        _InMemory(values), chunks, name, asarray=False, meta=np.empty((0,) * values.ndim, values.dtype)
+    )

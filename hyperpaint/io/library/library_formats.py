@@ -314,13 +314,13 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
             code="grid-mismatch",
         )
         plain_dims = ((SIGNATURE, BAND), (SIGNATURE,))
-        if variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims):
-            problems.add(
-                f"{path.name} has {', '.join(variables)}",
-                expected="one spectrum per paint",
-                mend="open this file alone",
-                code="library-not-plain",
-            )
+        problems.add_if(
+            variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims),
+            f"{path.name} has {', '.join(variables)}",
+            expected="one spectrum per paint",
+            mend="open this file alone",
+            code="library-not-plain",
+        )
         if len(problems) >= _MAX_SHOWN_DIFFERENCES:
             break
     problems.raise_if_any()
@@ -354,8 +354,11 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
                 variables_by_name[name] = present[0]
             else:
                 notes.append(f"{name} differs from file to file and is left out")
-    files = text_column([path.name for path, library in opened for _ in range(library.sizes[SIGNATURE])])
-    variables_by_name["file"] = xr.Variable(SIGNATURE, files, {"long_name": "File"})
+    variables_by_name["file"] = xr.Variable(
+        SIGNATURE,
+        text_column([path.name for path, library in opened for _ in range(library.sizes[SIGNATURE])]),
+        {"long_name": "File"},
+    )
     forms = dict.fromkeys(str(library.attrs.get("format", "")) for library in libraries)
     attrs = {
         "title": "Spectral library",
@@ -483,8 +486,9 @@ def write_library(
     library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
     if curves == "centre" or (curves is None and chosen != "zarr"):
         others = [name for name in spectral_variables(library) if name != CENTRE]
-        inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
-        library = library.drop_vars(others).drop_dims(inner, errors="ignore")
+        library = library.drop_vars(others).drop_dims(
+            {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}, errors="ignore"
+        )
     if chosen == "zarr":
         report, paints = progress or (lambda *_: None), library.sizes[SIGNATURE]
         report(0, paints)

@@ -538,8 +538,9 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
         if values.dtype.kind == "M":
             columns[str(name)] = ["" if np.isnat(value) else str(value) for value in values]
         elif values.dtype.kind in "biufOUT":
-            plain = values.tolist()
-            columns[str(name)] = [None if isinstance(v, float) and not math.isfinite(v) else v for v in plain]
+            columns[str(name)] = [
+                None if isinstance(v, float) and not math.isfinite(v) else v for v in values.tolist()
+            ]
     return columns
 
 
@@ -789,9 +790,10 @@ def _with_metadata(
     try:
         return library.assign(spectra).assign_coords(own_coords)
     except ValueError as error:  # sizes or dims differ
-        subject = f"{source} and its metadata belong to different libraries"
         problem = Problem(f"{error!s:.200}", code="grid-mismatch")
-        raise FormatError(subject, problems=[problem]) from error
+        raise FormatError(
+            f"{source} and its metadata belong to different libraries", problems=[problem]
+        ) from error
 
 
 # --- files -------------------------------------------------------------------------------------------------
@@ -1026,13 +1028,13 @@ def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) 
     )
     text = " ".join(preamble)
     title = None if "reflect" in text.lower() else _TITLE.search(text) or _OF_LIGHT.search(text)
-    if word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""):
-        raise FormatError(
-            f"{source}: the heading names {word!r}",
-            expected="reflectance",
-            mend=_SAY_SO,
-            code="quantity-wrong",
-        )
+    FormatError.raise_if(
+        word := foreign(preamble[-1] if preamble else "") or (title[0] if title else ""),
+        f"{source}: the heading names {word!r}",
+        expected="reflectance",
+        mend=_SAY_SO,
+        code="quantity-wrong",
+    )
 
 
 def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
@@ -1180,13 +1182,13 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     )
     problems.raise_if_any()
     table = _table(lines, first, 2, source)
-    if (count := fields["Number of X Values"]) != str(len(table)):
-        raise FormatError(
-            f"{source}: {len(table)} values",
-            expected=f"{count[:30]}, as the header says",
-            mend="copy the file again",
-            code="length-mismatch",
-        )
+    FormatError.raise_if(
+        (count := fields["Number of X Values"]) != str(len(table)),
+        f"{source}: {len(table)} values",
+        expected=f"{count[:30]}, as the header says",
+        mend="copy the file again",
+        code="length-mismatch",
+    )
     notes = []
     for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
         stated = number(fields.get(key, ""))
@@ -1575,8 +1577,9 @@ def read_csv_library(path: Path) -> xr.Dataset:
 
 def _csv_rows(path: Path) -> Iterator[list[str]]:
     try:
-        opened = open_input(path, "a paint library", _MAX_BYTES)
-        with io.TextIOWrapper(opened, encoding="utf-8-sig", newline="") as file:
+        with io.TextIOWrapper(
+            open_input(path, "a paint library", _MAX_BYTES), encoding="utf-8-sig", newline=""
+        ) as file:
             yield from filter(None, csv.reader(file, strict=True))
     except (csv.Error, UnicodeDecodeError, OSError) as error:
         raise FormatError(f"{path.name} cannot be read: {error!s:.200}", code="file-unreadable") from error

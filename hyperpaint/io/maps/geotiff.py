@@ -261,15 +261,18 @@ def _bands_in(path: Path, bands: list[int]) -> xr.DataArray:
     def read(block_info: Any = None) -> NDArray[Any]:
         (first, last), (_, width), _ = block_info[None]["array-location"]
         with rasterio.open(path) as raster:
-            window = Window(0, first, width, last - first)
-            return np.moveaxis(raster.read([band + 1 for band in bands], window=window), 0, -1)
+            return np.moveaxis(
+                raster.read([band + 1 for band in bands], window=Window(0, first, width, last - first)), 0, -1
+            )
 
     with rasterio.open(path) as raster:
         (height, width), dtype = raster.shape, raster.dtypes[0]
     rows = tuple(min(TILE, height - start) for start in range(0, height, TILE))
     chunks = (rows, (width,), (len(bands),))
-    values = da.map_blocks(read, chunks=chunks, dtype=dtype, name=f"read-{uuid.uuid4().hex}")
-    return xr.DataArray(values, dims=("y", "x", BAND))
+    return xr.DataArray(
+        da.map_blocks(read, chunks=chunks, dtype=dtype, name=f"read-{uuid.uuid4().hex}"),
+        dims=("y", "x", BAND),
+    )
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
@@ -292,10 +295,11 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
         share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
         # IEC 61966-2-1
         encoded = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-        coloured = np.concatenate(
-            [np.round(1.0 + 254.0 * encoded), np.full_like(encoded[..., :1], 255.0)], -1
-        )
-        return np.where(is_complete, coloured, 0.0).astype(np.uint8)
+        return np.where(
+            is_complete,
+            np.concatenate([np.round(1.0 + 254.0 * encoded), np.full_like(encoded[..., :1], 255.0)], -1),
+            0.0,
+        ).astype(np.uint8)
 
     picture: xr.DataArray = xr.apply_ufunc(
         encode,
@@ -356,8 +360,11 @@ def _write(
         (row, _), (column, _), (first, last) = block_info[0]["array-location"]
         window = Window(column, row, block.shape[1], block.shape[0])
         with lock:
-            bands = np.ascontiguousarray(np.moveaxis(block, -1, 0))
-            raster.write(bands, indexes=list(range(first + 1, last + 1)), window=window)
+            raster.write(
+                np.ascontiguousarray(np.moveaxis(block, -1, 0)),
+                indexes=list(range(first + 1, last + 1)),
+                window=window,
+            )
             done += block.size
             if progress is not None:
                 progress(done, stored.size)

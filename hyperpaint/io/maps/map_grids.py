@@ -220,10 +220,9 @@ def _agree(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
         for k in (0, 3)
     )
     tolerance = _TOLERANCE * max(map(abs, (*reference[1:3], *reference[4:]))) + _ROUNDING
-    corners = [(col, row) for col in (0, dataset.sizes["x"]) for row in (0, dataset.sizes["y"])]
     return all(
         abs(a + b * col + c * row) <= tolerance and abs(d + e * col + f * row) <= tolerance
-        for col, row in corners
+        for col, row in [(col, row) for col in (0, dataset.sizes["x"]) for row in (0, dataset.sizes["y"])]
     )
 
 
@@ -403,8 +402,10 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     with needs_extra("pyproj", "geo", "a STAC item"):
         import pyproj
     (x, y), place = _corners_and_place(dataset, grid)
-    to_degrees = pyproj.Transformer.from_crs(grid.wkt, "EPSG:4326", always_xy=True)
-    longitude, latitude = (np.round(part, 9).tolist() for part in to_degrees.transform(x, y))
+    longitude, latitude = (
+        np.round(part, 9).tolist()
+        for part in pyproj.Transformer.from_crs(grid.wkt, "EPSG:4326", always_xy=True).transform(x, y)
+    )
     times = dataset["line_time"].values.astype("datetime64[ns]").ravel()
     times = times[~np.isnat(times)]
     SchemaError.raise_if(not times.size, "no cell of this map has a time in line_time", code="time-missing")
@@ -458,8 +459,11 @@ def _corners_and_place(
     rows, cols = dataset.sizes["y"], dataset.sizes["x"]
     corners = ((0, 0), (rows, 0), (rows, cols), (0, cols))
     x, y = [a + b * j + c * i for i, j in corners], [d + e * j + f * i for i, j in corners]
-    bounds = [min(x), min(y), max(x), max(y)]
-    return (x, y), {"shape": [rows, cols], "transform": [b, c, a, e, f, d], "bbox": bounds}
+    return (x, y), {
+        "shape": [rows, cols],
+        "transform": [b, c, a, e, f, d],
+        "bbox": [min(x), min(y), max(x), max(y)],
+    }
 
 
 def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:

@@ -358,8 +358,11 @@ def thread_count() -> int:
 
     if dask.config.get("scheduler", None) in ("sync", "synchronous", "single-threaded"):
         return 1
-    pool = dask.config.get("pool", None)
-    return int(getattr(pool, "_max_workers", 0) or dask.config.get("num_workers", None) or CPU_COUNT)
+    return int(
+        getattr(dask.config.get("pool", None), "_max_workers", 0)
+        or dask.config.get("num_workers", None)
+        or CPU_COUNT
+    )
 
 
 @contextlib.contextmanager

@@ -126,8 +126,9 @@ def lazy_checksums(
     if dask.is_dask_collection(variable):
         data = variable.data
     else:  # in memory or in a file: a task reads one storage chunk
-        chunks = dict(zip(variable.dims, target.chunk, strict=True))
-        data = variable.chunk(chunks, name=f"slabs-{uuid.uuid4().hex}").data
+        data = variable.chunk(
+            dict(zip(variable.dims, target.chunk, strict=True)), name=f"slabs-{uuid.uuid4().hex}"
+        ).data
     offsets, grid = [], []
     for sizes, step in zip(data.chunks, target.chunk, strict=True):
         offsets.append(tuple(start // step for start in itertools.accumulate((0, *sizes[:-1]))))

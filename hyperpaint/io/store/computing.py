@@ -72,8 +72,7 @@ def compute(
             start = region[0].start * target.chunk[0]
             end = min(region[0].stop * target.chunk[0], target.shape[0]) - 1
             stage = region[axis].start * target.chunk[axis] // size if name in maps else 0
-            words = f"{plural} {start} to {end} of {name}"
-            blocks[(array.name, *index)] = _Block(name, region, words, stage)
+            blocks[(array.name, *index)] = _Block(name, region, f"{plural} {start} to {end} of {name}", stage)
     arrays = list(lazy.values())
     merged = HighLevelGraph.merge(*(array.__dask_graph__() for array in arrays))
     # the arrays are optimised together, so that dask does not fuse a shared task into both

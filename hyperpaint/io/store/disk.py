@@ -119,8 +119,9 @@ def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -
     except OSError as error:
         found, file = f"cannot write {location.url}: {error.strerror or error}", error.filename
         if error.errno in _FULL:
-            mend = f"free disk space, then {RUN_AGAIN}"
-            raise StoreError(f"{found}; {needs()}", mend=mend, code="disk-full") from error
+            raise StoreError(
+                f"{found}; {needs()}", mend=f"free disk space, then {RUN_AGAIN}", code="disk-full"
+            ) from error
         if isinstance(file, str | bytes) and location.local is not None:
             # a file outside the store and its staging folder is an input of the run
             store, name = os.path.abspath(location.local.parent), location.local.name

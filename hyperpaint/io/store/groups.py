@@ -54,8 +54,11 @@ def version_of_program() -> str:
 
 
 def group_document(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    plain = json.loads(json.dumps(attributes, default=lambda value: value.tolist()))
-    return {"attributes": plain, "zarr_format": 3, "node_type": "group"}
+    return {
+        "attributes": json.loads(json.dumps(attributes, default=lambda value: value.tolist())),
+        "zarr_format": 3,
+        "node_type": "group",
+    }
 
 
 def ensure_groups(groups: Iterable[str], location: Location) -> None:
@@ -72,8 +75,11 @@ def ensure_groups(groups: Iterable[str], location: Location) -> None:
 def set_attributes(group: str, attributes_to_set: Mapping[str, Any], location: Location) -> None:
     stored = location.attributes(group)
     if not has_attributes(group, attributes_to_set, location):
-        attributes = {**stored, **stamped({**stored, **attributes_to_set}, "to_store")}
-        location.write_json(group_document(attributes), group, METADATA)
+        location.write_json(
+            group_document({**stored, **stamped({**stored, **attributes_to_set}, "to_store")}),
+            group,
+            METADATA,
+        )
 
 
 def has_attributes(group: str, expected: Mapping[str, Any], location: Location) -> bool:
@@ -251,8 +257,9 @@ def _lies_in(array: Any, location: Any, group: str) -> bool:
         return bool(place.store == location) and f"{place.path}/".startswith(f"{group}/" if group else "")
     root, base = getattr(place.store, "root", None), getattr(place.store, "path", None)
     if location.local is not None:  # local stores
-        target = (location.local / group).resolve()
-        return root is not None and (Path(root) / place.path).resolve().is_relative_to(target)
+        return root is not None and (Path(root) / place.path).resolve().is_relative_to(
+            (location.local / group).resolve()
+        )
     if base is None or root is not None:  # fsspec stores
         return False
     source = "/".join(part.strip("/") for part in (str(base), place.path) if part)

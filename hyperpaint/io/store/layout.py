@@ -210,23 +210,25 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
     import dask.array as da
 
     problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
-    owners = {f"{name!r}": variable.attrs for name, variable in dataset.variables.items()}
-    for owner, attrs in {"the dataset": dataset.attrs, **owners}.items():
+    for owner, attrs in {
+        "the dataset": dataset.attrs,
+        **{f"{name!r}": variable.attrs for name, variable in dataset.variables.items()},
+    }.items():
         for key, value in attrs.items():
-            if not isinstance(key, str) or not _is_plain(value):
-                problems.add(
-                    f"attribute {key!r} of {owner} is a {type(value).__name__}",
-                    expected="text, numbers, lists or dicts of them",
-                    mend="write times as ISO text",
-                    code="attribute-type",
-                )
-    for name, variable in dataset.variables.items():
-        if not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")):
-            problems.add(
-                f"variable name {name!r}",
-                expected="text without '/' that does not start with '.' or '__'",
-                code="variable-name",
+            problems.add_if(
+                not isinstance(key, str) or not _is_plain(value),
+                f"attribute {key!r} of {owner} is a {type(value).__name__}",
+                expected="text, numbers, lists or dicts of them",
+                mend="write times as ISO text",
+                code="attribute-type",
             )
+    for name, variable in dataset.variables.items():
+        problems.add_if(
+            not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")),
+            f"variable name {name!r}",
+            expected="text without '/' that does not start with '.' or '__'",
+            code="variable-name",
+        )
         if variable.dtype.kind not in "biufcmMUOT":
             problems.add(
                 f"{name!r} has dtype {variable.dtype}",
@@ -275,8 +277,9 @@ def with_variables(
     dataset: xr.Dataset, variables: Mapping[Any, xr.Variable], coords: Collection[Hashable]
 ) -> xr.Dataset:
     # Return a dataset with variables added or replaced; names in ``coords`` become coordinates.
-    inner = {name: variable for name, variable in variables.items() if name not in coords}
-    return dataset.assign_coords({n: v for n, v in variables.items() if n in coords}).assign(inner)
+    return dataset.assign_coords({n: v for n, v in variables.items() if n in coords}).assign(
+        {name: variable for name, variable in variables.items() if name not in coords}
+    )
 
 
 def is_at_hand(variable: xr.Variable) -> bool:

@@ -260,9 +260,9 @@ class Location:
                 with os.scandir(self.key(group)) as entries:
                     listed = {entry.name: entry.is_dir() for entry in entries}
             else:
-                details = self.fs.ls(self.key(group), detail=True)
                 listed = {
-                    row["name"].rstrip("/").rpartition("/")[2]: row["type"] == "directory" for row in details
+                    row["name"].rstrip("/").rpartition("/")[2]: row["type"] == "directory"
+                    for row in self.fs.ls(self.key(group), detail=True)
                 }
         except (FileNotFoundError, NotADirectoryError):
             return {}

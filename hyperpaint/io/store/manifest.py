@@ -113,12 +113,15 @@ class Manifest:
         content = json.loads(
             json.dumps({"groups": self.groups, "writes": self.writes, "command": self.command})
         )
-        attributes = {
-            "hyperpaint_format": FORMAT_VERSION,
-            "crc32c": document_checksum(content),
-            "manifest": content,
+        return {
+            "zarr_format": 3,
+            "node_type": "group",
+            "attributes": {
+                "hyperpaint_format": FORMAT_VERSION,
+                "crc32c": document_checksum(content),
+                "manifest": content,
+            },
         }
-        return {"zarr_format": 3, "node_type": "group", "attributes": attributes}
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> Manifest:
@@ -413,14 +416,17 @@ def entry_of(location: Location, group: str) -> GroupEntry:
         # arrays of other programs have no crc32c
         if document.get("node_type") == "array" and "crc32c" in str(document.get("codecs"))[-40:]:
             keys = chunk_keys(document, joined(group, name))
-            digest = chunk_digest(group, name, [(key, location.end_of(group, name, key)) for key in keys])
-            entries[name] = ArrayEntry(document_checksum(document), len(keys), digest)
+            entries[name] = ArrayEntry(
+                document_checksum(document),
+                len(keys),
+                chunk_digest(group, name, [(key, location.end_of(group, name, key)) for key in keys]),
+            )
     metadata = location.metadata(group) or {}
     attributes = metadata.get("attributes", {}) if entries else {}
-    if attributes.get(SEAL, seal_of(entries)) != seal_of(entries):
-        raise IncompleteStoreError(
-            f"the arrays of {joined(location.url, group)} differ from those that were written",
-            mend="write the group again",
-            code="group-changed",
-        )
+    IncompleteStoreError.raise_if(
+        attributes.get(SEAL, seal_of(entries)) != seal_of(entries),
+        f"the arrays of {joined(location.url, group)} differ from those that were written",
+        mend="write the group again",
+        code="group-changed",
+    )
     return GroupEntry(content_of(location, group), document_checksum(metadata), entries, attributes)

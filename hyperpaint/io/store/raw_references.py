@@ -163,11 +163,16 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
     from zarr.codecs import BytesCodec
 
     icechunk = _icechunk()
-    config = _own_config([file.url for _, cube in groups.values() for file in cube.files])
-    repository = icechunk.Repository.create(icechunk.local_filesystem_storage(str(folder)), config)
+    repository = icechunk.Repository.create(
+        icechunk.local_filesystem_storage(str(folder)),
+        _own_config([file.url for _, cube in groups.values() for file in cube.files]),
+    )
     session = repository.writable_session("main")
-    attributes = {**attrs, RAW_FILES: json.dumps(summary_of(groups), default=asdict)}
-    zarr.open_group(session.store, mode="a", attributes=attributes)
+    zarr.open_group(
+        session.store,
+        mode="a",
+        attributes={**attrs, RAW_FILES: json.dumps(summary_of(groups), default=asdict)},
+    )
     for name, (dataset, cube) in groups.items():
         companions = prepare(dataset, name)
         companions.to_zarr(
@@ -320,20 +325,20 @@ def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
 
 def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[Any, Any]:
     refuse_kerchunk(path)
-    if not is_virtual(path):
-        raise StoreError(
-            f"{os.fspath(path)} is not a virtual store",
-            expected="a folder of `hyperpaint virtual`",
-            code="store-unreadable",
-        )
+    StoreError.raise_if(
+        not is_virtual(path),
+        f"{os.fspath(path)} is not a virtual store",
+        expected="a folder of `hyperpaint virtual`",
+        code="store-unreadable",
+    )
     for entry in Path(path).rglob("*"):
-        if entry.is_symlink():
-            raise StoreError(
-                f"{os.fspath(entry)!r} is a link",
-                expected="plain files and folders",
-                mend=_AGAIN,
-                code="link-refused",
-            )
+        StoreError.raise_if(
+            entry.is_symlink(),
+            f"{os.fspath(entry)!r} is a link",
+            expected="plain files and folders",
+            mend=_AGAIN,
+            code="link-refused",
+        )
     icechunk = _icechunk()
     config = _own_config(urls)
     access = {
@@ -366,13 +371,13 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
             )
         groups: dict[str, Any] = json.loads(text)
         for name, about in groups.items():
-            if not name or clean_group(name) != name or not name.isprintable():
-                raise StoreError(
-                    f"{os.fspath(path)} has a group {name!r:.200}",
-                    expected="a path such as 'flightlines/raw_0'",
-                    mend=_AGAIN,
-                    code="group-name",
-                )
+            StoreError.raise_if(
+                not name or clean_group(name) != name or not name.isprintable(),
+                f"{os.fspath(path)} has a group {name!r:.200}",
+                expected="a path such as 'flightlines/raw_0'",
+                mend=_AGAIN,
+                code="group-name",
+            )
             about[RAW_FILES] = [RawFile(**row) for row in about[RAW_FILES]]
             for raw in about[RAW_FILES]:
                 check_url(raw.url)
@@ -528,12 +533,12 @@ def open_virtual(
     name = (group or "").strip("/")
     if not name and len(groups) == 1:
         (name,) = groups
-    if name not in groups:
-        raise StoreError(
-            f"group {name!r} of {os.fspath(path)}",
-            expected=f"one of {', '.join(groups)}",
-            code="group-unknown",
-        )
+    StoreError.raise_if(
+        name not in groups,
+        f"group {name!r} of {os.fspath(path)}",
+        expected=f"one of {', '.join(groups)}",
+        code="group-unknown",
+    )
     # all raw files must be allowed, and unchanged
     refused, to_allow = outside(path, groups, allow)
     if refused:
@@ -548,8 +553,7 @@ def open_virtual(
         )
     problems = Problems(f"{os.fspath(path)} refers to raw files that have changed", StoreError)
     for raw in groups[name][RAW_FILES]:
-        if difference := raw.difference():
-            problems.add(difference, mend=_AGAIN, code="raw-file-changed")
+        problems.add_if(difference := raw.difference(), difference, mend=_AGAIN, code="raw-file-changed")
     problems.raise_if_any()
     urls = [raw.url for raw in groups[name][RAW_FILES]]
     # every reference must be inside one of these files
@@ -557,7 +561,8 @@ def open_virtual(
         repository, session = _session(path, urls)
         # in a separate thread, since a notebook has a running event loop
         with ThreadPoolExecutor(1) as thread:
-            checked = _check_chunks(repository, session, name, urls, os.fspath(path))
-            thread.submit(asyncio.run, checked).result()
+            thread.submit(
+                asyncio.run, _check_chunks(repository, session, name, urls, os.fspath(path))
+            ).result()
         opened: xr.Dataset = xr.open_zarr(session.store, group=name, **{"consolidated": False, **kwargs})
     return opened

@@ -203,14 +203,17 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         problems.raise_if_any()
         return xr.DataTree.from_dict(opened)
     name = clean_group(group)
-    if location is not None and (manifest := Manifest.read(location)) is not None:
-        # an error if a running or interrupted run has not written all its groups
-        writes = [write for write in manifest.writes if name in write.contents]
-        if any(
+    # an error if a running or interrupted run has not written all its groups
+    if (
+        location is not None
+        and (manifest := Manifest.read(location)) is not None
+        and any(
             manifest.lacking(write, lambda group_name: content_of(location, group_name, manifest))
-            for write in writes
-        ):
-            check_state(location)
+            for write in manifest.writes
+            if name in write.contents
+        )
+    ):
+        check_state(location)
     return open_group(path, name, **kwargs)
 
 
@@ -255,8 +258,10 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
         return
     problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
     if attributes_replaced(location, group, entry):
-        text = f"{where}: another program replaced its attributes; the manifest's are used"
-        warn_user(text, "attributes-replaced")
+        warn_user(
+            f"{where}: another program replaced its attributes; the manifest's are used",
+            "attributes-replaced",
+        )
     elif changed := changed_attributes(location, group, entry):
         problems.add(f"attributes differ from the manifest: {', '.join(changed)}", code="attributes-changed")
     files = location.files(group)
@@ -421,12 +426,12 @@ def check_metadata(location: Location | None, group: str) -> None:
             raw = location.read(name, limit=MAX_METADATA_BYTES) or b""
             values += sum(map(raw.count, (b"{", b"[", b",")))
         total += size
-        if total > 2 * MAX_METADATA_BYTES or values > MAX_VALUES or count > 3 * MAX_NODES:
-            raise StoreError(
-                f"{location.url}: metadata of {total} bytes or more, up to {name!r:.80}",
-                expected=f"at most {2 * MAX_METADATA_BYTES} bytes, {MAX_VALUES} values, {MAX_NODES} arrays",
-                code="file-too-large",
-            )
+        StoreError.raise_if(
+            total > 2 * MAX_METADATA_BYTES or values > MAX_VALUES or count > 3 * MAX_NODES,
+            f"{location.url}: metadata of {total} bytes or more, up to {name!r:.80}",
+            expected=f"at most {2 * MAX_METADATA_BYTES} bytes, {MAX_VALUES} values, {MAX_NODES} arrays",
+            code="file-too-large",
+        )
 
 
 def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
@@ -436,10 +441,12 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
         for key in (joined(group, name, file) for name in names for file in METADATA_FILES):
             if not os.path.lexists(location.key(key)):
                 continue
-            if not os.path.isfile(location.key(key)):
-                raise StoreError(
-                    f"{location.key(key)} is not a regular file", expected="metadata", code="file-not-plain"
-                )
+            StoreError.raise_if(
+                not os.path.isfile(location.key(key)),
+                f"{location.key(key)} is not a regular file",
+                expected="metadata",
+                code="file-not-plain",
+            )
             yield key, os.path.getsize(location.key(key))
     elif hasattr(location.fs, "zip"):
         for entry in location.fs.zip.infolist():
@@ -485,8 +492,7 @@ def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
             ),
             (array.ndim > 32, f"{array.ndim} dims", "at most 32", "size-too-large"),
         ):
-            if is_wrong:
-                problems.add(f"{name}: {found}", expected=expected, code=code)
+            problems.add_if(is_wrong, f"{name}: {found}", expected=expected, code=code)
         sizes = zip(array.shape, array.chunks, strict=True)
         chunks += math.prod(-(-size // max(step, 1)) for size, step in sizes)
         if array.ndim == 1:
@@ -495,6 +501,5 @@ def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
         (chunks, MAX_CHUNKS, "chunks"),
         (index_bytes, MAX_INDEX_BYTES, "bytes of an array with one dim"),
     ):
-        if size > most:
-            problems.add(f"{size} {unit}", expected=f"at most {most}", code="size-too-large")
+        problems.add_if(size > most, f"{size} {unit}", expected=f"at most {most}", code="size-too-large")
     problems.raise_if_any()

@@ -75,8 +75,9 @@ class StoreReport:
     def __str__(self) -> str:
         state = counted(len(self.problems), "problem") if self.problems else "whole"
         counts = f"{counted(len(self.groups), 'group')}, {counted(self.chunks, 'chunk')}"
-        head = f"{self.path}: {counts}, {state}"
-        return "\n  ".join([head, *self.problems, *(f"note: {note}" for note in self.notes)])
+        return "\n  ".join(
+            [f"{self.path}: {counts}, {state}", *self.problems, *(f"note: {note}" for note in self.notes)]
+        )
 
 
 def verify(path: str | os.PathLike[str]) -> StoreReport:

@@ -168,13 +168,13 @@ def to_store(
         # raise for a group that would be replaced while the data are read from it
         problems = Problems(f"cannot write {location.url}", StoreError)
         for job, target in itertools.product(jobs, jobs):
-            if names := reads_from(job.dataset, location, target.group):
-                problems.add(
-                    f"group {'/' + target.group!r} would be overwritten while {', '.join(names)} "
-                    f"{'is' if len(names) == 1 else 'are'} read from it",
-                    mend="write to another group or path, or .load() the dataset first",
-                    code="source-overwritten",
-                )
+            problems.add_if(
+                names := reads_from(job.dataset, location, target.group),
+                f"group {'/' + target.group!r} would be overwritten while {', '.join(names)} "
+                f"{'is' if len(names) == 1 else 'are'} read from it",
+                mend="write to another group or path, or .load() the dataset first",
+                code="source-overwritten",
+            )
         problems.raise_if_any()
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
         if not pending and _is_done(location, contents, attrs):
@@ -274,10 +274,10 @@ class _StoreWriter:
                     writes = (self._write,) if len(self._write.contents) > 1 else ()
                     replace(self._manifest, groups={"": self._entries[""]}, writes=writes).write(place)
                 place.write_files({METADATA: json.dumps(root).encode()})
-                expected = [
-                    closed.joinpath(name, *key.split("/")) for name, keys in sums.items() for key in keys
-                ]
-                flush_group(closed, expected)
+                flush_group(
+                    closed,
+                    [closed.joinpath(name, *key.split("/")) for name, keys in sums.items() for key in keys],
+                )
                 if job.group:
                     self.announce(job.group)
                 stage.publish(closed, job.group)
@@ -477,9 +477,13 @@ class WholeRun:
             self._placing is None or self._placing.done()
         ):  # raise an earlier error before computing this group
             self.settle()
-        settings = str(dataset.attrs.get(SETTINGS, ""))
-        token = _token(dataset, str(dataset.attrs.get(INPUTS)))
-        job = Job(group, layout.prepare(dataset, group), token, settings, self._codec)
+        job = Job(
+            group,
+            layout.prepare(dataset, group),
+            _token(dataset, str(dataset.attrs.get(INPUTS))),
+            str(dataset.attrs.get(SETTINGS, "")),
+            self._codec,
+        )
         output = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         with output, errors_of_the_system(self._location, {group: dataset}):
             place = self._writer.begin(job, progress=progress)
@@ -583,9 +587,11 @@ def _write_arrays(
         # zarr writes metadata, and values of small arrays, in memory: on a disk its threads would write some
         # hundred small files slowly
         stored: dict[str, Any] = {}
-        holders = {name: chunks.placeholder(variable) for name, variable in streamed.items()}
-        rest = dataset.drop_vars(list(streamed)).compute()
-        template = layout.with_variables(rest, holders, dataset.coords)[list(dataset.variables)]
+        template = layout.with_variables(
+            dataset.drop_vars(list(streamed)).compute(),
+            {name: chunks.placeholder(variable) for name, variable in streamed.items()},
+            dataset.coords,
+        )[list(dataset.variables)]
         options: Any = {"mode": "w", "zarr_format": 3, "consolidated": False, "compute": False}
         template.to_zarr(MemoryStore(stored), encoding=layout.encoding(dataset, job.codec), **options)
         files = {key: content.to_bytes() for key, content in stored.items()}
@@ -629,16 +635,16 @@ def _write_to_store_object(
         groups = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
     problems = Problems(f"cannot write {store}", StoreError)
     for job in jobs:
-        if names := reads_from(job.dataset, store, job.group):
-            problems.add(
-                f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
-                code="source-overwritten",
-            )
-        if not job.group and groups and overwrite:
-            problems.add(
-                f"its root contains groups, which would be lost: {', '.join(groups[:5])}",
-                code="group-occupied",
-            )
+        problems.add_if(
+            names := reads_from(job.dataset, store, job.group),
+            f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
+            code="source-overwritten",
+        )
+        problems.add_if(
+            not job.group and groups and overwrite,
+            f"its root contains groups, which would be lost: {', '.join(groups[:5])}",
+            code="group-occupied",
+        )
     problems.raise_if_any()
     try:
         for group, attributes in attrs.items():
@@ -787,18 +793,21 @@ def check_room(
     # Raise if groups, datasets by name, together need more than the free space of a store's disk.
     #
     # ``tokens``: their source tokens.
-    jobs = [
-        Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()
-    ]
-    _check_disk(jobs, Location.of(path))
+    _check_disk(
+        [Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()],
+        Location.of(path),
+    )
 
 
 def _check_disk(jobs: list[Job], location: Location) -> None:
     if location.local is None or not jobs:
         return
     stage = Staging(real_folder(location.local))
-    begun = [folder for job in jobs for folder in stage.leftovers(job.group, job.build)]
-    check_disk(location.local, sum(disk_needed(job.dataset, job.codec) for job in jobs), begun)
+    check_disk(
+        location.local,
+        sum(disk_needed(job.dataset, job.codec) for job in jobs),
+        [folder for job in jobs for folder in stage.leftovers(job.group, job.build)],
+    )
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:

@@ -55,8 +55,7 @@ def test_right_files_are_one_library(name: str) -> None:
 
 def test_texts_of_0_2_open() -> None:
     # Rationale: hyperpaint 0.2 wrote these texts in the format of the ECOSTRESS library.
-    paths = sorted((FILES / "ecostress").glob("*.txt"))
-    library, back = declared_library(bands=6), hp.open_library(paths)
+    library, back = declared_library(bands=6), hp.open_library(sorted((FILES / "ecostress").glob("*.txt")))
     np.testing.assert_allclose(
         back.reflectance, library.reflectance.sel(signature=back["signature"].values), rtol=1e-6
     )

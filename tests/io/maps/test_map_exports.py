@@ -152,8 +152,9 @@ def test_blocks_are_written_as_they_are_computed(tmp_path: Path) -> None:
         events.append("computed")
         return block
 
-    zeros = da.zeros((64, 5, 30), chunks=(1, -1, -1), dtype=np.float32)
-    cube = zeros.map_blocks(compute, meta=np.zeros((0, 0, 0), "f4"))
+    cube = da.zeros((64, 5, 30), chunks=(1, -1, -1), dtype=np.float32).map_blocks(
+        compute, meta=np.zeros((0, 0, 0), "f4")
+    )
     line = xr.Dataset({"reflectance": (schema.CUBE, cube, {"units": "1"})})
     hp.io.write_envi(line, tmp_path / "line", progress=lambda *_: events.append("written"))
     assert events.count("computed") == events.count("written") == 64
@@ -281,8 +282,9 @@ def test_a_whole_map_keeps_the_numbers_of_its_geotransform() -> None:
 
 
 def test_coordinates_that_no_grid_has_are_refused() -> None:
-    distances = {"x": 0.25 * (np.arange(30) + 0.5), "y": 0.25 * (np.arange(40) + 0.5)}
-    made = map_of(values(), turned(37.0), None).assign_coords(distances)
+    made = map_of(values(), turned(37.0), None).assign_coords(
+        {"x": 0.25 * (np.arange(30) + 0.5), "y": 0.25 * (np.arange(40) + 0.5)}
+    )
     assert grid_of(made) is not None
     expect_errors((SchemaError, "place-ambiguous", lambda: grid_of(made.isel(x=slice(3, None)))))
     col, row = np.meshgrid(np.arange(30) + 0.5, np.arange(40) + 0.5)
@@ -391,8 +393,9 @@ def test_geotiff_holds_every_band_in_its_place(
 ) -> None:
     rasterio = pytest.importorskip("rasterio")
     cube = values(300, 5, 280)
-    path = hp.io.write_geotiff(map_of(cube, transform, chunks=(128, 100, 3)), tmp_path / "map.tif", cog=cog)
-    with rasterio.open(path) as raster:
+    with rasterio.open(
+        hp.io.write_geotiff(map_of(cube, transform, chunks=(128, 100, 3)), tmp_path / "map.tif", cog=cog)
+    ) as raster:
         assert raster.dtypes == ("float32",) * 5
         assert np.isnan(raster.nodata)
         np.testing.assert_array_equal(
@@ -413,8 +416,9 @@ def test_a_picture_is_true_colour(tmp_path: Path) -> None:
     cube[:, 1, 20:40] = 0.6  # green
     cube[:, 0, 40:] = 0.6  # blue
     cube[0, 0, 0] = np.nan
-    path = hp.io.write_geotiff(map_of(cube, turned(20.0)), tmp_path / "map.tif", bands="rgb")
-    with rasterio.open(path) as raster:
+    with rasterio.open(
+        hp.io.write_geotiff(map_of(cube, turned(20.0)), tmp_path / "map.tif", bands="rgb")
+    ) as raster:
         shown = raster.read()
         assert raster.dtypes == ("uint8",) * 4
         assert [one.name for one in raster.colorinterp] == ["red", "green", "blue", "alpha"]

@@ -37,8 +37,7 @@ def line() -> xr.Dataset:
     flown = fly(120, 90, "calm", heading=37.0)
     places = np.stack([flown.east - EAST, flown.north - NORTH], axis=1)
     cube = (("along_track", "band", "cross_track"), places.astype(np.float32), {"units": "1"})
-    line = located(flown, reflectance=cube)
-    return line.assign_coords(
+    return located(flown, reflectance=cube).assign_coords(
         wavelength=("band", [550.0, 650.0], {"units": "nm"}), fwhm=("band", [6.0, 7.0], {"units": "nm"})
     )
 
@@ -92,8 +91,9 @@ def test_rioxarray_warps_a_stored_map_to_its_place(
         shape = int((north - south) / GSD) + 1, int((east - west) / GSD) + 1
         target = {"transform": rasterio.transform.from_origin(west, north, GSD, GSD), "shape": shape}
     for name in ("bilinear", "nearest"):
-        method = rasterio.enums.Resampling[name]
-        warped = bands.rio.reproject(OTHER, resampling=method, nodata=np.nan, **target)
+        warped = bands.rio.reproject(
+            OTHER, resampling=rasterio.enums.Resampling[name], nodata=np.nan, **target
+        )
         away = misplacement(warped.values, *centres(warped.rio.transform(), warped.shape[1:]), OTHER)
         # at its outer edge GDAL weighs what it has, half a cell inside
         assert away.max() <= 1.0
@@ -115,10 +115,9 @@ def test_gdal_warps_a_map_to_its_place(
         plain = plain.load().drop_attrs(deep=False).drop_encoding()
         path = tmp_path / f"plain.{form}"
         plain.to_netcdf(path, engine="h5netcdf") if form == "nc" else plain.to_zarr(path, zarr_format=2)
-    name = {"tif": f"{path}", "nc": f'NETCDF:"{path}":reflectance', "zarr": f'ZARR:"{path}":/reflectance'}[
-        form
-    ]
-    with rasterio.open(name) as raster:
+    with rasterio.open(
+        {"tif": f"{path}", "nc": f'NETCDF:"{path}":reflectance', "zarr": f'ZARR:"{path}":/reflectance'}[form]
+    ) as raster:
         if raster.transform.is_identity:
             # of a turned grid this GDAL reads no place at all from Zarr; it is not misplaced
             assert (grid, form) == ("flight", "zarr")

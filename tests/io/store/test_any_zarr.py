@@ -116,9 +116,9 @@ def encodings(dataset: xr.Dataset, zarr_format: int, codec: str) -> dict[Any, di
     if codec == "default":
         return {}
     if codec == "shards":
-        large = [name for name in numbers if dataset[name].ndim > 1]
         return {
-            name: {"shards": dataset[name].shape, "chunks": (1, *dataset[name].shape[1:])} for name in large
+            name: {"shards": dataset[name].shape, "chunks": (1, *dataset[name].shape[1:])}
+            for name in [name for name in numbers if dataset[name].ndim > 1]
         }
     compressor = (second if zarr_format == 2 else third)[codec]
     return {name: {"compressors": [compressor]} for name in numbers}
@@ -183,8 +183,7 @@ def test_it_gives_the_same_bits_as_our_own(
 @pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")
 @pytest.mark.parametrize(("zarr_format", "container"), [(2, "folder"), (2, "zip"), (3, "zip")])
 def test_a_collect_names_any_zarr(zarr_format: int, container: str, tmp_path: Path) -> None:
-    options = {"scene": "plan", "lines": 8, "bands": 4, "columns": 4}
-    collect = hp.simulate_collect(tmp_path / "day", **options)
+    collect = hp.simulate_collect(tmp_path / "day", scene="plan", lines=8, bands=4, columns=4)
     expected = hp.open_collect(collect)["calibration"].radiance_gain
     source = xr.open_zarr(collect.parent / "calibration.zarr").load()
     place = contained(source, container, tmp_path, zarr_format=zarr_format)

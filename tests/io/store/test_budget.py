@@ -55,8 +55,9 @@ def load(lines: int = 6400) -> Load:
 
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("collect")
-    return hp.simulate_collect(folder, scene="plan", lines=72, bands=20, columns=12, seed=3, truth=False)
+    return hp.simulate_collect(
+        tmp_path_factory.mktemp("collect"), scene="plan", lines=72, bands=20, columns=12, seed=3, truth=False
+    )
 
 
 # --- memory ------------------------------------------------------------------------------------------------
@@ -149,8 +150,7 @@ def test_a_container_leaves_less_than_its_machine(tmp_path: Path) -> None:
     assert available_memory(tmp_path) == 0
     # version one of control groups
     write(tmp_path / "old/proc/self", cgroup="5:cpu:/x\n4:hugetlb,memory:/job")
-    group = tmp_path / "old/sys/fs/cgroup/memory/job"
-    write(group, memory__limit_in_bytes=7000, memory__usage_in_bytes=1000)
+    write(tmp_path / "old/sys/fs/cgroup/memory/job", memory__limit_in_bytes=7000, memory__usage_in_bytes=1000)
     assert available_memory(tmp_path / "old") == 6000
 
 
@@ -423,8 +423,9 @@ def test_measured_peaks_stay_below_the_model(large: Path, tmp_path: Path, thread
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # A collect of the camera's whole size
-    folder = tmp_path_factory.mktemp("large")
-    return hp.simulate_collect(folder, scene="plan", lines=320, bands=272, columns=640, seed=3, truth=False)
+    return hp.simulate_collect(
+        tmp_path_factory.mktemp("large"), scene="plan", lines=320, bands=272, columns=640, seed=3, truth=False
+    )
 
 
 def test_a_limit_in_force_holds_for_every_plan_and_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -453,8 +454,9 @@ def test_a_limit_in_force_holds_for_every_plan_and_ends(monkeypatch: pytest.Monk
 def test_commands_refuse_what_does_not_fit_the_limit(tmp_path: Path) -> None:
     line = hp.simulation.simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
     hp.to_store(line, tmp_path / "lot.zarr", group="flightlines/raw_0")
-    regions = hp.Regions((hp.Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)]),))
-    hp.write_regions(regions, tmp_path / "grass.geojson")
+    hp.write_regions(
+        hp.Regions((hp.Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)]),)), tmp_path / "grass.geojson"
+    )
     call = ["signatures", tmp_path / "lot.zarr", "--regions", tmp_path / "grass.geojson", "--no-flags"]
     small = CliRunner().invoke(main, [*map(str, call), "--memory-limit", "300 MB"])
     assert small.exit_code == 2

@@ -122,9 +122,8 @@ def test_the_manifest_names_what_lies_on_the_disk(store: Path) -> None:
 @pytest.mark.parametrize("stop", [1, 2])
 def test_a_run_that_was_cut_short_is_unfinished(stop: int, path: Path) -> None:
     run(path, stop=stop)
-    said = problems(path)
     expect_words(
-        said,
+        problems(path),
         f"unfinished: {stop} of 3 groups are written",
         f"to finish it: hyperpaint process lot.toml --out {path}",
     )
@@ -217,9 +216,8 @@ def test_a_half_written_tree_is_finished_by_itself_alone(store: Path) -> None:
         expect_error(KeyboardInterrupt, None, lambda: hp.to_store(tree, store))
     hp.to_store(line(9), store, "other")
     for _ in range(2):
-        said = problems(store)
         expect_words(
-            said,
+            problems(store),
             "unfinished: 1 of 2 groups are written, without /sig/b; run its writer again",
             without=("lot.toml",),
         )

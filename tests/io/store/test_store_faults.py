@@ -115,8 +115,9 @@ def test_killed_writer(chunks_before_kill: int, path: Path, tmp_path: Path) -> N
         assert open_store(path, GROUP).sizes["along_track"] == 70
         assert verify(path).ok
     to_store(slow_line("new"), path, GROUP, overwrite=True)
-    expected = np.concatenate([slab((i,)) for i in range(LINES // 32)])
-    np.testing.assert_array_equal(open_store(path, GROUP).counts, expected)
+    np.testing.assert_array_equal(
+        open_store(path, GROUP).counts, np.concatenate([slab((i,)) for i in range(LINES // 32)])
+    )
     assert verify(path).ok
     assert os.listdir(tmp_path) == ["lot.zarr"]
 

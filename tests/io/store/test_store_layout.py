@@ -65,8 +65,9 @@ def test_chunk_has_the_bytes_that_zarr_writes(
         monkeypatch.setitem(sys.modules, "blosc", None)
     monkeypatch.setattr(layout, "_blosc", layout._blosc.__wrapped__)
     values = (np.random.default_rng(0).random((lines, 7, 11)) * 100).astype(dtype)
-    variable = xr.Variable(("along_track", "band", "cross_track"), np.zeros((64, 7, 11), dtype))
-    encoding = layout.encoding_of(variable, codec)
+    encoding = layout.encoding_of(
+        xr.Variable(("along_track", "band", "cross_track"), np.zeros((64, 7, 11), dtype)), codec
+    )
     array = zarr.create_array(
         tmp_path / "a.zarr",
         shape=(lines, 7, 11),
@@ -108,8 +109,9 @@ def test_float_fill_is_nan_of_the_dtype() -> None:
 )
 def test_prepared_blocks_hold_whole_storage_chunks(lines: list[int], bands: tuple[int, ...]) -> None:
     data = da.zeros((sum(lines), 6, 4), chunks=(tuple(lines), bands, 3), dtype="float32")
-    dataset = xr.Dataset({"radiance": (("along_track", "band", "cross_track"), data)})
-    chunks = layout.prepare(dataset, "").radiance.chunks
+    chunks = layout.prepare(
+        xr.Dataset({"radiance": (("along_track", "band", "cross_track"), data)}), ""
+    ).radiance.chunks
     assert chunks is not None
     assert chunks[1:] == ((6,), (4,))
     assert all(size % 32 == 0 for size in chunks[0][:-1])

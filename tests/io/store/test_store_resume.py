@@ -51,10 +51,9 @@ def slab(log: str | None, block_id: tuple[int, ...] = ()) -> np.ndarray[Any, Any
 
 def line(log: str | None = None, lines: int = 32) -> xr.Dataset:
     # Two cubes of one source, a map of tiles, times and a small array, all lazy but the last
-    made = da.map_blocks(
+    counts = da.map_blocks(
         slab, log, chunks=((32,) * BLOCKS, (4,), (50,)), dtype="uint16", meta=np.empty((0, 0, 0), "uint16")
-    )
-    counts = made.rechunk((lines, 4, 50))
+    ).rechunk((lines, 4, 50))
     height = da.random.default_rng(5).random((200, 300), chunks=128, dtype="float32")
     start = np.datetime64("2026-06-01T10:00:00", "ns")
     time = start + (da.arange(32 * BLOCKS, chunks=-1) * 7_000_000).astype("m8[ns]")
@@ -162,8 +161,9 @@ def test_killed_at_a_random_instant(seed: int, tmp_path: Path, whole: dict[str, 
     path, log = tmp_path / "lot.zarr", tmp_path / "log"
     log.touch()
     random = np.random.default_rng(seed)
-    command = [sys.executable, "-c", WRITER, __file__, str(path), str(log)]
-    writer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, __file__, str(path), str(log)], stdout=subprocess.PIPE, text=True
+    )
     assert writer.stdout is not None
     assert writer.stdout.readline() == "ready\n"
     until = time.monotonic() + 30
@@ -321,8 +321,7 @@ def test_tasks_that_outlive_their_run_harm_nothing(path: Path, whole: dict[str, 
 def test_resumed_blocks_are_the_values(path: Path) -> None:
     cut_short(path)
     to_store(line(), path, GROUP, source_token=TOKEN)
-    expected = line().compute()
-    xr.testing.assert_equal(open_store(path, GROUP).compute(), expected)
+    xr.testing.assert_equal(open_store(path, GROUP).compute(), line().compute())
 
 
 FULL_DISK = """

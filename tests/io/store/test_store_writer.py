@@ -218,16 +218,18 @@ def test_a_source_that_was_rewritten_is_other_content(url: str, guarded: bool, t
     rewrite(1)
     expect_error(StoreError, "store-exists", lambda: to_store(source(), tmp_path / "lot.zarr", GROUP))
     to_store(source() * 1, tmp_path / "lot.zarr", GROUP, overwrite=True)
-    stored = open_store(tmp_path / "lot.zarr", GROUP)["counts"]
-    np.testing.assert_array_equal(stored, flightline(seed=1)["counts"])
+    np.testing.assert_array_equal(
+        open_store(tmp_path / "lot.zarr", GROUP)["counts"], flightline(seed=1)["counts"]
+    )
 
 
 def test_an_interrupted_copy_of_a_source_that_is_rewritten_is_not_mixed(tmp_path: Path) -> None:
     url, path = f"memory://{os.urandom(4).hex()}.zarr", tmp_path / "lot.zarr"
 
     def source(number: int, *, failing: bool) -> xr.Dataset:
-        made = xr.Dataset({"counts": (CUBE, np.full((128, 2, 3), number, "uint16"))}).chunk(along_track=32)
-        made.to_zarr(url, mode="w", consolidated=False)
+        xr.Dataset({"counts": (CUBE, np.full((128, 2, 3), number, "uint16"))}).chunk(along_track=32).to_zarr(
+            url, mode="w", consolidated=False
+        )
         if failing:
             zarr.open_array(f"{url}/counts").store_path.store.fs.rm(f"{url}/counts/c/3/0/0")
             zarr.open_array(f"{url}/counts").store_path.store.fs.pipe_file(f"{url}/counts/c/3/0/0", b"x")
