@@ -24,7 +24,6 @@ import hyperpaint as hp
 from hyperpaint.accessor import METHODS
 from hyperpaint.base.errors import PaintWarning, SchemaError, TimeError
 from hyperpaint.base.schema import CALIBRATION_NAMES, Quality
-from hyperpaint.report.summaries import summary_html
 
 REGIONS = hp.Regions((hp.Region("a", [(2, 2), (20, 2), (20, 14), (2, 14)]),))
 PRODUCTS = ["reflectance", "quality"]
@@ -192,7 +191,7 @@ def test_nothing_selected_is_told(flown: SimpleNamespace, dim: str, tmp_path: Pa
         )
     for function in (hp.slab, hp.reflectance, lambda line: hp.regions.region_mask(REGIONS, line)):
         expect_error(SchemaError, "selection-empty", partial(function, none))
-    assert "flight line" in summary_html(none)
+    assert "flight line" in none.paint._repr_html_()
     assert hp.to_store(none, tmp_path / "none.zarr", "flightlines/a")
 
 

@@ -154,8 +154,9 @@ def white_reference(
     --------
     >>> from hyperpaint.radiometry.example_pixel import worked_example
     >>> raw = worked_example()[["counts", "dark_counts", "exposure_time", "saturation_count"]]
+    >>> raw["counts"] = raw.counts.astype("uint16")
     >>> line = white_reference(raw, raw, tile=0.95)  # the scene is the tile
-    >>> line.paint.reflectance().reflectance.values.round(4).ravel()
+    >>> line.paint.reflectance().reflectance.values.round(4)[0, 0]
     array([0.95, 0.95, 0.95], dtype=float32)
     """
     line = _with_counts(dataset)

@@ -199,7 +199,7 @@ def test_the_accessor_and_the_picture_of_a_map(flown: Flown, line: xr.Dataset, g
     expected = hp.extract_signatures(made, regions, members=4)
     np.testing.assert_array_equal(library["sun_zenith"], expected["sun_zenith"])
     assert library["sun_zenith"].values == pytest.approx([14.2, 14.2], abs=0.05)
-    axes = made.paint.spectrum(regions)
+    (axes, *_) = made.paint.spectrum(regions).axes
     # one line of each region, through its centre
     (large, _) = (curve.get_ydata() for curve in axes.get_lines())
     np.testing.assert_allclose(large, expected["reflectance"][0], rtol=1e-5)

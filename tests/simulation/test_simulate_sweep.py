@@ -157,7 +157,7 @@ def test_variables_are_those_of_the_table() -> None:
         assert array.dims in (row.dims, *row.alternatives)
         assert (array.dtype, array.attrs["units"]) == (row.dtype, row.units)
     # what a real sweep may state, and this camera has not
-    absent = {"electrons_per_count", "read_noise", "band_shift_time"}
+    absent = {"electrons_per_count", "read_noise", "band_shift_time", "level"}
     assert (set(SWEEP_VARIABLES) - set(sweep.variables), sweep.flux.dims) == (absent, ("step", "cross_track"))
     assert sweep.exposure_time.dims == sweep.dark_exposure_time.dims == ("step",)
     assert sweep.dark_counts.dims == ("step", "band", "cross_track")

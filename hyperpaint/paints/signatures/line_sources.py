@@ -390,8 +390,10 @@ def source_of(
         # reflectance of the line's own counts, without corrections, has the uncertainties of these counts
         attrs = line["reflectance"].attrs
         if attrs.get("long_name") == schema.VARIABLES["reflectance"].meaning and set(attrs) <= _PLAIN_ATTRS:
-            again = reflectance(line.drop_vars("reflectance"), uncertainty=True)
-            line = line.assign({name: again[name] for name in UNCERTAINTIES})
+            # where(drop=True) gives the calibration the lines' dim: the uncertainty is unknown then
+            with contextlib.suppress(SchemaError):
+                again = reflectance(line.drop_vars("reflectance"), uncertainty=True)
+                line = line.assign({name: again[name] for name in UNCERTAINTIES})
     names = ["reflectance", *(name for name in UNCERTAINTIES if name in line.variables)]
     # time and age of the irradiance belong to cells in a map, to lines in a flight line
     cell_variables = {
