@@ -53,9 +53,10 @@ MAX_SATURATED_SHARE = 0.01
 MIN_SIGNIFICANCE = 3.0
 #: Share of elements with light [1] below which a white reference is refused.
 MIN_LIT_SHARE = 0.5
-#: Relative deviation of lines of a white reference from their median, and the share of the lines that may
-#: exceed it [1]: beyond, the cube shows more than the tile.
-MAX_LINE_DEVIATION, MAX_DEVIATING_LINES = 0.05, 0.02
+#: Relative deviation of lines of a white reference from their median [1].
+MAX_LINE_DEVIATION = 0.05
+#: Share of lines that may deviate by more [1]: beyond, the cube shows more than the tile.
+MAX_DEVIATING_LINE_SHARE = 0.02
 #: Difference between the wavelengths of the headers of white and scene that is refused [nm].
 MAX_WAVELENGTH_DIFFERENCE_NM = 0.5
 #: Change of the light between two white references that differs between columns [1], above which tile or lamp
@@ -234,18 +235,18 @@ class _White(NamedTuple):
             f"{name}: {100 * lit:.3g} % of the elements are brighter than the dark, by {median:.3g} counts "
             "in the median",
             expected=f"{100 * MIN_LIT_SHARE:g} % and more",
-            mend="name the cube of the white tile, and its dark; they may be exchanged",
+            mend="name the cube of the white tile, and its dark; check that they are not swapped",
             code="white-without-light",
         )
         if lit >= MIN_LIT_SHARE:
             levels = frames.line_mean - float((frames.mean - self.light).mean())
             deviating = np.abs(levels / np.median(levels) - 1.0) > MAX_LINE_DEVIATION
             problems.add_if(
-                deviating.mean() > MAX_DEVIATING_LINES,
+                deviating.mean() > MAX_DEVIATING_LINE_SHARE,
                 f"{name}: {deviating.sum()} of {deviating.size} lines differ by more than "
                 f"{100 * MAX_LINE_DEVIATION:g} % from the median",
                 expected="lines that show nothing but the tile, under steady light",
-                mend="choose them: hp.open_envi(path).isel(along_track=slice(10, 90))",
+                mend="select them: white=xr.open_dataset(path).isel(along_track=slice(10, 90))",
                 code="white-unsteady",
             )
         if self.reference.wavelength is not None and "wavelength" in line.coords:
@@ -260,7 +261,7 @@ class _White(NamedTuple):
 
 
 def _with_counts(dataset: xr.Dataset) -> xr.Dataset:
-    # Return a dataset with integers of an undeclared quantity as counts: beside a white they are raw.
+    # Return a dataset with integers of an undeclared quantity as counts: with a white reference they are raw.
     line = rename_to_roles(dataset)
     is_raw = "values" in line.data_vars and line["values"].dtype.kind == "u"
     return line.rename(values="counts").assign(counts=label(line["values"], "counts")) if is_raw else line
@@ -341,7 +342,9 @@ def _white(source: Any, line: xr.Dataset, white_dark: Any, white_exposure_time: 
     before = counts[index[0]].astype(np.float64)
     dark = before + float(weight[0]) * (counts[min(index[0] + 1, len(counts) - 1)] - before)
     frames = reference.frames
-    variance = np.maximum(frames.mean, 1.0)  # of a single line: an electron a count at the least
+    variance = np.maximum(
+        frames.mean, 1.0
+    )  # of a single line; lower bound: shot noise at one electron per count
     if frames.lines > 1:
         # few lines: shrink the variance of an element to the mean variance
         freedom = frames.lines - 1

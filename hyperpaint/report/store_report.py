@@ -62,9 +62,6 @@ from .summaries import Part, facts_of_bands, facts_of_line, facts_of_map, page_p
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-    from hyperpaint.regions import Region
-    from hyperpaint.validation import Validation
-
 
 @dataclass(frozen=True)
 class Written:

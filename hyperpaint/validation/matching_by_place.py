@@ -43,7 +43,7 @@ def match_places(
     >>> for match in match_places(paints, {0: "red-01", 1: "red-02"}, places, ["SVC"] * 3, 5.0).values():
     ...     print(match.paint, match.text)
     0 1.1 m from red-01, 8.2 m from the next paint
-    None a tie: 4.1 m from red-01, 4.1 m from red-02, and places are known to 5 m
+    None ambiguous: 4.1 m from red-01, 4.1 m from red-02, with an accuracy of 5 m
     None 111.2 m from the nearest paint red-01, beyond 5 m
     """
     keys = list(paints)
@@ -60,7 +60,7 @@ def match_places(
             text = f"{distance:.1f} m from the nearest paint {name}, beyond {accuracy_m:g} m"
         elif others and distances[others[0]] - distance < accuracy_m:
             further = f"{distances[others[0]]:.1f} m from {names[keys[others[0]]]}"
-            text = f"a tie: {distance:.1f} m from {name}, {further}, and places are known to {accuracy_m:g} m"
+            text = f"ambiguous: {distance:.1f} m from {name}, {further}, with an accuracy of {accuracy_m:g} m"
         else:
             further = f", {distances[others[0]]:.1f} m from the next paint" if others else ""
             paint, text = keys[first], f"{distance:.1f} m from {name}{further}"
@@ -71,6 +71,6 @@ def match_places(
     for number, match in matches.items():
         count = counts[match.paint, instruments[number]]
         if match.paint is not None and count > 1:
-            text = f"{match.text}, as are {count - 1} more: readings of it, or of other paints"
+            text = f"{match.text}, as {count - 1} more of its instrument: readings of it, or of other paints"
             matches[number] = match._replace(paint=None, text=text)
     return matches

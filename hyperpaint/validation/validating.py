@@ -1268,7 +1268,8 @@ def paired(
     #
     # ``signatures``, ``references``: spectra with their names; ``pairs``: one or several names of references
     # by name of a paint. By default a signature's property ``reference`` names them, and without this
-    # property the signature's name, unless its place contradicts, then its place: see `match_places`.
+    # property the signature's name. Where positions contradict the name, or no name matches, the position
+    # decides: see `match_places`.
     #
     # Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
     # datasets, share a name; or nothing can be paired. All problems of a kind are listed.

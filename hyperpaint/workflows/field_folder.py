@@ -312,16 +312,18 @@ def _named_references(paths: Iterable[str | os.PathLike[str]]) -> dict[Path, lis
             mend="check the path",
             code="file-not-found",
         )
+        of_place: dict[Path, list[Path]] = {}
         for path in _walk(place) if place.is_dir() else [place]:
             in_folder = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
             if in_folder or place.is_file() or path.suffix.lower() in (".txt", ".csv", ".tsv"):
-                spectra.setdefault(path.parent / f"*{path.suffix}" if in_folder else path, []).append(path)
+                of_place.setdefault(path.parent / f"*{path.suffix}" if in_folder else path, []).append(path)
         CollectError.raise_if(
-            not spectra,
+            not of_place,
             f"references {place}: no spectra in this folder",
             expected=_SPECTRA,
             code="file-not-found",
         )
+        spectra |= of_place
     return spectra
 
 

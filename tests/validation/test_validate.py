@@ -288,11 +288,12 @@ def test_pairs_by_place_where_no_name_matches() -> None:
     )
     # within 15 m, b lies between two paints; a second reading at the first paint may be of another paint
     again = hp.validate(paints, references.isel(spectrum=[1, 3]), place_accuracy=15.0)
-    assert "a tie: 10.0 m from red-02, 12.2 m from hood, and places are known to 15 m" in str(
+    assert "ambiguous: 10.0 m from red-02, 12.2 m from hood, with an accuracy of 15 m" in str(
         again.unpaired_references
     )
     with pytest.raises(
-        SchemaError, match=r"by place: 2\.2 m from red-01, .* as are 1 more: readings of it, or of"
+        SchemaError,
+        match=r"by place: 2\.2 m from red-01, .* as 1 more of its instrument: readings of it, or of",
     ):
         hp.validate(paints, references.isel(spectrum=[0, 5]))
     # a name that is asked for, or that a region states, needs no place

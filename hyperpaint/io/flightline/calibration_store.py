@@ -366,6 +366,7 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
             len(tables) > 1,
             f"{path}: {len(tables)} tables of a lab sweep",
             expected="one .csv, with a row for every cube",
+            mend="name the table in place of its folder",
             code="sweep-missing",
         )
         table = tables[0] if tables else None

@@ -127,7 +127,7 @@ def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[st
 
 
 def recording_clock(opened: xr.Dataset) -> tuple[str | None, float | None]:
-    """Return the UTC of the first line, and the period of the lines [s], that a Specim header states.
+    """Return UTC of the first line and period of the lines [s] that the header of a line scanner states.
 
     Examples
     --------

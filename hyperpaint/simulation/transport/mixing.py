@@ -69,8 +69,7 @@ def member_rows(
     """Return the member row of every pixel, (line, column) int32; -1 for no member.
 
     Members of a paint with flakes are ordered by the angle between view and mirrored sun. The pixel is seen
-    from above and leans towards or away from the sun, as its incidence tells; in shade it shows the middle
-    member.
+    from above and leans towards or away from the sun by its incidence; in shade it shows the middle member.
 
     Parameters
     ----------
@@ -81,7 +80,7 @@ def member_rows(
     incidence : (line, column) float32
         Cosine between normal and sun; NaN without direct sunlight.
     sun_zenith
-        Of the sun [degree].
+        Zenith angle of the sun [degree].
     grain
         Spatial variation of every material.
     seed
