@@ -67,6 +67,10 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     return INCLUDED if any(text in ("", "none") for text in sources) else EXCLUDED
 
 
+#: Values of ``finish``, ``material`` or ``kind`` of paints with flakes: their signature holds for one
+#: geometry of sun and view and includes the coat.
+FLAKE_PAINTS = frozenset({"metallic", "pearl"})
+
 #: Maximum range of angles between view and mirrored sun that a change of brightness infers [degree].
 MAX_ASPECULAR_RANGE_DEG = 30.0
 

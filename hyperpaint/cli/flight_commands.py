@@ -65,7 +65,7 @@ def demo(ctx: click.Context, /, folder: Path, **shape: Any) -> None:
     """Simulate a collect, process it like a real one, and compare paints with a field spectrometer.
 
     Writes raw files in the instruments' own formats, collect.toml, a store, truth.zarr and a picture into the
-    folder. Prints the spectra of the paints as camera and field spectrometer see them, and whether they agree;
+    folder. Prints the spectra of the paints as camera and field spectrometer see them, whether they agree,
     then closure: recovered minus simulated reflectance of the same pixels, for every material. Exit status 1
     if the closure is outside tolerance.
     """

@@ -239,7 +239,7 @@ class _White(NamedTuple):
             code="white-without-light",
         )
         if lit >= MIN_LIT_SHARE:
-            levels = frames.line_mean - float((frames.mean - self.light).mean())
+            levels = frames.line_mean - float(np.nanmean(frames.mean - self.light))
             deviating = np.abs(levels / np.median(levels) - 1.0) > MAX_LINE_DEVIATION
             problems.add_if(
                 deviating.mean() > MAX_DEVIATING_LINE_SHARE,
@@ -375,7 +375,8 @@ def _gain_variables(
     _check_change(rates, level, is_timed=is_timed)
     rate = (rates / level[:, :, None] if is_timed else rates).mean(axis=0)
     reflectance = _tile_of_bands(line, tile, tile_uncertainty or 0.0)
-    variance = np.stack([each.variance / each.exposure**2 for each in whites]).sum(axis=0) / len(whites) ** 2
+    variances = np.stack([each.variance / each.exposure**2 for each in whites]) / level[:, :, None] ** 2
+    variance = variances.sum(axis=0) / len(whites) ** 2
     with np.errstate(invalid="ignore"):
         values: dict[str, tuple[tuple[str, ...], Any]] = {
             "reflectance_gain": (CUBE[1:], reflectance[:, None] / rate),
@@ -462,7 +463,7 @@ def _electrons_per_count(line: xr.Dataset, whites: list[_White], is_used: Bools)
     read_noise = np.broadcast_to(line["read_noise"].values.astype(np.float64), is_used.shape)
     excess = frames.variance - read_noise**2 - QUANTISATION_VARIANCE_COUNT2
     is_valid = is_used & np.isfinite(excess)
-    level, noise = float(longest.light.mean()), float(frames.variance.mean()) / frames.variance.size
+    level, noise = float(np.nanmean(longest.light)), float(frames.variance.mean()) / frames.variance.size
     flicker = max(float(frames.line_mean.var(ddof=1)) - noise, 0.0) / level**2
     shot = float((excess - flicker * longest.light**2)[is_valid].sum())
     return float(longest.light[is_valid].sum()) / shot if shot > 0.0 else None

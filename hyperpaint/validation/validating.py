@@ -26,7 +26,15 @@ from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError, UnitsError, warn_user
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT, mirror_reflection
+from hyperpaint.base.mirrored_light import (
+    BODY,
+    EXCLUDED,
+    FLAKE_PAINTS,
+    INCLUDED,
+    OUTSIDE,
+    THROUGH_COAT,
+    mirror_reflection,
+)
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, find, require
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.coat_transmission import (
@@ -432,7 +440,7 @@ class Measured:
     quantity: str = ""  #: Body under a coat or outside of the coat, see base.mirrored_light.
     geometry: str = ""  #: Measurement geometry of the instrument, such as d/8.
     coat_index: float = 1.5  #: Refractive index of the coat.
-    finish: str = ""  #: Finish of a paint: "solid", "metallic", "pearl" or empty.
+    finish: str = ""  #: Finish of a paint with flakes, "metallic" or "pearl"; empty for others.
     #: Angle between the view and the mirror direction of the light on a level surface [degree]; NaN if
     #: unknown.
     aspecular: float = np.nan
@@ -822,6 +830,7 @@ def _library_spectra(
         spreads = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
         # the number of independent pixels if it is known: neighbours share errors
         counts = (float(arrays[key].values[number]) for key in ("n_eff", "n") if key in arrays)
+        words = [_text_of(dataset, key, number, SIGNATURE).lower() for key in ("finish", "material", "kind")]
         yield channels.spectrum(
             values[number],
             spreads,
@@ -837,8 +846,8 @@ def _library_spectra(
             if covariances is None
             else covariances[number][np.ix_(channels.order, channels.order)],
             notes=(*channels.notes, *_light_notes(dataset, number)),
-            finish=_text_of(dataset, "finish", number, SIGNATURE),
-            aspecular=_aspecular_of(dataset, number, attrs),
+            finish=next((word for word in words if word in FLAKE_PAINTS), ""),
+            aspecular=_aspecular_of(dataset, number, attrs, is_level=False),
             place=_place_of(dataset, number, SIGNATURE),
             **(coat_of(attrs) | _uncorrected_coat(dataset, number, attrs)),
         )
@@ -930,7 +939,7 @@ def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float 
             **_overlap_of(attributes["overlap"], _flag_of(dataset, "overlap_matched", number)),
             mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
-            aspecular=_aspecular_of(dataset, number, attrs),
+            aspecular=_aspecular_of(dataset, number, attrs, is_level=True),
             place=_place_of(dataset, number, "spectrum"),
             **coat_of(attrs),
         )
@@ -947,8 +956,9 @@ def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
     return value if isinstance(value, str) else ""
 
 
-def _aspecular_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any]) -> float:
-    # Aspecular angle of a spectrum [degree]: as stated, or by the sun over a level sample seen from the nadir
+def _aspecular_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any], *, is_level: bool) -> float:
+    # Aspecular angle of a spectrum [degree]: as stated, or of the sun on a level sample seen from the nadir,
+    # as a field spectrometer sees it (``is_level``); the view of a camera is not assumed
     def value(name: str) -> Any:
         array = dataset[name] if name in dataset.variables else xr.DataArray(attrs.get(name, np.nan))
         return array.values[number] if array.ndim == 1 else array.values if array.ndim == 0 else np.nan
@@ -960,7 +970,7 @@ def _aspecular_of(dataset: xr.Dataset, number: int, attrs: Mapping[Any, Any]) ->
     time = value("time") if "time" in dataset.variables else np.datetime64("NaT")
     return (
         float("nan")
-        if "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all()
+        if not is_level or "measurement_geometry" in attrs or np.isnat(time) or not np.isfinite(place).all()
         else float(solar_position(time, *place)[0])
     )
 
@@ -1490,7 +1500,7 @@ class Compared:
     def exclusion(self) -> str:
         # Reason why the spectra cannot be judged, although they can be compared; empty without one.
         signature = self.pair.signature
-        if self.pair.between or signature.finish not in ("metallic", "pearl"):
+        if self.pair.between or not signature.finish:
             return ""
         text = f"{signature.finish} paint, whose level holds for one geometry only"
         angles = np.array([signature.aspecular, *(reading.aspecular for reading in self.pair.references)])
@@ -1555,7 +1565,7 @@ class Compared:
     def notes(self) -> tuple[str, ...]:
         # Return remarks for the reader of the result
         signature, references = self.pair.signature, self.pair.references
-        has_flakes = signature.finish in ("metallic", "pearl") and not self.pair.between
+        has_flakes = bool(signature.finish) and not self.pair.between
         remarks = (
             (self.exclusion, f"not judged: {self.exclusion}"),
             (

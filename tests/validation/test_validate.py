@@ -1003,6 +1003,13 @@ def test_a_metallic_is_judged_at_the_geometry_of_its_reference_only() -> None:
     )
     assert "20 degrees from the mirror direction" in hp.validate(seen_at(20.0), field_day).problems[0]
     assert hp.validate(seen_at(20.0, "solid"), field_day).problems == judged.problems
+    assert (
+        "20 degrees from the mirror direction" in hp.validate(seen_at(20.0, "Pearl"), field_day).problems[0]
+    )
+    # the view of the camera is not taken as from the nadir
+    placed = {name: ("signature", field_day[name].values) for name in ("time", "latitude", "longitude")}
+    nowhere = seen_at(np.nan).assign(placed)
+    assert "the signature states none" in hp.validate(nowhere, field_day).problems[0]
     # beside a pair that is judged, the other does not fail
     both = xr.concat(
         [seen_at(20.0), paints.assign(seen_at(20.0, "solid")[["finish", "aspecular_angle"]])], "signature"

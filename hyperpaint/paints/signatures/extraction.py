@@ -22,6 +22,7 @@ from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.mirrored_light import (
     BODY,
     EXCLUDED as MIRROR_EXCLUDED,
+    FLAKE_PAINTS,
     INCLUDED,
     MAX_ASPECULAR_RANGE_DEG,
     OUTSIDE,
@@ -94,10 +95,6 @@ _NO_PAINT = frozenset(
     }
 )
 
-#: Values of ``finish`` or ``kind`` for paints with flakes, whose signature holds for one geometry of sun and
-#: view and includes the coat.
-_FLAKE_PAINTS = frozenset({"metallic", "pearl"})
-
 
 def without_coat(
     library: xr.Dataset,
@@ -112,7 +109,7 @@ def without_coat(
         {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
         for region in regions
     ]
-    has_coat = np.array([not region_words & (_NO_PAINT | _FLAKE_PAINTS) for region_words in words])
+    has_coat = np.array([not region_words & (_NO_PAINT | FLAKE_PAINTS) for region_words in words])
     if not has_coat.any():
         return library
     corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)
@@ -270,7 +267,7 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
         "aspecular_range": (SIGNATURE, ranges),
         "flop": ((SIGNATURE, BAND), np.array(flops, np.float32)),
     }
-    for number in np.flatnonzero(shows_flakes(np.array(flops), ranges)):
+    for number in np.flatnonzero(shows_flakes(np.array(flops)[:, good], ranges)):
         centre, used = library["reflectance"].values[number], good & band_is_used[number]
         used &= np.isfinite(centre)
         rows = np.flatnonzero(np.isfinite(members[number][:, used]).all(axis=1))

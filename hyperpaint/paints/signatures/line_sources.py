@@ -319,7 +319,7 @@ Smoothing = str | Mapping[str, Any] | None
 #: Variables from which the noise of reflectance can be computed.
 _NOISE_VARIABLES = {"counts", "electrons_per_count", "read_noise"}
 #: Attributes of reflectance without corrections, smoothing or a panel.
-_PLAIN_ATTRS = {"long_name", "units", "standard_name", "keep_bits"}
+_PLAIN_ATTRS = {"long_name", "units", "standard_name", "keep_bits", "white"}
 #: Variables of lines that signatures use.
 _LINE_VARIABLES = ("time", "latitude", "longitude", "irradiance_age")
 

@@ -167,7 +167,10 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
     times = {name: line[name].values for name in names if name in line.variables}
     count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
     exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), line.sizes[ALONG_TRACK])
-    wavelength = line["wavelength"].values.astype(np.float64)
+    # a cube with a white reference may lack wavelengths, and has no uncertainty of them then
+    wavelength = np.asarray(
+        line["wavelength"] if "wavelength" in line.variables else np.full(shape[0], np.nan)
+    )
     wavelength_u = np.broadcast_to(np.asarray(values.get("wavelength_u", 0.0), np.float64), shape[:1])
     return LineErrors(
         per_electron=1.0 / of("electrons_per_count"),
@@ -184,7 +187,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         if masked
         else 0.0,
         wavelength_u=wavelength_u,
-        wavelength=wavelength,
+        wavelength=wavelength.astype(np.float64),
         light=_light_errors(line) if "irradiance_u_random" in values or wavelength_u.any() else None,
         stray_light=_stray_light_errors(line),
     )

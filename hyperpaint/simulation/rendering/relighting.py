@@ -657,11 +657,12 @@ class SpectrumReader:
         if (
             set(paint.variables) >= _FLAKES
             and spread <= _MAX_SPREAD
-            and shows_flakes(paint["flop"].values, paint["aspecular_range"].values)
+            and shows_flakes(paint["flop"].values[is_good], paint["aspecular_range"].values)
         ):
             # members at the angles of the measurement, from the dark to the bright end
             exponents = np.where(is_good, flake_exponents(paint["flop"].values), 0.0)[order]
-            members = values * np.exp(np.linspace(-0.5, 0.5, _ANGLES)[:, None] * exponents)
+            members = np.exp(np.linspace(-0.5, 0.5, _ANGLES)[:, None] * exponents)
+            members = values * members / members.mean(axis=0)  # the signature is the mean of its part
             angles = float(paint["aspecular_angle"]), float(paint["aspecular_range"])
         if mirror_reflection(paint) == INCLUDED:
             self._mirroring.append(name)
