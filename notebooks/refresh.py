@@ -50,7 +50,8 @@ def small_png(png: str) -> str:
 def run(path: Path) -> Any:
     """Return a notebook with new outputs, in which only texts, Markdown and pictures are kept."""
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=900, kernel_name="python3", resources={"metadata": {"path": FOLDER}}).execute()
+    options = {"timeout": 900, "kernel_name": "python3", "coalesce_streams": True}
+    NotebookClient(notebook, resources={"metadata": {"path": FOLDER}}, **options).execute()
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
         if cell.cell_type != "code":
@@ -100,7 +101,9 @@ def differ(stored: str, new: str) -> bool:
     if [part.split() for part in _NUMBER.split(stored)] != [part.split() for part in _NUMBER.split(new)]:
         return True
     pairs = zip(_NUMBER.findall(stored), _NUMBER.findall(new), strict=True)
-    values = ((float(a.replace("\N{MINUS SIGN}", "-")), float(b.replace("\N{MINUS SIGN}", "-"))) for a, b in pairs)
+    values = (
+        (float(a.replace("\N{MINUS SIGN}", "-")), float(b.replace("\N{MINUS SIGN}", "-"))) for a, b in pairs
+    )
     return any(abs(a - b) > max(ABSOLUTE, RELATIVE * abs(a)) for a, b in values)
 
 
@@ -119,7 +122,9 @@ def differences(path: Path, new: Any) -> list[str]:
 
 def main() -> int:
     """Run or compare the notebooks named in the arguments; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", help="beginnings of names; all notebooks by default")
     parser.add_argument("--check", action="store_true", help="compare only; exit 1 on a difference")
     options = parser.parse_args()
