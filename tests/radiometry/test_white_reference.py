@@ -94,6 +94,24 @@ def test_tile_exposure_and_lamp_are_accounted_for():
                                 dark=dark, tile=TILE)  # fmt: skip
 
 
+def test_the_uncertainty_of_the_gain_is_its_scatter_when_the_lamp_fades_by_half():
+    scene, errors = cube(0.4, start_s=100.0), []
+    for _ in range(12):
+        whites = [cube(TILE), cube(TILE, start_s=500.0, drift=-0.001)]
+        line = hp.radiometry.white_reference(scene, whites, tile=TILE, dark=cube(0.0))
+        # the lamp of the first white, at the middle of its lines, has the response of the camera
+        errors.append((line.reflectance_gain * RESPONSE - 1.0) / line.reflectance_gain_u_random)
+    assert np.std(errors) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_mean_has_its_uncertainty_without_wavelengths():
+    raw, white, dark = (cube(level).drop_vars("wavelength") for level in (0.3, TILE, 0.0))
+    line = hp.radiometry.white_reference(raw, white, tile=TILE, tile_uncertainty=0.01, dark=dark)
+    mean = hp.radiometry.mean_uncertainty(line.paint.reflectance(uncertainty=True))
+    assert mean["mean"].values == pytest.approx(np.full(BANDS, 0.3), rel=2e-3)
+    assert mean["u_systematic"].values == pytest.approx(np.full(BANDS, 0.003), rel=0.2)
+
+
 def test_a_white_reference_that_would_mislead_is_refused():
     scene, dark, white = cube(0.3), cube(0.0), cube(TILE)
 
