@@ -852,6 +852,12 @@ def has_white(dataset: xr.Dataset) -> bool:
     return "counts" in dataset.variables and WHITE_GAIN in dataset.variables
 
 
+def is_lamp_lit(dataset: xr.Dataset) -> bool:
+    # Return whether a line is taken as lit by a lamp: it has a white reference and no position on the ground.
+    # Flags of sun and sky (glint, shadow, adjacency) do not apply to it.
+    return has_white(dataset) and "latitude" not in dataset.variables
+
+
 def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
     # Raise SchemaError for gains without an absolute scale, where one is needed.
     SchemaError.raise_if(

@@ -32,7 +32,7 @@ from hyperpaint.io.store import budget, list_groups, open_store, to_store
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
 from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.radiometry.planning import has_white
+from hyperpaint.radiometry.planning import is_lamp_lit
 from hyperpaint.regions import Regions, regions_from
 from hyperpaint.regions.proposals import propose_regions
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged, without_scene_flags
@@ -105,8 +105,7 @@ def write_signatures(
         lines = _located(lines, outlines, location or {}, maps)
     # proposals need the survey of the flags, which stores do not hold
     kept = flagged_lines if outlines is not None else frozenset()
-    # glint, shadow and adjacency are of sun and sky; a white reference without a place is of a lamp
-    lamp_lit = {name for name, line in lines.items() if has_white(line) and "latitude" not in line.variables}
+    lamp_lit = {name for name, line in lines.items() if is_lamp_lit(line)}
     without_flags = kept | maps | (lamp_lit if sun_zenith is None else set())
     unflagged = [name for name in lines if flags is not False and name not in without_flags]
     survey_options = {} if flags is True or flags is False else dict(flags)

@@ -51,7 +51,7 @@ from hyperpaint.pictures.plot import overview
 from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
 from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 from hyperpaint.radiometry.panels import declared_panels
-from hyperpaint.radiometry.planning import has_white
+from hyperpaint.radiometry.planning import has_white, is_lamp_lit
 from hyperpaint.surroundings.flags import flag_line
 from hyperpaint.surroundings.scratch import survey_planned
 
@@ -476,8 +476,7 @@ def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr
 
 def _with_flags(line: xr.Dataset, name: str) -> xr.Dataset:
     # Return a flight line with the flags of its scene, or unchanged with a warning where detection fails.
-    # glint, shadow and adjacency are of sun and sky; a white reference without a place is of a lamp
-    if ALONG_TRACK not in line.dims or (has_white(line) and "latitude" not in line.variables):
+    if ALONG_TRACK not in line.dims or is_lamp_lit(line):
         return line
     try:
         with survey_planned(line, f"the survey of {name}"):
