@@ -42,6 +42,7 @@ from hyperpaint.io.flightline.headwall import find_exposure, recording_clock
 from hyperpaint.io.flightline.timing import Timing, utc_of
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
+from hyperpaint.io.store.reader import is_zarr, open_unverified
 from hyperpaint.light.synchrony import UNSTABLE_CHANGE
 
 from .panels import Panel
@@ -99,10 +100,10 @@ def white_reference(
         Raw ``counts`` (along_track, band, cross_track): a cube from ``xr.open_dataset("scene.hdr")``, or a
         flight line, whose dark and exposure are then used.
     white
-        Cube of the tile: the path of its ENVI header, a Dataset with ``counts``, or a DataArray of counts;
-        several of them, or a pattern such as ``"WHITEREF_*.hdr"``, for light that changes. Between two white
-        references the light is linear in time, band by band; before the first and after the last it is
-        constant, with a warning.
+        Cube of the tile: the path of its ENVI header or a Zarr, a Dataset with ``counts``, or a DataArray of
+        counts; several of them, or a pattern such as ``"WHITEREF_*.hdr"``, for light that changes. Between
+        two white references the light is linear in time, band by band; before the first and after the last it
+        is constant, with a warning.
     tile
         Reflectance factor of the tile: a number [1] such as 0.95, the file of its certificate, or a DataArray
         with a coordinate ``wavelength``. There is no default: 1.0 gives reflectance relative to the tile.
@@ -269,6 +270,8 @@ def _with_counts(dataset: xr.Dataset) -> xr.Dataset:
 
 def _sources(white: Any) -> list[Any]:
     # Return the cubes of white references: paths of headers, and Datasets.
+    if isinstance(white, str | os.PathLike) and is_zarr(white):
+        white = open_unverified(white, chunks={})
     if isinstance(white, str | os.PathLike):
         headers = lambda paths: [path for path in paths if path.suffix.lower() == ".hdr"]  # noqa: E731
         return list(find_paths(white, headers, "ENVI headers of white references", headers))

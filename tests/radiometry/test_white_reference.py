@@ -55,7 +55,7 @@ def test_the_scene_of_a_real_specim_camera_equals_plain_numpy(shared_data: Path)
     assert not line.quality.any()
 
 
-def test_tile_exposure_and_lamp_are_accounted_for():
+def test_tile_exposure_and_lamp_are_accounted_for(tmp_path: Path):
     dark = cube(0.0)
     # the tile at half the exposure of the scene, with a dark of its own
     scene = cube(0.3, ms=12.0)
@@ -76,7 +76,9 @@ def test_tile_exposure_and_lamp_are_accounted_for():
     # a certificate over wavelength
     certificate = xr.DataArray([0.9, 1.0], {"wavelength": ("wavelength", [450.0, 850.0], {"units": "nm"})},
                                "wavelength", attrs={"units": "1"})  # fmt: skip
-    relative = cube(0.3).paint.reflectance(white=cube(1.0), dark=dark, tile=certificate).reflectance
+    cube(1.0).to_zarr(tmp_path / "white.zarr", consolidated=False)
+    stored = str(tmp_path / "white.zarr")
+    relative = cube(0.3).paint.reflectance(white=stored, dark=dark, tile=certificate).reflectance
     means = relative.mean(("along_track", "cross_track")).values
     assert means == pytest.approx(0.3 * np.linspace(0.9, 1.0, BANDS), rel=2e-3)
     # the lamp fades by 9 % from the first white to the second
