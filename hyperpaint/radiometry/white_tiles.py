@@ -298,7 +298,8 @@ def _with_raw_inputs(line: xr.Dataset, dark: Any, exposure_time: Any, bit_depth:
     if dark is not None or "dark_counts" not in line.variables:
         opened = open_dark(own_dark(dark, path, line), Timing(), None, line["counts"])
         if opened is not None:
-            line = line.drop_vars([name for name in _DARK_VARIABLES if name in line.variables])
+            others = (*_DARK_VARIABLES, "dark_counts_u_random", "dark_counts_u_systematic")
+            line = line.drop_vars(others, errors="ignore")
             added |= opened.variables(needs_noise="read_noise" not in line.variables)
     start, period = recording_clock(line)
     if "time" not in line.coords and start is not None and period is not None:

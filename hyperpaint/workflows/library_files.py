@@ -103,8 +103,10 @@ def write_signatures(
     maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
     if location or (maps and outlines is None):
         lines = _located(lines, outlines, location or {}, maps)
-    # proposals need the survey of the flags, which stores do not hold
-    kept = flagged_lines if outlines is not None else frozenset()
+    # thresholds of the caller need flags of their own; proposals need the survey, which stores do not hold
+    is_set = flags is not False and (flags is not True or sun_zenith is not None)
+    stored = frozenset() if is_set else flagged_lines
+    kept = stored if outlines is not None else frozenset()
     lamp_lit = {name for name, line in lines.items() if is_lamp_lit(line)}
     without_flags = kept | maps | (lamp_lit if sun_zenith is None else set())
     unflagged = [name for name in lines if flags is not False and name not in without_flags]
@@ -125,10 +127,10 @@ def write_signatures(
                 )
                 raise
     origins = dict.fromkeys(lines, NOT_DETECTED)
-    for name in flagged_lines & set(lines):
+    for name in stored & set(lines):
         text = lines[name]["quality"].attrs.get("flags_from", "not said from what")
         origins[name] = f"those of the store, {text}"
-    found = {name: new.line for name, new in new_flags.items() if name not in flagged_lines}
+    found = {name: new.line for name, new in new_flags.items() if name not in stored}
     origins |= {name: str(line["quality"].attrs["flags_from"]) for name, line in found.items()}
     targets, refused = _propose(lines, new_flags, survey_options) if outlines is None else (outlines, [])
     lines |= found

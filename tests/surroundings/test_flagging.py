@@ -158,6 +158,12 @@ def test_flags_of_the_store_stay(tmp_path: Path, surveys: list[dict[str, Any]]) 
     assert not surveys
     assert (int(made.n_excluded[0]), float(made.quality_share.sel(flag="glint")[0])) == (28 * 4, 0)
     assert made.attrs["flags"] == "those of the store, not said from what"
+    # thresholds of the caller are not those of the store
+    made = write_signatures(
+        tmp_path / "lot.zarr", hp.Regions((HOOD,)), tmp_path / "b.zarr", flags={"shadow": 0.01}
+    )
+    assert len(surveys) == 1
+    assert float(made.quality_share.sel(flag="shadow")[0]) == 0.0
 
 
 def test_regions_are_proposed_with_the_same_survey(
