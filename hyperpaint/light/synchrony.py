@@ -14,7 +14,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.schema import IRRADIANCE_WAVELENGTH, Quality
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
 from hyperpaint.base.units import convert
 
 from .sun import solar_position
@@ -235,6 +235,13 @@ def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
             expected="'irradiance' and 'irradiance_fwhm'",
             code="variable-missing",
         )
+    SchemaError.raise_if(
+        IRRADIANCE_TIME not in irradiance["irradiance"].dims,
+        f"the Dataset given as irradiance= has irradiance {tuple(map(str, irradiance['irradiance'].dims))}",
+        expected=f"({IRRADIANCE_TIME}, {IRRADIANCE_WAVELENGTH})",
+        mend="pass it through hyperpaint.open_irradiance(..., fwhm_nm=) first",
+        code="dims-wrong",
+    )
     old_names = [name for name in dataset.variables if str(name).startswith("irradiance")]
     line_attrs = {
         name: text for name, text in dataset.attrs.items() if not name.startswith(("irradiance", "alignment"))

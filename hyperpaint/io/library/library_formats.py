@@ -184,7 +184,9 @@ def open_library(
         if "" not in groups:
             addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
             raise FormatError(
-                f"{path} holds no paint library at its root (groups: {addresses})", code="library-missing"
+                f"{path} holds no paint library at its root (groups: {addresses})",
+                mend="extract one with hyperpaint signatures; hyperpaint.write_envi writes cubes",
+                code="library-missing",
             )
         library = with_new_names(open_store(path, ""))
         rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}

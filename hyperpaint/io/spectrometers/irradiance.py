@@ -607,6 +607,14 @@ def _from_xarray(
         error=SchemaError,
     )
     array = data["irradiance"]
+    # spectra whose time is a coordinate beside their dim, as `open_asd` returns them
+    array = array.swap_dims(
+        {
+            array[name].dims[0]: name
+            for name in _AXES[0]
+            if name in array.coords and array[name].ndim == 1 and name not in array.dims
+        }
+    )
     axes = [next((n for n in names if n in array.dims and n in array.coords), "") for names in _AXES]
     refuse(
         origin,

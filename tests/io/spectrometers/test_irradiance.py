@@ -379,6 +379,17 @@ def test_units_and_width_of_an_xarray_series():
     assert series.irradiance_fwhm.dims == ("irradiance_wavelength",)
 
 
+def test_opened_spectra_make_a_series(log):
+    files = log(0, 2, 4)
+    spectra = hp.open_asd(files, utc_offset_h=0)
+    series = open_irradiance(spectra, fwhm_nm=3, averaging_s=0.68)
+    of_files = open_irradiance(files, utc_offset_h=0, averaging_s=0.68)
+    np.testing.assert_array_equal(series["irradiance"].values, of_files["irradiance"].values)
+    np.testing.assert_array_equal(series["irradiance_time"].values, of_files["irradiance_time"].values)
+    line = xr.Dataset({"radiance": (("along_track", "band", "cross_track"), np.ones((2, 3, 4)))})
+    expect_refusals((SchemaError, "dims-wrong", lambda: hp.reflectance(line, irradiance=spectra)))
+
+
 @pytest.mark.parametrize(
     ("change", "options", "error", "told"),
     [
