@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import wrong_collects
+from campaigns import judged_collects
 from click.testing import CliRunner
 from support.plausible_collects import FAULTS, RECIPES, right_collect, wrong_collect
 from support.refusals import expect_errors, expect_words
@@ -200,20 +200,20 @@ def right(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("number", range(len(FAULTS)))
 def test_every_fault_is_named(number: int, right: Path, tmp_path: Path) -> None:
     fault, strength = list(FAULTS)[number], number % 3
-    texts = wrong_collects.said_of(
+    texts = judged_collects.said_of(
         wrong_collect(tmp_path / "c", fault, strength, 17, right), whole=fault == "flagged pixels"
     )
-    assert wrong_collects.is_named(fault, texts) or fault in UNSEEN, texts
+    assert judged_collects.is_named(fault, texts) or fault in UNSEEN, texts
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", [kind for kind in RECIPES if kind != "traced"])
 def test_right_ones_pass_without_a_word(kind: str, tmp_path: Path) -> None:
-    assert wrong_collects.said_of(right_collect(tmp_path / "c", kind, seed=17)) == []
+    assert judged_collects.said_of(right_collect(tmp_path / "c", kind, seed=17)) == []
 
 
 @pytest.mark.real_data
 def test_real_files_pass_without_a_word(shared_data: Path) -> None:
-    said = wrong_collects.judge_real(shared_data)
+    said = judged_collects.judge_real(shared_data)
     assert len(said) == 14
     assert not any(said.values()), said

@@ -159,11 +159,15 @@ RECIPES: dict[str, Recipe] = {
 }  # fmt: skip
 
 
-def right_collect(folder: Path, recipe: str, seed: int) -> Path:
+Size = Callable[[np.random.Generator], dict[str, Any]]
+
+
+def right_collect(folder: Path, recipe: str, seed: int, size: Size = _size) -> Path:
     # Simulate a collect of a kind that can be true, in any interleave
     rng = np.random.default_rng([seed, list(RECIPES).index(recipe)])
+    settings = RECIPES[recipe](rng)
     with np.errstate(invalid="ignore"):  # an SVC sees nothing in a low sun's band of water
-        path = simulate_collect(folder, **_size(rng, **RECIPES[recipe](rng)))
+        path = simulate_collect(folder, **{**size(rng), **settings})
     if recipe in SCENES:
         repaint(folder, recipe, rng, sharp=bool(rng.random() < 0.4))
     interleave = str(rng.choice(["bil", "bil", "bip", "bsq"]))
@@ -175,11 +179,11 @@ def right_collect(folder: Path, recipe: str, seed: int) -> Path:
 # --- wrong ones --------------------------------------------------------------------------------------------
 
 
-def _cube(folder: Path) -> Path:
+def first_cube(folder: Path) -> Path:
     return sorted((folder / "flight").glob("raw_*.hdr"))[0].with_suffix("")
 
 
-def _change(cube: Path, change: Callable[[Array], Array], **fields: Any) -> None:
+def change_cube(cube: Path, change: Callable[[Array], Array], **fields: Any) -> None:
     write(cube, change(read(cube).astype(float)), **fields)
 
 
@@ -188,7 +192,7 @@ def over_range(folder: Path, strength: int) -> None:
         counts[:, :, ::10] = np.where(counts[:, :, ::10] > 200, 40000, counts[:, :, ::10])
         return counts
 
-    _change(_cube(folder), (lambda counts: counts * 16, lambda counts: counts * 4, spikes)[strength])
+    change_cube(first_cube(folder), (lambda counts: counts * 16, lambda counts: counts * 4, spikes)[strength])
 
 
 def dark_zeros(folder: Path, strength: int) -> None:
@@ -196,23 +200,23 @@ def dark_zeros(folder: Path, strength: int) -> None:
         counts[(..., (..., slice(None, None, 2)), (slice(None, None, 2),))[strength]] = 0
         return counts
 
-    _change(folder / "dark/raw_0", zeros)
+    change_cube(folder / "dark/raw_0", zeros)
 
 
 def dark_bright(folder: Path, strength: int) -> None:
-    light = read(_cube(folder)).astype(float)
+    light = read(first_cube(folder)).astype(float)
     share = (1.5, 0.3, 0.1)[strength]
 
     def lit(counts: Array) -> Array:
         picked = light[np.arange(len(counts)) % len(light)]
         return counts + share * np.clip(picked - counts.mean(axis=0), 0, None)
 
-    _change(folder / "dark/raw_0", lit)
+    change_cube(folder / "dark/raw_0", lit)
 
 
 def dark_exposed(folder: Path, strength: int) -> None:
     # a hotter or longer one: the pedestal grows, and so does its pattern
-    _change(folder / "dark/raw_0", lambda counts: counts * (12.0, 6.0, 4.0)[strength])
+    change_cube(folder / "dark/raw_0", lambda counts: counts * (12.0, 6.0, 4.0)[strength])
 
 
 def dark_foreign(folder: Path, strength: int) -> None:
@@ -224,21 +228,21 @@ def dark_foreign(folder: Path, strength: int) -> None:
             return counts - counts.mean(axis=0) + pattern
         return counts[..., ::-1] if strength == 1 else np.roll(counts, 1, axis=2)
 
-    _change(folder / "dark/raw_0", foreign)
+    change_cube(folder / "dark/raw_0", foreign)
 
 
 def bands_turned(folder: Path, strength: int) -> None:
-    order = np.arange(read(_cube(folder)).shape[1])
+    order = np.arange(read(first_cube(folder)).shape[1])
     order = (order[::-1], np.roll(order, order.size // 3), np.random.default_rng(1).permutation(order))[
         strength
     ]
-    for cube in (_cube(folder), folder / "dark/raw_0"):
-        _change(cube, lambda counts: counts[:, order])
+    for cube in (first_cube(folder), folder / "dark/raw_0"):
+        change_cube(cube, lambda counts: counts[:, order])
 
 
 def bands_shifted(folder: Path, strength: int) -> None:
-    for cube in (_cube(folder), folder / "dark/raw_0"):
-        _change(cube, lambda counts: np.roll(counts, (20, -10, 5)[strength], axis=1))
+    for cube in (first_cube(folder), folder / "dark/raw_0"):
+        change_cube(cube, lambda counts: np.roll(counts, (20, -10, 5)[strength], axis=1))
 
 
 def wavelengths(folder: Path, strength: int) -> None:
@@ -255,19 +259,19 @@ def wavelengths(folder: Path, strength: int) -> None:
 
 def interleave(folder: Path, strength: int) -> None:
     said, axes = (("bil", (0, 2, 1)), ("bil", (1, 0, 2)), ("bsq", (0, 1, 2)))[strength]
-    counts = read(_cube(folder))
-    write(_cube(folder), counts.transpose(axes), lines=len(counts), interleave=said)
+    counts = read(first_cube(folder))
+    write(first_cube(folder), counts.transpose(axes), lines=len(counts), interleave=said)
 
 
 def byte_order(folder: Path, strength: int) -> None:
     if strength == 0:
-        _change(_cube(folder), lambda counts: counts, **{"byte order": 1})
+        change_cube(first_cube(folder), lambda counts: counts, **{"byte order": 1})
     elif strength == 1:
-        _change(_cube(folder), lambda counts: counts.astype("<u2").byteswap())
+        change_cube(first_cube(folder), lambda counts: counts.astype("<u2").byteswap())
     else:
         axes = (0, 2, 1)
-        counts = read(_cube(folder)).transpose(axes).astype("<u2").byteswap()
-        write(_cube(folder), counts, interleave="bip")
+        counts = read(first_cube(folder)).transpose(axes).astype("<u2").byteswap()
+        write(first_cube(folder), counts, interleave="bip")
 
 
 def _index(cube: Path) -> Path:
@@ -284,13 +288,13 @@ def _write_rows(path: Path, header: str, rows: list[list[str]]) -> None:
 
 
 def first_frame(folder: Path, strength: int) -> None:
-    index = _index(_cube(folder))
+    index = _index(first_cube(folder))
     header, rows = _rows(index)
     _write_rows(index, header, [[str(int(row[0]) + (1, 40, 2000)[strength]), *row[1:]] for row in rows])
 
 
 def foreign_index(folder: Path, strength: int) -> None:
-    cube, text = _cube(folder), (folder / "collect.toml").read_text()
+    cube, text = first_cube(folder), (folder / "collect.toml").read_text()
     header, rows = _rows(_index(cube))
     first = (len(rows), 458, 2000)[strength]
     other = cube.with_name(f"frameIndex_{first}.txt")
@@ -310,11 +314,11 @@ def doubled(folder: Path, strength: int) -> None:
             line[middle:] = middle
         return counts[line]
 
-    _change(_cube(folder), repeat)
+    change_cube(first_cube(folder), repeat)
 
 
 def _lose(folder: Path, count: int, stamps_know: bool) -> None:
-    cube = _cube(folder)
+    cube = first_cube(folder)
     counts, (header, rows) = read(cube), _rows(_index(cube))
     at = len(counts) // 2
     write(cube, np.delete(counts, slice(at, at + count), axis=0))
@@ -334,12 +338,12 @@ def lost_unknown(folder: Path, strength: int) -> None:
 _SPECTRUM = slice(484, 484 + 8 * 726)
 
 
-def _spectra_files(folder: Path) -> list[tuple[Path, bytearray]]:
+def spectra_files(folder: Path) -> list[tuple[Path, bytearray]]:
     return [(path, bytearray(path.read_bytes())) for path in sorted((folder / "asd").glob("*.asd"))]
 
 
 def light_still(folder: Path, strength: int) -> None:
-    files = _spectra_files(folder)
+    files = spectra_files(folder)
     source = files[(0, 1, len(files) // 3)[strength]][1][_SPECTRUM]
     for place, (path, data) in enumerate(files):
         if place >= (0, 1, len(files) // 3)[strength]:
@@ -348,7 +352,7 @@ def light_still(folder: Path, strength: int) -> None:
 
 
 def light_level(folder: Path, strength: int) -> None:
-    for path, data in _spectra_files(folder):
+    for path, data in spectra_files(folder):
         values = np.frombuffer(bytes(data[_SPECTRUM]), "<f8") * (1e-3, 1e3, 1e-2)[strength]
         data[_SPECTRUM] = values.tobytes()
         path.write_bytes(data)
@@ -390,7 +394,7 @@ def flagged(folder: Path, strength: int) -> None:
         counts[:, :, : (counts.shape[2] * (30, 50, 90)[strength] // 100)] = 4095
         return counts
 
-    _change(_cube(folder), clipped)
+    change_cube(first_cube(folder), clipped)
 
 
 FAULTS: dict[str, tuple[Callable[[Path, int], None], tuple[str, ...]]] = {
