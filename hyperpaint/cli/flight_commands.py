@@ -226,7 +226,7 @@ def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
     results wrong, and warn of others; --accept FINDING accepts a finding. Exit status 1 if there are
     findings.
     """
-    findings = workflows.pipeline.check_collect(collect)
+    findings = workflows.collect_check.check_collect(collect)
     for finding in findings:
         click.echo(f"{'wrong' if finding.kind.refused else 'doubtful'}: {finding}")
     if findings:

@@ -1,4 +1,5 @@
 from . import (
+    collect_check as collect_check,
     demonstration as demonstration,
     field_day as field_day,
     field_folder as field_folder,

@@ -1,6 +1,6 @@
 """Processing of a collect: from the files of the instruments to a store.
 
-Inputs are checked before processing (`check_collect`), recorded in the store as digests, protected from being
+Inputs are checked before processing (`collect_check`), recorded in the store as digests, protected from being
 overwritten, and compared with the store later (`compare_inputs`).
 """
 
@@ -9,9 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import itertools
 import json
-import os
 import shlex
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -26,7 +24,6 @@ import xarray as xr
 from hyperpaint.alignment import align
 from hyperpaint.base.constants import ALIGNMENTS, DEFAULT_CODEC, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
-    CollectError,
     PaintError,
     Problems,
     SchemaError,
@@ -35,8 +32,6 @@ from hyperpaint.base.errors import (
 )
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares, flags_set_from
-from hyperpaint.geometry.navigation_checking import navigation_findings
-from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.io.envi.envi_cubes import find_pair, read_header
 from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.io.store import budget, open_group
@@ -48,13 +43,14 @@ from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Manifest, content_of
 from hyperpaint.io.store.writer import check_codec
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.pictures.plot import overview
-from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
+from hyperpaint.plausibility import KINDS
 from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 from hyperpaint.radiometry.panels import declared_panels
 from hyperpaint.radiometry.planning import has_white, is_lamp_lit
 from hyperpaint.surroundings.flags import flag_line
 from hyperpaint.surroundings.scratch import survey_planned
 
+from .collect_check import refuse_findings
 from .laboratory import opened_collect
 from .products import Outcome, computing_on, digest_of, local_folder, refuse_to_write_over, write_groups
 
@@ -97,81 +93,6 @@ def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -
 MANY_FLAGGED = 0.2
 
 _LINES_A_READ = 4096
-
-
-def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
-    """Return findings of implausible inputs of a collect, from samples of its cubes and all records.
-
-    Conventions of the navigation and clocks are tested on the picture of one line.
-
-    Raises `CollectError` if the collect or one of its files cannot be opened; all problems are listed.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from hyperpaint.simulation import simulate_collect
-    >>> path = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6)
-    >>> check_collect(path)
-    ()
-    """
-    needs_irradiance = read_collect(path, need_irradiance=False).irradiance is not None
-    opened = opened_collect(path, need_irradiance=needs_irradiance)
-    findings = list(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
-    lines = {name: opened.tree[name].to_dataset() for name in opened.members}
-    for line, found in navigation_findings(lines):
-        kind = KINDS["navigation-clock" if "clock" in found.field else "navigation-convention"]
-        text = f"{found.field} {found.declared}: {found.evidence}"
-        findings.append(Finding(kind, str(lines[line].attrs["name"]), text, found.likely))
-    return tuple(findings)
-
-
-def refuse_findings(
-    opened: OpenedCollect, lines: Iterable[str], accept: Collection[str], *, lit: bool
-) -> dict[str, dict[str, Any]]:
-    # Check flight lines of an opened collect, named by their groups; return the accepted findings.
-    #
-    # ``accept``: names of accepted findings. ``lit``: whether reflectance is computed, which needs
-    # irradiance.
-    #
-    # Returns by group the attributes for the store: the accepted findings of a line. Raises `CollectError`
-    # for findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
-    refused = []
-    accepted: dict[str, dict[str, Any]] = {}
-    for group, findings in _findings(
-        opened, [name for name in lines if name in opened.members], lit=lit
-    ).items():
-        for finding in findings:
-            if finding.kind.name in accept:
-                accepted.setdefault(group, {"accepted_findings": []})["accepted_findings"].append(
-                    str(finding)
-                )
-            elif finding.kind.refused:
-                refused.append(finding.problem(acceptable=True))
-            else:
-                warn_user(str(finding), finding.kind.name)
-    if refused:
-        raise CollectError(
-            f"{opened.settings.path} is implausible, and is not processed",
-            problems=refused,
-        )
-    return accepted
-
-
-def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
-    # findings on a dark cube are listed with the first line that uses it
-    cubes = {str(entry.name): entry for entry in opened.settings.flightlines}
-    findings: dict[str, list[Finding]] = {}
-    darks: set[Path] = set()
-    for name in lines:
-        members = tuple(cubes[member] for member in opened.members[name])
-        line = opened.tree[name].to_dataset()
-        findings[name] = list(judge_line(line, members, lit=lit and not has_white(line)))
-        dark = members[0].dark if "counts" in opened.tree[name] else None
-        for path in dark if isinstance(dark, tuple) else ():
-            if path not in darks:
-                findings[name] += judge_dark_cube(path)
-                darks.add(path)
-    return findings
 
 
 def warn_of_flags(store: Path, lines: Iterable[str]) -> None:

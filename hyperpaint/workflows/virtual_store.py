@@ -34,7 +34,8 @@ from hyperpaint.io.store.stage import Staging, staging
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.radiometry.panels import declared_panels
 
-from .pipeline import aligned_group, corrections_of, opened_groups, refuse_findings
+from .collect_check import refuse_findings
+from .pipeline import aligned_group, corrections_of, opened_groups
 from .products import Outcome, local_folder, refuse_to_write_over
 
 if TYPE_CHECKING:

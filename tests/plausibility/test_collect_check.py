@@ -17,7 +17,8 @@ from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS, Finding
 from hyperpaint.plausibility.line_judging import _mean_dark, judge_irradiance, judge_navigation
 from hyperpaint.simulation import simulate_collect
-from hyperpaint.workflows.pipeline import check_collect, process
+from hyperpaint.workflows.collect_check import check_collect
+from hyperpaint.workflows.pipeline import process
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,95 @@
+"""Checks of a collect before it is processed: implausible inputs are listed, refused or warned of."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hyperpaint.base.errors import CollectError, warn_user
+from hyperpaint.geometry.navigation_checking import navigation_findings
+from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
+from hyperpaint.radiometry.planning import has_white
+
+from .laboratory import opened_collect
+
+if TYPE_CHECKING:
+    from hyperpaint.io.collect.collect_toml import OpenedCollect
+
+
+def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
+    """Return findings of implausible inputs of a collect, from samples of its cubes and all records.
+
+    Conventions of the navigation and clocks are tested on the picture of one line.
+
+    Raises `CollectError` if the collect or one of its files cannot be opened; all problems are listed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from hyperpaint.simulation import simulate_collect
+    >>> path = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6)
+    >>> check_collect(path)
+    ()
+    """
+    needs_irradiance = read_collect(path, need_irradiance=False).irradiance is not None
+    opened = opened_collect(path, need_irradiance=needs_irradiance)
+    findings = list(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
+    lines = {name: opened.tree[name].to_dataset() for name in opened.members}
+    for line, found in navigation_findings(lines):
+        kind = KINDS["navigation-clock" if "clock" in found.field else "navigation-convention"]
+        text = f"{found.field} {found.declared}: {found.evidence}"
+        findings.append(Finding(kind, str(lines[line].attrs["name"]), text, found.likely))
+    return tuple(findings)
+
+
+def refuse_findings(
+    opened: OpenedCollect, lines: Iterable[str], accept: Collection[str], *, lit: bool
+) -> dict[str, dict[str, Any]]:
+    # Check flight lines of an opened collect, named by their groups; return the accepted findings.
+    #
+    # ``accept``: names of accepted findings. ``lit``: whether reflectance is computed, which needs
+    # irradiance.
+    #
+    # Returns by group the attributes for the store: the accepted findings of a line. Raises `CollectError`
+    # for findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
+    refused = []
+    accepted: dict[str, dict[str, Any]] = {}
+    for group, findings in _findings(
+        opened, [name for name in lines if name in opened.members], lit=lit
+    ).items():
+        for finding in findings:
+            if finding.kind.name in accept:
+                accepted.setdefault(group, {"accepted_findings": []})["accepted_findings"].append(
+                    str(finding)
+                )
+            elif finding.kind.refused:
+                refused.append(finding.problem(acceptable=True))
+            else:
+                warn_user(str(finding), finding.kind.name)
+    if refused:
+        raise CollectError(
+            f"{opened.settings.path} is implausible, and is not processed",
+            problems=refused,
+        )
+    return accepted
+
+
+def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
+    # findings on a dark cube are listed with the first line that uses it
+    cubes = {str(entry.name): entry for entry in opened.settings.flightlines}
+    findings: dict[str, list[Finding]] = {}
+    darks: set[Path] = set()
+    for name in lines:
+        members = tuple(cubes[member] for member in opened.members[name])
+        line = opened.tree[name].to_dataset()
+        findings[name] = list(judge_line(line, members, lit=lit and not has_white(line)))
+        dark = members[0].dark if "counts" in opened.tree[name] else None
+        for path in dark if isinstance(dark, tuple) else ():
+            if path not in darks:
+                findings[name] += judge_dark_cube(path)
+                darks.add(path)
+    return findings
