@@ -27,7 +27,8 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import PaintError, PaintWarning
-from hyperpaint.workflows.pipeline import check_collect, process
+from hyperpaint.workflows.collect_check import check_collect
+from hyperpaint.workflows.pipeline import process
 
 ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
