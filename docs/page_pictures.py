@@ -3,7 +3,8 @@
 hyperpaint demo --out demo
 python docs/page_pictures.py demo docs/_static
 
-Other pictures of these pages are first pictures of notebooks, which `notebooks/refresh.py` keeps.
+Other pictures of these pages are first pictures of notebooks, which `notebooks/refresh.py` keeps, and
+screenshots of the explorer and of `hyperpaint site demo/lot.zarr`.
 """
 
 from __future__ import annotations
@@ -76,6 +77,18 @@ def draw_tour(demo: Path, out: Path) -> None:
     line.paint.quicklook(out / "quicklook.png")
     paints = line.paint.signatures(hp.read_regions(demo / "regions.geojson"))
     hp.pictures.library_overview(paints, out / "paints.png")
+
+    # the panels of the scene, declared with the reflectance that the simulator gave their middle
+    true = xr.open_zarr(demo / "truth.zarr").isel(along_track=line.frame.values)
+    names = true.surface.attrs["flag_meanings"].split()
+    panels = []
+    for name in ("panel_20", "panel_50", "panel_90"):
+        rows, columns = np.nonzero(true.surface.values == names.index(name))
+        middle = [slice(int(place.min()) + 3, int(place.max()) - 2) for place in (rows, columns)]
+        expected = true.reflectance.isel(along_track=middle[0], cross_track=middle[1])
+        expected = expected.mean(("along_track", "cross_track"), keep_attrs=True)
+        panels.append(hp.Panel(*middle, expected.assign_coords(wavelength=line.wavelength)))
+    hp.pictures.panel_figure(hp.radiometry.panel_closure(line, panels), out / "panels.png", width=8)
 
 
 def shrink(path: Path, target: Path) -> None:

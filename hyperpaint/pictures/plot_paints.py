@@ -709,5 +709,5 @@ def draw_panels(axes: Any, closure: xr.Dataset) -> None:
         dashes = _DASHES[number // len(COLOURS) % len(_DASHES)]
         axes.plot(nm[order], factor, dashes, color=colour, linewidth=1.4, label=label)
         axes.fill_between(nm[order], factor - 2.0 * u, factor + 2.0 * u, color=colour, alpha=0.12, lw=0)
-    axes.set(xlabel="wavelength [nm]", ylabel="panel: measured / expected reflectance [1]")
+    axes.set(xlabel="wavelength [nm]", ylabel="measured / expected reflectance [1]")
     legend_below(axes)
