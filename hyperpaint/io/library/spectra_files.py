@@ -1017,7 +1017,7 @@ def read_plain_table(
             scale=scale,
             is_reflectance=is_reflectance,
         )
-    for at in np.flatnonzero(spread[paints] >= 0):
+    for at in np.flatnonzero(spread[paints] >= 0).tolist():
         column = spread[paints[at]]
         in_percent = is_percent[column] or is_percent[paints[at]]
         sd[at] = reflectances(
