@@ -502,14 +502,15 @@ def _spectral_axis(
         reader.add_if(is_wrong.any(), f"{key!r} holds values {limit}", code="value-out-of-range")
     if not has_wavelengths:
         nanometres["wavelength"] = _wavelength_of_names(names, reader)
-    centre, width = (None if a is None or not a.size else float(np.median(a)) for a in nanometres.values())
-    if centre and width:
+    fwhm = nanometres["fwhm"]
+    if nanometres["wavelength"] is not None and fwhm is not None:
+        centre, width = float(np.median(nanometres["wavelength"])), float(np.median(fwhm))
         for low, high, correction in _OTHER_WIDTHS:
-            if low < width / centre < high and 5e-5 < width * correction / centre < 0.5:
-                nanometres["fwhm"] = nanometres["fwhm"] * correction
+            if centre > 0 and low < width / centre < high and 5e-5 < width * correction / centre < 0.5:
+                nanometres["fwhm"] = fwhm * correction
                 reader.note(
-                    f"'fwhm' of {width:g} nm at {centre:g} nm: taken as {width * correction:g} nm, in another "
-                    "unit than the wavelengths",
+                    f"'fwhm' of {width:g} nm at {centre:g} nm: taken as {width * correction:g} nm, in "
+                    "another unit than the wavelengths",
                     warn=True,
                 )
     return nanometres["wavelength"], nanometres["fwhm"]
@@ -842,7 +843,8 @@ def open_envi(
     Headwall's ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance
     products. Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word
     raw, counts or DN in the description, by units of counts, or by a description of Headwall's recorder
-    without a level; maps only by units of counts. Scaled products of other software without such a word are ``values``.
+    without a level; maps only by units of counts. Scaled products of other software without such a word are
+    ``values``.
 
     Examples
     --------
@@ -871,6 +873,7 @@ def open_envi(
     header = read_header(header_path)
     problems = Problems(f"ENVI header {str(header_path)!r} cannot be used", FormatError)
     has_scale = header.reflectance_scale_factor not in (None, 1.0)
+    has_procedures = "read procedures" in header.fields
     checks = (
         (
             header.is_spectral_library,
@@ -881,13 +884,10 @@ def open_envi(
             ),
         ),
         (
-            not header.file_type.startswith("envi")
-            and header.file_type
-            or "read procedures" in header.fields,
+            (header.file_type and not header.file_type.startswith("envi")) or has_procedures,
             Problem(
-                f"file type is {header.fields.get('file type', '')!r}"
-                f"{', with read procedures' if 'read procedures' in header.fields else ''}: the data file is of "
-                "another program",
+                f"file type is {header.fields.get('file type', 'none')!r}"
+                f"{', with read procedures' * has_procedures}",
                 expected="ENVI Standard",
                 mend="open it with GDAL, or export it as an ENVI file",
                 code="file-type-wrong",
