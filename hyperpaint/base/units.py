@@ -57,6 +57,7 @@ watt = joule / second = W
 angstrom = 1e-10 * meter = Å
 micron = 1e-6 * meter
 foot = 0.3048 * meter = ft = feet
+survey_foot = 1200 / 3937 * meter = ftUS = survey_feet = US_survey_foot
 flick = 1e10 * watt / steradian / meter ** 3
 """
 
@@ -77,7 +78,11 @@ _WORDS = {
     "centimeters": "cm",
     "meters": "m",
     "metres": "m",
+    "us survey foot": "survey_foot",
+    "us survey feet": "survey_foot",
+    "us-ft": "survey_foot",
     "%": "percent",
+    "unitless": "1",
 }
 #: Factors of common units in headers; they save the import of pint, which takes 0.1 s.
 _USUAL_FACTORS = {("ms", "s"): 1e-3, ("us", "s"): 1e-6, ("um", "nm"): 1e3}

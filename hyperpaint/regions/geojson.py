@@ -25,6 +25,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number, one_of
 from hyperpaint.base.input_files import is_plain_file, open_input, read_limited
+from hyperpaint.geometry.georeference.geodesy import crs_of
 from hyperpaint.io.files.publishing import publish_file
 
 #: Maximum size of a regions file [byte]; a thousand regions with a hundred corners take 4 MB.
@@ -458,7 +459,8 @@ def regions_from(source: Any) -> Regions:
     ----------
     source
         `Regions`, several `Region`, a path of a GeoJSON file, its content as a mapping, or an object with
-        ``__geo_interface__``, as of geopandas.
+        ``__geo_interface__``, as of geopandas, whose attribute ``crs`` is read. Regions are named by the
+        property ``name``, else by ``label``, ``paint``, ``signature`` or ``title``, in any case.
 
     Returns
     -------
@@ -486,7 +488,8 @@ def regions_from(source: Any) -> Regions:
         return Regions((source,))
     if isinstance(source, Mapping) or hasattr(source, "__geo_interface__"):
         document = source if isinstance(source, Mapping) else source.__geo_interface__
-        return _collection(document, "these regions")
+        crs = None if isinstance(source, Mapping) else getattr(source, "crs", None)
+        return _collection(document, "these regions", crs)
     if isinstance(source, Iterable):
         members = tuple(source)
         if all(isinstance(member, Region) for member in members):
@@ -516,7 +519,8 @@ def _no_constant(text: str) -> None:
 # --- content of a document ---------------------------------------------------------------------------------
 
 
-def _collection(document: Any, subject: str) -> Regions:
+def _collection(document: Any, subject: str, object_crs: Any = None) -> Regions:
+    # ``object_crs``: crs of an object whose GeoJSON the document is, as geopandas states it beside
     problems = Problems(f"{subject} cannot be read as regions", FormatError)
     members = document if isinstance(document, Mapping) else {}
     geojson_type = members.get("type")
@@ -539,12 +543,21 @@ def _collection(document: Any, subject: str) -> Regions:
     if isinstance(crs, Mapping):
         inner = crs.get("properties")
         crs = (inner.get("name") if isinstance(inner, Mapping) else None) or ""  # an empty name is refused
-    problems.add_if(
-        crs is not None and not (isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable()),
-        "the crs has no name",
-        expected="text such as 'EPSG:32618', or an object with properties.name",
-        code="crs-missing",
-    )
+    if crs is not None and not (isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable()):
+        problems.add(
+            "the crs has no name",
+            expected="text such as 'EPSG:32618', or an object with properties.name",
+            code="crs-missing",
+        )
+    elif object_crs is not None:
+        text = object_crs if isinstance(object_crs, str) else object_crs.to_string()
+        problems.add_if(
+            crs is not None and crs_of(crs) != crs_of(text),
+            f"the crs is {text:.80}, but the GeoJSON states {crs!r:.80}",
+            mend="correct one of them",
+            code="crs-conflict",
+        )
+        crs = text
     declared = members.get("coordinates")
     coordinates = ("sensor" if crs is None else "map") if declared is None else declared
     one_of(coordinates, COORDINATES, "coordinates", problems=problems)
@@ -569,14 +582,27 @@ def _collection(document: Any, subject: str) -> Regions:
         raise FormatError(subject, problems=[error.problem]) from error
 
 
+#: Properties that name a region, by preference, in any case.
+_NAMES = ("name", "label", "paint", "signature", "title")
+
+
 def _region(feature: Any) -> Region:
     if not isinstance(feature, Mapping) or feature.get("type") != "Feature":
         raise SchemaError(type(feature).__name__, expected="a Feature", code="type-wrong")
     properties = feature.get("properties")
     properties = dict(properties) if isinstance(properties, Mapping) else {}
-    name, flightline = properties.pop("name", None), properties.pop("flightline", None)
-    if name is None:
-        raise SchemaError("no property 'name', which names the paint", code="region-name-missing")
+    # the name, else the first label of another program that has a value
+    found = {str(key).lower(): key for key, value in reversed(properties.items()) if value is not None}
+    key = "name" if properties.get("name") is not None else next(filter(None, map(found.get, _NAMES)), None)
+    if key is None:
+        fields = ", ".join(map(repr, list(properties)[:10])) or "none"
+        raise SchemaError(
+            f"no property 'name', which names the paint; properties: {fields:.200}",
+            mend="rename one of them 'name'",
+            code="region-name-missing",
+        )
+    name, flightline = properties.pop(key), properties.pop("flightline", None)
+    properties.pop("name", None)  # without a value
     polygon, *holes = _rings(feature.get("geometry"), name)
     return Region(name, polygon, tuple(holes), "" if flightline is None else flightline, properties)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import html
 import itertools
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -1255,6 +1256,8 @@ def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
 
 _MAX_LISTED_NAMES = 12
 _MAX_LISTED_REASONS = 3
+#: Names that readers give to spectra without a name; they pair only where ``pairs`` names them.
+_NUMBERED = re.compile(r"(?:column|spectrum) \d+(?: \(\d+\))?")
 
 
 @dataclass(frozen=True)
@@ -1300,8 +1303,11 @@ def paired(
     paired_references: set[int] = set()
     for key, signature in enumerate(signatures):
         requested = signature.reference_name
-        if names_of_paint is None:
-            names: Sequence[str] = (requested or signature.name,)
+        is_numbered = names_of_paint is None and not requested and bool(_NUMBERED.fullmatch(signature.name))
+        if is_numbered:
+            names: Sequence[str] = ()
+        elif names_of_paint is None:
+            names = (requested or signature.name,)
         else:
             names = names_of_paint.get(signature.name, ())
         matching = sorted({k for name in names for k in _references_of_name(name, references, problems)})
@@ -1314,7 +1320,8 @@ def paired(
             signature = replace(signature, notes=(*signature.notes, *texts))
         if not matching:
             is_missing = names_of_paint is None and bool(requested)
-            unpaired.append(signature.name + (f" (no reference {requested!r})" if is_missing else ""))
+            reason = f" (no reference {requested!r})" if is_missing else ""
+            unpaired.append(signature.name + (" (numbered by its reader)" if is_numbered else reason))
             missing += unpaired[-1:] if is_missing else []
             continue
         problems.add_if(

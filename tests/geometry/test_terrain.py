@@ -12,8 +12,9 @@ from support.geocentric_rays import UTM, exact_places, flown
 from support.refusals import expect_refusals
 
 import hyperpaint as hp
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import Quality
+from hyperpaint.geometry.georeference.locating import grid_of, terrain_of
 
 COLUMNS = 21
 CAMERA = hp.geometry.PinholeCamera(COLUMNS, field_of_view=60.0, edges="centres")
@@ -268,3 +269,59 @@ def test_a_grid_along_a_flight_is_no_dem(transform: str) -> None:
     assert hp.geometry.locate(
         flown(4, COLUMNS), dem=straight.isel(y=slice(None, None, 2)), camera=CAMERA
     ).east.size
+
+
+# --- units, scales and zeros that a raster or its reference system names -----------------------------------
+
+
+def compound(vertical: int) -> str:
+    return str(pyproj.crs.CompoundCRS("map and heights", [pyproj.CRS(UTM), pyproj.CRS(vertical)]).to_wkt())
+
+
+METRES_PER_FOOT = 1200 / 3937
+
+
+@pytest.mark.parametrize(
+    ("stored", "attrs", "told"),
+    [
+        (160.0, {}, None),
+        (160.0, {"crs": compound(5703), "height_reference": "geoid", "geoid_undulation": 0.0}, None),
+        (160 / METRES_PER_FOOT, {"units": "US survey foot"}, None),
+        (160 / METRES_PER_FOOT, {"units": "us-ft"}, None),
+        (160 / 0.3048, {"units": "foot"}, None),
+        (160 / METRES_PER_FOOT, {"crs": compound(6360)}, "heights-conflict"),
+        (160 / METRES_PER_FOOT, {"crs": compound(6360), "units": "us-ft"}, "heights-conflict"),
+        (160.0, {"crs": compound(3855)}, "heights-conflict"),
+        (-160.0, {"crs": compound(6357)}, "heights-conflict"),  # NAVD88 depth
+        (1600, {"scale_factor": 0.1, "add_offset": 0.0}, None),
+        (1500, {"scale_factor": 0.1, "add_offset": 10.0, "units": "m"}, None),
+        (16000, {"scale_factor": 0.1, "units": "dm"}, None),
+    ],
+)
+def test_heights_are_read_in_the_unit_and_scale_of_the_raster(
+    stored: float, attrs: dict[str, Any], told: str | None, recwarn: pytest.WarningsRecorder
+) -> None:
+    grid = grid_of(dem(np.full((4, 5), stored), **attrs))
+    heights = terrain_of(np.full((4, 5), stored), grid).heights
+    np.testing.assert_allclose(heights, 160.0, rtol=1e-9)
+    assert [told in str(one.message) for one in recwarn] == ([True] if told else [])
+
+
+def test_a_zero_that_the_reference_system_names_is_taken() -> None:
+    raster = dem(np.full((4, 5), 160.0), crs="EPSG:4979", height_reference=None)
+    assert grid_of(raster).heights.height_reference == "ellipsoid"
+
+
+@pytest.mark.parametrize(
+    ("attrs", "code"),
+    [
+        ({"units": "furlong"}, "units-unreadable"),
+        ({"units": "W m-2"}, "units-not-convertible"),
+        ({"units": "m", "crs": compound(6360)}, "units-conflict"),
+        ({"units": "ft", "crs": compound(5703)}, "units-conflict"),
+        ({"scale_factor": "x"}, "scale-wrong"),
+        ({"scale_factor": 0.0}, "scale-wrong"),
+    ],
+)
+def test_units_and_scales_that_contradict_are_refused(attrs: dict[str, Any], code: str) -> None:
+    expect_refusals((PaintError, code, lambda: grid_of(dem(np.zeros((4, 5)), **attrs))))

@@ -4,8 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pyproj
 import pytest
 from hypothesis import given, settings, strategies as st
+from support.refusals import expect_refusals
 
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.regions import Region, Regions, geojson, read_regions, regions_from, write_regions
@@ -169,6 +171,66 @@ def test_what_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         read_regions(tmp_path / "r")
     with pytest.raises(SchemaError, match="type-wrong"):
         regions_from(3)
+
+
+@pytest.mark.parametrize("key", ["name", "Name", "NAME", "label", "Label", "PAINT", "title"])
+def test_regions_are_named_by_the_property_that_other_programs_write(key: str) -> None:
+    document = collection(properties={"fid": 1, "klass": "car", key: "roof"})
+    region = regions_from(document).regions[0]
+    assert (region.name, dict(region.properties)) == ("roof", {"fid": 1, "klass": "car"})
+
+
+@pytest.mark.parametrize(
+    ("properties", "name"),
+    [
+        ({"label": "b", "name": "a"}, "a"),
+        ({"name": None, "Label": "b"}, "b"),
+        ({"title": "c", "Name": "a"}, "a"),
+    ],
+)
+def test_names_by_preference(properties: dict[str, Any], name: str) -> None:
+    assert regions_from(collection(properties=properties)).regions[0].name == name
+
+
+def test_the_properties_that_are_there_are_named() -> None:
+    document = collection(properties={"fid": 1, "klass": "car"})
+    expect_refusals((FormatError, "region-name-missing", "fid", "klass", lambda: regions_from(document)))
+
+
+class Frame:
+    # GeoJSON with a crs beside it, as of geopandas
+    def __init__(self, crs: Any, /, **members: Any) -> None:
+        self.crs, self.members = crs, members
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        return {**collection(properties={"name": "a"}), **self.members}
+
+
+@pytest.mark.parametrize(
+    ("frame", "crs"),
+    [
+        (Frame(pyproj.CRS(32618)), "EPSG:32618"),
+        (Frame("EPSG:4326"), "EPSG:4326"),
+        (Frame(None), None),
+        (Frame(pyproj.CRS(32618), crs={"type": "name", "properties": {"name": "EPSG:32618"}}), "EPSG:32618"),
+        (Frame("EPSG:32618", crs="urn:ogc:def:crs:EPSG::32618"), "EPSG:32618"),
+    ],
+)
+def test_the_crs_of_an_object_is_read(frame: Frame, crs: str | None) -> None:
+    regions = regions_from(frame)
+    assert (regions.crs, regions.coordinates) == (crs, "sensor" if crs is None else "map")
+
+
+@pytest.mark.parametrize(
+    ("frame", "code"),
+    [
+        (Frame(pyproj.CRS(32618), crs="EPSG:32617"), "crs-conflict"),
+        (Frame("EPSG:32618", coordinates="sensor"), "option-conflict"),
+    ],
+)
+def test_a_crs_that_contradicts_the_geojson_is_refused(frame: Frame, code: str) -> None:
+    expect_refusals((FormatError, code, lambda: regions_from(frame)))
 
 
 def test_every_bad_feature_is_told_of() -> None:

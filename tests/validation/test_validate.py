@@ -264,6 +264,13 @@ def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
     expect_words(found.table(), "without a reference: door", "references without a paint: hood")
 
 
+def test_names_that_a_reader_numbered_pair_only_where_they_are_named() -> None:
+    paints = library([smooth(NM), 0.5 * smooth(NM)], ("column 3", "roof"))
+    assert hp.validate(paints, paints).unpaired_signatures == ("column 3 (numbered by its reader)",)
+    named = hp.validate(paints, paints, pairs={"column 3": "column 3"})
+    assert named.statistics["signature"].values.tolist() == ["column 3"]
+
+
 def test_pairs_by_place_where_no_name_matches() -> None:
     # from the first paint: metres north [1e-5 degree = 1.1 m]
     def placed(data: xr.Dataset, dim: str, *north: float) -> xr.Dataset:

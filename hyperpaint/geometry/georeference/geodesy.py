@@ -1,7 +1,7 @@
 """Reference systems and maps of the earth, through pyproj (extra ``geo``)."""
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +57,29 @@ def crs_of(crs: Any) -> str:
     )
     code = system.to_authority(min_confidence=100)
     return ":".join(code) if code and pyproj.CRS(":".join(code)) == system else system.to_wkt()
+
+
+class Vertical(NamedTuple):
+    # Heights of a compound or three-dimensional reference system.
+    name: str
+    unit: str
+    metres: float  #: Metres of a unit upwards; negative for depths
+    reference: str  #: ``"ellipsoid"`` or ``"geoid"``, the surface from which heights are measured
+
+
+def vertical_of(crs: Any) -> Vertical | None:
+    # Return the heights of a reference system; None where it has none.
+    #
+    # ``crs``: as in `crs_of`, which reports a system that PROJ does not know.
+    system = _pyproj().CRS.from_user_input(crs)
+    parts = [part for part in system.sub_crs_list if part.is_vertical] or [system]
+    axis = next((axis for axis in parts[0].axis_info if axis.direction in ("up", "down")), None)
+    if axis is None:
+        return None
+    is_ellipsoidal = parts[0].is_geographic or "ellips" in parts[0].name.lower()
+    sign = -1.0 if axis.direction == "down" else 1.0
+    reference = "ellipsoid" if is_ellipsoidal else "geoid"
+    return Vertical(parts[0].name, axis.unit_name, sign * axis.unit_conversion_factor, reference)
 
 
 def utm_zone(latitude: float, longitude: float) -> str:

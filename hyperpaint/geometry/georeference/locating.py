@@ -14,10 +14,10 @@ import xarray as xr
 from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import lines_a_task
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, UnitsError, warn_user
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.units import conversion_factor, takes_quantities
 from hyperpaint.io.files.reading import numbers
 from hyperpaint.kernels.arguments import BLOCK, LineFrames, LineRays, Raster
 
@@ -30,6 +30,7 @@ from .geodesy import (
     polynomials,
     turn_of_north,
     utm_zone,
+    vertical_of,
 )
 from .poses import (
     LOCATION_UNITS,
@@ -137,8 +138,9 @@ def locate(
         Height of level ground above the ellipsoid [m]; either this or ``dem``; by default the line's
         attribute ``ground``.
     dem
-        Heights (y, x) [m, unless an attribute ``units`` says otherwise] with coordinates of cell centres and
-        a crs, as rioxarray opens them. Its attribute ``height_reference`` declares the zero of heights:
+        Heights (y, x) [m, unless an attribute ``units`` or the vertical part of the crs says otherwise] with
+        coordinates of cell centres and a crs, as rioxarray opens them; ``scale_factor`` and ``add_offset`` in
+        the attributes are applied. Its attribute ``height_reference`` declares the zero of heights:
         ``"ellipsoid"``, or ``"geoid"`` with ``geoid_undulation`` [m].
     crs
         Map of ``east`` and ``north``, projected and in metres; by default the UTM zone of the line's centre.
@@ -217,8 +219,6 @@ def locate(
     boresight = line.attrs.get("boresight", zero) if boresight is None else boresight
     lever_arm = line.attrs.get("lever_arm", zero) if lever_arm is None else lever_arm
     ground = line.attrs.get("ground") if ground is None and dem is None else ground
-    if dem is not None and "units" in dem.attrs:
-        dem = convert(dem, "m", "dem")
     _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
     check_interpolation(interpolation, max_gap_s)
     declared = convention_of_line(line, navigation, convention)
@@ -450,6 +450,8 @@ class TerrainGrid:
     x: tuple[float, float]  #: Coordinate of the centre of the first cell, and step from cell to cell
     y: tuple[float, float]
     heights: Convention  #: Height reference of the raster
+    scale: float  #: Metres of a stored height
+    offset: float  #: Height of a stored zero [m]
     missing: tuple[float, ...]  #: Numbers that mark holes
 
 
@@ -469,8 +471,10 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     # Return the grid of a raster from its coordinates and attributes; its heights are not read.
     #
     # Raises `SchemaError`: Other dims than (y, x), fewer than two cells, coordinates that are missing or
-    # uneven, a grid that is turned, no crs, or ``height_reference`` that is not declared; all are listed.
-    # Raises `MissingExtraError`: pyproj is not installed.
+    # uneven, a grid that is turned, no crs, an unreadable scale of heights, a unit that contradicts the crs,
+    # or ``height_reference`` that is not declared; all are listed. Raises `UnitsError`: The unit of heights
+    # is not a length. Raises `MissingExtraError`: pyproj is not installed. Warns `PaintWarning`:
+    # ``height_reference`` contradicts the crs.
     problems = Problems("this DEM cannot be used", SchemaError)
     dem = dem.squeeze(drop=True) if dem.ndim > 2 else dem
     axes: dict[str, tuple[float, float]] = {}
@@ -510,6 +514,45 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     declared = {
         name: dem.attrs[name] for name in ("height_reference", "geoid_undulation") if name in dem.attrs
     }
+    crs, vertical = "", None
+    if crs_texts:
+        crs = crs_of(crs_texts[0])
+        vertical = vertical_of(crs_texts[0])
+    # the unit of heights, by the raster or else by its reference system, and what a reader left unscaled
+    metres, factor, offset = 1.0 if vertical is None else vertical.metres, 1.0, 0.0
+    if "units" in dem.attrs:
+        units = str(dem.attrs["units"])
+        try:
+            stated = conversion_factor(units, "m")
+            problems.add_if(
+                vertical is not None and abs(stated / abs(metres) - 1.0) > 1e-5,
+                f"units {units!r}, but its crs has heights in {vertical.unit if vertical else ''}",
+                mend="correct the attribute units, or the crs",
+                code="units-conflict",
+            )
+            metres = metres if vertical is not None else stated
+        except UnitsError as error:
+            raise UnitsError(
+                f"units {units!r} of the heights of this dem",
+                expected="a length such as 'm', 'ft' or 'US survey foot'",
+                code=error.problem.code,
+            ) from error
+    try:
+        factor, offset = (
+            float(dem.attrs.get(name, 1.0 if name == "scale_factor" else 0.0))
+            for name in ("scale_factor", "add_offset")
+        )
+    except (TypeError, ValueError):
+        factor = 0.0
+    problems.add_if(
+        not (np.isfinite([factor, offset]).all() and factor),
+        f"scale_factor {dem.attrs.get('scale_factor')!r}, add_offset {dem.attrs.get('add_offset')!r}",
+        expected="finite numbers, no scale of 0",
+        mend="open the raster with mask_and_scale=True",
+        code="scale-wrong",
+    )
+    if vertical is not None and vertical.reference == "ellipsoid":
+        declared.setdefault("height_reference", "ellipsoid")
     heights = Convention()
     if "height_reference" not in declared:
         problems.add(
@@ -525,10 +568,17 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         except SchemaError as error:
             problems.add_error("heights", error)
     problems.raise_if_any()
+    if vertical is not None and declared.get("height_reference", vertical.reference) != vertical.reference:
+        warn_user(
+            f"heights of the dem are declared above the {declared['height_reference']}, but its crs has "
+            f"{vertical.name}, above the {vertical.reference}",
+            "heights-conflict",
+        )
     # where xarray decoded the raster (fill value in `encoding`), holes are already NaN
     hole_marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
     holes = {float(mark) for mark in hole_marks if np.ndim(mark) == 0 and np.isfinite(float(mark))}
-    return TerrainGrid(crs_of(crs_texts[0]), axes["x"], axes["y"], heights, tuple(holes))
+    scale = factor * metres
+    return TerrainGrid(crs, axes["x"], axes["y"], heights, scale, offset * metres, tuple(holes))
 
 
 def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
@@ -540,6 +590,8 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
         elevation[np.asarray(heights) == value] = np.nan
     elevation[~np.isfinite(elevation)] = np.nan
     SchemaError.raise_if(np.isnan(elevation).all(), "this DEM contains only holes", code="dem-empty")
+    if (grid.scale, grid.offset) != (1.0, 0.0):
+        elevation = elevation * grid.scale + grid.offset
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
     # highest point of every block of cells; neighbouring blocks share a border
     filled = np.where(np.isnan(elevation), -np.inf, elevation)

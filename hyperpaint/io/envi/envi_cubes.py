@@ -75,6 +75,19 @@ _NANOMETRES = {
 _UNKNOWN_UNITS = ("", "unknown")
 _NOT_WAVELENGTHS = ("wavenumber", "ghz", "mhz", "index")
 _MAX_MICROMETRES = 100.0
+#: Ratios of width and wavelength, outside which a width is in another unit, and the factor to the unit of the
+#: wavelengths: resolving powers are above 2, and below 20,000.
+_OTHER_WIDTHS = ((0.5, np.inf, 1e-3), (0.0, 5e-5, 1e3))
+
+#: Keys that change the meaning of samples and are not applied.
+_NOT_APPLIED = (
+    "data reflectance gain values",
+    "data reflectance offset values",
+    "radiance scale factor",
+    "data scale factor",
+    "scale factor",
+    "scale offset",
+)
 
 _ITEM = re.compile(r"[^,\s]+")
 _NAMED_WAVELENGTH = re.compile(
@@ -489,6 +502,17 @@ def _spectral_axis(
         reader.add_if(is_wrong.any(), f"{key!r} holds values {limit}", code="value-out-of-range")
     if not has_wavelengths:
         nanometres["wavelength"] = _wavelength_of_names(names, reader)
+    fwhm = nanometres["fwhm"]
+    if nanometres["wavelength"] is not None and fwhm is not None:
+        centre, width = float(np.median(nanometres["wavelength"])), float(np.median(fwhm))
+        for low, high, correction in _OTHER_WIDTHS:
+            if centre > 0 and low < width / centre < high and 5e-5 < width * correction / centre < 0.5:
+                nanometres["fwhm"] = fwhm * correction
+                reader.note(
+                    f"'fwhm' of {width:g} nm at {centre:g} nm: taken as {width * correction:g} nm, in "
+                    "another unit than the wavelengths",
+                    warn=True,
+                )
     return nanometres["wavelength"], nanometres["fwhm"]
 
 
@@ -819,7 +843,8 @@ def open_envi(
     Headwall's ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance
     products. Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word
     raw, counts or DN in the description, by units of counts, or by a description of Headwall's recorder
-    without a level; scaled products of other software without such a word are ``values``.
+    without a level; maps only by units of counts. Scaled products of other software without such a word are
+    ``values``.
 
     Examples
     --------
@@ -848,12 +873,23 @@ def open_envi(
     header = read_header(header_path)
     problems = Problems(f"ENVI header {str(header_path)!r} cannot be used", FormatError)
     has_scale = header.reflectance_scale_factor not in (None, 1.0)
+    has_procedures = "read procedures" in header.fields
     checks = (
         (
             header.is_spectral_library,
             Problem(
                 f"file type is {header.fields.get('file type')!r}: a spectral library",
                 expected="a cube",
+                code="file-type-wrong",
+            ),
+        ),
+        (
+            (header.file_type and not header.file_type.startswith("envi")) or has_procedures,
+            Problem(
+                f"file type is {header.fields.get('file type', 'none')!r}"
+                f"{', with read procedures' * has_procedures}",
+                expected="ENVI Standard",
+                mend="open it with GDAL, or export it as an ENVI file",
                 code="file-type-wrong",
             ),
         ),
@@ -887,15 +923,21 @@ def open_envi(
         )
     if lines != header.lines:
         doubts.append(f"{lines} whole lines are kept where the header says {header.lines}")
-    if doubts:
-        warn_user(f"{data_path.name}: {'; '.join(doubts)}", "header-doubtful")
+    if keys := [key for key in _NOT_APPLIED if header.fields.get(key, "") not in ("", "1", "1.0")]:
+        doubts.append(f"{', '.join(map(repr, keys))} of the header are not applied to the values")
     # dark lines at the end of the scene
     recorded, offset = lines, header.header_offset
     start = header.fields.get("autodarkstartline", "")
     has_dark = start.isdecimal() and 0 < int(start) < lines and header.interleave != "bsq"
+    if start and not has_dark and not (start.isdecimal() and int(start) in (0, lines)):
+        doubts.append(
+            f"'autodarkstartline' is {shown(start)}: dark lines at the end are kept as lines of the scene"
+        )
     if has_dark:
         lines = recorded - int(start) if dark_lines else int(start)
         offset += int(start) * header.line_bytes if dark_lines else 0
+    if doubts:
+        warn_user(f"{data_path.name}: {'; '.join(doubts)}", "header-doubtful")
     FormatError.raise_if(
         dark_lines and not has_dark,
         f"{data_path.name}: no dark lines",
@@ -1053,7 +1095,8 @@ def _quantity(
             ),
         ),
     )
-    if quantity is None and is_integer and not has_gain and header.file_type in _CUBE_TYPES:
+    is_raw_form = header.file_type in _CUBE_TYPES and header.map_info is None
+    if quantity is None and is_integer and not has_gain and is_raw_form:
         quantity = unsaid
     name = declared or quantity or "values"
     attrs = {} if name == "values" else dict(schema.VARIABLES[name].attrs)
@@ -1081,7 +1124,9 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
         return level, radiance_units
     # raw counts, by units, description or level
     has_count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
-    is_raw = has_count_units or _RAW.search(header.description[:10_000]) or level == "counts"
+    # a map is a product of other software, whose description still names the recorder
+    in_words = level == "counts" or _RAW.search(header.description[:10_000])
+    is_raw = has_count_units or (in_words and header.map_info is None)
     is_cube = is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES
     return "counts" if is_cube and is_raw else None, None
 

@@ -70,6 +70,7 @@ from hyperpaint.io.files.reading import (
     text_of_cell,
     unique_names,
 )
+from hyperpaint.io.spectrometers.spectrum_files import SPREAD, STATISTIC
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
 #: um). Visible wavelengths in nanometres, read as micrometres, are larger.
@@ -806,9 +807,10 @@ MAX_BYTES = 32 * 2**20
 _BREAK = re.compile(r"\r\n|\r|\n")
 _MICROMETRE = re.compile(r"\b(?:um|micromet(?:er|re)s?|microns?)\b|[µμ]m\b", re.IGNORECASE)
 _NANOMETRE = re.compile(r"\b(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
-PERCENT = re.compile(r"percent|%", re.IGNORECASE)
+PERCENT = re.compile(r"per ?cent|pct|%", re.IGNORECASE)
 _OTHER_QUANTITY = re.compile(r"radianc\w*|transmi|emissiv|absorb|\bcounts?\b|\bDN\b", re.IGNORECASE)
-_OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|angstroms?|[GT]Hz)\b", re.IGNORECASE)
+_ANGSTROM = re.compile(r"\b(?:angstroms?|Å)\b", re.IGNORECASE)
+_OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|[GT]Hz)\b", re.IGNORECASE)
 #: Depth of the oxygen band at 760 nm, relative to its lower shoulder [1], from which values look like
 #: radiance or irradiance: sunlight has 0.5 to 0.9 at bandwidths of 1 to 5 nm and 0.2 at 15 nm; in thirty real
 #: libraries of reflectance the maximum is 0.023.
@@ -824,28 +826,44 @@ _MAX_REPEATS = 0.05
 _NO_SPREAD, _IS_SPREAD = -1, -2
 _SAY_SO = "pass quantity='reflectance' if the values are reflectance"
 
-_SPREAD = re.compile(
-    r"(?<![a-z])(?:standard[ _.-]?dev\w*|st\.? ?dev\w*|std(?:ev|dev)?|s\.?d\.?|sigma|stdv|1s)(?![a-z])", re.I
-)
-_STATISTIC = re.compile(
-    r"(?<![a-z])(?:variance|var|uncertaint\w*|unc|errors?|std ?err\w*|sem|cov|snr|flags?|qc|weights?|"
-    r"n ?(?:obs|spectra|samples)?|number)(?![a-z])",
-    re.I,
-)
 _IN_FULL = re.compile(r"standard[ _.-]?dev|st\.? ?dev|std[ _.-]?dev", re.I)
 _MEAN = re.compile(r"(?<![a-z])(?:mean|average|avg|reflectance|reflectivity|refl|of|the)(?![a-z])", re.I)
 _OF_LIGHT = re.compile(
     r"(?<![a-z])[mµμun]?W(?:att)?s?[ */.·]*(?:c?m\^?-?\(?-?2|/ ?c?m)|/ ?sr\b|\bsr\^?-1", re.I
 )
 _COUNTED = re.compile(r"irrad|digital (?:number|count)s?|photons?\b|volts?\b", re.I)
-_TITLE = re.compile(r"irradianc\w*|radianc\w*|transmittance|absorbance|emissivity", re.I)
+_TITLE = re.compile(
+    r"irradianc\w*|radianc\w*|transmittance|absorbance|emissivity|photons?\b|\bqntm\b|"
+    r"quantum (?:units?|flux)|\b[µμu]mol|[µμ]E\b|\beinsteins?\b|\bppfd\b|\blux\b",
+    re.I,
+)
+#: Words of the source of light; reflectance of a table may have been measured under it.
+_LAMP = re.compile(r"\b(?:lamps?|luminaires?)\b", re.I)
 
 _MAX_PREAMBLE = 500
 #: Headings that do not name a paint.
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
 
 #: Units in headings are removed from names of paints, which are paired with references by name.
-_UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|fraction|-|1)\s*[)\]]\s*$", re.IGNORECASE)
+_UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|pct|fraction|unitless|-|1)\s*[)\]]\s*$", re.IGNORECASE)
+_LENGTH = r"(?:nm|[uµμ]m|(?:nano|micro)met(?:er|re)s?|microns?|angstroms?|Å)"
+#: Cells of a line of units below the names.
+_UNIT_CELL = re.compile(rf"|-|1|%|per ?cent|pct|fraction|unitless|{_LENGTH}", re.I)
+#: Headings, without brackets, of wavelengths, of widths of bands, and of numbers of rows.
+_AXIS_NAME = re.compile(
+    r"(?=.)(?:(?:band |cent(?:er|re|ral) )?(?:wave ?lengths?|wellenl\w+|wave|wvl?|wl|lambda|λ))?(?: in)? ?"
+    rf"{_LENGTH}?",
+    re.I,
+)
+_WIDTH_NAME = re.compile(rf"(?:fwhm|band ?widths?|band ?pass)(?: in)? ?{_LENGTH}?", re.I)
+_ROW_NAME = re.compile(
+    r"|unnamed: ?\d+|(?:index|idx|#|"
+    r"(?:row|line|band|channel|chan|ch|sample|spectrum|pixel|object|f?id|no|nr|num)s?\.?"
+    r"(?: (?:index|id|number|no|nr)\.?)?)",
+    re.I,
+)
+#: Roles of columns of a table.
+_SPECTRUM, _AXIS_COLUMN, _WIDTH, _LEFT_OUT = range(4)
 #: Separators and decimal marks of tables, by preference; "" for blanks, True for decimal commas.
 _DIALECTS = (("\t", False), (";", False), (",", False), ("", False), ("\t", True), (";", True), ("", True))
 
@@ -935,26 +953,50 @@ def read_plain_table(
             expected="a wavelength and one or more values a line",
             code="table-missing",
         )
-    columns = len(rows[dialect])
-    table = _table(without_comments, first, columns, source, lambda line: _cells(line, dialect))
-    if columns > 2 and np.isnan(table[:, -1]).all():  # every line ends with a separator
-        table, columns = table[:, :-1], columns - 1
-    # the first column changes direction where detectors join, and not more often
-    steps = np.diff(table[:, 0])
+    table = _table(without_comments, first, len(rows[dialect]), source, lambda line: _cells(line, dialect))
+    while table.shape[1] > 2 and np.isnan(table[:, -1]).all():  # every line ends with separators
+        table = table[:, :-1]
+    preamble = lines[:first]
+    headings = _headings(preamble, dialect[0], table.shape[1])
+    axis, roles, notes = _roles(headings, table, source, has_axis=wavelength is not None)
+    # the wavelengths change direction where detectors join, and not more often
+    steps = np.diff(table[:, axis])
     reversals = min(int((steps < 0).sum()), int((steps > 0).sum()))
     FormatError.raise_if(
-        np.isnan(table[:, 0]).any() or reversals > max(4, steps.size // 20) or not steps.any(),
-        f"{source}: the first column rises and falls",
+        np.isnan(table[:, axis]).any() or reversals > max(4, steps.size // 20) or not steps.any(),
+        f"{source}: the {'first column' if not axis else 'column of wavelengths'} rises and falls",
         expected="wavelengths",
         mend="write every spectrum as a column",
         code="wavelength-unordered",
     )
-    preamble = lines[:first]
-    headings = _headings(preamble, dialect[0], columns)
+    text = " ".join(preamble)
+    text_of = {at: _unit_text(headings[at], text) if headings else text for at in range(table.shape[1])}
+    # further wavelengths, of single spectra or in another unit, must be those of the first
+    nanometres = (
+        wavelength if wavelength is not None else _in_nanometres(text_of[axis], table[:, axis], source)[0]
+    )
+    for at in np.flatnonzero((roles == _AXIS_COLUMN) & (np.arange(roles.size) != axis)).tolist():
+        further = _in_nanometres(text_of[at], table[:, at], source)[0]
+        FormatError.raise_if(
+            further.shape == nanometres.shape and not np.allclose(further, nanometres, rtol=1e-3),
+            f"{source}: column {headings[at].strip()!r} holds other wavelengths than the first",
+            expected="spectra with common wavelengths",
+            mend="write one table for each set of wavelengths",
+            code="grid-mismatch",
+        )
+    spectra, widths = np.flatnonzero(roles == _SPECTRUM), np.flatnonzero(roles == _WIDTH)[:1]
+    nm, values, axis_notes = _axis_and_values(
+        table[:, [axis, *spectra, *widths]], text_of[axis], source, wavelength
+    )
+    fwhm = None
+    if widths.size:
+        fwhm, values = _in_nanometres(text_of[int(widths[0])], values[:, -1], source)[0], values[:, :-1]
+    headings = [headings[at] for at in [axis, *spectra]] if headings else []
     if not is_reflectance:
         _check_words(preamble, headings, source)
-    percent = 100.0 if PERCENT.search(preamble[-1] if preamble else "") else None
-    nm, values, notes = _axis_and_values(table, " ".join(preamble), source, wavelength)
+    # the unit of every column; without names, the last line above the numbers tells the unit of all
+    last = [preamble[-1] if preamble else ""] * spectra.size
+    is_percent = np.array([PERCENT.search(heading) is not None for heading in headings[1:] or last], np.bool_)
     spread = _spread_columns(headings, values.T, source, is_reflectance=is_reflectance)
     paints = np.flatnonzero(spread != _IS_SPREAD)
     # names from headings, without units where they stay distinct
@@ -964,22 +1006,96 @@ def read_plain_table(
         names = without_units
     if paints.size == 1 and _GENERIC.fullmatch(names[0]):
         names = [path.stem]
-    further = {}
-    reflectance = reflectances(
-        values.T[paints], source, file_scale=percent, scale=scale, is_reflectance=is_reflectance
-    )
-    if (spread >= 0).any():
-        sd = reflectances(values.T[spread[paints]], source, file_scale=percent or 1.0, scale=scale)
-        further["reflectance_sd"] = np.where(spread[paints, None] >= 0, sd, np.float32(np.nan))
+    reflectance = np.empty((paints.size, nm.size), np.float32)
+    sd = np.full(reflectance.shape, np.nan, np.float32)
+    for percent in {*is_percent[paints].tolist()}:
+        with_unit = np.flatnonzero(is_percent[paints] == percent)
+        reflectance[with_unit] = reflectances(
+            values.T[paints[with_unit]],
+            source,
+            file_scale=100.0 if percent else None,
+            scale=scale,
+            is_reflectance=is_reflectance,
+        )
+    for at in np.flatnonzero(spread[paints] >= 0).tolist():
+        column = spread[paints[at]]
+        in_percent = is_percent[column] or is_percent[paints[at]]
+        sd[at] = reflectances(
+            values.T[[column]], source, file_scale=100.0 if in_percent else 1.0, scale=scale
+        )[0]
     return Spectra(
         source=source,
         form="table of text",
         names=[name or f"column {at + 2}" for at, name in zip(paints, names, strict=True)],
         wavelength=nm,
+        fwhm=fwhm,
         reflectance=reflectance,
-        others=further,
-        notes=notes,
+        others={"reflectance_sd": sd} if (spread >= 0).any() else {},
+        notes=[*axis_notes, *notes],
     )
+
+
+def _unit_text(heading: str, otherwise: str) -> str:
+    # Return a heading that names a unit of length or of wavenumber, else another text
+    text = _plain_heading(heading)
+    units = (_NANOMETRE, _MICROMETRE, _ANGSTROM, _OTHER)
+    return text if any(unit.search(text) for unit in units) else otherwise
+
+
+def _plain_heading(heading: str) -> str:
+    # Words of a heading without brackets and underscores
+    return " ".join(re.sub(r"[\[\](){}_/,]", " ", heading).split())
+
+
+def _roles(
+    headings: Sequence[str], table: Floats, source: str, *, has_axis: bool
+) -> tuple[int, Ints, list[str]]:
+    # Return the column of wavelengths, the role of every column, and notes on columns left out.
+    # headings: Names of all columns, or none. has_axis: Whether the caller has the wavelengths.
+    # Raises FormatError: There are numbers of rows and no wavelengths; or whole numbers, such as of samples,
+    # that are no spectrum.
+    columns = range(table.shape[1])
+    names = [_plain_heading(heading) for heading in headings] or ["x"] * table.shape[1]
+    roles = np.full(table.shape[1], _SPECTRUM)
+    with np.errstate(invalid="ignore"):
+        is_whole = np.isfinite(table).all(axis=0) & (table == np.round(table)).all(axis=0)
+        counted = (np.diff(table, axis=0) == 1.0).all(axis=0) if len(table) > 1 else np.zeros_like(is_whole)
+    axes = [at for at in columns if headings and _AXIS_NAME.fullmatch(names[at])]
+    numbered = [at for at in columns if at not in axes and headings and _ROW_NAME.fullmatch(names[at])]
+    axis = axes[0] if axes else 0
+    if not headings and len(columns) > 2:
+        # numbers of rows before strictly ordered wavelengths
+        steps = np.diff(table[:, 1])
+        is_ordered = bool((steps > 0).all() or (steps < 0).all())
+        if counted[0] and is_ordered and (table[0, 0] <= 1.0 or table[-1, 0] < 300.0):
+            axis, numbered = 1, [0]
+    FormatError.raise_if(
+        not axes and not has_axis and axis in numbered and counted[axis] and bool(headings),
+        f"{source}: the first column, {headings[0].strip()!r}, holds numbers of rows" if headings else "",
+        expected="a column of wavelengths",
+        mend="name the column of wavelengths 'wavelength (nm)', or pass wavelength=",
+        code="wavelength-missing",
+    )
+    unknown = [
+        headings[at].strip()
+        for at in numbered
+        if is_whole[at] and not counted[at] and at != axis and headings
+    ]
+    FormatError.raise_if(
+        unknown,
+        f"{source}: {', '.join(map(repr, unknown[:5]))} hold{'s'[: len(unknown) == 1]} whole numbers",
+        expected="columns of wavelengths and spectra",
+        mend="remove these columns",
+        code="column-unknown",
+    )
+    roles[axes], roles[[at for at in numbered if counted[at]]] = _AXIS_COLUMN, _LEFT_OUT
+    roles[[at for at in columns if headings and _WIDTH_NAME.fullmatch(names[at])]] = _WIDTH
+    roles[axis] = _AXIS_COLUMN
+    left_out = [
+        headings[at].strip() or "without a name" for at in columns if headings and roles[at] == _LEFT_OUT
+    ]
+    notes = [f"numbers of rows left out: column {', '.join(left_out)}"] if left_out else []
+    return axis, roles, notes
 
 
 def _cells(line: str, dialect: tuple[str, bool]) -> list[float] | None:
@@ -992,20 +1108,42 @@ def _cells(line: str, dialect: tuple[str, bool]) -> list[float] | None:
 
 def _headings(preamble: Sequence[str], separator: str, columns: int) -> list[str]:
     # Cells of the last heading; empty where they are not as many as columns
-    line = next((line for line in reversed(preamble) if line.strip()), "")
-    is_comment = line.lstrip().startswith("#")
-    text = line.strip().lstrip("#")
+    named = [line for line in reversed(preamble) if line.strip()]
+    if not named:
+        return []
+    is_comment = named[0].lstrip().startswith("#")
     # commas may separate headings in a comment where another mark separates numbers
     for mark in [separator, ","] if is_comment else [separator]:
-        try:
-            cells = next(csv.reader([text], delimiter=mark)) if mark else text.split()
-        except csv.Error:
+        rows = [_heading_cells(line, mark) for line in named[:2]]
+        for cells in rows:
+            while len(cells) > columns and not cells[-1].strip():
+                cells.pop()
+        fits = len(rows[0]) == columns or (len(rows[0]) > columns and is_comment and mark)
+        if not fits:
             continue
-        if len(cells) == columns + 1 and not cells[-1].strip():
-            cells.pop()
-        if len(cells) == columns or (len(cells) > columns and is_comment and mark):
-            return cells[:columns]
+        # a line of units below the names
+        units = [cell.strip() for cell in rows[0]]
+        if (
+            any(units)
+            and all(map(_UNIT_CELL.fullmatch, units))
+            and [len(row) for row in rows] == [columns] * 2
+        ):
+            return [
+                f"{name.strip()} ({unit})" if unit else name
+                for name, unit in zip(rows[1], units, strict=True)
+            ]
+        return rows[0][:columns]
     return []
+
+
+def _heading_cells(line: str, mark: str) -> list[str]:
+    text = line.strip().lstrip("#")
+    if not mark:  # a unit in brackets belongs to the word before it
+        text = re.sub(r"\s+(?=[(\[])", "", text.strip().replace("\t", " "))
+    try:
+        return next(csv.reader([text], delimiter=mark or " ", skipinitialspace=not mark), [])
+    except csv.Error:
+        return []
 
 
 def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -> None:
@@ -1018,7 +1156,7 @@ def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) 
         match = None if "reflect" in text.lower() else _OF_LIGHT.search(text) or _COUNTED.search(text)
         return other_quantity(text) or (match[0].strip() if match else "")
 
-    named = [name.strip() for name in headings[1:] if foreign(name) or _STATISTIC.fullmatch(name.strip())]
+    named = [name.strip() for name in headings[1:] if foreign(name) or STATISTIC.fullmatch(name.strip())]
     FormatError.raise_if(
         named,
         f"{source}: column headings name {', '.join(map(repr, named[:5]))}",
@@ -1035,6 +1173,12 @@ def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) 
         mend=_SAY_SO,
         code="quantity-wrong",
     )
+    if "reflect" not in text.lower() and (lamp := _LAMP.search(text)):
+        warn_user(
+            f"{source}: the lines above the numbers name a {lamp[0].lower()}: are the values its light? "
+            f"{_SAY_SO}",
+            "quantity-doubtful",
+        )
 
 
 def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
@@ -1048,10 +1192,10 @@ def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_
     if headings:
         # names without units and words for mean and standard deviation: letters and digits
         paints = [
-            "".join(filter(str.isalnum, _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower()))))
+            "".join(filter(str.isalnum, _MEAN.sub(" ", SPREAD.sub(" ", heading.lower()))))
             for heading in headings[1:]
         ]
-        names_spread = np.array([_SPREAD.search(heading) is not None for heading in headings[1:]])
+        names_spread = np.array([SPREAD.search(heading) is not None for heading in headings[1:]])
         mean_paints = [paint for paint, spread in zip(paints, names_spread, strict=True) if not spread]
         # "White Std" may be the name of a paint: it is a spread only beside a column "White"
         in_words = [_IN_FULL.search(heading) is not None for heading in headings[1:]]
@@ -1414,6 +1558,8 @@ def _in_nanometres(text: str, wavelength: Floats, source: str) -> tuple[Floats, 
     factor, note = 1.0, ""
     if _MICROMETRE.search(text):
         factor = 1e3
+    elif _ANGSTROM.search(text):
+        factor = 0.1
     elif not _NANOMETRE.search(text):
         if other_unit := _OTHER.search(text):
             raise FormatError(

@@ -48,7 +48,9 @@ from .spectrum_files import (
     name_spectra,
     ratio,
     require_one_grid,
+    statistics_among,
     text_lines,
+    warn_of,
 )
 from .svc import dialect_of
 
@@ -584,6 +586,12 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     )
     table = np.array(rows, np.float64)
     values = np.ascontiguousarray(table if is_spectrum_per_row else table.T)
+    statistics = [] if is_spectrum_per_row else statistics_among(spectra)
+    kept = [number for number, spectrum in enumerate(spectra) if spectrum not in statistics]
+    if statistics and kept:
+        text = f"columns {', '.join(map(repr, statistics))} are statistics, not spectra, and are left out"
+        warn_of(text, [name], "columns-left-out")
+        spectra, values = [spectra[number] for number in kept], values[kept]
     wavelength.flags.writeable = values.flags.writeable = False
     return AsdText(name, export.instrument, tuple(spectra), wavelength, values, preamble)
 

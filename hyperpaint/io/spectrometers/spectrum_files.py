@@ -18,6 +18,16 @@ from hyperpaint.io.files.reading import decoded_text, is_pattern, matching_files
 
 QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 
+#: Headings of standard deviations, and of further statistics of spectra.
+SPREAD = re.compile(
+    r"(?<![a-z])(?:standard[ _.-]?dev\w*|st\.? ?dev\w*|std(?:ev|dev)?|s\.?d\.?|sigma|stdv|1s)(?![a-z])", re.I
+)
+STATISTIC = re.compile(
+    r"(?<![a-z])(?:variance|var|uncertaint\w*|unc|errors?|std ?err\w*|sem|cov|snr|flags?|qc|weights?|"
+    r"n ?(?:obs|spectra|samples)?|number)(?![a-z])",
+    re.I,
+)
+
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 _T = TypeVar("_T")
 _R = TypeVar("_R")
@@ -47,6 +57,27 @@ def cell_number(text: str) -> float | None:
         return float(text.replace(",", "."))
     value = _NON_FINITE_WORDS.get((text[1:] if text[:1] in "+-" else text).lower())
     return -value if value is not None and text[0] == "-" else value
+
+
+def statistics_among(names: Sequence[str]) -> list[str]:
+    """Return the names of columns that are statistics of other columns, not spectra.
+
+    Examples
+    --------
+    >>> statistics_among(["red.asd", "red sd", "White Std", "Std", "variance"])
+    ['red sd', 'Std', 'variance']
+    """
+    stems = ["".join(filter(str.isalnum, SPREAD.sub(" ", _stem(name)))) for name in names]
+    spectra = {stem for stem, name in zip(stems, names, strict=True) if not SPREAD.search(_stem(name))}
+    return [
+        name
+        for stem, name in zip(stems, names, strict=True)
+        if STATISTIC.fullmatch(name) or (SPREAD.search(_stem(name)) and (not stem or stem in spectra))
+    ]
+
+
+def _stem(name: str) -> str:
+    return name.lower().removesuffix(".asd")
 
 
 def find_paths(

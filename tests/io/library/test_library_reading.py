@@ -181,7 +181,7 @@ def test_tables__separators_units_and_headings(tmp_path: Path, text: str, encodi
     ("text", "name", "expected"),
     [
         # units stay in names that would be alike
-        ("nm,red (%),red (1)\n450,10,40\n550,20,50\n", "red.txt", ["red (%)", "red (1)"]),
+        ("nm,red (%),red (1)\n450,10,0.4\n550,20,0.5\n", "red.txt", ["red (%)", "red (1)"]),
         # one spectrum is named by its file or heading
         ("450,0.1\n550,0.2\n", "Grün 3.txt", ["Grün 3"]),
         ("nm,reflectance\n450,0.1\n550,0.2\n", "red.txt", ["red"]),
