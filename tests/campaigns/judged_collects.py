@@ -57,12 +57,12 @@ class Verdict(NamedTuple):
     def texts(self) -> list[str]:
         return [*self.checked, *([self.refused] if self.refused else []), *self.warned]
 
-    def said(self, words: str) -> str:
-        # Return in a word how the fault is met
+    def said(self, words: str, must_refuse: bool = False) -> str:
+        # Return in a word how the fault is met; with a question mark, in the wrong way
         if self.refused.startswith("crash"):
             return "crash"
         if any(re.search(words, text, re.IGNORECASE) for text in self.texts):
-            return "refused" if self.refused else "named"
+            return "refused" if self.refused else "used?" if must_refuse else "named"
         return ("refused?" if self.refused else "other?") if self.texts else "silent"
 
     def values(self) -> str:
@@ -150,7 +150,7 @@ def judge_scales(seed: int, right: int, only: str) -> bool:
     start = time.process_time()
     for fault, verdicts in wrong_scales(seed, only):
         row = judged_inputs.FAULTS[fault]
-        met = [verdict.said(row.words) for verdict in verdicts]
+        met = [verdict.said(row.words, k < row.refused) for k, verdict in enumerate(verdicts)]
         states.update(met)
         print(f"{fault:26} {'  '.join(f'{word:9}' for word in met)} factor {row.factors}", flush=True)
         for verdict, word in zip(verdicts, met, strict=True):

@@ -258,6 +258,7 @@ class Fault(NamedTuple):
     factors: str  #: Factor on reflectance of the strengths; a range is over bands, columns or lines
     words: str  #: Expression by which a finding, an error or a warning names the fault
     settings: Mapping[str, Any] = MappingProxyType({})
+    refused: int = 0  #: Number of strengths for which a name is not enough
 
 
 _LIGHT = r"irradiance|daylight|\brecord\b"
@@ -321,7 +322,7 @@ FAULTS: dict[str, Fault] = {
     "certificate of the panel": Fault(
         lambda folder, fault: add_panel(folder, *fault),
         ((1.0, "%"), (0.1, "1"), (1.25, "1")), "0.01, 0.1, 1.25",
-        "panel|certificate",
+        "panel|certificate", refused=2,
     ),
     "step in the record": Fault(stepped_record, (0.1, 0.5, 0.85), "10, 2, 1.18", r"\bstep|gain|factor"),
     "sign of the smile": Fault(
