@@ -495,10 +495,11 @@ def test_a_measured_paint_with_flakes_is_drawn_by_its_geometry() -> None:
     speckled = library(spread_members(spread=0.04))
     traced, dark = panel(0.1, lines=12, columns=12), {"white": (MEMBER_NM, 0.0 * MEMBER_NM)}
 
-    def body(stated_angle: float, light: Any) -> np.ndarray:
-        geometry = {"aspecular_angle": [stated_angle], "aspecular_range": [30.0]}
+    def body(stated_angle: float, light: Any, **of_sun: list[float]) -> np.ndarray:
+        geometry = {"aspecular_angle": [stated_angle], "aspecular_range": [30.0], **of_sun}
         paints = speckled.assign({name: ("signature", value) for name, value in geometry.items()})
         paints["flop"] = 0.0 * paints.reflectance + 2.0 / 3.0  # the bright end has twice the dark end
+        paints["diffuse_fraction"] = 0.0 * paints.reflectance + 0.2
         options = {"paints": {"white": "measured"}, "spectra": paints, "atmosphere": light}
         line = traced.paint.relight(FEW_BANDS, **options).reflectance
         return np.asarray(line - traced.paint.relight(FEW_BANDS, paints=dark, atmosphere=light).reflectance)
@@ -509,6 +510,9 @@ def test_a_measured_paint_with_flakes_is_drawn_by_its_geometry() -> None:
     np.testing.assert_allclose(body(SUN[0] + 7.5, sunlight) / middle, 2.0**0.25, rtol=0.03)
     np.testing.assert_allclose(body(SUN[0] + 50.0, sunlight) / middle, 2.0**0.5, rtol=0.05)
     np.testing.assert_allclose(body(SUN[0] - 50.0, sunlight) / middle, 2.0**-0.5, rtol=0.03)
+    # part of the change is the sun's cosine on the leaning body part, which the renderer adds itself
+    end = body(SUN[0] + 50.0, sunlight, sun_zenith=[45.0]) / body(SUN[0], sunlight, sun_zenith=[45.0])
+    np.testing.assert_allclose(end, 2.0**0.5 / (1.0 + 0.8 * np.radians(7.5)), rtol=0.05)
     overcast = flat_light(sun=0.0)
     np.testing.assert_array_equal(body(SUN[0] + 50.0, overcast), body(SUN[0], overcast))
 

@@ -367,7 +367,13 @@ _MAX_RANGES_SHOWN = 6
 _FLAKES = frozenset(("flop", "aspecular_angle", "aspecular_range"))
 
 #: Variables of a library that the renderer reads.
-PAINT_VARIABLES = ("reflectance", "member_reflectance", *sorted(_FLAKES))
+PAINT_VARIABLES = (
+    "reflectance",
+    "member_reflectance",
+    *sorted(_FLAKES),
+    "sun_zenith",
+    "diffuse_fraction",
+)
 
 #: Maximum relative standard deviation of the level of members at one angle [1].
 _MAX_SPREAD = 0.05
@@ -661,7 +667,13 @@ class SpectrumReader:
         ):
             # members at the angles of the measurement, from the dark to the bright end
             exponents = np.where(is_good, flake_exponents(paint["flop"].values), 0.0)[order]
-            members = np.exp(np.linspace(-0.5, 0.5, _ANGLES)[:, None] * exponents)
+            places = np.linspace(-0.5, 0.5, _ANGLES)[:, None]
+            members = np.exp(places * exponents)
+            if {"sun_zenith", "diffuse_fraction"} <= set(paint.variables):
+                # the renderer adds the cosine of the sun on a part that leans by half of the angle
+                lean = np.radians(places * float(paint["aspecular_range"]) / 2.0)
+                direct = np.nan_to_num(1.0 - paint["diffuse_fraction"].values[order])
+                members /= 1.0 + lean * direct * np.tan(np.radians(float(paint["sun_zenith"])))
             members = values * members / members.mean(axis=0)  # the signature is the mean of its part
             angles = float(paint["aspecular_angle"]), float(paint["aspecular_range"])
         if mirror_reflection(paint) == INCLUDED:
