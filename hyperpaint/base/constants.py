@@ -69,7 +69,8 @@ HIGHEST_MEDIAN, LOWEST_MEDIAN = 3.0, 3e-4
 #: usable sun gives 0.04.
 DULL_MEDIAN = 0.02
 
-_JUDGED_NM = (400.0, 1000.0)
+#: Wavelengths at which a record is judged, where daylight exceeds the noise of spectrometers [nm].
+JUDGED_NM = (400.0, 1000.0)
 _UNIT_FACTORS = {
     "uW cm-2 nm-1": 1e-2, "mW m-2 nm-1 (W m-2 um-1)": 1e-3, "uW m-2 nm-1": 1e-6, "mW cm-2 nm-1": 10.0,
     "W cm-2 nm-1": 1e4,
@@ -81,7 +82,7 @@ def brightest_median(wavelength: Floats, values: Floats) -> float:
     # Return the median over 400-1000 nm of the brightest sample; NaN without samples.
     #
     # wavelength: (irradiance_wavelength,) [nm]; values: (irradiance_time, irradiance_wavelength).
-    samples = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
+    samples = values[:, (wavelength >= JUDGED_NM[0]) & (wavelength <= JUDGED_NM[1])]
     samples = samples[np.isfinite(samples).any(axis=1)] if samples.shape[1] else samples[:0]
     return float(np.nanmedian(samples, axis=1).max()) if len(samples) else math.nan
 

@@ -55,11 +55,11 @@ def line_light(
     #
     # ``time`` (line,) is UTC at mid exposure, in any order, NaT for a line without data; ``irradiance_time``
     # (sample,) is UTC of the samples and must increase. ``levels`` (sample,) or (sample, interval) are the
-    # irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN marks a
-    # sample to leave out. ``max_gap`` is the longest interval that is interpolated [s], 2.5 median intervals
-    # by default; without the camera's ``latitude`` and ``longitude`` (line,) [degree] the sun's height is not
-    # judged; ``clock_uncertainty`` is how far the clocks of camera and spectrometer may disagree [s],
-    # `UNKNOWN_CLOCK` by default.
+    # irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN, zero or a
+    # negative value marks a sample to leave out. ``max_gap`` is the longest interval that is interpolated
+    # [s], 2.5 median intervals by default; without the camera's ``latitude`` and ``longitude`` (line,)
+    # [degree] the sun's height is not judged; ``clock_uncertainty`` is how far the clocks of camera and
+    # spectrometer may disagree [s], `UNKNOWN_CLOCK` by default.
     #
     # Raises `TimeError`: Irradiance times do not increase, are missing, or there is no valid sample. Raises
     # `SchemaError`: ``max_gap`` or ``clock_uncertainty`` is out of range.
@@ -82,7 +82,7 @@ def line_light(
         )
     problems.raise_if_any()
     levels = np.reshape(levels, (samples.size, -1))
-    valid = np.flatnonzero(np.isfinite(levels).all(axis=1))
+    valid = np.flatnonzero((np.isfinite(levels) & (levels > 0.0)).all(axis=1))
     TimeError.raise_if(
         valid.size == 0, "the irradiance record holds no valid spectrum", code="irradiance-empty"
     )

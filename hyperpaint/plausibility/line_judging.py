@@ -23,6 +23,7 @@ from hyperpaint.io.flightline.dark import DARK_NONE
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
 from hyperpaint.io.flightline.timing import Timing
+from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, has_white, light_level
 
@@ -136,6 +137,24 @@ _ROWS = (
         "irradiance-level",
         "Irradiance is far below or far above that of a clear sky at the place and time.",
         "check the units of the record (units in [irradiance]), its receptor, its time and the line's place",
+    ),
+    Kind(
+        "irradiance-scans",
+        "Scans of the irradiance record hold no daylight, or differ from the scans before and after.",
+        "nothing: they are left out of the interpolation; leave them out of the record",
+        refused=False,
+    ),
+    Kind(
+        "irradiance-channels",
+        "Channels of the irradiance record hold no daylight: zero, filled, clipped or stuck.",
+        "nothing: bands of these channels are NaN; record with a shorter integration time if clipped",
+        refused=False,
+    ),
+    Kind(
+        "irradiance-step",
+        "All channels of the irradiance record change by one factor between two scans, which no cloud does: "
+        "the gain or integration time of the spectrometer changed.",
+        "divide the scans before or after by the factor, or name only those of the right gain",
     ),
     Kind(
         "navigation-still",
@@ -466,6 +485,13 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
         )
         return
     yield from _judge_changes(name, spectra, times, line["time"].values)
+    has_value = np.isfinite(spectra)
+    is_hole = ~has_value[:, has_value.mean(axis=0) > 0.5].all()
+    for fault in str(line.attrs.get(FAULTS_ATTR, "")).splitlines():
+        code, _, found = fault.partition(": ")
+        # scans that were left out may be of another flight line
+        if is_hole or code != "irradiance-scans":
+            yield Finding(KINDS[code], name, found, "daylight that changes as the sun and clouds change it")
     channels = line["irradiance_wavelength"].values.astype(np.float64)
     position = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
     level = light_level(position, spectra, channels, times)

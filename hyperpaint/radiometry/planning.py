@@ -40,6 +40,7 @@ from hyperpaint.base.schema import (
     IRRADIANCE_WAVELENGTH,
     Quality,
 )
+from hyperpaint.io.spectrometers.record_faults import judge_record, warn_of_faults
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.diffuse_record import SKY_STATES, split_of_arrays
 from hyperpaint.light.illumination import (
@@ -514,6 +515,9 @@ def _illuminate(
     spectra = np.asarray(light["irradiance"], np.float64)
     channels = np.asarray(light["irradiance_wavelength"], np.float64)
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
+    check_irradiance_times(stamps)
+    spectra, faults = judge_record(channels, stamps, spectra)  # finds nothing in an opened record
+    warn_of_faults(faults)
     max_gap, clock = (light.get(name) for name in ("irradiance_max_gap", "irradiance_clock_uncertainty"))
     lines = line_light(
         time,

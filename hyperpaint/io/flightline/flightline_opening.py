@@ -27,7 +27,7 @@ from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARI
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import refuse
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
-from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance
+from hyperpaint.io.spectrometers.irradiance import cut_irradiance, open_irradiance, record_attrs
 
 from .calibration_store import calibration_parts, open_calibration, saturation_of, scale_attrs
 from .dark import Dark, open_dark, own_dark
@@ -334,9 +334,8 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     line.attrs = {
         **attrs,
         "srf_shape": "gaussian" if calibration is None else calibration.attrs["srf_shape"],
-        "irradiance_srf_shape": "gaussian"
-        if irradiance is None
-        else irradiance.attrs["irradiance_srf_shape"],
+        "irradiance_srf_shape": "gaussian",
+        **({} if irradiance is None else record_attrs(irradiance)),
         **scale_attrs(calibration if is_counts else None),
         "time_source": times.source,
         "stamp": timing.stamp,

@@ -36,6 +36,7 @@ from hyperpaint.base.input_files import head_of, read_limited
 from hyperpaint.base.schema import VARIABLES, label
 from hyperpaint.io.files.reading import read_limited_text, refuse
 
+from .record_faults import clipped_top
 from .spectrum_files import (
     QUANTITIES,
     Paths,
@@ -670,6 +671,8 @@ class Spectrum:
     gps: AsdGps | None = None
     # (wavelength), True at channels of a detector that the file flags as saturated
     saturated: npt.NDArray[np.bool_] | None = None
+    # (wavelength), True at channels whose raw counts were clipped although no flag says so
+    clipped: npt.NDArray[np.bool_] | None = None
     path: Path | None = None
     # Name of the white panel whose known reflectance scales the spectrum; empty for relative reflectance
     panel: str = ""
@@ -866,6 +869,7 @@ def _spectrum_of(
         dark_utc=file.dark_utc,
         gps=file.gps,
         saturated=is_saturated[is_used],
+        clipped=clipped_top(file.spectrum[None, is_used])[0],
         panel=blocks["ABS"][2] if absolute else "",
     )
 

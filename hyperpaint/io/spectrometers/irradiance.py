@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import (
     DULL_MEDIAN,
     HIGHEST_MEDIAN,
@@ -49,12 +49,14 @@ from hyperpaint.io.store import list_groups, load_group
 from hyperpaint.io.store.reader import is_zarr
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
+from .record_faults import FAULTS_ATTR, judge_record, warn_of_faults
 from .spectrum_files import Paths, check_utc_offset, for_all, listed
 
 Stamp = Literal["start", "mid", "end"]
 
 #: Names of the dims of a series, in order of preference.
 _AXES = ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength"))
+_SHAPE = "irradiance_srf_shape"
 _GAP_INTERVALS = 2.5
 _LINE_MARGIN = np.timedelta64(60, "s")
 #: Wavelengths of sunlight, and resolutions of spectrometers [nm].
@@ -286,6 +288,7 @@ class _Series:
     max_gap_s: float | None = None
     clock_uncertainty_s: float | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)
+    clipped: Bools | None = None  # (sample, wavelength), True where raw counts were clipped
 
 
 @takes_quantities(clock_offset_s="s", fwhm_nm="nm", max_gap_s="s", averaging_s="s", clock_uncertainty_s="s")
@@ -358,14 +361,17 @@ def open_irradiance(
     UnitsError
         Units are missing or wrong, or the sun cannot have been as bright or as dim as they say.
     SchemaError
-        An argument is invalid, the spectral width is unknown, or an xarray object is not such a series.
+        An argument is invalid, the spectral width is unknown, an xarray object is not such a series, or too
+        few scans or channels can be daylight.
     IncompleteStoreError
         The store is hyperpaint's own, and its group was never finished.
 
     Warns
     -----
     PaintWarning
-        Saturated or undefined samples, which become NaN; and see `hyperpaint.io.spectrometers.asd.open_asd`.
+        Saturated or undefined samples, which become NaN; scans and channels that cannot be daylight, which
+        become NaN, and a step in gain (attribute ``irradiance_faults``), see
+        `hyperpaint.io.spectrometers.record_faults`; and see `hyperpaint.io.spectrometers.asd.open_asd`.
 
     Examples
     --------
@@ -464,6 +470,12 @@ def open_irradiance(
             mend="check whether the file is damaged",
             code="value-out-of-range",
         )
+    faults = str(series.attrs.get(FAULTS_ATTR, ""))
+    if not faults:  # a record that was opened before is judged
+        clipped = None if series.clipped is None else series.clipped[order]
+        values, found = judge_record(series.wavelength, times[order], values, clipped)
+        warn_of_faults(found)
+        faults = "\n".join(f"{fault.code}: {fault.found}" for fault in found)
     _check_magnitude(series.wavelength, values)
     dataset = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
     uncertainty_s = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
@@ -475,6 +487,7 @@ def open_irradiance(
         irradiance_clock_offset_s=float(clock_offset_s),
         irradiance_stamp=stamp,
         irradiance_averaging_s=float(np.median(window)),
+        **({FAULTS_ATTR: faults} if faults else {}),
     )
     return dataset
 
@@ -576,6 +589,7 @@ def _from_spectra(
         code="time-missing",
     )
     sources = [spectrum.source for spectrum in spectra]
+    is_clipped = [spectrum.clipped for spectrum in spectra if spectrum.clipped is not None]
     last_source_text = f" to {sources[-1]} ({len(sources)} spectra)" if len(sources) > 1 else ""
     return _Series(
         sources=sources,
@@ -584,6 +598,7 @@ def _from_spectra(
         averaging_s=np.array([spectrum.averaging_s or 0.0 for spectrum in spectra], np.float64),
         wavelength=spectra[0].wavelength,
         values=np.stack([spectrum.values for spectrum in spectra]),
+        clipped=np.stack(is_clipped) if len(is_clipped) == len(spectra) else None,
         units=units,
         origin=f"{sources[0]}{last_source_text}",
         **extra,
@@ -762,7 +777,7 @@ def _dataset(
         {name: label(array, name) for name, array in arrays.items()},
         coords={name: (name, axis, VARIABLES[name].attrs) for name, axis in axes},
         attrs={
-            "irradiance_srf_shape": "gaussian",
+            _SHAPE: "gaussian",
             **series.attrs,
             "irradiance_source": series.origin,
             "irradiance_fwhm_source": series.fwhm_source if fwhm_nm is None else "given by the user",
@@ -885,5 +900,9 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
     cut = xr.Dataset({name: label(array, name) for name, array in variables.items()})
     cut = cut.isel({IRRADIANCE_TIME: slice(int(start), int(stop))}).load()
     cut = cut.assign_coords({IRRADIANCE_TIME: cut[IRRADIANCE_TIME].astype("datetime64[ns]")})
-    shape = irradiance.attrs.get("irradiance_srf_shape", "gaussian")
-    return cut.drop_encoding().assign_attrs(irradiance_srf_shape=shape)
+    return cut.drop_encoding().assign_attrs({_SHAPE: "gaussian"} | record_attrs(irradiance))
+
+
+def record_attrs(irradiance: xr.Dataset) -> dict[str, Any]:
+    # Return the attributes of a record that a flight line needs: shape of its responses, and faults.
+    return {name: irradiance.attrs[name] for name in (_SHAPE, FAULTS_ATTR) if name in irradiance.attrs}

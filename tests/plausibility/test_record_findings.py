@@ -1,0 +1,83 @@
+"""Faults of the irradiance record as findings of a collect, and in a line without a collect."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import CollectError, PaintWarning
+from hyperpaint.base.schema import Quality
+from hyperpaint.simulation import simulate_collect, simulate_line
+from hyperpaint.workflows.pipeline import check_collect, process
+
+pytestmark = pytest.mark.filterwarnings("ignore::hyperpaint.base.errors.PaintWarning")
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("flown")
+    simulate_collect(
+        folder, scene="plan", lines=40, bands=24, columns=12, irradiance_margin_s=20, truth=False
+    )
+    return folder
+
+
+def _change_counts(folder: Path, change: Callable[[int, np.ndarray], np.ndarray]) -> None:
+    # Change the raw counts of every scan; 484 bytes of header come before them
+    for number, path in enumerate(sorted((folder / "asd").glob("*.asd"))):
+        data = bytearray(path.read_bytes())
+        size = 8 * int.from_bytes(data[204:206], "little")
+        counts = np.frombuffer(bytes(data[484 : 484 + size]), "<f8")
+        data[484 : 484 + size] = np.asarray(change(number, counts), "<f8").tobytes()
+        path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "is_refused"),
+    [
+        (lambda _, counts: np.minimum(counts, 0.8 * counts.max()), "irradiance-channels", False),
+        (lambda number, counts: counts * (0.1 if number == 9 else 1.0), "irradiance-scans", False),
+        (lambda number, counts: counts * (0.5 if number > 10 else 1.0), "irradiance-step", True),
+    ],
+)
+def test_faults_of_the_record_are_findings(
+    flown: Path,
+    tmp_path: Path,
+    change: Callable[[int, np.ndarray], np.ndarray],
+    code: str,
+    is_refused: bool,
+) -> None:
+    folder = shutil.copytree(flown, tmp_path / "collect")
+    assert check_collect(folder / "collect.toml") == ()
+    _change_counts(folder, change)
+    (finding,) = check_collect(folder / "collect.toml")
+    assert (finding.kind.name, finding.kind.refused) == (code, is_refused)
+    if is_refused:
+        with pytest.raises(CollectError, match=code):
+            process(folder / "collect.toml", tmp_path / "lot.zarr", reflectance="none")
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 9999.0, np.nan])
+def test_light_that_cannot_be_is_missing(value: float) -> None:
+    line = simulate_line(lines=24, bands=24, columns=6, irradiance_noise=0.002)
+    record = line["irradiance"].load()
+    times = record["irradiance_time"]
+    inside = times.values.searchsorted(line["time"].values[12])
+    changed = record.where(times != times[inside], value)
+    right = hp.reflectance(line)
+    found = hp.reflectance(line.assign(irradiance=changed))
+    np.testing.assert_allclose(found["reflectance"], right["reflectance"], rtol=0.01)
+    assert not (found["quality"] & np.uint16(Quality.ILLUMINATION_UNSTABLE)).any()
+
+
+def test_a_scan_that_is_left_out_is_told() -> None:
+    line = simulate_line(lines=24, bands=24, columns=6, irradiance_noise=0.002)
+    scale = xr.where(np.arange(line.sizes["irradiance_time"]) == 5, 0.1, 1.0)
+    shaded = line.assign(irradiance=line["irradiance"] * xr.DataArray(scale, dims="irradiance_time"))
+    with pytest.warns(PaintWarning) as caught:
+        hp.reflectance(shaded).compute()
+    assert "irradiance-scans" in {warning.message.code for warning in caught}  # type: ignore[union-attr]
