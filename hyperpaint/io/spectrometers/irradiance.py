@@ -532,9 +532,10 @@ def _from_files(
         ]
         spectra = mask_undefined(spectra, "irradiance")
         return _from_spectra(spectra, utc_offset_h, units, one_clock=False, fwhm=tables[0].fwhm_nm)
+    is_declared = quantity is not None
     if quantity is None and "text" not in kinds:
         quantity = "irradiance"  # binary files yield it by their calibration, whatever quantity was displayed
-    spectra, file_quantity = read_spectra(files, quantity, calibration=calibration)
+    spectra, file_quantity = read_spectra(files, quantity, calibration=calibration, is_declared=is_declared)
     FormatError.raise_if(
         file_quantity != "irradiance",
         f"the files seem to hold {file_quantity}: {listed([path.name for path in files])}",
