@@ -688,6 +688,7 @@ class Spectrum:
     # Name of the white panel whose known reflectance scales the spectrum; empty for relative reflectance
     panel: str = ""
     instrument: str = "ASD"
+    conflict: str = ""  # Setting of the instrument that contradicts the quantity
 
 
 def read_spectra(
@@ -740,12 +741,13 @@ def read_spectra(
     for content in contents:
         if conflict := _receptor_conflict(content, target_quantity):
             names_by_conflict.setdefault(conflict, []).append(content.name)
+    # pass by the user's word, and are listed by `check`
     for conflict, names in names_by_conflict.items():
         FormatError.raise_if(
             quantity is None or not is_declared,
             f"{listed(names)}: {conflict}",
             expected="a cosine receptor" if target_quantity == "irradiance" else "a fore optic",
-            mend=f"pass quantity={target_quantity!r} (in collect.toml: quantity in [irradiance]) if it was so",
+            mend=f"pass quantity={target_quantity!r} if the files are wrong",
             code="fore-optic-wrong",
         )
         warn_of(f"{target_quantity} of spectra whose files have: {conflict}", names, "fore-optic-wrong")
@@ -787,8 +789,8 @@ def read_spectra(
         ]
 
     spectra = [
-        replace(spectrum, path=path)
-        for path, file_spectra in zip(files, for_all(contents, spectra_of), strict=True)
+        replace(spectrum, path=path, conflict=_receptor_conflict(content, target_quantity))
+        for path, content, file_spectra in zip(files, contents, for_all(contents, spectra_of), strict=True)
         for spectrum in file_spectra
     ]
     require_one_grid((spectrum.source, spectrum.wavelength) for spectrum in spectra)

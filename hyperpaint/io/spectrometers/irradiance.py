@@ -286,6 +286,7 @@ class _Series:
     max_gap_s: float | None = None
     clock_uncertainty_s: float | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)
+    receptor: str = ""  # Setting that contradicts a cosine receptor
 
 
 @takes_quantities(clock_offset_s="s", fwhm_nm="nm", max_gap_s="s", averaging_s="s", clock_uncertainty_s="s")
@@ -558,6 +559,7 @@ def _from_files(
         fwhm=fwhm,
         fwhm_source=source,
         attrs=assumed if units is None and "text" in kinds else {},
+        receptor=next((spectrum.conflict for spectrum in spectra if spectrum.conflict), ""),
     )
 
 
@@ -759,8 +761,9 @@ def _dataset(
         "irradiance_max_gap": xr.DataArray(np.float64(gap_s)),
     }
     axes = zip(dims, (times, series.wavelength), strict=True)
+    receptor = {"receptor": series.receptor} if series.receptor else {}
     return xr.Dataset(
-        {name: label(array, name) for name, array in arrays.items()},
+        {name: label(a, name, **receptor if name == "irradiance" else {}) for name, a in arrays.items()},
         coords={name: (name, axis, VARIABLES[name].attrs) for name, axis in axes},
         attrs={
             "irradiance_srf_shape": "gaussian",
@@ -884,6 +887,8 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
     )
     stop = max(np.searchsorted(stamps, last + _LINE_MARGIN, side="right"), np.searchsorted(stamps, last) + 1)
     cut = xr.Dataset({name: label(array, name) for name, array in variables.items()})
+    if "receptor" in irradiance["irradiance"].attrs:
+        cut["irradiance"].attrs["receptor"] = irradiance["irradiance"].attrs["receptor"]
     cut = cut.isel({IRRADIANCE_TIME: slice(int(start), int(stop))}).load()
     cut = cut.assign_coords({IRRADIANCE_TIME: cut[IRRADIANCE_TIME].astype("datetime64[ns]")})
     shape = irradiance.attrs.get("irradiance_srf_shape", "gaussian")
