@@ -157,6 +157,17 @@ _ROWS = (
         "divide the scans before or after by the factor, or name only those of the right gain",
     ),
     Kind(
+        "irradiance-receptor",
+        "The files of the spectrometer name a fore optic or a quantity that does not yield irradiance.",
+        "name the record of a cosine receptor, or write it as a csv series if the files are wrong",
+    ),
+    Kind(
+        "frame-counter",
+        "Elements at the edge of the picture count lines: the camera writes its frame counter into them.",
+        "leave these columns out of regions, or replace the elements before processing",
+        refused=False,
+    ),
+    Kind(
         "navigation-still",
         "The platform does not move along the line.",
         "name the navigation of this flight, or none",
@@ -225,6 +236,12 @@ SAMPLE_RULES = SimpleNamespace(
     # sample of a cube of 640 x 4000 x 272 is read in a tenth of a second [1].
     blocks=8,
     lines=16,
+    # Minimum number of steps between lines, maximum spread of a step relative to the median [1], and minimum
+    # share of such steps in an element that counts lines [1]: noise and texture of scenes reach a share of
+    # 0.3, a counter that begins anew every 16 lines 0.94.
+    counter_lines=30,
+    counter_spread=0.1,
+    counter_share=0.8,
 )
 
 
@@ -235,6 +252,7 @@ class CubeSample:
     mean: Floats
     maximum: Floats
     divisor: int  #: Greatest common divisor of all counts
+    counters: Bools  #: Elements that count lines; only columns at the edges are examined
 
 
 def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
@@ -250,6 +268,8 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
     sums = np.zeros(shape)
     maximum = np.full(shape, -np.inf)
     lines, divisor = 0, 0
+    steps: list[Floats] = []
+    edges = sorted({0, 1, shape[1] - 2, shape[1] - 1} & {*range(shape[1])})
     for start in starts.tolist():
         block = counts[start : start + size].to_numpy()[recorded[start : start + size]]
         if not len(block):
@@ -258,7 +278,17 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
         sums += block.sum(axis=0, dtype=np.float64)
         maximum = np.maximum(maximum, block.max(axis=0))
         divisor = int(np.gcd.reduce(block, axis=None, initial=divisor))
-    return None if not lines else CubeSample(lines, sums / lines, maximum, divisor)
+        steps.append(np.diff(block[:, :, edges].astype(np.float64), axis=0))
+    if not lines:
+        return None
+    # a counter or a time stamp goes on by the same step from line to line, except where it begins anew
+    step = np.concatenate(steps)
+    counters = np.zeros(shape, bool)
+    if len(step) >= SAMPLE_RULES.counter_lines:
+        usual = np.median(step, axis=0)
+        is_usual = np.abs(step - usual) <= SAMPLE_RULES.counter_spread * np.abs(usual)
+        counters[:, edges] = (usual != 0) & (is_usual.mean(axis=0) >= SAMPLE_RULES.counter_share)
+    return CubeSample(lines, sums / lines, maximum, divisor, counters)
 
 
 # -- Check the order of the bands by the solar lines and absorption bands in the cube.
@@ -474,6 +504,8 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
     # Judge the irradiance record of a line.
     if "irradiance" not in line:
         return
+    if receptor := line["irradiance"].attrs.get("receptor"):
+        yield Finding(KINDS["irradiance-receptor"], name, str(receptor), "a cosine receptor")
     spectra = line["irradiance"].transpose(IRRADIANCE_TIME, ...).values
     times = line[IRRADIANCE_TIME].values
     if not np.isfinite(spectra).any():
@@ -1053,6 +1085,15 @@ def _judge_sample(
     saturation = float(np.max(line["saturation_count"].values))
     saturation_limit = saturation - SATURATION_MARGIN_COUNTS
     yield from judge_range(name, sample, inputs.bit_depth, saturation)
+    if 0 < sample.counters.sum() <= STRAY_SHARE * sample.counters.size + 8:
+        band, column = np.argwhere(sample.counters)[0].tolist()
+        yield Finding(
+            KINDS["frame-counter"],
+            name,
+            f"{int(sample.counters.sum())} elements rise by the same step from line to line, such as band "
+            f"{band} of column {column}",
+            "light in every element",
+        )
     gain = (
         line["reflectance_gain" if has_white(line) else "radiance_gain"]
         .transpose(BAND, CROSS_TRACK)

@@ -34,6 +34,7 @@ def asd_bytes(
     labels: tuple[str, ...] = (),
     audit: tuple[str, ...] = (),
     trailer: bytes = b"",
+    fore_optic: int = 180,
 ) -> bytes:
     # Return an ``.asd`` file, written field by field from the table of the format's description
     values = np.asarray(spectrum).astype(dtype)
@@ -56,7 +57,7 @@ def asd_bytes(
     out += bytes([0x56, 0x10 * version, 0, dark_subtracted]) + struct.pack("<i", 0)
     out += bytes([data_type]) + struct.pack("<iff", reference_epoch, first, step)
     out += bytes([{"<f4": 0, "<i4": 1, "<f8": 2}[dtype], 0, 0, 0, 0]) + struct.pack("<H", n)
-    out += bytes(128) + gps + struct.pack("<IhhHH", integration_ms, 180, 0, 4, 6355)
+    out += bytes(128) + gps + struct.pack("<IhhHH", integration_ms, fore_optic, 0, 4, 6355)
     out += struct.pack("<4fHB", 0, 2.5, first, first + step * (n - 1), 16, 0)
     out += bytes([0, saturation, 0, 0]) + struct.pack("<3HBI", 10, 10, averages, 4, 0)
     out += struct.pack("<4H2f", 31, 16, 2051, 2069, *splices) + bytes(27 + 5)

@@ -81,6 +81,33 @@ def test_a_status_word_in_the_picture_is_no_reason_to_refuse(collect: Path, tmp_
     assert not finding.kind.refused
 
 
+@pytest.mark.parametrize(
+    ("band", "column", "step", "modulus"),
+    [(0, 0, 97, 4096), (0, 1, 1, 4096), (3, 23, 7, 512), (5, 0, -3, 2000)],
+)
+def test_a_frame_counter_in_the_picture_is_named(
+    collect: Path, band: int, column: int, step: int, modulus: int
+) -> None:
+    def stamped(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+        frames = counts.reshape(40, 40, 24)
+        frames[:, band, column] = np.arange(40) * step % modulus
+        return frames
+
+    _change(collect.parent / "flight/raw_0", stamped)
+    (finding,) = (each for each in check_collect(collect) if each.kind.name == "frame-counter")
+    assert f"band {band} of column {column}" in finding.found
+
+
+def test_a_fore_optic_in_the_files_is_named(collect: Path, tmp_path: Path) -> None:
+    for path in (collect.parent / "asd").glob("*.asd"):
+        data = bytearray(path.read_bytes())
+        data[394:396] = (25).to_bytes(2, "little")
+        path.write_bytes(data)
+    with pytest.warns(PaintWarning, match="fore-optic-wrong"):
+        (finding,) = check_collect(collect)
+    assert (finding.kind.name, finding.found) == ("irradiance-receptor", "fore optic of 25 degree")
+
+
 def test_a_band_of_status_words_is_no_order_of_bytes(collect: Path) -> None:
     def stamped(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
         # light that hardly varies, so that the words are all that the picture shows

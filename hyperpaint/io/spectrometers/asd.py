@@ -656,6 +656,20 @@ _BLOCKS_BY_QUANTITY = {
 }  # fmt: skip
 
 
+def _receptor_conflict(content: AsdFile | AsdText, quantity: str) -> str:
+    # Return the setting of the instrument that contradicts a quantity; empty without one.
+    if isinstance(content, AsdText):
+        has_cosine = content.preamble.get("cosine_receptor")
+        if quantity == "irradiance" and has_cosine is False:
+            return "no cosine receptor attached"
+        return "a cosine receptor attached" if quantity == "radiance" and has_cosine else ""
+    if quantity == "irradiance" and 0 < content.fore_optic < 180:
+        return f"fore optic of {content.fore_optic} degree"
+    if quantity == "irradiance" and content.data_type == "radiance":
+        return "calibration for radiance, by its data type"
+    return "cosine receptor as fore optic" if quantity == "radiance" and content.fore_optic >= 180 else ""
+
+
 @dataclass(frozen=True, eq=False)
 class Spectrum:
     """A spectrum of one quantity (such as radiance), from a binary or text file."""
@@ -677,6 +691,7 @@ class Spectrum:
     # Name of the white panel whose known reflectance scales the spectrum; empty for relative reflectance
     panel: str = ""
     instrument: str = "ASD"
+    conflict: str = ""  # Setting of the instrument that contradicts the quantity
 
 
 def read_spectra(
@@ -685,9 +700,11 @@ def read_spectra(
     *,
     absolute: bool = False,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
+    is_declared: bool = True,
 ) -> tuple[list[Spectrum], str]:
     # Read binary files and text exports into spectra of one quantity on one set of wavelengths.
     #
+    # is_declared: Whether ``quantity`` is from the user, whose word counts more than that of the files.
     # Returns spectra : list of Spectrum: In the order of ``files``.
     # Returns quantity : str: Their quantity.
     # Raises FormatError: See `open_asd`.
@@ -723,6 +740,20 @@ def read_spectra(
             f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}"
         )
         warn_user(text, "quantity-assumed")
+    names_by_conflict: dict[str, list[str]] = {}
+    for content in contents:
+        if conflict := _receptor_conflict(content, target_quantity):
+            names_by_conflict.setdefault(conflict, []).append(content.name)
+    # pass by the user's word, and are listed by `check`
+    for conflict, names in names_by_conflict.items():
+        FormatError.raise_if(
+            quantity is None or not is_declared,
+            f"{listed(names)}: {conflict}",
+            expected="a cosine receptor" if target_quantity == "irradiance" else "a fore optic",
+            mend=f"pass quantity={target_quantity!r} if the files are wrong",
+            code="fore-optic-wrong",
+        )
+        warn_of(f"{target_quantity} of spectra whose files have: {conflict}", names, "fore-optic-wrong")
     SchemaError.raise_if(
         absolute and target_quantity != "reflectance",
         f"absolute=True with quantity {target_quantity!r}",
@@ -761,8 +792,8 @@ def read_spectra(
         ]
 
     spectra = [
-        replace(spectrum, path=path)
-        for path, file_spectra in zip(files, for_all(contents, spectra_of), strict=True)
+        replace(spectrum, path=path, conflict=_receptor_conflict(content, target_quantity))
+        for path, content, file_spectra in zip(files, contents, for_all(contents, spectra_of), strict=True)
         for spectrum in file_spectra
     ]
     require_one_grid((spectrum.source, spectrum.wavelength) for spectrum in spectra)
@@ -1001,8 +1032,8 @@ def open_asd(
     Raises
     ------
     FormatError
-        Files are missing or damaged, lack the reference or the calibration blocks the quantity needs, or
-        differ in wavelengths; all are named.
+        Files are missing or damaged, lack the reference or the calibration blocks the quantity needs, have a
+        fore optic that contradicts it, or differ in wavelengths; all are named.
     TimeError
         ``utc_offset_h`` is the offset of no zone.
     SchemaError

@@ -289,6 +289,7 @@ class _Series:
     clock_uncertainty_s: float | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)
     clipped: Bools | None = None  # (sample, wavelength), True where raw counts were clipped
+    receptor: str = ""  # Setting that contradicts a cosine receptor
 
 
 @takes_quantities(clock_offset_s="s", fwhm_nm="nm", max_gap_s="s", averaging_s="s", clock_uncertainty_s="s")
@@ -545,9 +546,10 @@ def _from_files(
         ]
         spectra = mask_undefined(spectra, "irradiance")
         return _from_spectra(spectra, utc_offset_h, units, one_clock=False, fwhm=tables[0].fwhm_nm)
+    is_declared = quantity is not None
     if quantity is None and "text" not in kinds:
         quantity = "irradiance"  # binary files yield it by their calibration, whatever quantity was displayed
-    spectra, file_quantity = read_spectra(files, quantity, calibration=calibration)
+    spectra, file_quantity = read_spectra(files, quantity, calibration=calibration, is_declared=is_declared)
     FormatError.raise_if(
         file_quantity != "irradiance",
         f"the files seem to hold {file_quantity}: {listed([path.name for path in files])}",
@@ -570,6 +572,7 @@ def _from_files(
         fwhm=fwhm,
         fwhm_source=source,
         attrs=assumed if units is None and "text" in kinds else {},
+        receptor=next((spectrum.conflict for spectrum in spectra if spectrum.conflict), ""),
     )
 
 
@@ -773,8 +776,9 @@ def _dataset(
         "irradiance_max_gap": xr.DataArray(np.float64(gap_s)),
     }
     axes = zip(dims, (times, series.wavelength), strict=True)
+    receptor = {"receptor": series.receptor} if series.receptor else {}
     return xr.Dataset(
-        {name: label(array, name) for name, array in arrays.items()},
+        {name: label(a, name, **receptor if name == "irradiance" else {}) for name, a in arrays.items()},
         coords={name: (name, axis, VARIABLES[name].attrs) for name, axis in axes},
         attrs={
             _SHAPE: "gaussian",
@@ -898,6 +902,8 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
     )
     stop = max(np.searchsorted(stamps, last + _LINE_MARGIN, side="right"), np.searchsorted(stamps, last) + 1)
     cut = xr.Dataset({name: label(array, name) for name, array in variables.items()})
+    if "receptor" in irradiance["irradiance"].attrs:
+        cut["irradiance"].attrs["receptor"] = irradiance["irradiance"].attrs["receptor"]
     cut = cut.isel({IRRADIANCE_TIME: slice(int(start), int(stop))}).load()
     cut = cut.assign_coords({IRRADIANCE_TIME: cut[IRRADIANCE_TIME].astype("datetime64[ns]")})
     return cut.drop_encoding().assign_attrs({_SHAPE: "gaussian"} | record_attrs(irradiance))

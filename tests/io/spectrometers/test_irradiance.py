@@ -1,5 +1,6 @@
 import contextlib
 import datetime as dt
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -230,6 +231,33 @@ def test_raw_counts_with_calibration_files(log, write_asd):
         calibration={"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)},
     )
     np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("fields", "word"),
+    [
+        ({"fore_optic": 8}, "8 degree"),
+        ({"fore_optic": 25}, "25 degree"),
+        ({"fore_optic": 1}, "1 degree"),
+        ({"data_type": 2}, "radiance"),
+        ({"fore_optic": 0, "data_type": 2}, "radiance"),
+    ],
+)
+def test_a_fore_optic_that_is_no_cosine_receptor_is_refused_or_said(fields, word, log):
+    files = log(0, 2, **fields)
+    expect_refusals((FormatError, "fore-optic-wrong", word, lambda: open_irradiance(files, utc_offset_h=0)))
+    with pytest.warns(PaintWarning, match="fore-optic-wrong"):
+        open_irradiance(files, utc_offset_h=0, quantity="irradiance")
+
+
+def test_a_text_without_a_cosine_receptor_is_refused(tmp_path):
+    head = "Spectrum saved: 05/21/2024 at 11:33:13\nymin= 0 ymax= 2.5\nThere was {} attached\n"
+    path = tmp_path / "sky.txt"
+    for optic, is_right in (("a remote cosine receptor", True), ("no foreoptic", False)):
+        path.write_text(head.format(optic) + "Wavelength;a.asd\n500;0.8\n501;0.8\n")
+        with refusal(FormatError, "fore-optic-wrong") if not is_right else warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            open_irradiance(path, utc_offset_h=0, max_gap_s=5)
 
 
 def test_a_folder_prefers_binaries_and_a_single_sample_needs_a_gap(log, tmp_path):
