@@ -214,6 +214,21 @@ def _asd_text(path: Path) -> Facts:
     )
 
 
+def _spectrum_text(path: Path) -> Facts:
+
+    from hyperpaint.io.spectrometers.spectrum_texts import read_spectrum_text
+
+    text = read_spectrum_text(path)
+    held = dict.fromkeys(f"{c.quantity or 'unknown quantity'} of the {c.scan}" for c in text.columns)
+    zone = "zone unknown" if text.utc_offset_h is None else f"UTC{text.utc_offset_h:+g} h"
+    yield from (
+        ("is", f"{text.instrument} text"),
+        ("holds", ", ".join(held)),
+        ("wavelength", range_of(text.wavelength, "nm")),
+        ("saved", "" if text.local_time is None else f"{text.local_time} by its clock ({zone})"),
+    )
+
+
 def _irradiance_csv(path: Path) -> Facts:
 
     from hyperpaint.io.spectrometers.irradiance import read_irradiance_csv
@@ -504,7 +519,13 @@ _BY_SUFFIX = {
     **dict.fromkeys((".geojson", *VECTOR_FILES), _regions),
 }
 #: Readers of files of field spectrometers by the kind of their content.
-_BY_CONTENT = {"binary": _asd, "text": _asd_text, "scans": _svc, "csv": _irradiance_csv}
+_BY_CONTENT = {
+    "binary": _asd,
+    "text": _asd_text,
+    "scans": _svc,
+    "instrument": _spectrum_text,
+    "csv": _irradiance_csv,
+}
 
 
 def _file(path: Path) -> Facts:

@@ -12,6 +12,10 @@ from .skies import (
     read_tape7 as read_tape7,
     read_uvspec as read_uvspec,
 )
-from .spectrometers.spectrum_csv import read_certificate as read_certificate, read_radcal as read_radcal
+from .spectrometers.spectrum_csv import (
+    read_angular_response as read_angular_response,
+    read_certificate as read_certificate,
+    read_radcal as read_radcal,
+)
 from .store import encoding as encoding
 from .store.raw_references import open_virtual as open_virtual

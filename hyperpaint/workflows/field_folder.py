@@ -44,6 +44,7 @@ from hyperpaint.io.navigation.navigation_records import read_imu_gps
 from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra, sniff
 from hyperpaint.io.spectrometers.reference_files import open_spectra
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
+from hyperpaint.io.spectrometers.spectrum_texts import SPECTRUM_SUFFIXES
 
 _MAX_SURVEY_BYTES = 1 << 20
 #: Maximum depth of subfolders that are searched.
@@ -52,7 +53,7 @@ MAX_DEPTH = 6
 MAX_ENTRIES = 50_000
 
 _STORES = (".zarr", ".nc")
-_SPECTRA = "SVC .sig, ASD .asd, text exports, or tables in CSV"
+_SPECTRA = "SVC .sig, ASD .asd, texts of spectrometers, or tables in CSV"
 _SURVEY = re.compile(r"survey|gcp|control.?point", re.IGNORECASE)
 #: Names of cubes of a white tile: Specim's WHITEREF_<scene>, Headwall's whiteReference, a plain white.
 _WHITE = re.compile(r"^white[ _-]*\d*$|(?:^|[^a-z])white[ _-]*(?:ref|tile|panel|cal|standard)", re.IGNORECASE)
@@ -315,7 +316,7 @@ def _named_references(paths: Iterable[str | os.PathLike[str]]) -> dict[Path, lis
         of_place: dict[Path, list[Path]] = {}
         for path in _walk(place) if place.is_dir() else [place]:
             in_folder = place.is_dir() and path.suffix.lower() in (".asd", ".sig")
-            if in_folder or place.is_file() or path.suffix.lower() in (".txt", ".csv", ".tsv"):
+            if in_folder or place.is_file() or path.suffix.lower() in SPECTRUM_SUFFIXES:
                 of_place.setdefault(path.parent / f"*{path.suffix}" if in_folder else path, []).append(path)
         CollectError.raise_if(
             not of_place,
@@ -338,9 +339,9 @@ def _instruments(
         kind = "scans" if pattern.suffix.lower() == ".sig" else sniff(first)
         instrument, quantity = {"scans": "svc"}.get(kind, "asd"), "reflectance"
         try:
-            if kind in ("binary", "text"):
+            if kind in ("binary", "text", "instrument"):
                 quantity = _read_quietly([first])[1]
-            elif kind != "scans":
+            if kind not in ("binary", "text", "scans") and quantity == "reflectance":
                 (opened,) = open_spectra([first])
                 stem = re.sub(r"[^A-Za-z0-9]+", "_", first.stem).strip("_") or "table"
                 (instrument,) = unique_names(

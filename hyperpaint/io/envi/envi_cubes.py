@@ -42,7 +42,7 @@ from hyperpaint.base.errors import FormatError, Problem, Problems, needs_extra, 
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
-from hyperpaint.io.files.reading import decoded_text, refuse
+from hyperpaint.io.files.reading import decoded_text, foreign_format, refuse
 
 if TYPE_CHECKING:
     from virtualizarr.manifests import ManifestStore
@@ -761,6 +761,8 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     bare_path = path.with_suffix("")
     if path.suffix.lower() != ".hdr":
         headers = existing((".hdr", ".HDR"), path, bare_path)
+        if not headers and (problem := foreign_format(path, is_binary=True)) is not None:
+            raise FormatError(f"{path}: {problem.found}", mend=problem.mend, code=problem.code)
         FormatError.raise_if(
             not headers,
             f"ENVI data file {str(path)!r} has no header beside it",

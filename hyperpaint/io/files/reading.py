@@ -15,7 +15,7 @@ from pathlib import Path
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, PaintError, Problem
-from hyperpaint.base.input_files import input_path, is_plain_file, open_input, read_limited
+from hyperpaint.base.input_files import head_of, input_path, is_plain_file, open_input, read_limited
 
 # Longest text line [byte]: tables of spectra have about 12 bytes per cell.
 MAX_LINE_BYTES = 2**20
@@ -146,6 +146,81 @@ def numbers(cells: Iterable[str]) -> list[float] | None:
     # Return cells as numbers (`number`); None if a cell is other text.
     values = [number(cell) for cell in cells]
     return None if None in values else [value for value in values if value is not None]
+
+
+#: Formats that are recognised and not read here: first bytes, name, and the way out.
+_FOREIGN = tuple(
+    (re.compile(pattern, re.IGNORECASE | re.DOTALL), name, mend)
+    for pattern, name, mend in (
+        (rb"\x89HDF\r\n|CDF[\x01\x02\x05]", "a netCDF or HDF5 file",
+         "open it with xr.open_dataset, name its wavelengths by a coordinate 'wavelength' with units, pass "
+         "the Dataset"),
+        (rb"PK\x03\x04.{0,4000}(?:OOI|ps_\d|procspec)", "a ProcSpec file of Ocean Optics",
+         "save it as text (tab delimited, with header) with its software"),
+        (rb"PK\x03\x04|\xd0\xcf\x11\xe0", "an Excel sheet or another archive", "save the sheet as CSV"),
+        (rb"%PDF", "a PDF", "type or copy its table into a text: wavelength and value a line"),
+        (rb"AVS8[24]", "a binary file of AvaSoft 8", "export it as text with AvaSoft"),
+        (rb"///GER", "a GER file", "SVC's software converts it to .sig"),
+        (rb"MATLAB 5", "a MATLAB file", "load it with scipy.io.loadmat, and pass arrays as xarray"),
+        (rb"##(?:TITLE|JCAMP)", "a JCAMP-DX file", "export two columns of wavelength and value"),
+        (rb"II\*\x00|MM\x00\*|\x89PNG|\xff\xd8\xff", "a picture or GeoTIFF", "open it with rasterio"),
+        (rb"PAR1", "a Parquet file", "open it with hp.open_library"),
+        (rb"SIMPLE  =", "a FITS file", "open it with astropy, and pass arrays as xarray"),
+        (rb"(?:asd|as[2-8])[^\n]{0,400}\x00", "an ASD file", "open it with hp.open_asd"),
+        (rb"ENVI\b", "an ENVI header", "open it with hp.open_flightline or hp.open_library"),
+        (rb"Irradiance\s*\[", "a series of PSI SpectraPen, one column a time", "write a row for each "
+         "time, below 'time' and the wavelengths [nm]"),
+        (rb"ENLIGHTEN|Wasatch", "a file of Wasatch ENLIGHTEN", "export two columns: wavelength and value"),
+    )
+)  # fmt: skip
+
+
+def foreign_format(path: str | os.PathLike[str], *, is_binary: bool = False) -> Problem | None:
+    # Return the problem of a file in a recognised format that the caller does not read, with the way out;
+    # None for other files. ``is_binary``: whether the caller reads binary files without a mark.
+    head = head_of(path, 8192)
+    head = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
+    for pattern, name, mend in _FOREIGN:
+        if pattern.match(head):
+            return Problem(name, mend=mend, code="format-unknown")
+    if not is_binary and b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        mend = "export it as text or CSV with the program that wrote it"
+        return Problem(f"a binary file that begins with {head[:8]!r}", mend=mend, code="format-unknown")
+    return None
+
+
+#: Separators and decimal marks of tables, by preference; "" for blanks, True for decimal commas.
+TABLE_DIALECTS = (
+    ("\t", False), (";", False), (",", False), ("", False), ("\t", True), (";", True), ("", True)
+)  # fmt: skip
+
+
+def row_numbers(line: str, dialect: tuple[str, bool]) -> list[float] | None:
+    # Return the numbers of a line; None for other lines, and for an empty first cell.
+    separator, has_commas = dialect
+    cells = line.strip(" ").split(separator or None)
+    texts = (cell.replace(",", ".") if has_commas else cell for cell in cells)
+    return numbers(texts) if len(cells) > 1 and cells[0].strip() else None
+
+
+def first_row(lines: Sequence[str], limit: int = 500) -> tuple[int, tuple[str, bool]] | None:
+    """Return the index of the first row of numbers, and the dialect of the table; None without a row.
+
+    The dialect is that in which the next line has as many columns, or else the first that can be read.
+    ``limit``: number of lines with text that may stand above.
+
+    Examples
+    --------
+    >>> first_row(["nm;R", "", "400,0;0,98", "500,0;0,97"])
+    (2, (';', True))
+    """
+    text_lines = [at for at, line in enumerate(lines) if line.strip()]
+    for first, following in itertools.pairwise(text_lines[: limit + 1]):
+        rows = {d: row for d in TABLE_DIALECTS if (row := row_numbers(lines[first], d)) is not None}
+        fitting = (d for d, row in rows.items() if len(row_numbers(lines[following], d) or ()) == len(row))
+        if rows:
+            return first, next(fitting, next(iter(rows)))
+    return None
 
 
 def unique_names(

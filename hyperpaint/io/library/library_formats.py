@@ -21,13 +21,17 @@ from hyperpaint.base.old_names import VERSION_NAME, with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
+from hyperpaint.io.files.reading import foreign_format
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
+from hyperpaint.io.spectrometers.spectrum_texts import RATIO, SPECTRUM_SUFFIXES, form_of, read_spectrum_text
 from hyperpaint.io.store import list_groups, open_store, to_store
 from hyperpaint.io.store.reader import is_zarr
 
+from .sample_tables import is_sample_table, read_sample_table
 from .spectra_files import (
     CENTRE,
     OWN_AXES,
+    Spectra,
     blocks_of,
     checked_library,
     is_csv_library,
@@ -44,6 +48,7 @@ from .spectra_files import (
     read_plain_table,
     read_usgs,
     read_usgs_axis,
+    reflectances,
     spectral_variables,
     text_column,
     warn_of_light,
@@ -58,7 +63,6 @@ Path_ = str | os.PathLike[str]
 _HEAD_BYTES = 64 * 1024
 _MAX_SHOWN, _MAX_SHOWN_DIFFERENCES = 20, 10
 _ENVI_SUFFIXES = (".hdr", ".sli")
-_TEXT_SUFFIXES = (".txt", ".csv", ".tsv", ".asc")
 _ANCILLARY = ".ancillary.txt"
 _DIGITS = re.compile(r"(\d+)")
 _BAND_COORDINATES = ("wavelength", "fwhm", "good")
@@ -199,7 +203,7 @@ def open_library(
         return library
     files = find_paths(
         path,
-        lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in _TEXT_SUFFIXES]),
+        lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in SPECTRUM_SUFFIXES]),
         "text files of spectra, or the path of a library's file",
         lambda matches: _spectra_among([file for file in matches if file.suffix.lower() != ".json"]),
     )
@@ -236,7 +240,7 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
     candidates = [
         path
         for path in candidates
-        if path.suffix.lower() in (".hdr", *_TEXT_SUFFIXES)
+        if path.suffix.lower() in (".hdr", *SPECTRUM_SUFFIXES)
         or (path.with_suffix("") not in headers and path not in headers)
     ]
 
@@ -276,16 +280,25 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
                 options.refuse_for(path)
                 return read_own(path)
         # formats of other programs, and ENVI of hyperpaint
-        if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
+        is_envi = suffix in _ENVI_SUFFIXES or (
+            suffix not in SPECTRUM_SUFFIXES and path.with_suffix(".hdr").is_file()
+        )
+        problem = None if is_envi else foreign_format(path)
+        if problem is not None:
+            raise FormatError(f"{path.name}: {problem.found}", mend=problem.mend, code=problem.code)
+        if is_envi:
             library = read_envi_library(path, scale=scale, wavelength=nm, fwhm=fwhm)
         elif is_usgs(head):
             library = library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=fwhm))
         else:
-            spectra = (
-                read_ecostress(path, scale=scale, wavelength=nm)
-                if re.match(r"\s*Name\s*:", head) and "Number of X Values" in head
-                else read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
-            )
+            if re.match(r"\s*Name\s*:", head) and "Number of X Values" in head:
+                spectra = read_ecostress(path, scale=scale, wavelength=nm)
+            elif form_of("\n".join(head.splitlines())) is not None:
+                spectra = _of_instrument(path, options)
+            elif is_sample_table(head):
+                spectra = read_sample_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
+            else:
+                spectra = read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
             library = library_of(spectra if fwhm is None else replace(spectra, fwhm=fwhm))
     except StoreError:
         raise
@@ -296,6 +309,36 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
     if not is_reflectance and "hyperpaint" not in str(library.attrs.get("format", "")):
         warn_of_light(library["wavelength"].values, library["reflectance"].values, path.name)
     return library
+
+
+def _of_instrument(path: Path, options: _Options) -> Spectra:
+    # Reflectance in a text of a spectrometer. A column that the file does not name is reflectance only where
+    # the caller says so, or gives its scale.
+    text = read_spectrum_text(path)
+    column = text.column("reflectance")
+    is_declared = options.is_reflectance or options.scale is not None
+    is_named = column.heading == RATIO or any(c.quantity == "reflectance" for c in text.columns)
+    FormatError.raise_if(
+        not (is_named or is_declared),
+        f"{path.name}: {text.instrument} text that does not say what its spectrum is",
+        expected="reflectance",
+        mend="pass quantity='reflectance', with scale=100 for percent; hp.open_irradiance opens irradiance",
+        code="quantity-ambiguous",
+    )
+    values = reflectances(
+        column.values[None, :],
+        path.name,
+        file_scale={"%": 100.0, "1": 1.0, "1.0": 1.0}.get(column.units),
+        scale=options.scale,
+        is_reflectance=options.is_reflectance,
+    )
+    return Spectra(
+        source=path.name,
+        form=f"{text.instrument} text",
+        names=[path.stem],
+        wavelength=text.wavelength if options.wavelength is None else options.wavelength,
+        reflectance=values,
+    )
 
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:

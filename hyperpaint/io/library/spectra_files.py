@@ -62,10 +62,12 @@ from hyperpaint.io.envi.envi_cubes import (
 )
 from hyperpaint.io.files.reading import (
     decoded_text,
+    first_row,
     number,
     numbers,
     read_limited_text,
     refuse,
+    row_numbers,
     safe_cell,
     text_of_cell,
     unique_names,
@@ -805,8 +807,9 @@ MAX_BYTES = 32 * 2**20
 
 
 _BREAK = re.compile(r"\r\n|\r|\n")
-_MICROMETRE = re.compile(r"\b(?:um|micromet(?:er|re)s?|microns?)\b|[µμ]m\b", re.IGNORECASE)
-_NANOMETRE = re.compile(r"\b(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
+# also right behind a number, as in "1.12-216microns"
+_MICROMETRE = re.compile(r"(?<![a-zA-Z])(?:um|micromet(?:er|re)s?|microns?|[µμ]m)\b", re.IGNORECASE)
+_NANOMETRE = re.compile(r"(?<![a-zA-Z])(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
 PERCENT = re.compile(r"per ?cent|pct|%", re.IGNORECASE)
 _OTHER_QUANTITY = re.compile(r"radianc\w*|transmi|emissiv|absorb|\bcounts?\b|\bDN\b", re.IGNORECASE)
 _ANGSTROM = re.compile(r"\b(?:angstroms?|Å)\b", re.IGNORECASE)
@@ -864,8 +867,6 @@ _ROW_NAME = re.compile(
 )
 #: Roles of columns of a table.
 _SPECTRUM, _AXIS_COLUMN, _WIDTH, _LEFT_OUT = range(4)
-#: Separators and decimal marks of tables, by preference; "" for blanks, True for decimal commas.
-_DIALECTS = (("\t", False), (";", False), (",", False), ("", False), ("\t", True), (";", True), ("", True))
 
 #: Keys of a header of ECOSTRESS, in file order.
 _KEYS = (
@@ -902,7 +903,9 @@ _FRACTION = re.compile(r"fraction|unitless|decimal|\b0 ?(?:-|to) ?1\b|\(1\)", re
 
 _RECORD = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNORECASE)
 _MEASUREMENT = re.compile(r"[A-Z]{4}")
-_AXIS = re.compile(r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.I)
+_AXIS = re.compile(
+    r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm|error ?bars?\b)", re.I
+)
 _SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
 _MAX_CANDIDATES = 64
 #: Number of folders that are searched for wavelengths, from that of the spectrum upwards.
@@ -915,7 +918,7 @@ def is_usgs(head: str) -> bool:
 
 
 def is_usgs_axis(head: str) -> bool:
-    # Return whether the first line of a text is that of USGS wavelengths or bandwidths.
+    # Return whether the first line of a text is that of USGS wavelengths, bandwidths or error bars.
     return _AXIS.match(head.partition("\n")[0]) is not None
 
 
@@ -938,22 +941,16 @@ def read_plain_table(
     source = path.name
     lines = _lines(path, "a table of wavelengths and reflectance")
     without_comments = ["" if line.lstrip().startswith("#") else line for line in lines]
-    text_lines = [at for at, line in enumerate(without_comments) if line.strip()]
-    for first, following in itertools.pairwise(text_lines[: _MAX_PREAMBLE + 1]):
-        rows = {dialect: row for dialect in _DIALECTS if (row := _cells(lines[first], dialect)) is not None}
-        # the dialect in which the next line has as many columns, else the first, with which the next line is
-        # reported later
-        fitting = (d for d, row in rows.items() if len(_cells(lines[following], d) or ()) == len(row))
-        if rows:
-            dialect = next(fitting, next(iter(rows)))
-            break
-    else:
+    found = first_row(without_comments, _MAX_PREAMBLE)
+    if found is None:
         raise FormatError(
             f"{source}: no table of numbers",
             expected="a wavelength and one or more values a line",
             code="table-missing",
         )
-    table = _table(without_comments, first, len(rows[dialect]), source, lambda line: _cells(line, dialect))
+    first, dialect = found
+    columns = len(row_numbers(lines[first], dialect) or ())
+    table = _table(without_comments, first, columns, source, lambda line: row_numbers(line, dialect))
     while table.shape[1] > 2 and np.isnan(table[:, -1]).all():  # every line ends with separators
         table = table[:, :-1]
     preamble = lines[:first]
@@ -973,10 +970,10 @@ def read_plain_table(
     text_of = {at: _unit_text(headings[at], text) if headings else text for at in range(table.shape[1])}
     # further wavelengths, of single spectra or in another unit, must be those of the first
     nanometres = (
-        wavelength if wavelength is not None else _in_nanometres(text_of[axis], table[:, axis], source)[0]
+        wavelength if wavelength is not None else in_nanometres(text_of[axis], table[:, axis], source)[0]
     )
     for at in np.flatnonzero((roles == _AXIS_COLUMN) & (np.arange(roles.size) != axis)).tolist():
-        further = _in_nanometres(text_of[at], table[:, at], source)[0]
+        further = in_nanometres(text_of[at], table[:, at], source)[0]
         FormatError.raise_if(
             further.shape == nanometres.shape and not np.allclose(further, nanometres, rtol=1e-3),
             f"{source}: column {headings[at].strip()!r} holds other wavelengths than the first",
@@ -990,7 +987,7 @@ def read_plain_table(
     )
     fwhm = None
     if widths.size:
-        fwhm, values = _in_nanometres(text_of[int(widths[0])], values[:, -1], source)[0], values[:, :-1]
+        fwhm, values = in_nanometres(text_of[int(widths[0])], values[:, -1], source)[0], values[:, :-1]
     headings = [headings[at] for at in [axis, *spectra]] if headings else []
     if not is_reflectance:
         _check_words(preamble, headings, source)
@@ -1096,14 +1093,6 @@ def _roles(
     ]
     notes = [f"numbers of rows left out: column {', '.join(left_out)}"] if left_out else []
     return axis, roles, notes
-
-
-def _cells(line: str, dialect: tuple[str, bool]) -> list[float] | None:
-    # Numbers of a line; None for other lines, and for an empty first cell
-    separator, has_commas = dialect
-    cells = line.strip(" ").split(separator or None)
-    texts = (cell.replace(",", ".") if has_commas else cell for cell in cells)
-    return numbers(texts) if len(cells) > 1 and cells[0].strip() else None
 
 
 def _headings(preamble: Sequence[str], separator: str, columns: int) -> list[str]:
@@ -1407,7 +1396,7 @@ def read_usgs(
             Problem(
                 f"{heading[:60]!r} is not a spectrum",
                 expected="reflectance",
-                mend="pass the file as wavelength= or fwhm=",
+                mend="pass wavelengths as wavelength=, bandwidths as fwhm=; error bars are not read",
                 code="quantity-wrong",
             ),
         ),
@@ -1425,6 +1414,12 @@ def read_usgs(
             code="wavelength-missing",
         )
     width = _axis(path, "bandpass", values.size, spectrometer, notes) if fwhm is None else fwhm
+    # channels that the spectrometer lacks have no wavelength
+    is_there = np.isfinite(nm) if nm.size == values.size else np.ones(values.size, bool)
+    if not is_there.all():
+        notes.append(f"{int((~is_there).sum())} channels without a wavelength are left out")
+        nm, values = nm[is_there], values[is_there]
+        width = None if width is None else width[is_there]
     columns = {"spectrometer": spectrometer, "measurement": measurement}
     if record:
         columns |= {"library": record[1], "record": record[2]}
@@ -1449,15 +1444,16 @@ def _column(path: Path) -> tuple[str, Floats]:
 
 
 def read_usgs_axis(path: Path) -> tuple[Floats, str]:
-    # Return the wavelengths or bandwidths of a USGS file [nm], and a note on their units.
+    # Return the wavelengths or bandwidths of a USGS file [nm], NaN for deleted channels, and a note on units.
     # Raises FormatError: The file is damaged, or has other content.
     title, values = _column(path)
+    values[values < _MAX_FILL_VALUE] = np.nan
     FormatError.raise_if(
-        not np.isfinite(values).all(),
-        f"{path.name}: not all of its {values.size} values are finite",
+        not np.isfinite(values).any(),
+        f"{path.name}: none of its {values.size} values are finite",
         code="not-finite",
     )
-    return _in_nanometres(title.replace("_", " "), values, path.name)
+    return in_nanometres(title.replace("_", " "), values, path.name)
 
 
 def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> Floats | None:
@@ -1551,7 +1547,7 @@ def other_quantity(text: str) -> str:
     return match[0] if match and "reflect" not in text.lower() else ""
 
 
-def _in_nanometres(text: str, wavelength: Floats, source: str) -> tuple[Floats, str]:
+def in_nanometres(text: str, wavelength: Floats, source: str) -> tuple[Floats, str]:
     # Return wavelengths [nm], and a note if their unit is inferred.
     # text: Description of the wavelengths in the file; may be empty. wavelength: Wavelengths in the file's
     # unit. Raises FormatError: The text names another unit, such as wavenumbers.
@@ -1584,7 +1580,7 @@ def _axis_and_values(
     axis, values = table[:, 0], table[:, 1:]
     if wavelength is not None:
         return wavelength, values, []
-    nanometres, note = _in_nanometres(text, axis, source)
+    nanometres, note = in_nanometres(text, axis, source)
     starts, values, repeats = _without_repeats(axis, values, source)
     return nanometres[starts], values, [*([note] if note else []), *repeats]
 

@@ -34,7 +34,7 @@ from hyperpaint.base.errors import FormatError, Problem, SchemaError, TimeError,
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import head_of, read_limited
 from hyperpaint.base.schema import VARIABLES, label
-from hyperpaint.io.files.reading import read_limited_text, refuse
+from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 
 from .record_faults import clipped_top
 from .spectrum_files import (
@@ -53,9 +53,10 @@ from .spectrum_files import (
     text_lines,
     warn_of,
 )
+from .spectrum_texts import SPECTRUM_SUFFIXES, SpectrumText, form_of, is_logger_csv, read_spectrum_text
 from .svc import dialect_of
 
-Kind = Literal["binary", "text", "scans", "csv", "unknown"]
+Kind = Literal["binary", "text", "scans", "instrument", "csv", "unknown"]
 
 _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 _AGAIN = "copy the file again from the instrument"
@@ -610,9 +611,9 @@ def find_files(paths: Paths) -> list[Path]:
 
     def of_folder(files: list[Path]) -> list[Path]:
         binaries = [path for path in files if path.suffix.lower() == ".asd" or path.suffix[1:].isdigit()]
-        return binaries or [path for path in files if path.suffix.lower() in _TEXT_SUFFIXES]
+        return binaries or [path for path in files if path.suffix.lower() in SPECTRUM_SUFFIXES]
 
-    return find_paths(paths, of_folder, ".asd files, text exports or a csv")
+    return find_paths(paths, of_folder, ".asd files, texts of spectrometers or a csv")
 
 
 def sniff(path: Path) -> Kind:
@@ -620,28 +621,37 @@ def sniff(path: Path) -> Kind:
     head = head_of(path, _HEAD_BYTES)
     if head[:3] in _VERSIONS and b"\0" in head[:_HEADER_BYTES]:
         return "binary"
-    if _export_at(text_lines(head)) is not None:
-        return "text"
+    lines = text_lines(head)
     if dialect_of(head) is not None:
         return "scans"
-    # a csv series of irradiance begins with the heading ``time`` below its comments
-    lines = head.decode("utf-8-sig", "replace").splitlines()
-    first = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    return "csv" if first.split(",")[0].strip().strip('"').lower() == "time" else "unknown"
+    if form_of("\n".join(lines)) is not None:
+        return "instrument"
+    if _export_at(lines) is not None:
+        return "text"
+    return "csv" if is_logger_csv(lines) else "unknown"
 
 
-def _read_file(path: Path) -> AsdFile | AsdText:
+def _read_file(path: Path) -> AsdFile | AsdText | SpectrumText:
     kind = sniff(path)
-    neither = "neither a binary .asd file nor a text export of ASD spectra"
-    is_file, exists = path.is_file(), os.path.lexists(path)
-    if kind not in ("binary", "text"):
+    if kind not in ("binary", "text", "instrument"):
+        is_file, exists = path.is_file(), os.path.lexists(path)
+        unknown = Problem(
+            "no file of a field spectrometer",
+            expected="a binary .asd file, a text of a spectrometer, or a csv 'time,350,351,...'",
+            mend="write such a csv, or pass an xarray object with the dims time and wavelength",
+            code="format-unknown",
+        )
         refuse(
             path.name,
-            (is_file, Problem(neither, code="format-unknown")),
+            (is_file, (foreign_format(path) if is_file else None) or unknown),
             (exists, Problem("a pipe, a device or a broken link", code="file-not-plain")),
             (True, Problem("no such file", code="file-not-found")),
         )
-    return read_asd(path) if kind == "binary" else read_asd_text(path)
+    return (
+        read_asd(path)
+        if kind == "binary"
+        else (read_asd_text if kind == "text" else read_spectrum_text)(path)
+    )
 
 
 # --- from counts to quantities -----------------------------------------------------------------------------
@@ -701,10 +711,12 @@ def read_spectra(
     absolute: bool = False,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
     is_declared: bool = True,
+    units: str | None = None,
 ) -> tuple[list[Spectrum], str]:
     # Read binary files and text exports into spectra of one quantity on one set of wavelengths.
     #
     # is_declared: Whether ``quantity`` is from the user, whose word counts more than that of the files.
+    # units: Of texts of other instruments than ASD that do not say.
     # Returns spectra : list of Spectrum: In the order of ``files``.
     # Returns quantity : str: Their quantity.
     # Raises FormatError: See `open_asd`.
@@ -729,6 +741,8 @@ def read_spectra(
         (
             _QUANTITY_OF_DATA_TYPE.get(content.data_type)
             if isinstance(content, AsdFile)
+            else content.quantity
+            if isinstance(content, SpectrumText)
             else content.likely_quantity,
             content.name,
         )
@@ -762,9 +776,23 @@ def read_spectra(
         code="option-conflict",
     )
 
-    def spectra_of(content: AsdFile | AsdText) -> list[Spectrum]:
+    def spectra_of(content: AsdFile | AsdText | SpectrumText) -> list[Spectrum]:
         if isinstance(content, AsdFile):
             return [_spectrum_of(content, target_quantity, external_files, absolute=absolute)]
+        if isinstance(content, SpectrumText):
+            column = content.column(target_quantity, units)
+            return [
+                Spectrum(
+                    content.name,
+                    content.wavelength,
+                    column.values / (100.0 if column.units == "%" else 1.0),
+                    content.local_time,
+                    content.utc_offset_h,
+                    averaging_s=content.averaging_s,
+                    gps=None if content.gps is None else AsdGps(*content.gps),
+                    instrument=content.instrument,
+                )
+            ]
         refuse(
             content.name,
             (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import math
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,7 +42,6 @@ from hyperpaint.io.files.reading import (
     load_netcdf,
     number,
     numbered_lines,
-    numbers,
     read_limited_text,
     refuse,
 )
@@ -51,6 +51,8 @@ from hyperpaint.io.store.reader import is_zarr
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .record_faults import FAULTS_ATTR, judge_record, warn_of_faults
 from .spectrum_files import Paths, check_utc_offset, for_all, listed
+from .spectrum_texts import NM_HEADING, TIME_HEADING, heading_cells
+from .svc import LocalStamp, orders_of, read_stamp
 
 Stamp = Literal["start", "mid", "end"]
 
@@ -76,6 +78,7 @@ _ASD_SPLICE_NM, _ASD_VNIR_END_NM = 1000.0, 1100.0
 _MAX_BYTES = 2**29
 #: Largest number of values in a file: three hours of an ASD instrument with one spectrum per second.
 _MAX_VALUES = 24_000_000
+_EPOCH = re.compile(r"(\d{9,10}|\d{12,13})(?:[.,]\d{1,9})?")  # seconds or milliseconds since 1970
 _YEARS = range(1970, 2200)  # datetime64[ns] overflows silently from 2262 on
 
 
@@ -91,11 +94,14 @@ class IrradianceTable(NamedTuple):
 
 
 def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
-    r"""Read an irradiance series from comma-separated values.
+    r"""Read an irradiance series from the csv of a logger.
 
     The file contains comments ``# units: W m-2 nm-1`` and ``# fwhm_nm: 3`` (both optional), a header of
-    ``time`` and the wavelengths in nanometres, and one row for each sample: an ISO 8601 stamp and the values.
-    Either all stamps have a zone (``2024-05-21T12:00:00.5Z``), or none has.
+    ``time`` (``timestamp``, ``date,time``, ``time (UTC)`` ...) and the wavelengths in nanometres (``350``,
+    ``350nm``), and one row for each sample: a stamp and the values, separated by commas, semicolons or tabs;
+    with semicolons and tabs also with decimal commas. A stamp is ISO 8601, seconds since 1970, or a date such
+    as ``06/13/2024 10:00:00 AM`` or ``13.06.2024 10:00:00``; dates with slashes need one in the file that is
+    valid in one order alone. Either all stamps have a zone (``2024-05-21T12:00:00.5Z``), or none has.
 
     Returns IrradianceTable: Values (sample, wavelength), and units and spectral width from the comments.
     Raises FormatError: The file cannot be read, or its header or a row deviates from this.
@@ -112,13 +118,13 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     path = Path(path)
     name = path.name
     data = read_limited_text(path, _MAX_BYTES, "an irradiance series (a longer one fits Zarr)")
-    comma_count = data.count(b",")
+    counts = {separator: data.count(separator.encode()) for separator in ",;\t"}
     refuse(
         str(path),
         (
-            comma_count > _MAX_VALUES,
+            max(counts.values()) > _MAX_VALUES,
             Problem(
-                f"{comma_count} values",
+                f"{max(counts.values())} values",
                 expected=f"at most {_MAX_VALUES}",
                 mend="split it into several files, or convert it to Zarr",
                 code="file-too-large",
@@ -129,22 +135,26 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     del data  # to free memory
     comments: dict[str, str] = {}
 
-    def cells_by_line() -> Iterator[tuple[int, list[str]]]:
+    def lines() -> Iterator[tuple[int, str]]:
         # the text is split row by row, to save memory
         for line_number, line in numbered_lines(text):
             if line.startswith("#"):
                 key, _, value = line[1:].partition(":")
                 comments[key.strip().lower()] = value.strip()
             elif line.strip():
-                yield line_number, [cell.strip().strip('"') for cell in line.strip().split(",")]
+                yield line_number, line.strip()
 
-    rows = cells_by_line()
-    _, header = next(rows, (0, [""]))
-    wavelength = np.array(numbers(header[1:]) or [], np.float64)
+    rows = lines()
+    separator, header = heading_cells(next(rows, (0, ""))[1])
+    # one column of times, or a date and a time
+    time_columns = 1 + sum(TIME_HEADING.fullmatch(cell) is not None for cell in header[1:2])
+    headings = [NM_HEADING.fullmatch(cell) for cell in header[time_columns:]]
+    is_readable = bool(headings) and None not in headings
+    wavelength = np.array([float(h[1].replace(",", ".")) for h in headings if h and is_readable], np.float64)
     refuse(
         name,
         (
-            header[0].lower() != "time",
+            not TIME_HEADING.fullmatch(header[0]),
             Problem(
                 "no header 'time,<wavelength>,...'",
                 expected="an irradiance series",
@@ -154,40 +164,44 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
         (
             not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)),
             Problem(
-                f"the header is 'time,{','.join(header[1:])[:60]}'",
+                f"the header is '{','.join(header)[:60]}'",
                 expected="'time' and increasing positive wavelengths [nm]",
                 code="header-unreadable",
             ),
         ),
     )
-    times, lines = [], []
-    values = np.empty((comma_count // len(wavelength) + 1, len(wavelength)))
-    for index, (line_number, cells) in enumerate(rows):
+    zone = dt.UTC if "utc" in " ".join(header[:time_columns]).lower() else None
+    times: list[dt.datetime | LocalStamp] = []
+    line_numbers = []
+    values = np.empty((counts[separator] // len(wavelength) + 1, len(wavelength)))
+    for index, (line_number, line) in enumerate(rows):
+        cells = [cell.strip().strip('"') for cell in line.split(separator)]
         try:
-            time = dt.datetime.fromisoformat(cells[0])
-            if time.year not in _YEARS:
-                raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
-            if len(cells) != len(wavelength) + 1:
-                raise ValueError(f"{len(cells) - 1} values")
-            values[index] = [float(cell) if cell else math.nan for cell in cells[1:]]
+            time = _time_of_cell(" ".join(cells[:time_columns]))
+            if len(cells) != len(wavelength) + time_columns:
+                raise ValueError(f"{len(cells) - time_columns} values")
+            if separator != ",":
+                cells = [cell.replace(",", ".") for cell in cells]
+            values[index] = [float(cell) if cell else math.nan for cell in cells[time_columns:]]
         except (ValueError, OverflowError) as error:
             raise FormatError(
                 f"{name}: line {line_number} is unreadable ({error})",
                 expected=f"an ISO 8601 time such as 2024-05-21T12:00:00Z and {len(wavelength)} numbers",
                 code="row-unreadable",
             ) from error
-        lines.append(line_number)
+        line_numbers.append(line_number)
         times.append(time)
+    stamps = _in_one_order(times, name, zone)
     width_text = comments.get("fwhm_nm")
     width = None if width_text is None else number(width_text)
     refuse(
         name,
         (
-            not times,
+            not stamps,
             Problem("no rows", expected=f"a time and {len(wavelength)} values in each", code="table-missing"),
         ),
         (
-            len({time.tzinfo is None for time in times}) > 1,
+            len({time.tzinfo is None for time in stamps}) > 1,
             Problem(
                 "some stamps have a zone and some have not",
                 mend="write a zone in all stamps, or in none",
@@ -203,8 +217,50 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             ),
         ),
     )
-    table = values[: len(times)]
-    return IrradianceTable(name, tuple(times), tuple(lines), wavelength, table, comments.get("units"), width)
+    table, lines_of = values[: len(stamps)], tuple(line_numbers)
+    return IrradianceTable(name, tuple(stamps), lines_of, wavelength, table, comments.get("units"), width)
+
+
+def _time_of_cell(text: str) -> dt.datetime | LocalStamp:
+    # Return the time of a cell; a date whose order another line may decide as it stands.
+    # Raises ValueError: The text is not a time, or lies outside `_YEARS`.
+    if match := _EPOCH.fullmatch(text):
+        seconds = float(match[0]) * (1e-3 if len(match[1]) > 11 else 1.0)
+        return dt.datetime.fromtimestamp(seconds, dt.UTC)
+    try:
+        time = dt.datetime.fromisoformat(text)
+    except ValueError:
+        if (stamp := read_stamp(text)) is None:
+            raise
+        return stamp
+    if time.year not in _YEARS:
+        raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
+    return time
+
+
+def _in_one_order(
+    times: Sequence[dt.datetime | LocalStamp], name: str, zone: dt.timezone | None
+) -> list[dt.datetime]:
+    # Return the times of a file, with the zone of its heading; dates with slashes have one order.
+    # Raises FormatError: The dates are valid with the day first and with the month first.
+    order = orders_of((name, time) for time in times if isinstance(time, LocalStamp)).get(name)
+    stamps = []
+    for time in times:
+        local = time
+        if isinstance(time, LocalStamp):
+            read = time.read(order if time.slashes else None)
+            if read is None:
+                both = sorted(f"{each:%Y-%m-%d}" for each in (time.day_first, time.month_first) if each)
+                raise FormatError(
+                    f"{name}: a date is {' or '.join(both)}",
+                    expected="an order of day and month that the file decides",
+                    mend="write ISO 8601, such as 2024-06-01T10:00:00Z",
+                    code="date-ambiguous",
+                )
+            local = read
+        assert isinstance(local, dt.datetime)
+        stamps.append(local.replace(tzinfo=zone) if local.tzinfo is None and zone else local)
+    return stamps
 
 
 # --- stores ------------------------------------------------------------------------------------------------
@@ -312,10 +368,11 @@ def open_irradiance(
     Parameters
     ----------
     paths
-        A file, a glob, a folder or a list of files: binary ``.asd`` files, text exports of ASD spectra, or
-        csv series (see `read_irradiance_csv`); or any Zarr (folder, zip file, URL or store object), a netCDF
-        file or an xarray object, with ``irradiance`` on a time and a wavelength dim (of a collect's store,
-        the group ``irradiance``); or a netCDF product of HYPERNETS, L1A to L1C.
+        A file, a glob, a folder or a list of files: binary ``.asd`` files, text exports of ASD spectra, texts
+        of other spectrometers (Spectral Evolution, Ocean Optics, Avantes, LI-180, StellarNet), or csv series
+        of loggers (``time, 350nm, ...``, see `read_irradiance_csv`); or any Zarr (folder, zip file, URL or
+        store object), a netCDF file or an xarray object, with ``irradiance`` on a time and a wavelength dim
+        (of a collect's store, the group ``irradiance``); or a netCDF product of HYPERNETS, L1A to L1C.
     quantity
         ``irradiance`` states what text exports do not state. Without it, it is guessed from their plot range,
         with a warning. Binary files become irradiance through their calibration.
@@ -329,7 +386,7 @@ def open_irradiance(
     fwhm_nm
         Full width at half maximum of the spectrometer [nm]: a number, or pairs of wavelength and width,
         linear between and constant beyond them. For ASD instruments 3 nm are assumed, and 10 nm beyond
-        1000 nm where there are more detectors than the first.
+        1000 nm where there are more detectors than the first; other files must state it.
     max_gap_s
         Longest interval [s] that may be interpolated; by default 2.5 times the median interval.
     units
@@ -549,7 +606,12 @@ def _from_files(
     is_declared = quantity is not None
     if quantity is None and "text" not in kinds:
         quantity = "irradiance"  # binary files yield it by their calibration, whatever quantity was displayed
-    spectra, file_quantity = read_spectra(files, quantity, calibration=calibration, is_declared=is_declared)
+    are_texts = "instrument" in kinds
+    if are_texts and units is not None and quantity is None:
+        quantity = "irradiance"  # units of light declare what a column without a heading is
+    spectra, file_quantity = read_spectra(
+        files, quantity, calibration=calibration, is_declared=is_declared, units=units
+    )
     FormatError.raise_if(
         file_quantity != "irradiance",
         f"the files seem to hold {file_quantity}: {listed([path.name for path in files])}",
@@ -557,6 +619,15 @@ def _from_files(
         mend="pass quantity='irradiance' if they hold it",
         code="quantity-wrong",
     )
+    others = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "instrument"]
+    FormatError.raise_if(
+        are_texts and others,
+        f"texts of other spectrometers and files of ASD in one series: {listed(others)}",
+        mend="open them separately",
+        code="formats-mixed",
+    )
+    if are_texts:  # read in SI units; their resolution is that of the slit, which no file states
+        return _from_spectra(spectra, utc_offset_h, default_units)
     wavelength = spectra[0].wavelength
     # the widths that are assumed for an ASD instrument, which may have more detectors than the first
     fwhm: Floats | float = ASD_FWHM_NM
@@ -762,7 +833,10 @@ def _dataset(
         (
             gap_s is None and len(times) < 2,
             Problem(
-                "a single irradiance sample has no interval", mend="pass max_gap_s=", code="argument-missing"
+                "a single irradiance sample has no interval",
+                mend="open the whole series: its files, a csv with a row for each time, or an xarray object; "
+                "or pass max_gap_s=",
+                code="argument-missing",
             ),
         ),
         error=TimeError,

@@ -4,19 +4,21 @@ import csv
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, PaintError, Problem, Problems
-from hyperpaint.io.files.reading import read_limited_text, refuse
+from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.io.store.reader import is_zarr
 
 from .asd import open_asd, sniff
 from .spectrum_files import find_paths
+from .spectrum_texts import SPECTRUM_SUFFIXES
 from .svc import is_named_as_scans, open_svc
 
 _GROUP = "references/"
@@ -52,7 +54,7 @@ def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
     def of_folder(files: list[Path]) -> list[Path]:
         # the spectrometer files of a folder; or else its text files
         spectra = [path for path in files if path.suffix.lower() == ".asd" or is_named_as_scans(path)]
-        return spectra or [path for path in files if path.suffix.lower() in (".txt", ".tsv", ".csv")]
+        return spectra or [path for path in files if path.suffix.lower() in SPECTRUM_SUFFIXES]
 
     if file_paths := [path for path in paths if not is_zarr(path)]:
         files = find_paths(file_paths, of_folder, ".sig or .asd files, text exports, or a library")
@@ -74,6 +76,7 @@ def _open_by_kind(files: Sequence[Path], quantity: str | None, *, is_reference: 
     problems = Problems("references cannot be opened", FormatError)
     files_by_opener: dict[Any, list[Any]] = {open_svc: [], open_asd: [], open_library: []}
     openers: dict[str, Any] = {"scans": open_svc, "binary": open_asd, "text": open_asd}
+    openers["instrument"] = open_library if quantity in (None, "reflectance") else open_asd
     for path in files:
         opener = openers.get("scans" if is_named_as_scans(path) else sniff(path))
         is_table = path.suffix.lower() == ".csv" or (is_reference and path.suffix.lower() != ".asd")
@@ -82,11 +85,13 @@ def _open_by_kind(files: Sequence[Path], quantity: str | None, *, is_reference: 
         if opener is not None:
             files_by_opener[opener].append(path)
         else:
-            problems.add(
-                f"{path}: not a file of a field spectrometer",
-                expected=".sig, .asd or a text export",
+            unknown = Problem(
+                "not a file of a field spectrometer",
+                expected=".sig, .asd or a text of a spectrometer",
                 code="format-unknown",
             )
+            problem = foreign_format(path) or unknown
+            problems.extend([replace(problem, found=f"{path}: {problem.found}")])
     datasets: list[xr.Dataset] = []
     for opener, paths in files_by_opener.items():
         # libraries are opened singly; so are references that cannot be opened together

@@ -16,7 +16,15 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems
 from hyperpaint.base.schema import VARIABLES
 from hyperpaint.base.units import conversion_factor, is_unit
-from hyperpaint.io.files.reading import number, numbers, read_limited_text, refuse
+from hyperpaint.io.files.reading import (
+    first_row,
+    foreign_format,
+    number,
+    numbers,
+    read_limited_text,
+    refuse,
+    row_numbers,
+)
 
 _MAX_BYTES = 16 << 20
 _MAX_SHOWN = 5
@@ -29,13 +37,14 @@ _WAVELENGTH_RANGE_NM = (100.0, 100_000.0)  # nm
 def read_spectrum_csv(
     path: str | Path, headings: int = 1
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    # Read a spectrum: lines of wavelength [nm] and value, separated by a comma, semicolon, tab or blanks.
+    # Read a spectrum: lines of wavelength [nm] and value, separated by a comma, semicolon, tab or blanks,
+    # with decimal points or commas; in ascending or descending order.
     #
     # Ignores empty lines, lines that begin with ``#``, and headings before the first numbers.
     #
     # headings: Number of lines at the top that may be headings.
-    # Returns wavelength, value : numpy.ndarray: float64, shape (wavelength,).
-    # Raises FormatError: A line is not two numbers, wavelengths do not increase or are not in nanometres, or
+    # Returns wavelength, value : numpy.ndarray: float64, shape (wavelength,), in ascending order.
+    # Raises FormatError: A line is not two numbers, wavelengths are not monotonic or not in nanometres, or
     #     there are fewer than two lines; the first problems are listed.
     wavelength, values, _ = _table(Path(path), headings)
     return wavelength, values
@@ -44,20 +53,24 @@ def read_spectrum_csv(
 def _table(
     path: Path, headings: int, *, has_units: bool = False
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], list[str]]:
-    # Return both columns, the wavelengths in nanometres, and the headings above them.
-    # has_units: Whether the headings, and the comments above the numbers, may contain units.
+    # Return wavelengths [nm] and values, and the headings of these two columns.
+    # has_units: Whether the headings, and the comments above the numbers, may contain units and name further
+    #     columns, of uncertainties.
     problems = Problems(f"{path} cannot be used as a spectrum", FormatError)
+    data = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns")
+    if (problem := foreign_format(path, is_binary=True)) is not None:
+        raise FormatError(f"{path}: {problem.found}", mend=problem.mend, code=problem.code)
+    lines = [line.strip().lstrip("\ufeff") for line in data.decode("utf-8", "replace").splitlines()]
+    _, dialect = first_row(["" if line.startswith("#") else line for line in lines]) or (0, (",", False))
     rows: list[list[float]] = []
     headings_above: list[str] = []
     comments: list[str] = []
-    text = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns").decode("utf-8", "replace")
-    for line_number, line in enumerate(text.splitlines(), 1):
-        content = line.strip().lstrip("\ufeff")
+    for line_number, content in enumerate(lines, 1):
         if not content or content.startswith("#"):
             comments += [content] if content and not rows else []
             continue
-        row = numbers(content.replace(",", " ").replace(";", " ").split())
-        if row is not None and len(row) == 2:
+        row = row_numbers(content, dialect)
+        if row is not None and len(row) == len(rows[0] if rows else row) and (has_units or len(row) == 2):
             rows.append(row)
         elif not rows and line_number <= headings:
             headings_above.append(content)
@@ -66,11 +79,14 @@ def _table(
             problems.add(found, expected=expected, code="row-unreadable")
             if len(problems) == _MAX_SHOWN:
                 problems.raise_if_any()
-    table = np.array(rows, dtype=np.float64).reshape(-1, 2)
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 2)
     if has_units:
+        column, headings_above = _value_column(headings_above, dialect[0], table.shape[1], path)
+        table = table[:, [0, column]]
         headings_above = [*comments, *headings_above]
-        table[:, 0] *= _factor(headings_above, 0, path)
-    wavelength, values = table.T.copy()
+        table[:, :1] *= _factor(headings_above, 0, path)
+    table = table.reshape(-1, 2)
+    wavelength, values = (table[::-1] if len(rows) > 1 and table[0, 0] > table[-1, 0] else table).T.copy()
     first, last = (wavelength[0], wavelength[-1]) if rows else (0.0, 0.0)
     checks = (
         (
@@ -80,7 +96,7 @@ def _table(
         (
             not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()),
             Problem(
-                "wavelengths do not increase from line to line, or a value is not finite",
+                "wavelengths rise and fall from line to line, or a value is not finite",
                 code="wavelength-unordered",
             ),
         ),
@@ -94,6 +110,28 @@ def _table(
     problems.extend([problem for is_wrong, problem in checks if is_wrong][:1])
     problems.raise_if_any()
     return wavelength, values, headings_above
+
+
+def _value_column(headings: Sequence[str], separator: str, columns: int, path: Path) -> tuple[int, list[str]]:
+    # Return the column of reflectance, the only one that is no uncertainty, and the headings of two columns.
+    if columns <= 2:
+        return 1, list(headings)
+    cells = [re.split(re.escape(separator) if separator else r" {2,}|\t", line) for line in headings]
+    cells = [line for line in cells if len(line) == columns]
+    values = [
+        column
+        for column in range(1, columns)
+        if cells and not any(_UNCERTAINTY_WORDS.search(line[column].lower()) for line in cells)
+    ]
+    FormatError.raise_if(
+        len(values) != 1,
+        f"{path}: {columns} columns, of which {len(values) or 'an unknown number'} may be reflectance",
+        expected="wavelength, reflectance, and uncertainties under headings that say so",
+        mend="remove the others, or write headings such as 'nm,reflectance,uncertainty'",
+        code="column-ambiguous",
+    )
+    mark = separator or "  "
+    return values[0], [f"{line[0].strip()}{mark}{line[values[0]].strip()}" for line in cells]
 
 
 # --- certificates of panels --------------------------------------------------------------------------------
@@ -117,7 +155,9 @@ _UNIT_AT_END = re.compile(
 )
 _PERCENT = re.compile(r"(?<!\d)(?<!\d )(?:%|\bper ?cent\b)", re.IGNORECASE)
 _WAVELENGTH = re.compile(r"(?:cent(?:er|re|ral) |band )?(?:wave ?lengths?|wvl?|wl|lambda|λ)?(?: in)?[ _/,:]*")
-_UNCERTAINTY_WORDS = re.compile(r"uncert|error|deviation|\bstd\b|\bsd\b")
+_UNCERTAINTY_WORDS = re.compile(
+    r"uncert|unsicher|error|deviation|\bstd|\bsd\b|\bunc\b|\bu ?[(_]|\bk ?= ?\d|\u00b1|sigma"
+)
 
 
 def _factor(headings: Sequence[str], column: int, path: Path) -> float:
@@ -213,8 +253,9 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     Parameters
     ----------
     path
-        Text of two columns, separated by a comma, semicolon, tab or blanks, below up to 40 lines of headings.
-        Units in headings and comments, ``Wavelength [um];R [%]``, are converted; other
+        Text of two columns, separated by a comma, semicolon, tab or blanks, below up to 40 lines of headings;
+        with decimal points or commas, wavelengths ascending or descending. Further columns need headings,
+        and are uncertainties. Units in headings and comments, ``Wavelength [um];R [%]``, are converted; other
         text in brackets, ``R (8/h)``, is a label.
 
     Returns
@@ -226,7 +267,7 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     ------
     FormatError
         The file is not such a table, a heading contains a unit of another dimension, or values are not
-        fractions; percent without a heading that says so is refused.
+        fractions; percent without a heading that says so is refused, and fractions under percent.
 
     Examples
     --------
@@ -238,7 +279,15 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     """
     path = Path(path)
     wavelength, values, headings = _table(path, _MAX_HEADING_LINES, has_units=True)
-    values = values * _factor(headings, 1, path)
+    factor = _factor(headings, 1, path)
+    FormatError.raise_if(
+        factor < 1.0 and values.max() <= _MAX_PANEL_REFLECTANCE,
+        f"{path}: values from {values.min():g} to {values.max():g} under a heading with %",
+        expected="percent, or fractions",
+        mend="write fractions, with [1] in place of %",
+        code="units-conflict",
+    )
+    values = values * factor
     FormatError.raise_if(
         not ((values > 0.0) & (values <= _MAX_PANEL_REFLECTANCE)).all(),
         f"{path}: values from {values.min():g} to {values.max():g}",
@@ -260,7 +309,6 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
 
 
 _MAX_ROWS = 100_000
-_FIRST_LINES = ("!FRM4SOC_CP", "!RADCAL")
 #: Number of columns of each table, and the coordinate with its column of wavelengths [nm].
 _TABLES = {
     "LAMPDATA": (4, "lamp_wavelength", 0),
@@ -298,12 +346,14 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     ----------
     path
         Text file that begins with ``!FRM4SOC_CP`` and ``!RADCAL``, with sections ``[LAMPDATA]``,
-        ``[PANELDATA]`` and ``[CALDATA]``, such as ``CP_SAT0385_RADCAL_20220606105303.TXT``.
+        ``[PANELDATA]`` (not of sensors of irradiance) and ``[CALDATA]``, such as
+        ``CP_SAT0385_RADCAL_20220606105303.TXT``.
 
     Returns
     -------
     xarray.Dataset
-        ``lamp_irradiance`` (lamp_wavelength) [W m-2 nm-1] at the lamp's distance; ``panel_reflectance``
+        ``lamp_irradiance`` (lamp_wavelength) [W m-2 nm-1] at the lamp's distance; with a panel,
+        ``panel_reflectance``
         (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under
         the lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of
         the instrument's class, NaN where missing, ``dark`` and two series of ``counts`` (series,
@@ -350,25 +400,14 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     (array([0.0006, 0.0013]), array([0.005, 0.005]))
     """
     path = Path(path)
-    text = read_limited_text(path, _MAX_BYTES, "a radiometric calibration").decode("utf-8", "replace")
-    lines = [line.strip() for line in text.splitlines()]
-    FormatError.raise_if(
-        tuple(lines[:2]) != _FIRST_LINES,
-        f"{path} begins with {' '.join(lines[:2])[:60]!r}",
-        expected=" and ".join(_FIRST_LINES),
-        code="format-unknown",
-    )
-    # numbered lines by section
     sections: dict[str, list[tuple[int, str]]] = {}
-    section: list[tuple[int, str]] = []
-    for line_number, line in enumerate(lines, 1):
-        if line.startswith("[") and line.endswith("]"):
-            section = sections.setdefault(line[1:-1].upper(), [])
-        elif line and not line.startswith(("#", "!")):
-            section.append((line_number, line))
+    for name, rows in _sections(path, "!RADCAL"):
+        sections.setdefault(name, []).extend(rows)
+    # sensors of irradiance are calibrated under the lamp, without a panel
+    tables_of = {name: row for name, row in _TABLES.items() if name != "PANELDATA" or name in sections}
     problems = Problems(f"{path} cannot be used as a radiometric calibration", FormatError)
     tables: dict[str, Floats] = {}
-    for name, (columns, _, nm_column) in _TABLES.items():
+    for name, (columns, _, nm_column) in tables_of.items():
         rows = sections.get(name, [])
         if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
             found, expected = f"[{name}] has {len(rows)} rows", f"at least two up to [END_OF_{name}]"
@@ -389,9 +428,11 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
         )
     problems.raise_if_any()
     data = xr.Dataset(
-        coords={dim: (dim, tables[name][:, nm], {"units": "nm"}) for name, (_, dim, nm) in _TABLES.items()}
+        coords={dim: (dim, tables[name][:, nm], {"units": "nm"}) for name, (_, dim, nm) in tables_of.items()}
     )
     for name, (table_name, column, factor, units) in _COLUMNS.items():
+        if table_name not in tables:
+            continue
         dim = _TABLES[table_name][1]
         values = tables[table_name][:, column].T * factor
         data[name] = (dim if values.ndim == 1 else ("series", dim), values, {"units": units} if units else {})
@@ -399,12 +440,133 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     has_coefficient = data["coefficient"] > 0
     for name in ("coefficient", "coefficient_u"):
         data[name] = data[name].where(has_coefficient)
-    lamp, panel = tables["LAMPDATA"], tables["PANELDATA"]
-    radiance = lamp[:, 2] * 1e-3 * np.interp(lamp[:, 0], panel[:, 0], panel[:, 2], np.nan, np.nan) / np.pi
-    data["panel_radiance"] = ("lamp_wavelength", radiance, {"units": "W m-2 sr-1 nm-1"})
+    if "PANELDATA" in tables:
+        lamp, panel = tables["LAMPDATA"], tables["PANELDATA"]
+        reflectance = np.interp(lamp[:, 0], panel[:, 0], panel[:, 2], np.nan, np.nan)
+        radiance = lamp[:, 2] * 1e-3 * reflectance / np.pi
+        data["panel_radiance"] = ("lamp_wavelength", radiance, {"units": "W m-2 sr-1 nm-1"})
     texts = {key: sections[name][0][1] for name, key in _TEXTS.items() if sections.get(name)}
     values_by_key = {
         key: number(sections[name][0][1]) for name, key in _NUMBERS.items() if sections.get(name)
     }
     known = {key: value for key, value in values_by_key.items() if value is not None}
     return data.assign_attrs(texts | known | {"source": path.name})
+
+
+def _sections(path: Path, kind: str) -> list[tuple[str, list[tuple[int, str]]]]:
+    # Return the sections of a file of FRM4SOC in their order: name, and numbered lines without comments.
+    # kind: Second line of the file. Raises FormatError: The file is of another kind.
+    text = read_limited_text(path, _MAX_BYTES, "a calibration of FRM4SOC").decode("utf-8", "replace")
+    lines = [line.strip() for line in text.splitlines()]
+    FormatError.raise_if(
+        lines[:2] != ["!FRM4SOC_CP", kind],
+        f"{path} begins with {' '.join(lines[:2])[:60]!r}",
+        expected=f"!FRM4SOC_CP and {kind}",
+        mend="read_radcal reads !RADCAL, read_angular_response reads !ANGDATA",
+        code="format-unknown",
+    )
+    sections: list[tuple[str, list[tuple[int, str]]]] = [("", [])]
+    for line_number, line in enumerate(lines, 1):
+        if line.startswith("[") and line.endswith("]"):
+            sections.append((line[1:-1].upper(), []))
+        elif line and not line.startswith(("#", "!")):
+            sections[-1][1].append((line_number, line))
+    return sections
+
+
+_ANGULAR = {"COSERROR": "cosine_error", "UNCERTAINTY": "cosine_error_u"}
+
+
+def read_angular_response(path: str | os.PathLike[str]) -> xr.Dataset:
+    r"""Read the angular response of an irradiance sensor from a file of FRM4SOC.
+
+    Parameters
+    ----------
+    path
+        Text file that begins with ``!FRM4SOC_CP`` and ``!ANGDATA``, with ``[AZIMUTH_ANGLE]``,
+        ``[COLUMN_NAMES]``, ``[COSERROR]`` and ``[UNCERTAINTY]`` of each azimuth.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``cosine_error`` (azimuth, wavelength, zenith) [1], float64: response over that of an ideal cosine
+        receptor, minus 1; and its standard uncertainty ``cosine_error_u``, half of the file's value for
+        k = 2. ``azimuth`` and ``zenith`` [degree], ``wavelength`` [nm]. Attributes: device, time, laboratory.
+
+    Raises
+    ------
+    FormatError
+        The file is of another kind, or its tables are damaged or differ in angles; all problems are listed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp(), "angular.txt")
+    >>> names = "[COLUMN_NAMES]\npx wl\\angle -60 0 60\n"
+    >>> table = "0 400 5 0 4\n1 410 6 0 4\n"
+    >>> error = f"{names}[COSERROR]\n{table}[END_OF_COSERROR]\n"
+    >>> u = f"{names}[UNCERTAINTY]\n{table}[END_OF_UNCERTAINTY]\n"
+    >>> _ = path.write_text(f"!FRM4SOC_CP\n!ANGDATA\n[AZIMUTH_ANGLE]\n0\n{error}{u}")
+    >>> float(read_angular_response(path)["cosine_error"].sel(azimuth=0, wavelength=410, zenith=-60))
+    0.06
+    """
+    path = Path(path)
+    problems = Problems(f"{path} cannot be used as an angular response", FormatError)
+    azimuths: list[float] = []
+    zenith: list[float] | None = None
+    axis: Floats | None = None
+    tables: dict[str, list[Floats]] = {name: [] for name in _ANGULAR.values()}
+    texts: dict[str, str] = {}
+    for name, rows in _sections(path, "!ANGDATA"):
+        if name in _TEXTS and rows:
+            texts[_TEXTS[name]] = rows[0][1]
+        elif name == "AZIMUTH_ANGLE" and rows and (angle := number(rows[0][1])) is not None:
+            azimuths.append(angle)
+        elif name == "COLUMN_NAMES" and rows:
+            angles = numbers(rows[0][1].split()[2:])
+            problems.add_if(
+                not angles or zenith not in (None, angles),
+                f"line {rows[0][0]}: {rows[0][1][:60]!r}",
+                expected="px, wl and the same angles in every table",
+                code="header-unreadable",
+            )
+            zenith = angles or zenith
+        elif name in _ANGULAR:
+            cells = [numbers(text.split()) for _, text in rows]
+            count = len(zenith or ()) + 2
+            wrong = next(
+                (n for (n, _), row in zip(rows, cells, strict=True) if len(row or ()) != count), None
+            )
+            if len(rows) < 2 or wrong is not None:
+                found = f"line {wrong}" if wrong is not None else f"[{name}] has {len(rows)} rows"
+                problems.add(found, expected=f"{count} numbers of [{name}]", code="row-unreadable")
+                continue
+            table = np.array(cells, np.float64)
+            axis = table[:, 1] if axis is None else axis
+            problems.add_if(
+                not np.isfinite(table).all()
+                or not np.array_equal(table[:, 1], axis)
+                or (np.diff(axis) <= 0).any(),
+                f"[{name}] has wavelengths that do not increase or differ, or values that are not finite",
+                code="wavelength-unordered",
+            )
+            tables[_ANGULAR[name]].append(table[:, 2:])
+    counts = {len(azimuths), *map(len, tables.values())}
+    problems.add_if(
+        not problems and (len(counts) > 1 or not azimuths),
+        f"{len(azimuths)} azimuths, {' and '.join(f'{len(t)} of {n}' for n, t in tables.items())}",
+        expected="[AZIMUTH_ANGLE], [COSERROR] and [UNCERTAINTY] of each",
+        code="table-missing",
+    )
+    problems.raise_if_any()
+    dims = ("azimuth", "wavelength", "zenith")
+    scales = {"cosine_error": 1e-2, "cosine_error_u": _STANDARD_PER_EXPANDED_PERCENT}
+    return xr.Dataset(
+        {name: (dims, np.stack(t) * scales[name], {"units": "1"}) for name, t in tables.items()},
+        coords={
+            "azimuth": ("azimuth", np.array(azimuths), {"units": "degree"}),
+            "wavelength": ("wavelength", axis, {"units": "nm"}),
+            "zenith": ("zenith", np.array(zenith), {"units": "degree"}),
+        },
+        attrs=texts | {"source": path.name},
+    )

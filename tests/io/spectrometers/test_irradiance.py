@@ -508,7 +508,7 @@ def test_pairs(tmp_path: Path, name: str, content: str, expected: dict[str, tupl
                 (b"400,98.1\n500,98.5\n", "divide percent by 100"),
                 (b"400,0.9\n", "table-missing"),
                 (b"0.4,0.9\n0.5,0.9\n", "expected nanometres"),
-                (b"500,0.9\n400,0.9\n", "wavelength-unordered"),
+                (b"500,0.9\n400,0.9\n450,0.9\n", "wavelength-unordered"),
                 (b"heading\n" * 41 + b"400,0.9\n500,0.9\n", "line 41"),
                 (b"400,0.9\noops\n500,0.9\n", "line 2"),
                 (b"400,nan\n500,0.9\n", "not finite"),
