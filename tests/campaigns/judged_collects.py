@@ -164,11 +164,12 @@ def judge_scales(seed: int, right: int, only: str) -> bool:
     judged = 0
     for kind, own, verdict in right_inputs(seed, right, only):
         judged += 1
-        if verdict.texts:
+        texts = [text for text in verdict.texts if not judged_inputs.is_true(kind, text)]
+        if texts:
             (refused if verdict.refused else warned)[kind] += 1
             print(
                 f"alarm: {kind}, seed {own}:",
-                *(text[:400] for text in verdict.texts),
+                *(text[:400] for text in texts),
                 sep="\n    ",
                 flush=True,
             )

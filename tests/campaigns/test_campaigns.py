@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support import judged_inputs
 from support.refusals import expect_error
 
-from campaigns import all_faults
+from campaigns import all_faults, judged_collects
 from campaigns.faults import (
     bomb_table,
     bombs,
@@ -29,6 +30,7 @@ from campaigns.faults import (
     times,
 )
 from campaigns.faults.outcome import Outcome
+from hyperpaint.simulation import simulate_collect
 
 pytestmark = pytest.mark.campaign
 
@@ -380,6 +382,69 @@ def test_a_wrong_reflectance_without_a_word_is_found(monkeypatch: pytest.MonkeyP
     (made,) = times.run_part(False, range(1))
     assert len(made.wrong) == 1
     assert "wrong by 100" in made.wrong[0]
+
+
+# --- wrong scales ------------------------------------------------------------------------------------------
+
+#: Faults that need no collect of their own, each at its first strength.
+QUICK_FAULTS = (
+    "record behind a filter",
+    "one scan shaded",
+    "one scan without light",
+    "zero channels",
+    "clipped channels",
+    "filled channels",
+    "gain x 1000",
+    "gain per ms",
+    "exposure",
+    "order of the gain",
+    "swath blocked",
+    "dark with scene light",
+    "counts left-justified",
+    "step in the record",
+)
+QUICK_RIGHT = (
+    "snow",
+    "water",
+    "dark",
+    "short",
+    "narrow",
+    "camera of 16 bits",
+    "bright roofs",
+    "shadow along the track",
+    "road along the track",
+    "record of three digits",
+    "panel",
+    "white reference",
+)
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("small") / "c"
+    simulate_collect(
+        folder,
+        scene="plan",
+        seed=17,
+        lines=96,
+        bands=48,
+        columns=32,
+        irradiance_noise=0.002,
+        irradiance_margin_s=30.0,
+    )
+    return folder
+
+
+@pytest.mark.parametrize("fault", QUICK_FAULTS)
+def test_a_wrong_scale_is_named_by_its_check(fault: str, small: Path, tmp_path: Path) -> None:
+    path = judged_inputs.wrong_scale(tmp_path / "c", fault, 0, 17, small)
+    said = judged_collects.Verdict(judged_collects.said_of(path)).said(judged_inputs.FAULTS[fault].words)
+    assert said in ("named", "refused")
+
+
+@pytest.mark.parametrize("kind", QUICK_RIGHT)
+def test_right_ones_that_resemble_them_pass(kind: str, tmp_path: Path) -> None:
+    assert judged_collects.said_of(judged_inputs.right_input(tmp_path / "c", kind, 17)) == []
 
 
 # --- the table ---------------------------------------------------------------------------------------------

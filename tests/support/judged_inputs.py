@@ -448,6 +448,22 @@ RIGHT: dict[str, tuple[Recipe, Change | None]] = {
 }  # fmt: skip
 
 
+#: Flags of most pixels that are true of a right collect, so that telling them is no alarm.
+TRUE_FLAGS = {
+    "cloud": {"illumination_unstable", "timing_sensitive"},
+    "edge of a cloud in the line": {"illumination_unstable", "timing_sensitive"},
+    "low sun": {"low_sun"},
+    "sun at 75 degrees": {"low_sun"},
+    "optics": {"bad_detector"},
+}
+
+
+def is_true(kind: str, text: str) -> bool:
+    # Tell whether a text only names flags that a right collect of a kind has
+    flags = set(re.findall(r"[0-9]+ % ([a-z_]+)", text))
+    return "[pixels-flagged]" in text and flags <= TRUE_FLAGS.get(kind, set())
+
+
 def right_input(folder: Path, kind: str, seed: int) -> Path:
     # Simulate a small right collect of a kind
     recipe, change = RIGHT[kind]
