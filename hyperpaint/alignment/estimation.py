@@ -126,7 +126,31 @@ def fit_columns(
     used = used & has_bands
     log = np.where(used, np.log(np.where(used, radiance, 1.0)), 0.0)
     ratio = _Ratio(table, log, shift[inside], used, *smooth_basis(table.wavelength, used, degree))
-    best, factor, tilt, last_step = _search(ratio, max_shift)
+    # Shift [nm] and factor (column,), tilt (band, column), and the last step of shift and factor
+    # (column, 2), which is 0 where the search converged.
+    tilt: Floats = np.zeros(ratio.log.shape)
+    # the best of a grid of shifts and widths: absorption bands cause several minima
+    columns = tilt.shape[1]
+    lowest_cost = np.full(columns, np.inf)
+    best, factor = np.zeros(columns), np.ones(columns)
+    for trial_shift in np.linspace(-max_shift, max_shift, 2 * int(np.ceil(max_shift / 0.4)) + 1):
+        for trial_factor in FACTORS[::2]:
+            departure = ratio.departure(tilt, np.full(columns, trial_shift), np.full(columns, trial_factor))
+            cost = (departure**2).sum(axis=0)
+            is_better = cost < lowest_cost
+            lowest_cost = np.where(is_better, cost, lowest_cost)
+            best = np.where(is_better, trial_shift, best)
+            factor = np.where(is_better, trial_factor, factor)
+    # Gauss-Newton, slightly damped: steps stay finite where the light has no structure
+    last_step = np.zeros((best.size, 2))
+    for _ in range(_ITERATIONS):
+        tilt = ratio.tilt(tilt, best, factor)
+        departure = ratio.departure(tilt, best, factor)
+        matrix, vector = ratio.normal_equations(tilt, best, factor, departure)
+        matrix = matrix + (1e-12 + 1e-9 * np.trace(matrix, axis1=1, axis2=2))[:, None, None] * np.eye(2)
+        last_step = np.clip(np.linalg.solve(matrix, vector[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
+        best = np.clip(best + last_step[:, 0], -max_shift, max_shift)
+        factor = np.clip(factor + last_step[:, 1], FACTORS[0], FACTORS[-1])
     at_limit = (np.abs(best) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
     at_limit |= (np.abs(last_step) > 1e-3).any(axis=1)
     departure = ratio.departure(tilt, best, factor)
@@ -167,35 +191,6 @@ def fit_columns(
         np.where(used, np.expm1(values), np.nan) for values in (departure, departure_declared)
     )
     return estimate, best_relative, declared_relative
-
-
-def _search(ratio: _Ratio, max_shift: float) -> tuple[Floats, Floats, Floats, Floats]:
-    # Return shift [nm] and factor (column,), tilt (band, column), and the last step of shift and factor
-    # (column, 2), which is 0 where the search converged.
-    tilt: Floats = np.zeros(ratio.log.shape)
-    # the best of a grid of shifts and widths: absorption bands cause several minima
-    columns = tilt.shape[1]
-    lowest_cost = np.full(columns, np.inf)
-    shift, factor = np.zeros(columns), np.ones(columns)
-    for trial_shift in np.linspace(-max_shift, max_shift, 2 * int(np.ceil(max_shift / 0.4)) + 1):
-        for trial_factor in FACTORS[::2]:
-            departure = ratio.departure(tilt, np.full(columns, trial_shift), np.full(columns, trial_factor))
-            cost = (departure**2).sum(axis=0)
-            is_better = cost < lowest_cost
-            lowest_cost = np.where(is_better, cost, lowest_cost)
-            shift = np.where(is_better, trial_shift, shift)
-            factor = np.where(is_better, trial_factor, factor)
-    # Gauss-Newton, slightly damped: steps stay finite where the light has no structure
-    step = np.zeros((shift.size, 2))
-    for _ in range(_ITERATIONS):
-        tilt = ratio.tilt(tilt, shift, factor)
-        departure = ratio.departure(tilt, shift, factor)
-        matrix, vector = ratio.normal_equations(tilt, shift, factor, departure)
-        matrix = matrix + (1e-12 + 1e-9 * np.trace(matrix, axis1=1, axis2=2))[:, None, None] * np.eye(2)
-        step = np.clip(np.linalg.solve(matrix, vector[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
-        shift = np.clip(shift + step[:, 0], -max_shift, max_shift)
-        factor = np.clip(factor + step[:, 1], FACTORS[0], FACTORS[-1])
-    return shift, factor, tilt, step
 
 
 Window = tuple[float, float]
@@ -255,23 +250,6 @@ def checked_windows(window: Any) -> list[Window]:
         problems.add_if(low < high, f"windows overlap from {low:g} to {high:g} nm", code="windows-overlap")
     problems.raise_if_any()
     return pairs
-
-
-def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Array]:
-    # Return which bands are good and inside each window (band,); SchemaError for too few.
-    inside_windows = [_is_inside(declared, low, high) for low, high in windows]
-    fewest = fewest_bands(degree)
-    problems = Problems("the line cannot be aligned", SchemaError)
-    for (low, high), is_inside in zip(windows, inside_windows, strict=True):
-        problems.add_if(
-            is_inside.sum() < fewest,
-            f"{low:g} to {high:g} nm holds {is_inside.sum()} good bands",
-            expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
-            mend="widen the window or lower degree=",
-            code="bands-too-few",
-        )
-    problems.raise_if_any()
-    return inside_windows
 
 
 def stacked(estimates: list[Estimate], name: str) -> Array:
@@ -454,14 +432,47 @@ def align_to_irradiance(
     problems.raise_if_any()
     declared = Declared.by(dataset)
     windows = default_windows(declared, degree) if window is None else checked_windows(window)
-    inside_windows = bands_of(windows, declared, degree)
+    # Which bands are good and inside each window (band,); SchemaError for too few.
+    inside_windows = [_is_inside(declared, low, high) for low, high in windows]
+    fewest = fewest_bands(degree)
+    problems = Problems("the line cannot be aligned", SchemaError)
+    for (low, high), is_inside in zip(windows, inside_windows, strict=True):
+        problems.add_if(
+            is_inside.sum() < fewest,
+            f"{low:g} to {high:g} nm holds {is_inside.sum()} good bands",
+            expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
+            mend="widen the window or lower degree=",
+            code="bands-too-few",
+        )
+    problems.raise_if_any()
     light, level = mean_light(declared, windows, lines)
     used_bands = np.flatnonzero(np.logical_or.reduce(inside_windows))
     selected = dataset if lines is None else dataset.isel({ALONG_TRACK: lines})
     mean, pixels = mean_over_lines(radiance_of_bands(selected, used_bands), level, progress)
     spectrum = np.full((declared.wavelength.size, mean.shape[1]), np.nan)
     spectrum[used_bands] = mean
-    spectrum, pixels, shift, column = _grouped(spectrum, pixels, declared.shift(mean.shape[1]), group)
+    shift = declared.shift(mean.shape[1])
+    # Spectra, pixels, shifts and column numbers of groups of neighbouring columns.
+    columns = np.arange(pixels.size, dtype=np.float64)
+    if group == 1:
+        spectrum, pixels, shift, column = spectrum, pixels, shift, columns
+    else:
+        starts = np.arange(0, pixels.size, group)
+        # leave out columns with a bad element in all bands: otherwise the group's mean would show
+        # another surface in the band of that element
+        has_band = np.isfinite(spectrum).any(axis=1, keepdims=True)
+        weight = np.where(np.isfinite(spectrum).all(axis=0, where=has_band), pixels, 0)
+        total = np.add.reduceat(weight, starts)
+        size = np.diff(np.append(starts, pixels.size))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = weight / np.repeat(total, size)
+        mean = np.add.reduceat(np.where(share > 0, spectrum, 0.0) * share, starts, axis=1)
+        spectrum, pixels, shift, column = (
+            np.where(has_band & (total > 0), mean, np.nan),
+            total,
+            np.add.reduceat(shift, starts, axis=1) / size,
+            np.add.reduceat(columns, starts) / size,
+        )
     estimates, departures = [], []
     for is_inside in inside_windows:
         limits = (float(shift[is_inside].min()) - max_shift, float(shift[is_inside].max()) + max_shift)
@@ -482,31 +493,6 @@ def align_to_irradiance(
         degree=degree,
         lines=len(level),
         srf_shape=declared.imager.shape,
-    )
-
-
-def _grouped(
-    spectrum: Floats, pixels: Ints, shift: Floats, group: int
-) -> tuple[Floats, Ints, Floats, Floats]:
-    # Return spectra, pixels, shifts and column numbers of groups of neighbouring columns.
-    columns = np.arange(pixels.size, dtype=np.float64)
-    if group == 1:
-        return spectrum, pixels, shift, columns
-    starts = np.arange(0, pixels.size, group)
-    # leave out columns with a bad element in all bands: otherwise the group's mean would show another surface
-    # in the band of that element
-    has_band = np.isfinite(spectrum).any(axis=1, keepdims=True)
-    weight = np.where(np.isfinite(spectrum).all(axis=0, where=has_band), pixels, 0)
-    total = np.add.reduceat(weight, starts)
-    size = np.diff(np.append(starts, pixels.size))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = weight / np.repeat(total, size)
-    mean = np.add.reduceat(np.where(share > 0, spectrum, 0.0) * share, starts, axis=1)
-    return (
-        np.where(has_band & (total > 0), mean, np.nan),
-        total,
-        np.add.reduceat(shift, starts, axis=1) / size,
-        np.add.reduceat(columns, starts) / size,
     )
 
 

@@ -156,7 +156,17 @@ def element_differences(
             ]
             for centre_shift in (-_CENTRE_STEP_BANDS, 0.0, _CENTRE_STEP_BANDS)
         )
-        model, residual, freedom = _residuals_of_fit(window.values[is_usable], unit, unit_after - unit_before)
+        values = window.values[is_usable]
+        slope = unit_after - unit_before
+        # Lamp lines of fitted height, residuals after a small shift, and the freedom of each sample.
+        # For independent scatter of variances d, the expected sum of squared residuals is sum(d x freedom).
+        first = unit / np.sqrt((unit**2).sum(axis=1, keepdims=True))
+        second = slope - (slope * first).sum(axis=1, keepdims=True) * first
+        second /= np.sqrt(np.maximum((second**2).sum(axis=1, keepdims=True), 1e-300))
+        model = np.maximum((values * first).sum(axis=1, keepdims=True), 1e-300) * first
+        residual = values - model
+        residual -= (residual * second).sum(axis=1, keepdims=True) * second
+        model, residual, freedom = model, residual, 1.0 - first**2 - second**2
         excess = residual**2 - sweep_data.noise.variance(model, float(lab.frames[step])) * freedom
         # samples that are not bright contain scattered light
         is_bright = model > _MIN_BRIGHT_SHARE * model.max(axis=1, keepdims=True)
@@ -174,18 +184,6 @@ def element_differences(
     weight = np.sqrt(tally[0][is_used]) / np.maximum(np.abs(excess), 1e-12)
     slope, relative = nnls(np.column_stack([signal, square]) * weight[:, None], excess * weight)[0]
     return float(np.sqrt(relative)), float(slope)
-
-
-def _residuals_of_fit(values: Floats, unit: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
-    # Return lamp lines of fitted height, residuals after a small shift, and the freedom of each sample.
-    # For independent scatter of variances d, the expected sum of squared residuals is sum(d x freedom).
-    first = unit / np.sqrt((unit**2).sum(axis=1, keepdims=True))
-    second = slope - (slope * first).sum(axis=1, keepdims=True) * first
-    second /= np.sqrt(np.maximum((second**2).sum(axis=1, keepdims=True), 1e-300))
-    model = np.maximum((values * first).sum(axis=1, keepdims=True), 1e-300) * first
-    residual = values - model
-    residual -= (residual * second).sum(axis=1, keepdims=True) * second
-    return model, residual, 1.0 - first**2 - second**2
 
 
 #: Largest distance of a lamp line from the wavelength map [nm].

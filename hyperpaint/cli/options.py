@@ -82,7 +82,16 @@ def parameters_of(qualified_name: str) -> dict[str, Parameter]:
     )
     entries = re.findall(r"^(\S[^\n]*)\n((?:[ ]+[^\n]*\n?|\n)+)", section[1] if section else "", re.M)
     described = {name: _help(text) for names, text in entries for name in re.split(r",\s*", names)}
-    shared = _shared_descriptions(node)
+    function = node
+    # The descriptions that `hyperpaint.base.facts.documented` adds to a function's parameters.
+    calls = (node for node in function.decorator_list if isinstance(node, ast.Call))
+    decorator = next((call for call in calls if ast.unparse(call.func) == "documented"), None)
+    if decorator is None:
+        shared = {}
+    else:
+        table: dict[str, str] = _value(ast.Name("PARAMETERS"), "base.facts")
+        texts = {word.arg: ast.literal_eval(word.value) for word in decorator.keywords if word.arg}
+        shared = table | {name: table.get(text, text) for name, text in texts.items()}
     parameters: dict[str, Parameter] = {}
     if isinstance(node, ast.ClassDef):
         for base in node.bases:
@@ -190,17 +199,6 @@ def _help(text: str) -> str:
     summary, *sentences = re.split(r"(?<=[.])\s", words)
     default = next((sentence for sentence in sentences if sentence.startswith("By default")), "")
     return f"{summary} {default}".strip()
-
-
-def _shared_descriptions(function: ast.FunctionDef | ast.ClassDef) -> dict[str, str]:
-    # Return the descriptions that `hyperpaint.base.facts.documented` adds to a function's parameters.
-    calls = (node for node in function.decorator_list if isinstance(node, ast.Call))
-    decorator = next((call for call in calls if ast.unparse(call.func) == "documented"), None)
-    if decorator is None:
-        return {}
-    table: dict[str, str] = _value(ast.Name("PARAMETERS"), "base.facts")
-    texts = {word.arg: ast.literal_eval(word.value) for word in decorator.keywords if word.arg}
-    return table | {name: table.get(text, text) for name, text in texts.items()}
 
 
 #: Options that are created when their command is called, because they need the source of a function.

@@ -229,9 +229,45 @@ def solve_boresight(
         control_points = xr.concat(
             [control_points.isel(side=side) for side in range(2)], "point", data_vars="all"
         )
-    names = _checked_names(
-        (PARAMETERS[:3] if pairs else PARAMETERS) if solve is None else solve, control_points
-    )
+    # Names to solve for, once arguments and points are valid
+    solve = (PARAMETERS[:3] if pairs else PARAMETERS) if solve is None else solve
+    names = [name for name in PARAMETERS if name in solve]
+    missing = [
+        name
+        for name in _FIELDS
+        if name not in control_points.variables or control_points[name].dims != ("point",)
+    ]
+    is_finite = bool(missing) or all(np.isfinite(control_points[name].values).all() for name in _FIELDS)
+    # faults of the arguments come before faults of the numbers
+    tables = (
+        (
+            (
+                isinstance(solve, str) or not names or bool(set(solve) - set(PARAMETERS)),
+                f"solve {solve!r:.80}", f"some of {', '.join(PARAMETERS)}", "", "choice-unknown",
+            ),
+            (
+                bool(missing),
+                f"control points have no {', '.join(missing)} (point)", "",
+                "see hyperpaint.io.read_control_points", "variable-missing",
+            ),
+        ),
+        (
+            (
+                not is_finite,
+                "control points have numbers that are not finite", "", "leave these points out", "not-finite",
+            ),
+            (
+                2 * control_points.sizes.get("point", 0) <= len(names),
+                f"{control_points.sizes.get('point', 0)} points",
+                f"more than {len(names) / 2:g} for {', '.join(names)}", "", "control-points-few",
+            ),
+        ),
+    )  # fmt: skip
+    problems = Problems("a boresight cannot be solved for", SchemaError)
+    for table in tables:
+        for is_wrong, found, expected, mend, code in table:
+            problems.add_if(is_wrong, found, expected=expected, mend=mend, code=code)
+        problems.raise_if_any()
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
     forward, right, down = map(float, lever_arm)
     sights = _sightings(
@@ -290,43 +326,6 @@ def solve_boresight(
     return BoresightSolution(
         (roll, pitch, heading), height, clock, covariance, residuals, float(np.sqrt(variance)), condition
     )
-
-
-def _checked_names(solve: Sequence[str], points: xr.Dataset) -> list[str]:
-    names = [name for name in PARAMETERS if name in solve]
-    missing = [name for name in _FIELDS if name not in points.variables or points[name].dims != ("point",)]
-    is_finite = bool(missing) or all(np.isfinite(points[name].values).all() for name in _FIELDS)
-    # faults of the arguments come before faults of the numbers
-    tables = (
-        (
-            (
-                isinstance(solve, str) or not names or bool(set(solve) - set(PARAMETERS)),
-                f"solve {solve!r:.80}", f"some of {', '.join(PARAMETERS)}", "", "choice-unknown",
-            ),
-            (
-                bool(missing),
-                f"control points have no {', '.join(missing)} (point)", "",
-                "see hyperpaint.io.read_control_points", "variable-missing",
-            ),
-        ),
-        (
-            (
-                not is_finite,
-                "control points have numbers that are not finite", "", "leave these points out", "not-finite",
-            ),
-            (
-                2 * points.sizes.get("point", 0) <= len(names),
-                f"{points.sizes.get('point', 0)} points",
-                f"more than {len(names) / 2:g} for {', '.join(names)}", "", "control-points-few",
-            ),
-        ),
-    )  # fmt: skip
-    problems = Problems("a boresight cannot be solved for", SchemaError)
-    for table in tables:
-        for is_wrong, found, expected, mend, code in table:
-            problems.add_if(is_wrong, found, expected=expected, mend=mend, code=code)
-        problems.raise_if_any()
-    return names
 
 
 # --- points of one line ------------------------------------------------------------------------------------

@@ -1015,57 +1015,58 @@ def _fit_clock(setting: Setting, hypothesis: Hypothesis, compared: Bools, start:
         )
         per_offset = np.subtract(*shifts) / (2.0 * RULES.time_step_s)
         tilted = view.motion(poses, boresight=(roll, pitch + RULES.turn_step_deg, heading))
-        step, sd, last = _fit_step(
-            setting.observed.shift - expected.shift,
-            (per_offset, tilted.shift - expected.shift),
-            expected.travel,
-            compared,
+        values = setting.observed.shift - expected.shift
+        parts = (per_offset, tilted.shift - expected.shift)
+        # The size of the first part, its uncertainty, and the cost without it.
+        is_valid = (
+            compared & np.isfinite(values) & np.isfinite(parts).all(axis=0) & np.isfinite(expected.travel)
         )
+        is_valid &= np.abs(values) < RULES.outlier_sd * _robust_scale(values[is_valid])
+        # smoothing: noise of attitude has opposite signs in neighbouring lines, motion has not
+        smooth = np.stack(
+            [_running_mean(np.where(is_valid, part, 0.0)) for part in (*parts, values)], axis=-1
+        )
+        scale = _robust_scale(smooth[..., -1][is_valid])
+        count = max(values.shape[0] // RULES.block_lines, RULES.min_blocks)
+        blocks = np.array_split(np.arange(values.shape[0]), count)
+        smooth_travel = _running_mean(np.where(is_valid, expected.travel, 0.0))[..., None]
+        for b in blocks:
+            # zone by zone, without the part proportional to travel
+            squares = np.maximum((smooth_travel[b] ** 2).sum(axis=0), 1e-12)
+            smooth[b] -= (smooth[b] * smooth_travel[b]).sum(axis=0) / squares * smooth_travel[b]
+        design, target = np.ascontiguousarray(smooth[..., :-1]), np.ascontiguousarray(smooth[..., -1])
+        matrices_of_blocks = (
+            np.stack([np.einsum("nzi,nzj->ij", design[b], design[b]) for b in blocks]) / scale**2
+        )
+        vectors_of_blocks = (
+            np.stack([np.einsum("nzi,nz->i", design[b], target[b]) for b in blocks]) / scale**2
+        )
+        matrix = matrices_of_blocks.sum(0) + np.diag([1.0, (RULES.turn_step_deg / RULES.max_tilt_deg) ** 2])
+        vector = vectors_of_blocks.sum(0)
+        sizes = np.linalg.solve(matrix, vector)
+        # leave out blocks, and pairs of neighbouring blocks, in turn
+        sd = 0.0
+        for group in (1, 2):
+            starts = np.arange(0, len(blocks), group)
+            parts_left_out = (
+                np.add.reduceat(a, starts, axis=0) for a in (matrices_of_blocks, vectors_of_blocks)
+            )
+            estimates = np.array(
+                [np.linalg.solve(matrix - a, vector - b)[0] for a, b in zip(*parts_left_out, strict=True)]
+            )
+            share = (starts.size - 1) / starts.size
+            sd = max(sd, float(np.sqrt(share * ((estimates - estimates.mean()) ** 2).sum())))
+        rms_shift = float(np.sqrt((design[..., 0][is_valid] ** 2).mean()))
+        sd = float(np.hypot(sd, RULES.unexplained_px / max(rms_shift, 1e-12)))
+        residual = target - design[..., 1:] @ sizes[1:]
+        factor = _correlation_factor(np.where(is_valid, target - design @ sizes, np.nan))
+        cost = 0.5 * float(np.minimum((residual[is_valid] / scale) ** 2, RULES.clip_sd**2).sum()) / factor
+        step, sd, last = float(sizes[0]), sd, cost
         first = last if iteration == 0 else first
         offset += float(np.clip(step, -RULES.max_step_s, RULES.max_step_s))
         if abs(step) < RULES.converged_sd * sd:
             return Refined(offset, sd, first - last)
     return Refined(offset, float("inf"), first - last)
-
-
-def _fit_step(
-    values: Floats, parts: tuple[Floats, ...], travel: Floats, compared: Bools
-) -> tuple[float, float, float]:
-    # Return the size of the first part, its uncertainty, and the cost without it.
-    is_valid = compared & np.isfinite(values) & np.isfinite(parts).all(axis=0) & np.isfinite(travel)
-    is_valid &= np.abs(values) < RULES.outlier_sd * _robust_scale(values[is_valid])
-    # smoothing: noise of attitude has opposite signs in neighbouring lines, motion has not
-    smooth = np.stack([_running_mean(np.where(is_valid, part, 0.0)) for part in (*parts, values)], axis=-1)
-    scale = _robust_scale(smooth[..., -1][is_valid])
-    count = max(values.shape[0] // RULES.block_lines, RULES.min_blocks)
-    blocks = np.array_split(np.arange(values.shape[0]), count)
-    smooth_travel = _running_mean(np.where(is_valid, travel, 0.0))[..., None]
-    for b in blocks:
-        # zone by zone, without the part proportional to travel
-        squares = np.maximum((smooth_travel[b] ** 2).sum(axis=0), 1e-12)
-        smooth[b] -= (smooth[b] * smooth_travel[b]).sum(axis=0) / squares * smooth_travel[b]
-    design, target = np.ascontiguousarray(smooth[..., :-1]), np.ascontiguousarray(smooth[..., -1])
-    matrices_of_blocks = np.stack([np.einsum("nzi,nzj->ij", design[b], design[b]) for b in blocks]) / scale**2
-    vectors_of_blocks = np.stack([np.einsum("nzi,nz->i", design[b], target[b]) for b in blocks]) / scale**2
-    matrix = matrices_of_blocks.sum(0) + np.diag([1.0, (RULES.turn_step_deg / RULES.max_tilt_deg) ** 2])
-    vector = vectors_of_blocks.sum(0)
-    sizes = np.linalg.solve(matrix, vector)
-    # leave out blocks, and pairs of neighbouring blocks, in turn
-    sd = 0.0
-    for group in (1, 2):
-        starts = np.arange(0, len(blocks), group)
-        parts_left_out = (np.add.reduceat(a, starts, axis=0) for a in (matrices_of_blocks, vectors_of_blocks))
-        estimates = np.array(
-            [np.linalg.solve(matrix - a, vector - b)[0] for a, b in zip(*parts_left_out, strict=True)]
-        )
-        share = (starts.size - 1) / starts.size
-        sd = max(sd, float(np.sqrt(share * ((estimates - estimates.mean()) ** 2).sum())))
-    rms_shift = float(np.sqrt((design[..., 0][is_valid] ** 2).mean()))
-    sd = float(np.hypot(sd, RULES.unexplained_px / max(rms_shift, 1e-12)))
-    residual = target - design[..., 1:] @ sizes[1:]
-    factor = _correlation_factor(np.where(is_valid, target - design @ sizes, np.nan))
-    cost = 0.5 * float(np.minimum((residual[is_valid] / scale) ** 2, RULES.clip_sd**2).sum()) / factor
-    return float(sizes[0]), sd, cost
 
 
 def _running_mean(values: Floats) -> Floats:

@@ -545,7 +545,59 @@ def detect(
         sky,
     )
     attrs = {"method": method, "false_alarm_rate": false_alarm_rate, "unknown_rate": rate}
-    return _search(line, cube, unflagged, detector, [str(name) for name in library[SIGNATURE].values], attrs)
+    names = [str(name) for name in library[SIGNATURE].values]
+    # Detections of a line, lazy, with the attributes of the search
+    # A copy of a dask array with other keys that is computed only after a delayed object.
+    #
+    # With the same keys, all blocks of the first pass would stay in memory until the second pass.
+    # `dask.graph_manipulation.bind` does the same, but loses the keys of rechunks.
+    graph = convert_legacy_graph(dict(cube.dask))
+    keys = {key: ("again-" + key[0], *key[1:]) if isinstance(key, tuple) else f"again-{key}" for key in graph}
+    copy, first = {}, TaskRef(detector.key)
+    for key, task in graph.items():
+        new_key = keys[key]
+        if isinstance(task, DataNode):
+            copy[new_key] = Task(new_key, _value_after, first, task.value)
+        elif isinstance(task, Task) and not task.dependencies:
+            copy[new_key] = Task(new_key, _call_after, first, task.func, *task.args, **task.kwargs)
+        else:
+            copy[new_key] = task.substitute(keys, key=new_key)
+    name = f"again-{cube.name}"
+    graph = HighLevelGraph.from_collections(name, copy, dependencies=[detector])
+    cube = da.Array(graph, name, cube.chunks, meta=cube._meta)
+    blocks = da.blockwise(
+        search_block,
+        "lbx",
+        cube,
+        "lbx",
+        unflagged,
+        "lx",
+        detector=detector,
+        dtype=object,
+        concatenate=True,
+        meta=np.empty((0, 0, 0), object),
+        adjust_chunks={"b": 1},
+    )
+    layout = {number: ("lx", schema.dtype_of(name)) for number, name in enumerate(_LAYERS)}
+    pixel = (ALONG_TRACK, CROSS_TRACK)
+    arrays = {
+        name: schema.label(xr.DataArray(array, dims=pixel), name)
+        for name, array in zip(_LAYERS, split_outputs(blocks, "lbx", layout).values(), strict=True)
+    }
+    for name, field in _DETECTOR_FIELDS.items():
+        dims = schema.VARIABLES[name].dims
+        data = da.from_delayed(getattr(detector, field), (len(names),) * len(dims), np.float64)
+        arrays[name] = schema.label(xr.DataArray(data, dims=dims), name)
+    arrays["best_paint"].attrs |= {
+        "flag_values": np.arange(-1, len(names), dtype=np.int16),
+        "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in names)]),
+    }
+    arrays["detected"].attrs |= attrs
+    coords = {
+        name: array for name, array in line.coords.items() if set(array.dims) <= set(pixel) and array.dims
+    }
+    identity = {"name": line.attrs["name"]} if line.attrs.get("name") else {}
+    return xr.Dataset(arrays, {**coords, SIGNATURE: (SIGNATURE, names)}, identity | attrs)
 
 
 def _spectra(
@@ -659,27 +711,6 @@ def _lazy_detector(
     )
 
 
-def _after(predecessor: Any, array: Any) -> Any:
-    # Return a copy of a dask array with other keys that is computed only after a delayed object.
-    #
-    # With the same keys, all blocks of the first pass would stay in memory until the second pass.
-    # `dask.graph_manipulation.bind` does the same, but loses the keys of rechunks.
-    graph = convert_legacy_graph(dict(array.dask))
-    keys = {key: ("again-" + key[0], *key[1:]) if isinstance(key, tuple) else f"again-{key}" for key in graph}
-    copy, first = {}, TaskRef(predecessor.key)
-    for key, task in graph.items():
-        new_key = keys[key]
-        if isinstance(task, DataNode):
-            copy[new_key] = Task(new_key, _value_after, first, task.value)
-        elif isinstance(task, Task) and not task.dependencies:
-            copy[new_key] = Task(new_key, _call_after, first, task.func, *task.args, **task.kwargs)
-        else:
-            copy[new_key] = task.substitute(keys, key=new_key)
-    name = f"again-{array.name}"
-    graph = HighLevelGraph.from_collections(name, copy, dependencies=[predecessor])
-    return da.Array(graph, name, array.chunks, meta=array._meta)
-
-
 def _value_after(_: Any, value: Any) -> Any:
     return value
 
@@ -695,46 +726,6 @@ def _mirrored_sky(line: xr.Dataset, bands: Ints) -> Floats | None:
     split = split_of(line, None, None).mean()
     sky = np.asarray((split.fraction * sky_above(split)).values, np.float64)[bands]
     return sky if np.isfinite(sky).all() and sky.any() else None
-
-
-def _search(
-    line: xr.Dataset, cube: Any, unflagged: Any, detector: Any, names: list[str], attrs: dict[str, Any]
-) -> xr.Dataset:
-    # Detections of a line, lazy, with the attributes of the search
-    cube = _after(detector, cube)
-    blocks = da.blockwise(
-        search_block,
-        "lbx",
-        cube,
-        "lbx",
-        unflagged,
-        "lx",
-        detector=detector,
-        dtype=object,
-        concatenate=True,
-        meta=np.empty((0, 0, 0), object),
-        adjust_chunks={"b": 1},
-    )
-    layout = {number: ("lx", schema.dtype_of(name)) for number, name in enumerate(_LAYERS)}
-    pixel = (ALONG_TRACK, CROSS_TRACK)
-    arrays = {
-        name: schema.label(xr.DataArray(array, dims=pixel), name)
-        for name, array in zip(_LAYERS, split_outputs(blocks, "lbx", layout).values(), strict=True)
-    }
-    for name, field in _DETECTOR_FIELDS.items():
-        dims = schema.VARIABLES[name].dims
-        data = da.from_delayed(getattr(detector, field), (len(names),) * len(dims), np.float64)
-        arrays[name] = schema.label(xr.DataArray(data, dims=dims), name)
-    arrays["best_paint"].attrs |= {
-        "flag_values": np.arange(-1, len(names), dtype=np.int16),
-        "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in names)]),
-    }
-    arrays["detected"].attrs |= attrs
-    coords = {
-        name: array for name, array in line.coords.items() if set(array.dims) <= set(pixel) and array.dims
-    }
-    identity = {"name": line.attrs["name"]} if line.attrs.get("name") else {}
-    return xr.Dataset(arrays, {**coords, SIGNATURE: (SIGNATURE, names)}, identity | attrs)
 
 
 def search_block(cube: Array, unflagged: Bools, detector: Detector) -> tuple[Array, ...]:

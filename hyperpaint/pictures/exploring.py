@@ -703,29 +703,7 @@ class Explorer:
         # the last clicked pixel or box, or the name of the selected region; at first the central column
         lines, columns = state.shape
         self._selected: Place | str | None = (min(lines, columns) // 2, columns // 2)
-        self._make_picture()
-        self._make_spectra()
-        self._make_widgets()
-        self._connect()
-        self._update_pictures()
-        self._select(state.drawn.names[-1] if len(state.drawn) else None)
-
-    @property
-    def regions(self) -> Regions:
-        # Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels.
-        return self._state.regions
-
-    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        # Write the regions as GeoJSON; see `hyperpaint.write_regions`.
-        return self._state.save(path, overwrite=overwrite)
-
-    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
-        return self.view._repr_mimebundle_(include, exclude)
-
-    # --- figures ------------------------------------------------------------------------------------------
-
-    def _make_picture(self) -> None:
-        # the picture of the line, flown to the right, and a small picture of the complete line below
+        # The picture of the line, flown to the right, and a small picture of the complete line below
         from bokeh.models import BoxSelectTool, CustomJS, PanTool, PointDrawTool, Range1d, RangeTool
         from bokeh.plotting import figure
 
@@ -798,6 +776,25 @@ class Explorer:
         tool.overlay.update(fill_color="white", fill_alpha=0.3, line_color="white", line_width=2)
         small.add_tools(tool)
         small.outline_line_color = small.border_fill_color = small.background_fill_color = None
+        self._make_spectra()
+        self._make_widgets()
+        self._connect()
+        self._update_pictures()
+        self._select(state.drawn.names[-1] if len(state.drawn) else None)
+
+    @property
+    def regions(self) -> Regions:
+        # Regions drawn, in sensor coordinates: x is cross_track, y is along_track, whole pixels.
+        return self._state.regions
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        # Write the regions as GeoJSON; see `hyperpaint.write_regions`.
+        return self._state.save(path, overwrite=overwrite)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
+        return self.view._repr_mimebundle_(include, exclude)
+
+    # --- figures ------------------------------------------------------------------------------------------
 
     def _make_spectra(self) -> None:
         # curves of reflectance, the spread over pixels of regions, and the uncertainty of a curve

@@ -90,7 +90,54 @@ def pixels(
         return line[names].isel(positions, missing_dims="ignore").compute(scheduler=scheduler_in_force())
     single = {dim: 0 for dim, position in positions.items() if isinstance(position, int)}
     positions |= {dim: slice(positions[dim], positions[dim] + 1) for dim in single}
-    region = _calibrated(line, entry, positions)
+    # The reflectance of a region, `chosen` by dim, and with all bands its quality.
+    lines, bands, columns = positions.values()
+    plan, sizes = entry.plan, line.sizes
+    is_flagged = isinstance(bands, slice) and bands == slice(0, sizes[BAND])
+    is_from_counts = "counts" in line.variables
+    # stray light and pedestal need all bands and columns of a line
+    ranges_read: tuple[Any, Any] = (slice(0, sizes[BAND]), slice(0, sizes[CROSS_TRACK]))
+    selected: tuple[Any, Any] = (bands, columns)
+    if plan.stray is None and not len(plan.detector.masked):
+        ranges_read = bands, _range_of(columns)
+        selected = slice(None), slice(None) if isinstance(columns, slice) else columns - ranges_read[1].start
+        plan = _part_of_plan(plan, *ranges_read)
+    # the cube, which the plan was checked against
+    cube = (
+        line.variables["counts"].transpose(*CUBE)
+        if is_from_counts
+        else schema.require(line, ["radiance"], "reflectance")["radiance"].variable
+    )
+    cubes, flags = [], []
+    samples = sizes[BAND] * sizes[CROSS_TRACK]
+    # blocks of lines that share storage chunks; small parts of lines are read in longer blocks
+    numbers_of_lines = np.arange(sizes[ALONG_TRACK])[lines]
+    first = numbers_of_lines.min(initial=sizes[ALONG_TRACK]) // CHUNK_LINES * CHUNK_LINES
+    block = (numbers_of_lines - first) // (BLOCK_LINES * max(1, samples // max(1, plan.gain.size)))
+    for numbers in np.split(numbers_of_lines, np.flatnonzero(np.diff(block)) + 1):
+        rows_read = _range_of(numbers)
+        counts = np.ascontiguousarray(_read_part(cube, (rows_read, *ranges_read)))
+        if counts.dtype != np.uint16:
+            counts = counts.astype(np.float32, copy=False)
+        quality = np.empty(counts.shape[::2], np.uint16) if is_flagged else _NO_QUALITY
+        outputs = SlabOutputs(np.empty(counts.shape, np.float32), quality, NO_CUBE, NO_CUBE)
+        calibrate_lines(plan, counts, rows_read.start, outputs)
+        rows = slice(None) if isinstance(lines, slice) else numbers - rows_read.start
+        cubes.append(outputs.cube[rows][:, selected[0]][:, :, selected[1]])
+        if is_flagged:
+            flags.append(quality[rows][:, selected[1]])
+    labels = entry.labels.isel(positions, missing_dims="ignore")
+    values = schema.label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
+    products = {"reflectance": values.variable}
+    if is_flagged:
+        earlier = None
+        if "quality" in line.variables:
+            stored = schema.require(line, ["quality"], "reflectance")["quality"]
+            part = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable
+            earlier = part.compute(scheduler=scheduler_in_force())
+        merged = merged_quality("reflectance", _joined(flags), earlier, anew=is_from_counts)
+        products["quality"] = merged.variable
+    region = labels.assign(products).assign_attrs(line.attrs)
     return region.isel(single) if single else region
 
 
@@ -137,57 +184,6 @@ def _entry_of(line: xr.Dataset) -> Entry:
     entry.labels.attrs = {name: text for name, text in attributes.items() if text}
     PLANS.add(entry)
     return entry
-
-
-def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Dataset:
-    # Return the reflectance of a region, `chosen` by dim, and with all bands its quality.
-    lines, bands, columns = chosen.values()
-    plan, sizes = entry.plan, line.sizes
-    is_flagged = isinstance(bands, slice) and bands == slice(0, sizes[BAND])
-    is_from_counts = "counts" in line.variables
-    # stray light and pedestal need all bands and columns of a line
-    ranges_read: tuple[Any, Any] = (slice(0, sizes[BAND]), slice(0, sizes[CROSS_TRACK]))
-    selected: tuple[Any, Any] = (bands, columns)
-    if plan.stray is None and not len(plan.detector.masked):
-        ranges_read = bands, _range_of(columns)
-        selected = slice(None), slice(None) if isinstance(columns, slice) else columns - ranges_read[1].start
-        plan = _part_of_plan(plan, *ranges_read)
-    # the cube, which the plan was checked against
-    cube = (
-        line.variables["counts"].transpose(*CUBE)
-        if is_from_counts
-        else schema.require(line, ["radiance"], "reflectance")["radiance"].variable
-    )
-    cubes, flags = [], []
-    samples = sizes[BAND] * sizes[CROSS_TRACK]
-    # blocks of lines that share storage chunks; small parts of lines are read in longer blocks
-    numbers_of_lines = np.arange(sizes[ALONG_TRACK])[lines]
-    first = numbers_of_lines.min(initial=sizes[ALONG_TRACK]) // CHUNK_LINES * CHUNK_LINES
-    block = (numbers_of_lines - first) // (BLOCK_LINES * max(1, samples // max(1, plan.gain.size)))
-    for numbers in np.split(numbers_of_lines, np.flatnonzero(np.diff(block)) + 1):
-        rows_read = _range_of(numbers)
-        counts = np.ascontiguousarray(_read_part(cube, (rows_read, *ranges_read)))
-        if counts.dtype != np.uint16:
-            counts = counts.astype(np.float32, copy=False)
-        quality = np.empty(counts.shape[::2], np.uint16) if is_flagged else _NO_QUALITY
-        outputs = SlabOutputs(np.empty(counts.shape, np.float32), quality, NO_CUBE, NO_CUBE)
-        calibrate_lines(plan, counts, rows_read.start, outputs)
-        rows = slice(None) if isinstance(lines, slice) else numbers - rows_read.start
-        cubes.append(outputs.cube[rows][:, selected[0]][:, :, selected[1]])
-        if is_flagged:
-            flags.append(quality[rows][:, selected[1]])
-    labels = entry.labels.isel(chosen, missing_dims="ignore")
-    values = schema.label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
-    products = {"reflectance": values.variable}
-    if is_flagged:
-        earlier = None
-        if "quality" in line.variables:
-            stored = schema.require(line, ["quality"], "reflectance")["quality"]
-            part = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable
-            earlier = part.compute(scheduler=scheduler_in_force())
-        merged = merged_quality("reflectance", _joined(flags), earlier, anew=is_from_counts)
-        products["quality"] = merged.variable
-    return labels.assign(products).assign_attrs(line.attrs)
 
 
 def _range_of(positions: Any) -> slice:

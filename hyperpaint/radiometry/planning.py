@@ -414,7 +414,38 @@ def darks_of_lines(
         dark_exposure = np.broadcast_to(np.asarray(dark_exposure_time, np.float64), len(dark))
         is_usable = np.abs(dark_exposure[:, None] / exposure - 1.0) <= SAME_EXPOSURE_SHARE
         if not is_usable.all(axis=1).any():
-            return _darks_in_exposure(dark, dark_exposure, exposure, subject)
+            # Darks in proportion to exposure
+            if np.ptp(dark_exposure) <= SAME_EXPOSURE_SHARE * dark_exposure.max():
+                exposures_ms = np.unique(exposure.round(9)) * 1e3
+                raise SchemaError(
+                    f"the dark was taken at {dark_exposure[0] * 1e3:g} ms, {subject} at "
+                    f"{', '.join(f'{ms:g}' for ms in exposures_ms[:4])} ms",
+                    mend="take a dark at this exposure, or darks at two exposures, for bias and rate",
+                    code="dark-exposure-differs",
+                )
+            # lines beyond the exposures of the darks
+            below, above = dark_exposure.min() - exposure.min(), exposure.max() - dark_exposure.max()
+            spans = max(below, above) / np.ptp(dark_exposure)
+            if spans > TRUSTED_DARK_SPANS * (1.0 + SAME_EXPOSURE_SHARE):
+                farthest = exposure.max() if above >= below else exposure.min()
+                text = (
+                    f"darks at {dark_exposure.min() * 1e3:g} to {dark_exposure.max() * 1e3:g} ms are "
+                    f"extrapolated to {farthest * 1e3:g} ms, {spans:.1f} times the interval between them"
+                )
+                mend, code = "take a dark at the line's exposure", "dark-exposure-differs"
+                SchemaError.raise_if(
+                    spans > MAX_DARK_SPANS, text, expected=f"at most {MAX_DARK_SPANS:g}", mend=mend, code=code
+                )
+                warn_user(f"{text}: {mend}", code)
+            centred = dark_exposure - dark_exposure.mean()
+            rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
+            shortest, longest = exposure.min(), exposure.max()
+            away = np.array([shortest, longest])[:, None, None] - dark_exposure.mean()
+            fitted = (dark.mean(axis=0, dtype=np.float64) + rate * away).astype(np.float32)
+            index = np.zeros(exposure.size, np.int64)
+            if longest == shortest:
+                return fitted[:1], index, np.zeros(exposure.size, np.float32)
+            return fitted, index, ((exposure - shortest) / (longest - shortest)).astype(np.float32)
         dark = dark[is_usable.all(axis=1)]
         times = None if times is None else np.asarray(times)[is_usable.all(axis=1)]
     elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():
@@ -458,42 +489,6 @@ def _between_whites(cube: Mapping[str, Any], time: Array) -> tuple[Floats, LineL
     flags = np.where(change > UNSTABLE_CHANGE, Quality.ILLUMINATION_UNSTABLE, 0).astype(np.uint16)
     # the kernel divides pi by the light
     return np.pi * level[:, :, None, None], LineLight(before, before + 1, weight, unknown, unknown, flags)
-
-
-def _darks_in_exposure(
-    dark: Array, dark_exposure: Floats, exposure: Floats, subject: str
-) -> tuple[Array, Array, Array]:
-    if np.ptp(dark_exposure) <= SAME_EXPOSURE_SHARE * dark_exposure.max():
-        exposures_ms = np.unique(exposure.round(9)) * 1e3
-        raise SchemaError(
-            f"the dark was taken at {dark_exposure[0] * 1e3:g} ms, {subject} at "
-            f"{', '.join(f'{ms:g}' for ms in exposures_ms[:4])} ms",
-            mend="take a dark at this exposure, or darks at two exposures, for bias and rate",
-            code="dark-exposure-differs",
-        )
-    # lines beyond the exposures of the darks
-    below, above = dark_exposure.min() - exposure.min(), exposure.max() - dark_exposure.max()
-    spans = max(below, above) / np.ptp(dark_exposure)
-    if spans > TRUSTED_DARK_SPANS * (1.0 + SAME_EXPOSURE_SHARE):
-        farthest = exposure.max() if above >= below else exposure.min()
-        text = (
-            f"darks at {dark_exposure.min() * 1e3:g} to {dark_exposure.max() * 1e3:g} ms are extrapolated to "
-            f"{farthest * 1e3:g} ms, {spans:.1f} times the interval between them"
-        )
-        mend, code = "take a dark at the line's exposure", "dark-exposure-differs"
-        SchemaError.raise_if(
-            spans > MAX_DARK_SPANS, text, expected=f"at most {MAX_DARK_SPANS:g}", mend=mend, code=code
-        )
-        warn_user(f"{text}: {mend}", code)
-    centred = dark_exposure - dark_exposure.mean()
-    rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
-    shortest, longest = exposure.min(), exposure.max()
-    away = np.array([shortest, longest])[:, None, None] - dark_exposure.mean()
-    fitted = (dark.mean(axis=0, dtype=np.float64) + rate * away).astype(np.float32)
-    index = np.zeros(exposure.size, np.int64)
-    if longest == shortest:
-        return fitted[:1], index, np.zeros(exposure.size, np.float32)
-    return fitted, index, ((exposure - shortest) / (longest - shortest)).astype(np.float32)
 
 
 def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
@@ -542,7 +537,26 @@ def _illuminate(
         smile.nodes,
         light.get("departure"),
     )
-    warn_of_lost_bands(spectra[used_samples], channels, matched, imager["wavelength"])
+    spectra = spectra[used_samples]
+    wavelength = imager["wavelength"]
+    # Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are missing.
+    #
+    # spectra: (sample, channel); matched: (sample, node, band). A sample without any channel is a gap.
+    has_values = np.isfinite(spectra).any(axis=1)
+    is_lost = (
+        np.isnan(matched[has_values]).any(axis=(0, 1))
+        & (wavelength >= channels[0])
+        & (wavelength <= channels[-1])
+    )
+    is_missing = np.isnan(spectra[has_values]).any(axis=0)
+    if is_lost.any() and is_missing.any():
+        warn_user(
+            f"irradiance is undefined in {is_missing.sum()} channels, such as "
+            f"{channels[is_missing][0]:g} nm: {is_lost.sum()} of {is_lost.size} bands become NaN at these "
+            f"times, {wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the "
+            "record over them",
+            "irradiance-gaps",
+        )
     if tilt is not None:
         factors = tilt_factors(
             tilt, {**light, "time": time}, used_samples, imager["wavelength"], _mean_position(cube)
@@ -1006,25 +1020,4 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
     if is_doubtful:
         warn_user(
             f"{found}, {comparison}; check its units, its time, and the line's place", "irradiance-level"
-        )
-
-
-def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:
-    # Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are missing.
-    #
-    # spectra: (sample, channel); matched: (sample, node, band). A sample without any channel is a gap.
-    has_values = np.isfinite(spectra).any(axis=1)
-    is_lost = (
-        np.isnan(matched[has_values]).any(axis=(0, 1))
-        & (wavelength >= channels[0])
-        & (wavelength <= channels[-1])
-    )
-    is_missing = np.isnan(spectra[has_values]).any(axis=0)
-    if is_lost.any() and is_missing.any():
-        warn_user(
-            f"irradiance is undefined in {is_missing.sum()} channels, such as "
-            f"{channels[is_missing][0]:g} nm: {is_lost.sum()} of {is_lost.size} bands become NaN at these "
-            f"times, {wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the "
-            "record over them",
-            "irradiance-gaps",
         )

@@ -183,7 +183,21 @@ def write_report(
     for number, (name, parts) in enumerate(sections):
         if progress is not None:
             progress(1000 * number, 1000 * steps)
-        drawn_sections.append((name, _draw_section(name, parts, problems)))
+        # Replace a part that cannot be drawn by a text with its problem
+        markups: list[Markup] = []
+        for part_name, draw in parts:
+            try:
+                markups.append(draw())
+            # reading a damaged chunk fails, and drawing data of other programs may fail
+            except Exception as error:
+                message = message_of(error)
+                problems.append(f"/{name}, {part_name}: {message}")
+                markups.append(
+                    page_part(
+                        "paragraph", text=f"This could not be shown: {part_name}: {message}", kind="problem"
+                    )
+                )
+        drawn_sections.append((name, markups))
     created = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
     collects = [str(group.attrs["collect"]) for group in groups.groups.values() if "collect" in group.attrs]
     title = Path(store).resolve().name
@@ -223,24 +237,6 @@ def _line_parts(
 
 
 # --- the page ----------------------------------------------------------------------------------------------
-
-
-def _draw_section(name: str, parts: Iterator[Part], problems: list[str]) -> list[Markup]:
-    # replace a part that cannot be drawn by a text with its problem
-    markups: list[Markup] = []
-    for part_name, draw in parts:
-        try:
-            markups.append(draw())
-        # reading a damaged chunk fails, and drawing data of other programs may fail
-        except Exception as error:
-            message = message_of(error)
-            problems.append(f"/{name}, {part_name}: {message}")
-            markups.append(
-                page_part(
-                    "paragraph", text=f"This could not be shown: {part_name}: {message}", kind="problem"
-                )
-            )
-    return markups
 
 
 #: Variables of a library that pages do not show.

@@ -190,10 +190,23 @@ def _fine_structure() -> _FineStructure:
     for centre, spread, number, depth in _WATER:
         centres = rng.normal(centre, spread, number)
         water += _sum_of_lines(nm, centres, rng.exponential(depth, number), _LINE_WIDTH)
+    # Optical depth at one air mass. Lines stand at nu0 + (B' + B'') m + (B' - B'') m^2, with m = J + 1 in the
+    # R branch, which turns back into the band head, and m = -J in the P branch; J odd; each a doublet 2 cm-1
+    # apart. Strengths follow the Boltzmann factor of the lower level at 270 K.
+    odd = np.arange(1, 42, 2)
+    population = (2 * odd + 1) * np.exp(-_SECOND_RADIATION / 270.0 * _OXYGEN_GROUND * odd * (odd + 1))
+    population /= population.max()
+    total = np.zeros_like(nm)
+    for origin, upper, strength in _OXYGEN:
+        for m in (odd + 1.0, -1.0 * odd):
+            wavenumber = origin + (upper + _OXYGEN_GROUND) * m + (upper - _OXYGEN_GROUND) * m**2
+            for split in (0.0, -2.0):
+                centres = 1e7 / (wavenumber + split) / 1.000275  # in air
+                total += _sum_of_lines(nm, centres, 0.5 * strength * population, _LINE_WIDTH)
     return _FineStructure(
         wavelength=np.append(nm, table.wavelength[beyond]),
         lines=np.append(solar / means[half:-half], np.ones(beyond.sum())),
-        mixed=scaled(_oxygen(nm), table.mixed),
+        mixed=scaled(total, table.mixed),
         water=scaled(water, table.water),
     )
 
@@ -206,23 +219,6 @@ def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: fl
         centres, depths, starts, np.searchsorted(wavelength, centres + 4 * width), strict=True
     ):
         total[start:stop] += depth * np.exp(-4 * np.log(2) * ((wavelength[start:stop] - centre) / width) ** 2)
-    return total
-
-
-def _oxygen(wavelength: Floats) -> Floats:
-    # Optical depth at one air mass. Lines stand at nu0 + (B' + B'') m + (B' - B'') m^2, with m = J + 1 in the
-    # R branch, which turns back into the band head, and m = -J in the P branch; J odd; each a doublet 2 cm-1
-    # apart. Strengths follow the Boltzmann factor of the lower level at 270 K.
-    odd = np.arange(1, 42, 2)
-    population = (2 * odd + 1) * np.exp(-_SECOND_RADIATION / 270.0 * _OXYGEN_GROUND * odd * (odd + 1))
-    population /= population.max()
-    total = np.zeros_like(wavelength)
-    for origin, upper, strength in _OXYGEN:
-        for m in (odd + 1.0, -1.0 * odd):
-            wavenumber = origin + (upper + _OXYGEN_GROUND) * m + (upper - _OXYGEN_GROUND) * m**2
-            for split in (0.0, -2.0):
-                centres = 1e7 / (wavenumber + split) / 1.000275  # in air
-                total += _sum_of_lines(wavelength, centres, 0.5 * strength * population, _LINE_WIDTH)
     return total
 
 

@@ -102,7 +102,24 @@ class RenderedFlight(Flight):
             "shadow": ("float32", "Share of the pixel that does not see the sun", {"units": "1"}),
             **{name: ("float64", text, {"units": "m"}) for name, text in meters.items()},
         }
-        self._names = self._names_of_paints(scene)
+        # Names of a fleet's paints by spectrum: "white solid", "white solid 2" ... along the flight, paints
+        # in view first.
+        middle = scene.vertices[scene.faces].mean(axis=1)[:, 1]
+        end = self.settings.lines * self.ground_sample
+        seen: dict[str, tuple[bool, float]] = {}
+        for number, item in enumerate(scene.instances):
+            if item.kind == "car":
+                north = float(middle[scene.face_instance == number].mean())
+                seen[item.paint] = min((not 0.0 <= north < end, north), seen.get(item.paint, (True, np.inf)))
+        names: dict[str, str] = {}
+        counts: Counter[str] = Counter()
+        for paint in sorted(seen, key=seen.__getitem__):
+            words = f"{paint_spec(paint).colour} {paint_spec(paint).finish}"
+            counts[words] += 1
+            numbered = f"{words} {counts[words]}" if counts[words] > 1 else words
+            names[paint] = numbered if self.settings.fleet == "real" else paint
+        self._seen = tuple(name for name, (_, y) in seen.items() if -self._ahead <= y <= end + self._ahead)
+        self._names = names
         layers["paint_id"][2]["flag_meanings"] = " ".join(
             self.name_of(name).replace(" ", "_") for name in layers["paint_id"][2]["flag_meanings"].split()
         )
@@ -131,26 +148,6 @@ class RenderedFlight(Flight):
         self._products = ProductTable(
             bands, self._scene.codes, self.grid, source_spectra(atmosphere, trace), factors, normalise=False
         )
-
-    def _names_of_paints(self, scene: Scene) -> dict[str, str]:
-        # Names of a fleet's paints by spectrum: "white solid", "white solid 2" ... along the flight, paints
-        # in view first.
-        middle = scene.vertices[scene.faces].mean(axis=1)[:, 1]
-        end = self.settings.lines * self.ground_sample
-        seen: dict[str, tuple[bool, float]] = {}
-        for number, item in enumerate(scene.instances):
-            if item.kind == "car":
-                north = float(middle[scene.face_instance == number].mean())
-                seen[item.paint] = min((not 0.0 <= north < end, north), seen.get(item.paint, (True, np.inf)))
-        names: dict[str, str] = {}
-        counts: Counter[str] = Counter()
-        for paint in sorted(seen, key=seen.__getitem__):
-            words = f"{paint_spec(paint).colour} {paint_spec(paint).finish}"
-            counts[words] += 1
-            numbered = f"{words} {counts[words]}" if counts[words] > 1 else words
-            names[paint] = numbered if self.settings.fleet == "real" else paint
-        self._seen = tuple(name for name, (_, y) in seen.items() if -self._ahead <= y <= end + self._ahead)
-        return names
 
     def name_of(self, spectrum: str) -> str:
         return self._names.get(spectrum, spectrum)

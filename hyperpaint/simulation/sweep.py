@@ -286,15 +286,6 @@ class Sweep:
             else np.asarray(reading[:, None] * self.beam)
         )
 
-    def line_integrals(self, step: int) -> Floats:
-        # INT m_k R_b,x d lambda without element factors, shape (band, cross_track)
-        integrals = self._order_integrals(step, 1)
-        if self.settings.second_order:
-            integrals += self.settings.second_order * self._order_integrals(step, 2)
-        if (optics := self.camera.optics) is not None and optics.has_stray_light:
-            integrals += optics.stray_matrix @ integrals
-        return integrals
-
     def _order_integrals(self, step: int, order: int) -> Floats:
         # integrals of a diffraction order, whose light appears at ``order`` x its wavelength
         imager, centre = self.camera.imager, self.wavelength[step]
@@ -330,7 +321,13 @@ class Sweep:
         # images of bands
         if self.camera.optics is not None:
             energy = self.camera.optics.displaced(energy)
-        signal = energy * self.line_integrals(step) * imager.element_factor
+        # INT m_k R_b,x d lambda without element factors, shape (band, cross_track)
+        integrals = self._order_integrals(step, 1)
+        if self.settings.second_order:
+            integrals += self.settings.second_order * self._order_integrals(step, 2)
+        if (optics := self.camera.optics) is not None and optics.has_stray_light:
+            integrals += optics.stray_matrix @ integrals
+        signal = energy * integrals * imager.element_factor
         signal[self.camera.bad] = 0.0
         if settings.nonlinearity:
             signal -= settings.nonlinearity * signal**2 / self.camera.detector(0.0).saturation_count

@@ -180,17 +180,12 @@ def flag(
         code="bands-differ",
     )
     problems.raise_if_any()
-    return _flag_lazily(line, cube, scene, limits)
-
-
-def _flag_lazily(
-    line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]
-) -> xr.Dataset:
+    # Flags, computed by blocks of lines when asked for
     data = line_chunked(cube).data
     blocks = da.map_blocks(
         _flag_block,
         data,
-        dask.delayed(model, traverse=False, pure=False),
+        dask.delayed(scene, traverse=False, pure=False),
         starts=tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1]))),
         limits=limits,
         dtype=object,
@@ -210,7 +205,7 @@ def _flag_lazily(
     if "quality" in line.variables:
         line_bits = schema.require(line, ["quality"], "flags")["quality"].variable
         bits = bits.copy(data=(bits.variable | line_bits.transpose(*pixel)).data)
-    origin = f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
+    origin = f"diffuse fraction: {scene.attrs.get('diffuse_fraction_from', 'unknown')}"
     layers["quality"] = schema.label(bits, "quality", flags_from=origin)
     return line.assign(layers)
 

@@ -181,7 +181,32 @@ def split_of(
             wavelength, fraction, 0.0 * fraction, float(name == "overcast"), "measured", name, zenith
         )
     if diffuse is None and (declared := _line_split(line, sun_zenith)) is not None:
-        return _from_line_split(line, declared, wavelength, sun_zenith, sky)
+        # The split of a line, with the weight of an overcast sky from its states and its diffuse fraction
+        fraction = declared["diffuse_fraction"].astype(np.float64)
+        if ALONG_TRACK in fraction.dims and ALONG_TRACK in line.coords:
+            fraction = fraction.assign_coords({ALONG_TRACK: line[ALONG_TRACK]})
+        u = declared.get("diffuse_fraction_u", 0.0 * fraction).astype(np.float64)
+        try:
+            zenith = sun_zenith_of(line, sun_zenith)
+        except SchemaError:  # raised later if the angle is needed
+            if sun_zenith is not None:
+                raise
+            zenith = float("nan")
+        cloud: Any = float(sky == "overcast")
+        state = declared["sky_state"].reset_coords(drop=True) if "sky_state" in declared else UNKNOWN_STATE
+        if sky is None:
+            # excess of the fraction at 550 nm over a clear sky: the weight for unknown and broken skies
+            green = int(np.nanargmin(np.abs(wavelength - 550.0)))
+            clear = float(diffuse_fraction(wavelength[[green]], zenith if np.isfinite(zenith) else 45.0)[0])
+            excess = ((fraction.isel({BAND: green}) - clear) / (1.0 - clear)).clip(0.0, 1.0)
+            excess = excess.reset_coords(drop=True)
+            clear_states = [SKY_STATES.index(word) for word in ("clear", "hazy")]
+            states = state if hasattr(state, "isin") else xr.full_like(excess, state)
+            cloud = excess.where(~states.isin(clear_states), 0.0)
+            cloud = cloud.where(states != SKY_STATES.index("overcast"), 1.0)
+        return LightSplit(
+            wavelength, fraction, u, cloud, "of the lines' own record", sky or RECORDED, zenith, state
+        )
     sources = SOURCES if from_shadow else SOURCES[:2]
     SchemaError.raise_if(
         diffuse is not None and diffuse not in sources,
@@ -240,37 +265,6 @@ def _declared_split(line: xr.Dataset) -> xr.Dataset:
         code="dims-wrong",
     )
     return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
-
-
-def _from_line_split(
-    line: xr.Dataset, declared: xr.Dataset, wavelength: Floats, sun_zenith: float | None, sky: str | None
-) -> LightSplit:
-    # The split of a line, with the weight of an overcast sky from its states and its diffuse fraction
-    fraction = declared["diffuse_fraction"].astype(np.float64)
-    if ALONG_TRACK in fraction.dims and ALONG_TRACK in line.coords:
-        fraction = fraction.assign_coords({ALONG_TRACK: line[ALONG_TRACK]})
-    u = declared.get("diffuse_fraction_u", 0.0 * fraction).astype(np.float64)
-    try:
-        zenith = sun_zenith_of(line, sun_zenith)
-    except SchemaError:  # raised later if the angle is needed
-        if sun_zenith is not None:
-            raise
-        zenith = float("nan")
-    cloud: Any = float(sky == "overcast")
-    state = declared["sky_state"].reset_coords(drop=True) if "sky_state" in declared else UNKNOWN_STATE
-    if sky is None:
-        # excess of the fraction at 550 nm over a clear sky: the weight for unknown and broken skies
-        green = int(np.nanargmin(np.abs(wavelength - 550.0)))
-        clear = float(diffuse_fraction(wavelength[[green]], zenith if np.isfinite(zenith) else 45.0)[0])
-        excess = ((fraction.isel({BAND: green}) - clear) / (1.0 - clear)).clip(0.0, 1.0)
-        excess = excess.reset_coords(drop=True)
-        clear_states = [SKY_STATES.index(word) for word in ("clear", "hazy")]
-        states = state if hasattr(state, "isin") else xr.full_like(excess, state)
-        cloud = excess.where(~states.isin(clear_states), 0.0)
-        cloud = cloud.where(states != SKY_STATES.index("overcast"), 1.0)
-    return LightSplit(
-        wavelength, fraction, u, cloud, "of the lines' own record", sky or RECORDED, zenith, state
-    )
 
 
 # --- position of the sun, fractions of models and measurements, radiances of skies ------------------------

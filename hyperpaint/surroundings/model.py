@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -82,49 +81,6 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
 
 #: Values of fields that older models lack: a uniform sky, glint allowed in all pixels, all bodies ground.
 _DEFAULTS = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
-
-
-def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
-    count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
-    for name in ("segment", "neighbour", "body", "paint"):
-        numbers = fields.get(name, np.empty(0))
-        problems.add_if(
-            not ((numbers >= -1) & (numbers < count)).all(),
-            f"{name!r} refers to segments other than the {count} of the model",
-            code="segment-unknown",
-        )
-    if "channel" in fields:
-        numbers = np.unique(fields["channel"])
-        problems.add_if(
-            not channels or not np.array_equal(numbers[numbers != -1], np.arange(channels)),
-            "'band_channel' is incomplete",
-            expected=f"each of the {channels} channels, and -1 for unused bands",
-            code="channel-unknown",
-        )
-    if {"neighbour", "segment"} <= fields.keys():
-        cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
-        problems.add_if(
-            fields["neighbour"].shape[:2] != cells,
-            f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
-            expected=f"{cells}",
-            code="grid-mismatch",
-        )
-    problems.add_if(
-        not np.isfinite(fields.get("shift", np.empty(0))).all(), "'shift' is not finite", code="not-finite"
-    )
-    for name, low, high in (
-        ("noise", 0.0, np.inf),
-        ("tilt", 1e-6, np.inf),
-        ("diffuse_fraction", 0.0, 1.0),
-        ("zenith_radiance", 0.0, np.inf),
-        ("sunward_radiance", 0.0, np.inf),
-    ):
-        values = fields.get(name, np.empty(0))
-        problems.add_if(
-            not (np.isfinite(values) & (values >= low) & (values <= high)).all(),
-            f"{name!r} is not finite, or outside {low:g} to {high:g}",
-            code="value-out-of-range",
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +229,49 @@ class SceneModel:
                     problems.add(
                         f"{stored!r} holds {values.dtype} values", expected=f"{dtype}", code="type-wrong"
                     )
-        _check_numbers(fields, dataset.sizes, problems)
+        # Check references, counts and ranges of the numbers of the model
+        count, channels = dataset.sizes.get("segment_number", 0), dataset.sizes.get("channel", 0)
+        for name in ("segment", "neighbour", "body", "paint"):
+            numbers = fields.get(name, np.empty(0))
+            problems.add_if(
+                not ((numbers >= -1) & (numbers < count)).all(),
+                f"{name!r} refers to segments other than the {count} of the model",
+                code="segment-unknown",
+            )
+        if "channel" in fields:
+            numbers = np.unique(fields["channel"])
+            problems.add_if(
+                not channels or not np.array_equal(numbers[numbers != -1], np.arange(channels)),
+                "'band_channel' is incomplete",
+                expected=f"each of the {channels} channels, and -1 for unused bands",
+                code="channel-unknown",
+            )
+        if {"neighbour", "segment"} <= fields.keys():
+            cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
+            problems.add_if(
+                fields["neighbour"].shape[:2] != cells,
+                f"'neighbour' has {fields['neighbour'].shape[:2]} cells",
+                expected=f"{cells}",
+                code="grid-mismatch",
+            )
+        problems.add_if(
+            not np.isfinite(fields.get("shift", np.empty(0))).all(),
+            "'shift' is not finite",
+            code="not-finite",
+        )
+        for name, low, high in (
+            ("noise", 0.0, np.inf),
+            ("tilt", 1e-6, np.inf),
+            ("diffuse_fraction", 0.0, 1.0),
+            ("zenith_radiance", 0.0, np.inf),
+            ("sunward_radiance", 0.0, np.inf),
+        ):
+            values = fields.get(name, np.empty(0))
+            problems.add_if(
+                not (np.isfinite(values) & (values >= low) & (values <= high)).all(),
+                f"{name!r} is not finite, or outside {low:g} to {high:g}",
+                code="value-out-of-range",
+            )
         problems.raise_if_any()
         return cls(
             **fields,

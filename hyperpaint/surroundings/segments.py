@@ -378,10 +378,9 @@ def _match_glint(
         spectrum[segment], body_near, np.nan_to_num(spectrum), light, GLINT.tolerance, _AS_TILT
     )
     tilted = (tilt_misfit < 1.0) & (tilt[:, 0] < max_direct)
-    return _assign(segment[~tilted], body_near[~tilted], misfit[~tilted], state, body)
-
-
-def _assign(segments: Ints, bodies: Ints, misfit: Floats, state: Array, body: Array) -> bool:
+    segments = segment[~tilted]
+    bodies = body_near[~tilted]
+    misfit = misfit[~tilted]
     # Assign to every segment, and to the segments assigned to it before, the best fitting body.
     # Return whether any segment changed.
     any_assigned = False
@@ -611,7 +610,36 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
         if _half_width(spot) <= LOBES.max_spot_px:
             level[window][spot] = np.inf
     lobe = np.zeros(level.shape, bool)
-    for core, window in _components(_sharp_cores(level, on_coat)):
+    # Pixels much brighter than evenly bright surroundings (line, column).
+    # First, in blocks of lines, pixels for which most of the ring is darker than the contrast demands.
+    is_sharp = np.zeros(level.shape, bool)
+    lines, columns = level.shape
+    for start in range(0, lines, _LINES):
+        block = level[start : start + _LINES]
+        max_ring_level = block / LOBES.min_contrast
+        darker = np.zeros(block.shape, np.int8)
+        # edge pixels are repeated beyond the edges
+        rows = np.clip(np.arange(start - _RADIUS, start + len(block) + _RADIUS), 0, lines - 1)
+        padded = np.pad(level[rows], ((0, 0), (_RADIUS, _RADIUS)), mode="edge")
+        for dy, dx in _RING:
+            top, left = _RADIUS + dy, _RADIUS + dx
+            darker += padded[top : top + len(block), left : left + columns] < max_ring_level
+        is_sharp[start : start + _LINES] = darker >= _MIN_DARKER
+        release(level)
+    # then the exact conditions for these few pixels
+    y, x = np.nonzero(is_sharp & on_coat)
+    ring = np.sort(
+        [level[np.clip(y + dy, 0, lines - 1), np.clip(x + dx, 0, columns - 1)] for dy, dx in _RING], axis=0
+    )
+    median = 0.5 * (ring[len(_RING) // 2 - 1] + ring[len(_RING) // 2])
+    fits = (
+        (level[y, x] > LOBES.min_contrast * median)
+        & (ring[_THIRD_DARKEST] > LOBES.min_evenness * median)
+        & (level[y, x] - median > LOBES.min_excess)
+    )
+    is_sharp[:] = False
+    is_sharp[y[fits], x[fits]] = True
+    for core, window in _components(is_sharp):
         _add_sharp(picture, level, core, window, lobe)
         release(picture.channels)
         release(level)
@@ -668,39 +696,6 @@ def _distance(mask: Bools) -> Floats:
 def _half_width(core: Bools) -> float:
     # Maximum distance of a pixel of a core from the core's outside [pixel]
     return float(_distance(~np.pad(core, 1)).max())
-
-
-def _sharp_cores(level: Floats, on_coat: Bools) -> Bools:
-    # Pixels much brighter than evenly bright surroundings (line, column).
-    # First, in blocks of lines, pixels for which most of the ring is darker than the contrast demands.
-    is_sharp = np.zeros(level.shape, bool)
-    lines, columns = level.shape
-    for start in range(0, lines, _LINES):
-        block = level[start : start + _LINES]
-        max_ring_level = block / LOBES.min_contrast
-        darker = np.zeros(block.shape, np.int8)
-        # edge pixels are repeated beyond the edges
-        rows = np.clip(np.arange(start - _RADIUS, start + len(block) + _RADIUS), 0, lines - 1)
-        padded = np.pad(level[rows], ((0, 0), (_RADIUS, _RADIUS)), mode="edge")
-        for dy, dx in _RING:
-            top, left = _RADIUS + dy, _RADIUS + dx
-            darker += padded[top : top + len(block), left : left + columns] < max_ring_level
-        is_sharp[start : start + _LINES] = darker >= _MIN_DARKER
-        release(level)
-    # then the exact conditions for these few pixels
-    y, x = np.nonzero(is_sharp & on_coat)
-    ring = np.sort(
-        [level[np.clip(y + dy, 0, lines - 1), np.clip(x + dx, 0, columns - 1)] for dy, dx in _RING], axis=0
-    )
-    median = 0.5 * (ring[len(_RING) // 2 - 1] + ring[len(_RING) // 2])
-    fits = (
-        (level[y, x] > LOBES.min_contrast * median)
-        & (ring[_THIRD_DARKEST] > LOBES.min_evenness * median)
-        & (level[y, x] - median > LOBES.min_excess)
-    )
-    is_sharp[:] = False
-    is_sharp[y[fits], x[fits]] = True
-    return is_sharp
 
 
 def _add_sharp(

@@ -102,7 +102,27 @@ def write_signatures(
     lines, flagged_lines = _open_lines(store, () if outlines is None else outlines.flightlines)
     maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
     if location or (maps and outlines is None):
-        lines = _located(lines, outlines, location or {}, maps)
+        # Locate the lines, unless location does not apply
+        location = location or {}
+        problems = Problems("signatures cannot be extracted", SchemaError)
+        problems.add_if(
+            maps and outlines is None,
+            "regions are proposed on flight lines, not on a map",
+            mend="draw regions on the map",
+            code="regions-missing",
+        )
+        if location and maps:
+            problems.add(
+                "a map has a location", mend=f"leave out {', '.join(location)}", code="location-on-map"
+            )
+        elif location and (outlines is None or outlines.coordinates != "map"):
+            problems.add(
+                f"{', '.join(location)} need regions in map coordinates; "
+                "these regions are in sensor coordinates",
+                code="location-unused",
+            )
+        problems.raise_if_any()
+        lines = {name: locate(line, **location_of(line, **location)) for name, line in lines.items()}
     # thresholds of the caller need flags of their own; proposals need the survey, which stores do not hold
     is_set = flags is not False and (flags is not True or sun_zenith is not None)
     stored = frozenset() if is_set else flagged_lines
@@ -153,28 +173,6 @@ def write_signatures(
         library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
     to_store(library, Path(out), overwrite=overwrite)
     return library
-
-
-def _located(
-    lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
-) -> dict[str, xr.Dataset]:
-
-    problems = Problems("signatures cannot be extracted", SchemaError)
-    problems.add_if(
-        maps and regions is None,
-        "regions are proposed on flight lines, not on a map",
-        mend="draw regions on the map",
-        code="regions-missing",
-    )
-    if location and maps:
-        problems.add("a map has a location", mend=f"leave out {', '.join(location)}", code="location-on-map")
-    elif location and (regions is None or regions.coordinates != "map"):
-        problems.add(
-            f"{', '.join(location)} need regions in map coordinates; these regions are in sensor coordinates",
-            code="location-unused",
-        )
-    problems.raise_if_any()
-    return {name: locate(line, **location_of(line, **location)) for name, line in lines.items()}
 
 
 def _open_lines(

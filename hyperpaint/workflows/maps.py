@@ -5,7 +5,6 @@ import json
 import math
 import os
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -219,7 +218,21 @@ def write_map(
     companions = ([item] if stac else []) + [place for place in (seams, colours) if place is not None]
     if stac:
         check_place(item, "the STAC item", example="map.json", overwrite=overwrite)
-    plan = map_planned(orthomap, str(path), is_file=is_file)
+    # A context in which the tiles of a map are computed within the memory limit.
+    #
+    # A thread holds the spectra of a tile, rotated and encoded. All threads share the flight lines' lines
+    # below a row of tiles: for a flight to the north or east those of the row, for an oblique flight up to as
+    # many as the map has columns. A file (``is_file``) is written through the cache of GDAL.
+    #
+    # Entering the context raises `StoreError` if memory does not suffice for one thread.
+    cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
+    tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
+    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
+    obliqueness = min(rows, cols) / max(rows, cols, 1)
+    # a line is about a cell wide; computing its slab from counts takes twice the bytes
+    shared = int(tile * (1.0 + obliqueness * min(rows, cols) / 256.0) * 2)
+    cache = min(CACHE_BYTES, sum(cube.nbytes for cube in cubes)) if is_file else 0
+    plan = budget.planned(str(path), a_thread=3 * tile, fixed=budget.LOADED + shared + cache)
     orthomap = with_own_transform(orthomap)
     if geozarr and not is_file:
         orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
@@ -250,24 +263,6 @@ def write_map(
         for companion_path, text in zip(companion_paths, texts, strict=True):
             companion_path.write_text(text, encoding="utf-8")
     return ", ".join(notes)
-
-
-def map_planned(orthomap: xr.Dataset, subject: str, *, is_file: bool) -> AbstractContextManager[None]:
-    # Return a context in which the tiles of a map are computed within the memory limit.
-    #
-    # A thread holds the spectra of a tile, rotated and encoded. All threads share the flight lines' lines
-    # below a row of tiles: for a flight to the north or east those of the row, for an oblique flight up to as
-    # many as the map has columns. A file (``is_file``) is written through the cache of GDAL.
-    #
-    # Entering the context raises `StoreError` if memory does not suffice for one thread.
-    cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
-    tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
-    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
-    obliqueness = min(rows, cols) / max(rows, cols, 1)
-    # a line is about a cell wide; computing its slab from counts takes twice the bytes
-    shared = int(tile * (1.0 + obliqueness * min(rows, cols) / 256.0) * 2)
-    cache = min(CACHE_BYTES, sum(cube.nbytes for cube in cubes)) if is_file else 0
-    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + shared + cache)
 
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:

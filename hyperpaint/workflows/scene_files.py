@@ -395,7 +395,76 @@ def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
         return (AtmosphereEntry("noon", "noon"),)
     entries = []
     for row, table in enumerate(reader.tables["atmospheres"]):
-        entry = _atmosphere(reader, reader.place("atmospheres", row), table)
+        # The entry of one table
+        place = reader.place("atmospheres", row)
+        problems, present = reader.problems, table["?"]
+        sources = [key for key in _SOURCES if key in present]
+        reader.exclude(place, table, *_SOURCES)
+        name = table.get("name", table.get("preset"))
+        if name is None:
+            problems.add_if(
+                not present & {"name", "preset"},
+                f"{place} name is missing",
+                mend="name its group in the store",
+                code="key-missing",
+            )
+            entry = None
+        else:
+            reader.is_name(place, "name", name)
+            measured = [source for source in sources if source != "preset"]
+            needs_sun = sources[:1] not in ([], ["preset"]) and "sun_zenith_deg" not in present
+            checks = (
+                (
+                    not sources and name not in PRESETS,
+                    Problem(
+                        f"{place} name = {shown(name)} without a source of light",
+                        expected=f"a preset ({', '.join(PRESETS)}), table or irradiance",
+                        mend="name one of them",
+                        code="choice-unknown",
+                    ),
+                ),
+                (
+                    needs_sun,
+                    Problem(
+                        f"{place} sun_zenith_deg is missing",
+                        mend=f"state where the sun stands: {''.join(sources[:1])} does not contain it",
+                        code="key-missing",
+                    ),
+                ),
+                *(
+                    (
+                        key in present and sources != ["irradiance"],
+                        Problem(
+                            f"{place} {key} without irradiance",
+                            mend="name files of a spectrometer",
+                            code="key-misplaced",
+                        ),
+                    )
+                    for key in ("direct_fraction", "time")
+                ),
+                *(
+                    (
+                        key in present and measured != [],
+                        Problem(
+                            f"{place} {key} with {''.join(sources[-1:])}",
+                            expected="a preset",
+                            mend="remove the key",
+                            code="key-misplaced",
+                        ),
+                    )
+                    for key in ("aerosol", "water")
+                ),
+            )
+            problems.extend(problem for is_wrong, problem in checks if is_wrong)
+            files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
+            options = arguments_of(
+                SCHEMA["atmospheres"],
+                {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)},
+            )
+            preset = table.get("preset", None if sources else name)
+            entry = AtmosphereEntry(
+                name, preset, reader.path(place, "table", table.get("table")), files, options
+            )
         if entry is not None:
             entries.append(entry)
     names = [entry.name.lower() for entry in entries]
@@ -417,74 +486,6 @@ def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
         code="sun-number",
     )
     return tuple(entries)
-
-
-def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> AtmosphereEntry | None:
-    problems, present = reader.problems, table["?"]
-    sources = [key for key in _SOURCES if key in present]
-    reader.exclude(place, table, *_SOURCES)
-    name = table.get("name", table.get("preset"))
-    if name is None:
-        problems.add_if(
-            not present & {"name", "preset"},
-            f"{place} name is missing",
-            mend="name its group in the store",
-            code="key-missing",
-        )
-        return None
-    reader.is_name(place, "name", name)
-    measured = [source for source in sources if source != "preset"]
-    needs_sun = sources[:1] not in ([], ["preset"]) and "sun_zenith_deg" not in present
-    checks = (
-        (
-            not sources and name not in PRESETS,
-            Problem(
-                f"{place} name = {shown(name)} without a source of light",
-                expected=f"a preset ({', '.join(PRESETS)}), table or irradiance",
-                mend="name one of them",
-                code="choice-unknown",
-            ),
-        ),
-        (
-            needs_sun,
-            Problem(
-                f"{place} sun_zenith_deg is missing",
-                mend=f"state where the sun stands: {''.join(sources[:1])} does not contain it",
-                code="key-missing",
-            ),
-        ),
-        *(
-            (
-                key in present and sources != ["irradiance"],
-                Problem(
-                    f"{place} {key} without irradiance",
-                    mend="name files of a spectrometer",
-                    code="key-misplaced",
-                ),
-            )
-            for key in ("direct_fraction", "time")
-        ),
-        *(
-            (
-                key in present and measured != [],
-                Problem(
-                    f"{place} {key} with {''.join(sources[-1:])}",
-                    expected="a preset",
-                    mend="remove the key",
-                    code="key-misplaced",
-                ),
-            )
-            for key in ("aerosol", "water")
-        ),
-    )
-    problems.extend(problem for is_wrong, problem in checks if is_wrong)
-    files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
-    options = arguments_of(
-        SCHEMA["atmospheres"],
-        {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)},
-    )
-    preset = table.get("preset", None if sources else name)
-    return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
 
 
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", "")

@@ -483,7 +483,30 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     else:
         for name in ("x", "y"):
             try:
-                axes[name] = _axis(dem, name)
+                # The first coordinate and the step.
+                SchemaError.raise_if(
+                    name not in dem.coords, f"no coordinate {name!r} of cell centres", code="variable-missing"
+                )
+                values = dem[name].values.astype(np.float64)
+                SchemaError.raise_if(
+                    values.size < 2,
+                    f"{values.size} cells along {name!r}",
+                    expected="two or more",
+                    code="length-mismatch",
+                )
+                step = (values[-1] - values[0]) / (values.size - 1)
+                deviation = np.abs(values - (values[0] + step * np.arange(values.size)))
+                SchemaError.raise_if(
+                    not (
+                        np.isfinite(step)
+                        and step != 0.0
+                        and deviation.max() <= _MAX_UNEVENNESS_CELLS * abs(step)
+                    ),
+                    f"coordinate {name!r} is not evenly spaced",
+                    mend="bring the DEM to a regular grid",
+                    code="grid-uneven",
+                )
+                axes[name] = float(values[0]), float(step)
             except SchemaError as error:
                 problems.add_error("grid", error)
     mapping = dem.attrs.get("grid_mapping", dem.encoding.get("grid_mapping", "spatial_ref"))
@@ -599,23 +622,3 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
     strips = [filled[r : r + BLOCK + 1].max(axis=0) for r in rows]
     block_max = np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
     return Terrain(grid, elevation, block_max, float(np.nanmin(elevation)), float(np.nanmax(elevation)))
-
-
-def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
-    # Return the first coordinate and the step.
-    SchemaError.raise_if(
-        name not in dem.coords, f"no coordinate {name!r} of cell centres", code="variable-missing"
-    )
-    values = dem[name].values.astype(np.float64)
-    SchemaError.raise_if(
-        values.size < 2, f"{values.size} cells along {name!r}", expected="two or more", code="length-mismatch"
-    )
-    step = (values[-1] - values[0]) / (values.size - 1)
-    deviation = np.abs(values - (values[0] + step * np.arange(values.size)))
-    SchemaError.raise_if(
-        not (np.isfinite(step) and step != 0.0 and deviation.max() <= _MAX_UNEVENNESS_CELLS * abs(step)),
-        f"coordinate {name!r} is not evenly spaced",
-        mend="bring the DEM to a regular grid",
-        code="grid-uneven",
-    )
-    return float(values[0]), float(step)

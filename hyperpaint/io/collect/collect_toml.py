@@ -354,28 +354,6 @@ def _seconds(key: str, *tables: Mapping[str, Any]) -> float | None:
     return next((float(f"{table[key] / 1000:.12g}") for table in tables if key in table), None)
 
 
-def _irradiance(reader: _Reader) -> IrradianceEntry | None:
-    table = reader.one("irradiance")
-    if "files" not in table:
-        reader.problems.add_if(
-            table["?"] and "files" not in table["?"],
-            "[irradiance] files is missing",
-            mend="name the files of the spectrometer",
-            code="key-missing",
-        )
-        return None
-    options = {k: v for k, v in values(table).items() if k not in ("files", "calibration", "mount")}
-    if "calibration" in table:
-        certificates = {
-            str(key): reader.path("[irradiance.calibration]", str(key), str(value))
-            for key, value in table["calibration"].items()
-        }
-        options["calibration"] = {key: path for key, path in certificates.items() if path is not None}
-    return IrradianceEntry(
-        reader.files("[irradiance]", "files", table["files"]), options, table.get("mount") == "aircraft"
-    )
-
-
 def _target_reflectance(reader: _Reader, subject: str, table: Mapping[str, Any]) -> float | Path | None:
     # Reflectance of a panel or a white tile, or the file of its certificate; None where both are missing
     reader.exclude(subject, table, "reflectance", "certificate")
@@ -510,38 +488,6 @@ def _flightline(
     )
 
 
-def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
-    tables, camera = reader.tables["flightlines"], reader.one("camera")
-    # inputs common to all flight lines
-    keys = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
-    dark: Any = reader.dark
-    if dark is None:
-        table = reader.one("dark")
-        cubes = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
-        dark = cubes or (Unavailable.REPORTED if table["?"] else None)
-    shared = {key: camera[key] for key in keys if key in camera}
-    shared |= {"dark": dark, "convention": values(reader.one("navigation"))}
-    shared["has_white"] = bool(reader.tables["reference"])
-    reader.problems.add_if(
-        not tables,
-        "no [[flightlines]]",
-        mend="state the cube of at least one flight line",
-        code="flightline-missing",
-    )
-    candidates = (_cubes(reader, number, table, shared) for number, table in enumerate(tables))
-    entries = [entry for entry in itertools.chain.from_iterable(candidates) if entry is not None]
-    # in lower case, as some file systems ignore case; joined cubes of a pattern have the id of their table
-    names = [str(entry.name).lower() for entry in entries]
-    names += [line_id.lower() for cubes, line_id in reader.flights if cubes and line_id]
-    for name in sorted({name for name in names if names.count(name) > 1}):
-        reader.problems.add(
-            f"[[flightlines]] {names.count(name)} lines have the id {name!r}",
-            mend="give each table a unique id: cubes of a pattern are then called <id>_<name of the cube>",
-            code="name-duplicate",
-        )
-    return tuple(entries)
-
-
 def _note_missing_keys(reader: _Reader, subject: str, name: str, table: Mapping[str, Any]) -> None:
     for key, fact in SCHEMA[name].items():
         reader.problems.add_if(
@@ -601,7 +547,27 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
     except FormatError as error:
         fault = error.problem
         raise CollectError(fault.found, expected=fault.expected, mend=fault.mend, code=fault.code) from error
-    irradiance = _irradiance(reader)
+    # The irradiance record
+    table = reader.one("irradiance")
+    if "files" not in table:
+        reader.problems.add_if(
+            table["?"] and "files" not in table["?"],
+            "[irradiance] files is missing",
+            mend="name the files of the spectrometer",
+            code="key-missing",
+        )
+        irradiance = None
+    else:
+        options = {k: v for k, v in values(table).items() if k not in ("files", "calibration", "mount")}
+        if "calibration" in table:
+            certificates = {
+                str(key): reader.path("[irradiance.calibration]", str(key), str(value))
+                for key, value in table["calibration"].items()
+            }
+            options["calibration"] = {key: path for key, path in certificates.items() if path is not None}
+        irradiance = IrradianceEntry(
+            reader.files("[irradiance]", "files", table["files"]), options, table.get("mount") == "aircraft"
+        )
     problems.add_if(
         need_irradiance and not {"irradiance", "reference"} & set(reader.given),
         "no [irradiance], which reflectance needs",
@@ -619,7 +585,36 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         code="key-missing",
     )
     is_lost = calibration is None and sweep is None and table["?"]
-    flightlines, references, panels = _flightlines(reader), _references(reader), tuple(_panels(reader))
+    # The flight lines
+    tables, camera = reader.tables["flightlines"], reader.one("camera")
+    # inputs common to all flight lines
+    keys = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
+    dark: Any = reader.dark
+    if dark is None:
+        table = reader.one("dark")
+        cubes = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
+        dark = cubes or (Unavailable.REPORTED if table["?"] else None)
+    shared = {key: camera[key] for key in keys if key in camera}
+    shared |= {"dark": dark, "convention": values(reader.one("navigation"))}
+    shared["has_white"] = bool(reader.tables["reference"])
+    reader.problems.add_if(
+        not tables,
+        "no [[flightlines]]",
+        mend="state the cube of at least one flight line",
+        code="flightline-missing",
+    )
+    candidates = (_cubes(reader, number, table, shared) for number, table in enumerate(tables))
+    entries = [entry for entry in itertools.chain.from_iterable(candidates) if entry is not None]
+    # in lower case, as some file systems ignore case; joined cubes of a pattern have the id of their table
+    names = [str(entry.name).lower() for entry in entries]
+    names += [line_id.lower() for cubes, line_id in reader.flights if cubes and line_id]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        reader.problems.add(
+            f"[[flightlines]] {names.count(name)} lines have the id {name!r}",
+            mend="give each table a unique id: cubes of a pattern are then called <id>_<name of the cube>",
+            code="name-duplicate",
+        )
+    flightlines, references, panels = tuple(entries), _references(reader), tuple(_panels(reader))
     table = reader.one("geometry")
     reader.exclude("[geometry]", table, "ground", "dem")
     reader.exclude("[geometry]", table, "fov_deg", "look_angle")
@@ -921,24 +916,6 @@ def _step_and_period(previous: xr.Dataset, line: xr.Dataset) -> tuple[np.timedel
     return times[timed[0]] - previous_times[previous_timed[-1]] - blank * period, period
 
 
-def _blank_lines(previous: xr.Dataset, count: int) -> xr.Dataset:
-    # Blank lines for frames lost after a cube, without time and position; frame numbers continue
-    blank = previous.isel({ALONG_TRACK: [-1] * count})
-    for name, variable in previous.variables.items():
-        filled = blank[name]
-        if ALONG_TRACK not in variable.dims or name == "exposure_time":
-            continue
-        if name == "frame":
-            filled = filled + np.arange(1, count + 1)
-        elif name == "counts":
-            filled = xr.full_like(filled, BLANK_COUNT)
-        else:
-            empty: Any = np.datetime64("NaT", "ns") if variable.dtype.kind == "M" else np.nan
-            filled = xr.full_like(filled, empty)
-        blank[name] = filled.variable
-    return blank
-
-
 def _concatenated(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Dataset:
     if len(lines) == 1:
         return lines[0]
@@ -952,7 +929,23 @@ def _concatenated(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.
     # without irradiance and line numbers, which are added to the joined line
     pieces = [line.drop_dims(IRRADIANCE_TIME, errors="ignore").drop_vars(ALONG_TRACK) for line in lines]
     for number in reversed(np.flatnonzero(lost)):
-        pieces.insert(number + 1, _blank_lines(pieces[number], lost[number]))
+        previous = pieces[number]
+        count = lost[number]
+        # Blank lines for frames lost after a cube, without time and position; frame numbers continue
+        blank = previous.isel({ALONG_TRACK: [-1] * count})
+        for name, variable in previous.variables.items():
+            filled = blank[name]
+            if ALONG_TRACK not in variable.dims or name == "exposure_time":
+                continue
+            if name == "frame":
+                filled = filled + np.arange(1, count + 1)
+            elif name == "counts":
+                filled = xr.full_like(filled, BLANK_COUNT)
+            else:
+                empty: Any = np.datetime64("NaT", "ns") if variable.dtype.kind == "M" else np.nan
+                filled = xr.full_like(filled, empty)
+            blank[name] = filled.variable
+        pieces.insert(number + 1, blank)
     joined: xr.Dataset = xr.concat(
         pieces,
         ALONG_TRACK,

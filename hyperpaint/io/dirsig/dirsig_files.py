@@ -196,12 +196,7 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
         code="value-out-of-range",
     )
     problems.raise_if_any()
-    layout, curves = _curves(lines[-1], count, problems)
-    problems.raise_if_any()
-    return Emissivity(weights, tuple(curves), layout)
-
-
-def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curve]]:
+    body = lines[-1]
     # Layout, and curves after the weights
     start = body.rfind(b"\n", 0, len(body) - len(body.lstrip(b" \t\n"))) + 1  # first line with text
     is_new = _NEW_MARK.match(body, start) is not None
@@ -288,7 +283,8 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
         if len(problems) >= _MAX_SHOWN:
             break
         line += rows.count(b"\n") + 1
-    return layout, curves
+    problems.raise_if_any()
+    return Emissivity(weights, tuple(curves), layout)
 
 
 def _shown(line: bytes) -> str:

@@ -206,7 +206,33 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     arrays: dict[str, xr.DataArray] = {}
     for name in names:
         try:
-            arrays[name] = _variable(dataset, name)
+            # A variable in the units, dims and dtype of the table, without coordinates
+            spec = VARIABLES[name]
+            SchemaError.raise_if(
+                name not in dataset.variables,
+                f"{name!r} is missing",
+                expected=f"{spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]",
+                code="variable-missing",
+            )
+            array = dataset[name].reset_coords(drop=True)
+            allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
+            SchemaError.raise_if(
+                not allowed,
+                f"{name!r} has dims ({', '.join(map(str, array.dims))})",
+                expected=" or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives)),
+                code="dims-wrong",
+            )
+            SchemaError.raise_if(
+                array.dtype.kind not in ("biu" if spec.dtype == "bool" else "fiu"),
+                f"{name!r} has dtype {array.dtype}",
+                expected=spec.dtype,
+                code="type-wrong",
+            )
+            array = array.transpose(*allowed[0])
+            if spec.units and spec.units != "1":
+                # converted in float64, so that values are rounded once
+                array = convert(array.astype(np.float64), spec.units, name)
+            arrays[name] = label(array.astype(dtype_of(name)), name)
         except (SchemaError, UnitsError) as error:
             problems.add_error("", error)
     for name, array in arrays.items():
@@ -249,36 +275,6 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         name: arrays.pop(name) for name in list(arrays) if name in VARIABLES and VARIABLES[name].coordinate
     }
     return xr.Dataset(arrays, coords, {**dataset.attrs, "srf_shape": shape})
-
-
-def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
-    # A variable in the units, dims and dtype of the table, without coordinates
-    spec = VARIABLES[name]
-    SchemaError.raise_if(
-        name not in dataset.variables,
-        f"{name!r} is missing",
-        expected=f"{spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]",
-        code="variable-missing",
-    )
-    array = dataset[name].reset_coords(drop=True)
-    allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
-    SchemaError.raise_if(
-        not allowed,
-        f"{name!r} has dims ({', '.join(map(str, array.dims))})",
-        expected=" or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives)),
-        code="dims-wrong",
-    )
-    SchemaError.raise_if(
-        array.dtype.kind not in ("biu" if spec.dtype == "bool" else "fiu"),
-        f"{name!r} has dtype {array.dtype}",
-        expected=spec.dtype,
-        code="type-wrong",
-    )
-    array = array.transpose(*allowed[0])
-    if spec.units and spec.units != "1":
-        # converted in float64, so that values are rounded once
-        array = convert(array.astype(np.float64), spec.units, name)
-    return label(array.astype(dtype_of(name)), name)
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:

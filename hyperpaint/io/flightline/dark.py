@@ -110,7 +110,58 @@ def open_dark(
     if isinstance(source, xr.Dataset) and "dark_counts" in source:
         return _from_dark_counts(source, shape, "a Dataset")
     sources: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
-    return _combine([read_reference(reference, timing, shape) for reference in sources])
+    references = [read_reference(reference, timing, shape) for reference in sources]
+    # Stack references along time where all times are known, else average them
+    long = [ref.frames for ref in references if ref.frames.lines >= MIN_NOISE_LINES]
+    measured = long or [ref.frames for ref in references if ref.frames.lines > 1]
+    noise = variance = None
+    if measured:
+        freedom = np.array([frames.lines - 1 for frames in measured], np.float64)
+        squares = sum(k * frames.variance for k, frames in zip(freedom, measured, strict=True))
+        if long:
+            variance = squares / freedom.sum()
+            noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
+        else:
+            # few lines: shrink the variance of an element to the mean variance, with the weight of
+            # `MIN_NOISE_LINES` lines
+            pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
+            variance = (squares + MIN_NOISE_LINES * pooled) / (freedom.sum() + MIN_NOISE_LINES)
+    source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
+    times = [ref.time for ref in references if ref.time is not None]
+    if len(references) > 1 and len(times) == len(references) == len(set(times)):
+        references = sorted(references, key=lambda ref: ref.time or np.datetime64(0, "ns"))
+        counts = label(
+            xr.DataArray(
+                np.stack([ref.frames.mean for ref in references]).astype(np.float32),
+                dims=("dark_time", *_ELEMENT),
+            ),
+            "dark_counts",
+        )
+        counts = counts.assign_coords(
+            dark_time=label(
+                xr.DataArray(np.array([ref.time for ref in references], "datetime64[ns]"), dims="dark_time"),
+                "dark_time",
+            )
+        )
+        min_lines = min(ref.frames.lines for ref in references)
+        u = None if variance is None else _labelled(np.sqrt(variance / min_lines), "dark_counts_u_random")
+        return Dark(counts, tuple(ref.exposure for ref in references), noise, source, u)
+    exposures = ", ".join(
+        f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
+        for ref in references
+    )
+    SchemaError.raise_if(
+        len({ref.exposure for ref in references}) > 1,
+        f"dark cubes of unknown times cannot be averaged, since their exposures differ: {exposures}",
+        code="exposure-conflict",
+    )
+    lines = sum(ref.frames.lines for ref in references)
+    total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
+    mean = (total / np.float64(lines)).astype(np.float32)
+    if len(references) > 1:
+        source += "; averaged, since their times are unknown"
+    u = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
+    return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, u)
 
 
 def own_dark(source: Any, path: Path | None, opened: xr.Dataset) -> Any:
@@ -219,60 +270,6 @@ def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int)
         return None if stated is None else utc_of(str(stated), "acquisition time")
     except TimeError:
         return None  # such as a time without a zone
-
-
-def _combine(references: list[Reference]) -> Dark:
-    # Stack references along time where all times are known, else average them
-    long = [ref.frames for ref in references if ref.frames.lines >= MIN_NOISE_LINES]
-    measured = long or [ref.frames for ref in references if ref.frames.lines > 1]
-    noise = variance = None
-    if measured:
-        freedom = np.array([frames.lines - 1 for frames in measured], np.float64)
-        squares = sum(k * frames.variance for k, frames in zip(freedom, measured, strict=True))
-        if long:
-            variance = squares / freedom.sum()
-            noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
-        else:
-            # few lines: shrink the variance of an element to the mean variance, with the weight of
-            # `MIN_NOISE_LINES` lines
-            pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
-            variance = (squares + MIN_NOISE_LINES * pooled) / (freedom.sum() + MIN_NOISE_LINES)
-    source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
-    times = [ref.time for ref in references if ref.time is not None]
-    if len(references) > 1 and len(times) == len(references) == len(set(times)):
-        references = sorted(references, key=lambda ref: ref.time or np.datetime64(0, "ns"))
-        counts = label(
-            xr.DataArray(
-                np.stack([ref.frames.mean for ref in references]).astype(np.float32),
-                dims=("dark_time", *_ELEMENT),
-            ),
-            "dark_counts",
-        )
-        counts = counts.assign_coords(
-            dark_time=label(
-                xr.DataArray(np.array([ref.time for ref in references], "datetime64[ns]"), dims="dark_time"),
-                "dark_time",
-            )
-        )
-        min_lines = min(ref.frames.lines for ref in references)
-        u = None if variance is None else _labelled(np.sqrt(variance / min_lines), "dark_counts_u_random")
-        return Dark(counts, tuple(ref.exposure for ref in references), noise, source, u)
-    exposures = ", ".join(
-        f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
-        for ref in references
-    )
-    SchemaError.raise_if(
-        len({ref.exposure for ref in references}) > 1,
-        f"dark cubes of unknown times cannot be averaged, since their exposures differ: {exposures}",
-        code="exposure-conflict",
-    )
-    lines = sum(ref.frames.lines for ref in references)
-    total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
-    mean = (total / np.float64(lines)).astype(np.float32)
-    if len(references) > 1:
-        source += "; averaged, since their times are unknown"
-    u = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
-    return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, u)
 
 
 def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:

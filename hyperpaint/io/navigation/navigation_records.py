@@ -900,7 +900,42 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     # Raises FormatError: Columns or units are missing, or cells do not fit the header; all are listed.
     # Raises TimeError: Time runs backwards.
     path = Path(path)
-    comments, header, table = _table_and_comments(path, names)
+    # Comments, header and cells of a file.
+    text = read_text(path, _MAX_TEXT_BYTES, MAX_TABLE_ROWS)
+    comments: dict[str, str] = {}
+    start, head = 0, ""
+    for start, line in numbered_lines(text):  # noqa: B007
+        if line.strip() and not line.lstrip().startswith("#"):
+            head = line
+            break
+        key, _, value = line.lstrip("# \t").partition(":")
+        if line.strip() and len(comments) < _MAX_COMMENTS:
+            comments[_plain_words(key).replace(" ", "_")] = value.strip()
+    separator = next(
+        (character for character in ("\t", ";", ",") if character in head), "," if names is None else None
+    )
+    cells = head.split(separator, _MAX_COLUMNS) if names is None else list(names)
+    header = [_column(cell) for cell in cells]
+    if len(cells) > _MAX_COLUMNS or not any(column.key in _ALIASES for column in header):
+        shown_header = head.strip()[:80] if names is None else ", ".join(cells)[:80]
+        raise FormatError(
+            f"{path}: the header is {shown_header!r}",
+            expected=f"names of {', '.join(POSE)} and a time",
+            mend="pass columns= for a table without a header",
+            code="header-missing",
+        )
+    first = start + (names is None)
+    rows = (
+        (
+            number,
+            line.strip().split(separator, len(header))
+            if separator is None
+            else line.split(separator, len(header)),
+        )
+        for number, line in numbered_lines(text)
+        if number >= first and line.strip() and not line.lstrip().startswith("#")
+    )
+    comments, header, table = comments, header, table_of(path, [column.shown for column in header], rows)
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
     convention, assumed, clock_settings = _declarations(comments, problems)
     columns = _columns(header, problems)
@@ -943,47 +978,6 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         leap_seconds=clock_settings.get("leap_seconds"),
         attrs={"rows_without_time": rows_left_out} if rows_left_out else {},
     )
-
-
-def _table_and_comments(
-    path: Path, names: Sequence[str] | None
-) -> tuple[dict[str, str], list[_Column], Table]:
-    # Return comments, header and cells of a file.
-    text = read_text(path, _MAX_TEXT_BYTES, MAX_TABLE_ROWS)
-    comments: dict[str, str] = {}
-    start, head = 0, ""
-    for start, line in numbered_lines(text):  # noqa: B007
-        if line.strip() and not line.lstrip().startswith("#"):
-            head = line
-            break
-        key, _, value = line.lstrip("# \t").partition(":")
-        if line.strip() and len(comments) < _MAX_COMMENTS:
-            comments[_plain_words(key).replace(" ", "_")] = value.strip()
-    separator = next(
-        (character for character in ("\t", ";", ",") if character in head), "," if names is None else None
-    )
-    cells = head.split(separator, _MAX_COLUMNS) if names is None else list(names)
-    header = [_column(cell) for cell in cells]
-    if len(cells) > _MAX_COLUMNS or not any(column.key in _ALIASES for column in header):
-        shown_header = head.strip()[:80] if names is None else ", ".join(cells)[:80]
-        raise FormatError(
-            f"{path}: the header is {shown_header!r}",
-            expected=f"names of {', '.join(POSE)} and a time",
-            mend="pass columns= for a table without a header",
-            code="header-missing",
-        )
-    first = start + (names is None)
-    rows = (
-        (
-            number,
-            line.strip().split(separator, len(header))
-            if separator is None
-            else line.split(separator, len(header)),
-        )
-        for number, line in numbered_lines(text)
-        if number >= first and line.strip() and not line.lstrip().startswith("#")
-    )
-    return comments, header, table_of(path, [column.shown for column in header], rows)
 
 
 def _plain_words(text: str) -> str:
@@ -1091,7 +1085,24 @@ def _time_column(
         return stamp, has_time, clock
     if ":" in first_stamp:
         is_zone_required = not clock and "time_scale" not in clock_settings
-        stamp, wrong_rows = _iso_times(cells, has_time, table.rows, is_zone_required=is_zone_required)
+        # Nanoseconds since 1970, and the line numbers of unreadable stamps.
+        texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
+        is_unreadable = np.zeros(len(cells), np.bool_)
+        for position in np.flatnonzero(has_time).tolist():
+            match = _STAMP.fullmatch(cells[position][:64])
+            if match is None or not "1980" <= match[1] < "2199" or (is_zone_required and match[8] is None):
+                is_unreadable[position] = True
+                continue
+            texts[position] = (
+                f"{match[1]}-{match[2]}-{match[3]}T{match[4]}:{match[5]}:{match[6]}.{match[7] or 0}"
+            )
+            if match[8] and match[8][0] in "+-":
+                zone_text = match[8].replace(":", "")
+                minutes = int(zone_text[1:3]) * 60 + int(zone_text[3:5])
+                shifts[position] = (-minutes if zone_text[0] == "-" else minutes) * 60
+        stamps = instants(texts)
+        is_unreadable |= np.isnat(stamps)
+        stamp, wrong_rows = stamps.astype(np.int64) - shifts * NS_PER_S, table.rows[is_unreadable]
         if wrong_rows.size:
             zone = " with a zone (or '# time_scale: utc')" if is_zone_required else ""
             problems.add(
@@ -1132,27 +1143,6 @@ def _time_column(
     if clock == "gps" and has_time.any() and (seconds[has_time] <= _WEEKS_S).all():
         clock = "week"
     return (stamp + GPS_EPOCH if clock == "gps" else stamp), has_time, clock
-
-
-def _iso_times(
-    cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, is_zone_required: bool
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    # Return nanoseconds since 1970, and the line numbers of unreadable stamps.
-    texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
-    is_unreadable = np.zeros(len(cells), np.bool_)
-    for position in np.flatnonzero(has_time).tolist():
-        match = _STAMP.fullmatch(cells[position][:64])
-        if match is None or not "1980" <= match[1] < "2199" or (is_zone_required and match[8] is None):
-            is_unreadable[position] = True
-            continue
-        texts[position] = f"{match[1]}-{match[2]}-{match[3]}T{match[4]}:{match[5]}:{match[6]}.{match[7] or 0}"
-        if match[8] and match[8][0] in "+-":
-            zone_text = match[8].replace(":", "")
-            minutes = int(zone_text[1:3]) * 60 + int(zone_text[3:5])
-            shifts[position] = (-minutes if zone_text[0] == "-" else minutes) * 60
-    stamps = instants(texts)
-    is_unreadable |= np.isnat(stamps)
-    return stamps.astype(np.int64) - shifts * NS_PER_S, rows[is_unreadable]
 
 
 # --- NMEA 0183 ---------------------------------------------------------------------------------------------

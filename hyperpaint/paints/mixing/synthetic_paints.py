@@ -29,7 +29,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
+from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
@@ -434,7 +434,24 @@ def sample_paints(
             f"than {_MIN_MARGIN:g}, the range of variants"
         )
         warn_user(msg, "members-left-out")
-    return _variant_library(library, variants, form, seed)
+    # Variants (signature, member, band) as members of one new paint for each parent, or as paints
+    count = variants.shape[1]
+    parent_rows = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
+    parents = [str(library[SIGNATURE].values[row]) for row in parent_rows]
+    names = [f"{name} (synthetic)" for name in parents]
+    values = {"reflectance": variants.mean(axis=1, dtype=np.float64), MEMBERS: variants}
+    if form == "paints":
+        names = [f"{name} (synthetic {row % count + 1})" for row, name in enumerate(parents)]
+        values = {"reflectance": variants.reshape(-1, variants.shape[2])}
+    if SPECULAR in library.variables:
+        values[SPECULAR] = specular_of(library)[parent_rows]
+    paints = synthetic_library(library, names, values, [{name: 1.0} for name in parents], _METHOD, seed=seed)
+    properties = {
+        name: (SIGNATURE, array.values[parent_rows], array.attrs)
+        for name, array in library.coords.items()
+        if array.dims == (SIGNATURE,) and name not in paints.coords
+    }
+    return paints.assign_coords(properties).drop_vars(MEMBER, errors="ignore")
 
 
 def draw_variants(
@@ -481,27 +498,6 @@ def _complete_members(spectra: Floats) -> tuple[Bools, Floats]:
     is_finite = np.isfinite(spectra)
     bands = is_finite.mean(axis=0) > 0.5 if len(is_finite) else np.zeros(spectra.shape[1], np.bool_)
     return bands, spectra[is_finite[:, bands].all(axis=1)][:, bands]
-
-
-def _variant_library(library: xr.Dataset, variants: Floats32, form: str, seed: int) -> xr.Dataset:
-    # Variants (signature, member, band) as members of one new paint for each parent, or as paints
-    count = variants.shape[1]
-    parent_rows = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
-    parents = [str(library[SIGNATURE].values[row]) for row in parent_rows]
-    names = [f"{name} (synthetic)" for name in parents]
-    values = {"reflectance": variants.mean(axis=1, dtype=np.float64), MEMBERS: variants}
-    if form == "paints":
-        names = [f"{name} (synthetic {row % count + 1})" for row, name in enumerate(parents)]
-        values = {"reflectance": variants.reshape(-1, variants.shape[2])}
-    if SPECULAR in library.variables:
-        values[SPECULAR] = specular_of(library)[parent_rows]
-    paints = synthetic_library(library, names, values, [{name: 1.0} for name in parents], _METHOD, seed=seed)
-    properties = {
-        name: (SIGNATURE, array.values[parent_rows], array.attrs)
-        for name, array in library.coords.items()
-        if array.dims == (SIGNATURE,) and name not in paints.coords
-    }
-    return paints.assign_coords(properties).drop_vars(MEMBER, errors="ignore")
 
 
 # --- mixtures and shades ---------------------------------------------------------------------------------

@@ -327,7 +327,22 @@ class RegionSums:
         #
         # ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
         line, columns = self._line, self._columns
-        averaging = _averaging_matrix(len(self._counts_of_pixels), columns, axis)
+        bands = len(self._counts_of_pixels)
+        # The matrix from flattened spectra of columns (band, column) to nominal wavelengths (band,).
+        flat_index = np.arange(bands * columns.size).reshape(bands, columns.size)
+        band = np.broadcast_to(np.arange(bands)[:, None], flat_index.shape)
+        if axis is None:
+            averaging = sparse.csr_array(
+                (np.ones(flat_index.size), (band.ravel(), flat_index.ravel())), (bands, flat_index.size)
+            )
+        else:
+            weights = np.nan_to_num(axis.weights[:, columns].astype(np.float64))
+            tap_bands = axis.first[:, columns, None] + np.arange(weights.shape[2])
+            source = flat_index[tap_bands, np.arange(columns.size)[None, :, None]]
+            rows = np.broadcast_to(band[..., None], weights.shape)
+            averaging = sparse.csr_array(
+                (weights.ravel(), (rows.ravel(), source.ravel())), (bands, flat_index.size)
+            )
         count = averaging @ self._counts_of_pixels.ravel()
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(count > 0.5, 1.0 / count, np.nan)
@@ -389,21 +404,6 @@ class RegionSums:
         names = tuple(name for name in FORMS if name in sizes)
         total = np.sum(list(covariances.values()), axis=0)
         return MeanErrors(names, np.array([sizes[name] for name in names]), *_sd_and_correlation(total))
-
-
-def _averaging_matrix(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_array:
-    # Return the matrix from flattened spectra of columns (band, column) to nominal wavelengths (band,).
-    flat_index = np.arange(bands * columns.size).reshape(bands, columns.size)
-    band = np.broadcast_to(np.arange(bands)[:, None], flat_index.shape)
-    if axis is None:
-        return sparse.csr_array(
-            (np.ones(flat_index.size), (band.ravel(), flat_index.ravel())), (bands, flat_index.size)
-        )
-    weights = np.nan_to_num(axis.weights[:, columns].astype(np.float64))
-    tap_bands = axis.first[:, columns, None] + np.arange(weights.shape[2])
-    source = flat_index[tap_bands, np.arange(columns.size)[None, :, None]]
-    rows = np.broadcast_to(band[..., None], weights.shape)
-    return sparse.csr_array((weights.ravel(), (rows.ravel(), source.ravel())), (bands, flat_index.size))
 
 
 def _sd_and_correlation(covariance: Floats) -> tuple[Floats, Array]:

@@ -22,7 +22,6 @@ from scipy.spatial import ConvexHull
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.light_split import MAX_SUN_ZENITH_DEG
 
 from .candidates import (
@@ -311,7 +310,19 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats) -> Roof | NoRoof:
     runs = _runs(car, tracks)
     if not any(run.is_window for run in runs):
         return NoRoof("no window crosses it: it may not belong to a car", False)
-    beside = _windows_beside(car, tracks)
+    # Tracks with side windows (track,), on the side with more of them.
+    # Beyond a window there is a lit door; beyond dark pixels of the car's shadow nothing is lit.
+    count = round(car.length)
+    track = np.floor(tracks.along).astype(np.int64).clip(0, count - 1)
+    side_windows = []
+    for sign in (-1, 1):
+        aside = sign * tracks.across
+        lit = car.area & ~tracks.glass & (aside > ROOFS.middle)
+        outermost = np.zeros(count)
+        np.maximum.at(outermost, track[lit], aside[lit])
+        window = tracks.glass & (aside > ROOFS.middle) & (aside < outermost[track])
+        side_windows.append(np.bincount(track[window], minlength=count) >= ROOFS.min_window_px)
+    beside = max(side_windows, key=lambda windows: int(windows.sum()))
 
     def sided(run: _Run) -> float:
         # Share of a section with side windows
@@ -493,22 +504,6 @@ def _window_edge(tracks: _Tracks, sign: int, run: _Run) -> float:
     np.minimum.at(nearest, track, sign * tracks.across[beside])
     edges = nearest[np.isfinite(nearest)]
     return float(np.median(edges)) if edges.size >= ROOFS.min_seen * nearest.size else np.nan
-
-
-def _windows_beside(car: Footprint, tracks: _Tracks) -> Bools:
-    # Tracks with side windows (track,), on the side with more of them.
-    # Beyond a window there is a lit door; beyond dark pixels of the car's shadow nothing is lit.
-    count = round(car.length)
-    track = np.floor(tracks.along).astype(np.int64).clip(0, count - 1)
-    side_windows = []
-    for sign in (-1, 1):
-        aside = sign * tracks.across
-        lit = car.area & ~tracks.glass & (aside > ROOFS.middle)
-        outermost = np.zeros(count)
-        np.maximum.at(outermost, track[lit], aside[lit])
-        window = tracks.glass & (aside > ROOFS.middle) & (aside < outermost[track])
-        side_windows.append(np.bincount(track[window], minlength=count) >= ROOFS.min_window_px)
-    return max(side_windows, key=lambda windows: int(windows.sum()))
 
 
 def _runs(car: Footprint, tracks: _Tracks) -> list[_Run]:
@@ -1015,7 +1010,19 @@ def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Verdict]:
 
 def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limits) -> Verdict | None:
     # Verdict on a roof; None where all its pixels are near edges
-    piece = _piece_of(footprint, roof, picture.model, limits["erode"])
+    # Pixels of a roof away from other colours.
+    # Pixels brighter than the car's other paint count as paint: they lie in the lobe of flakes, or in glint.
+    paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
+    inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > limits["erode"])
+    lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not lines.size:
+        piece = None
+    else:
+        origin = (int(lines[0]) + footprint.origin[0], int(columns[0]) + footprint.origin[1])
+        piece = Piece(0, origin, inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1])
+        segment = picture.model.segment[piece.window][piece.inside]
+        body = picture.model.body[segment[segment >= 0]]
+        piece = piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
     if piece is None:
         return None
     y, x = piece.origin[0] - footprint.origin[0], piece.origin[1] - footprint.origin[1]
@@ -1077,21 +1084,6 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
             "a dark roof needs the same paint beyond both its windows, or a bonnet before its windscreen and "
             "side windows: this may be a window or a bed; draw a region by hand"
         )
-
-
-def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: float) -> Piece | None:
-    # Pixels of a roof away from other colours.
-    # Pixels brighter than the car's other paint count as paint: they lie in the lobe of flakes, or in glint.
-    paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
-    inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > erode)
-    lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
-    if not lines.size:
-        return None
-    origin = (int(lines[0]) + footprint.origin[0], int(columns[0]) + footprint.origin[1])
-    piece = Piece(0, origin, inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1])
-    segment = model.segment[piece.window][piece.inside]
-    body = model.body[segment[segment >= 0]]
-    return piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
 
 
 def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Verdict:

@@ -314,7 +314,24 @@ def propose_regions(
             painted.append(piece)
     for car in find_cars(painted, picture):
         judged += judge_car(car, picture, limits)
-    proposals = _ranked(judged, _Places(line, scene.channel_wavelength, name), most, flightline)
+    # Accepted pieces by score, and refused pieces with their objections
+    places = _Places(line, scene.channel_wavelength, name)
+    accepted = [verdict for verdict in judged if not verdict.objections]
+    accepted.sort(key=lambda verdict: (-verdict.score, verdict.piece.origin, verdict.piece.body))
+    refused = [verdict for verdict in judged if verdict.objections]
+    refused.sort(key=lambda verdict: verdict.scenery)
+    digits = len(str(max(len(refused), 10)))
+    proposed = [
+        _region(verdict, name, flightline, {"rank": rank, "score": round(verdict.score, 4), **place})
+        for rank, (verdict, (name, place)) in enumerate(
+            zip(accepted, places.of(accepted), strict=True), start=1
+        )
+    ][:most]
+    others = [
+        _region(verdict, f"refused_{rank:0{digits}}", flightline, {"refused": verdict.objections})
+        for rank, verdict in enumerate(refused, start=1)
+    ]
+    proposals = Proposals(tuple(proposed), refused=Regions(tuple(others)))
     return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
 
 
@@ -381,25 +398,6 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     layers = dict(zip(_LAYERS, results[len(blocks) :], strict=False))
     layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if quality is None else quality.values
     return channels, layers
-
-
-def _ranked(judged: list[Verdict], places: _Places, max_regions: int | None, flightline: str) -> Proposals:
-    accepted = [verdict for verdict in judged if not verdict.objections]
-    accepted.sort(key=lambda verdict: (-verdict.score, verdict.piece.origin, verdict.piece.body))
-    refused = [verdict for verdict in judged if verdict.objections]
-    refused.sort(key=lambda verdict: verdict.scenery)
-    digits = len(str(max(len(refused), 10)))
-    proposed = [
-        _region(verdict, name, flightline, {"rank": rank, "score": round(verdict.score, 4), **place})
-        for rank, (verdict, (name, place)) in enumerate(
-            zip(accepted, places.of(accepted), strict=True), start=1
-        )
-    ][:max_regions]
-    others = [
-        _region(verdict, f"refused_{rank:0{digits}}", flightline, {"refused": verdict.objections})
-        for rank, verdict in enumerate(refused, start=1)
-    ]
-    return Proposals(tuple(proposed), refused=Regions(tuple(others)))
 
 
 def _region(verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, Any]) -> Region:

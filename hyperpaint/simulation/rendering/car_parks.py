@@ -141,7 +141,17 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
     shape = CAR_TYPES[kind]
     length, width, height = (rng.uniform(*limits) for limits in (shape.length, shape.width, shape.height))
     sunroof, rails = rng.random() < 0.15, rng.random() < 0.6
-    stations = _stations(shape, length)
+    # Stations of sections, from nose (0) to tail (1)
+    gap = _SEAM_M / length
+    seams = [0.045, *shape.doors, *(() if shape.bed else (shape.boot_seam,))]
+    bends = [0.0, 0.006, 0.02, 0.085, 0.16, shape.cowl - 0.018, 0.96, 0.982, 0.994, 1.0]
+    glass = [shape.cowl, 0.5 * (shape.cowl + shape.windscreen_top), shape.windscreen_top]
+    glass += [0.5 * (shape.windscreen_top + shape.roof_end), shape.roof_end]
+    glass += [0.5 * (shape.roof_end + shape.rear_base), shape.rear_base]
+    posts = [post for pillar in shape.pillars for post in pillar if post < 0.97]
+    bed = [end + step for end in shape.bed or () for step in (0.0, gap)]
+    stations = np.array(sorted({*bends, *glass, *posts, *bed, *(s + d for s in seams for d in (0.0, gap))}))
+    stations = stations[~(np.diff(stations, prepend=-1.0) < 0.6 * gap)]
     sections = _sections(shape, stations, length, width, height)
     # surface and body part of every cell of half the sheet; later rows overwrite earlier ones
     middles = 0.5 * (stations[1:] + stations[:-1])
@@ -182,20 +192,6 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
         rail = (0.035, (end - begin) * length, 0.05), "rim", ""
         parts += [Part(cuboid, rail, (side * x, y, height - 0.075)) for side in (-1, 1)]
     return built(parts)
-
-
-def _stations(shape: CarShape, length: float) -> Floats:
-    # stations of sections, from nose (0) to tail (1)
-    gap = _SEAM_M / length
-    seams = [0.045, *shape.doors, *(() if shape.bed else (shape.boot_seam,))]
-    bends = [0.0, 0.006, 0.02, 0.085, 0.16, shape.cowl - 0.018, 0.96, 0.982, 0.994, 1.0]
-    glass = [shape.cowl, 0.5 * (shape.cowl + shape.windscreen_top), shape.windscreen_top]
-    glass += [0.5 * (shape.windscreen_top + shape.roof_end), shape.roof_end]
-    glass += [0.5 * (shape.roof_end + shape.rear_base), shape.rear_base]
-    posts = [post for pillar in shape.pillars for post in pillar if post < 0.97]
-    bed = [end + step for end in shape.bed or () for step in (0.0, gap)]
-    stations = np.array(sorted({*bends, *glass, *posts, *bed, *(s + d for s in seams for d in (0.0, gap))}))
-    return stations[~(np.diff(stations, prepend=-1.0) < 0.6 * gap)]
 
 
 def _sections(shape: CarShape, stations: Floats, length: float, width: float, height: float) -> Floats:

@@ -301,7 +301,54 @@ class Atmosphere:
         # is not from 0 to 1.
         #
         # Warns `PaintWarning`: Noise around zero, down to -1 % of the largest value, is set to 0.
-        grid, total = _irradiance_at(series, time)
+        # Wavelengths [nm] and irradiance [W m-2 nm-1] of a series at one time
+        arrays = require(
+            series, ["irradiance", "irradiance_wavelength"], "the atmosphere of an irradiance series"
+        )
+        values = np.asarray(arrays["irradiance"].values, dtype=np.float64)
+        grid = np.asarray(arrays["irradiance_wavelength"].values, dtype=np.float64)
+        check_wavelengths(grid)
+        first = last = 0  # samples before and after the time
+        weight = 0.0
+        SchemaError.raise_if(
+            time is None and len(values) != 1,
+            f"the irradiance series has {len(values)} samples",
+            expected="1 without time",
+            mend="pass time= in UTC",
+            code="argument-missing",
+        )
+        if time is not None:
+            times = require(series, ["irradiance_time"], "the irradiance at one time")[
+                "irradiance_time"
+            ].values
+            stamps = times.astype("datetime64[ns]").astype(np.int64)
+            moment = moment_of(time)
+            SchemaError.raise_if(
+                np.isnat(moment),
+                f"time is {time!r}",
+                expected="UTC such as '2020-06-21T17:00:15'",
+                code="time-unreadable",
+            )
+            time_ns = moment.astype(np.int64)
+            SchemaError.raise_if(
+                not len(stamps) or not stamps[0] <= time_ns <= stamps[-1],
+                f"time {moment} is outside the irradiance series",
+                expected=f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples",
+                code="irradiance-coverage",
+            )
+            if len(stamps) > 1:
+                last = min(max(int(np.searchsorted(stamps, time_ns)), 1), len(stamps) - 1)
+                first = last - 1
+                weight = (time_ns - stamps[first]) / (stamps[last] - stamps[first])
+        total = values[first] + weight * (values[last] - values[first])
+        # set small negative noise to 0; larger negative values are kept and refused later
+        if -_NOISE * total.max() <= total.min() < 0.0:
+            warn_user(
+                f"{int((total < 0.0).sum())} of {total.size} irradiances below zero, down to "
+                f"{total.min():.3g}, were set to 0",
+                "irradiance-negative",
+            )
+            total = np.maximum(total, 0.0)
         if direct_fraction is None:
             sun, sky = built_in_sky(grid, sun_zenith)
             level = sun * np.cos(np.radians(sun_zenith))
@@ -472,56 +519,6 @@ class Atmosphere:
             ) from error
         name = str(dataset.attrs.get("name", ""))
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
-
-
-def _irradiance_at(series: xr.Dataset, time: Any) -> tuple[Floats, Floats]:
-    # wavelengths [nm] and irradiance [W m-2 nm-1] of a series at one time
-    arrays = require(
-        series, ["irradiance", "irradiance_wavelength"], "the atmosphere of an irradiance series"
-    )
-    values = np.asarray(arrays["irradiance"].values, dtype=np.float64)
-    grid = np.asarray(arrays["irradiance_wavelength"].values, dtype=np.float64)
-    check_wavelengths(grid)
-    first = last = 0  # samples before and after the time
-    weight = 0.0
-    SchemaError.raise_if(
-        time is None and len(values) != 1,
-        f"the irradiance series has {len(values)} samples",
-        expected="1 without time",
-        mend="pass time= in UTC",
-        code="argument-missing",
-    )
-    if time is not None:
-        times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values
-        stamps = times.astype("datetime64[ns]").astype(np.int64)
-        moment = moment_of(time)
-        SchemaError.raise_if(
-            np.isnat(moment),
-            f"time is {time!r}",
-            expected="UTC such as '2020-06-21T17:00:15'",
-            code="time-unreadable",
-        )
-        time_ns = moment.astype(np.int64)
-        SchemaError.raise_if(
-            not len(stamps) or not stamps[0] <= time_ns <= stamps[-1],
-            f"time {moment} is outside the irradiance series",
-            expected=f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples",
-            code="irradiance-coverage",
-        )
-        if len(stamps) > 1:
-            last = min(max(int(np.searchsorted(stamps, time_ns)), 1), len(stamps) - 1)
-            first = last - 1
-            weight = (time_ns - stamps[first]) / (stamps[last] - stamps[first])
-    irradiance = values[first] + weight * (values[last] - values[first])
-    # set small negative noise to 0; larger negative values are kept and refused later
-    if -_NOISE * irradiance.max() <= irradiance.min() < 0.0:
-        warn_user(
-            f"{int((irradiance < 0.0).sum())} of {irradiance.size} irradiances below zero, down to "
-            f"{irradiance.min():.3g}, were set to 0",
-            "irradiance-negative",
-        )
-        irradiance = np.maximum(irradiance, 0.0)
-    return grid, irradiance
 
 
 def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:

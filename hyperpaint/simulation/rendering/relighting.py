@@ -763,7 +763,62 @@ def factor_spectra(
         library_paints = by_name(paints)
         library |= library_paints
         targets = assigned_paints(record, list(library_paints))
-    assigned, scales = _assign_spectra(record, dict(targets), library, problems)
+    paints = dict(targets)
+    # Name of the spectrum, and scale, of every factor; new spectra are added to ``library``
+    original = []
+    for factor in record.factors:
+        material = record.materials[factor.material]
+        flakes = material.flakes
+        name = material.transmittance if factor.through else material.spectrum
+        if factor.flakes and flakes is not None:
+            name = flakes.turned if factor.turned else flakes.spectrum
+        original.append(name)
+    assigned, scales = list(original), [1.0] * len(original)
+    instances = [instance.name for instance in record.instances]
+    materials = [material.name for material in record.materials]
+    rank = {**dict.fromkeys(original, 0), **dict.fromkeys(materials, 1), **dict.fromkeys(instances, 2)}
+    for key in paints:
+        problems.add_if(
+            key not in rank,
+            f"paints[{key!r}] names no instance, material or spectrum of the scene",
+            expected=f"a spectrum such as {some_names(original)}, or an instance such as "
+            f"{some_names(instances)}",
+            code="paint-target-unknown",
+        )
+    for key in sorted((key for key in paints if key in rank), key=rank.__getitem__):
+        name = paints[key] if isinstance(paints[key], str) else key
+        if not isinstance(paints[key], str):
+            library[key] = paints[key]
+        if rank[key] == 0:
+            factor_numbers = [number for number, spectrum in enumerate(original) if spectrum == key]
+        elif rank[key] == 1:
+            factor_numbers = [materials.index(key)]
+        else:
+            factor_numbers = _paint_factor(record, instances.index(key), problems)
+        # a repainted base gets the flakes of its new paint; scales correct the flake shares in the weights
+        for number in factor_numbers:
+            assigned[number] = name
+            base = record.factors[number].material
+            traced_flakes = record.materials[base].flakes
+            if record.factors[number].flakes or traced_flakes is None:
+                continue
+            if traced_flakes.share >= 1.0:
+                problems.add(
+                    f"{record.materials[base].name!r} has flakes only and cannot be repainted",
+                    code="paint-all-flakes",
+                )
+                continue
+            new_flakes = (
+                paint_spec(name).flakes if (isinstance(paints[key], str) and is_paint(name)) else None
+            )
+            scales[number] = (1.0 - (new_flakes.share if new_flakes else 0.0)) / (1.0 - traced_flakes.share)
+            for other_number, factor in enumerate(record.factors):
+                if factor.material == base and factor.flakes:
+                    scales[other_number] = new_flakes.share / traced_flakes.share if new_flakes else 0.0
+                    if new_flakes is not None:
+                        assigned[other_number] = (
+                            new_flakes.turned if factor.turned else ""
+                        ) or new_flakes.spectrum
     reader = SpectrumReader(library, bands, problems, clip=clip, hold_edges=hold_edges)
     spectra_or_none = {name: reader.read(name) for name in dict.fromkeys(assigned)}
     problems.raise_if_any()
@@ -822,67 +877,6 @@ def assigned_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]
     return by_name | {
         car: other_paints[number % len(other_paints)] for number, car in enumerate(other_cars) if other_paints
     }
-
-
-def _assign_spectra(
-    record: SceneRecord, paints: dict[str, Any], library: dict[str, Any], problems: Problems
-) -> tuple[list[str], list[float]]:
-    # name of the spectrum, and scale, of every factor; new spectra are added to ``library``
-    original = []
-    for factor in record.factors:
-        material = record.materials[factor.material]
-        flakes = material.flakes
-        name = material.transmittance if factor.through else material.spectrum
-        if factor.flakes and flakes is not None:
-            name = flakes.turned if factor.turned else flakes.spectrum
-        original.append(name)
-    assigned, scales = list(original), [1.0] * len(original)
-    instances = [instance.name for instance in record.instances]
-    materials = [material.name for material in record.materials]
-    rank = {**dict.fromkeys(original, 0), **dict.fromkeys(materials, 1), **dict.fromkeys(instances, 2)}
-    for key in paints:
-        problems.add_if(
-            key not in rank,
-            f"paints[{key!r}] names no instance, material or spectrum of the scene",
-            expected=f"a spectrum such as {some_names(original)}, or an instance such as "
-            f"{some_names(instances)}",
-            code="paint-target-unknown",
-        )
-    for key in sorted((key for key in paints if key in rank), key=rank.__getitem__):
-        name = paints[key] if isinstance(paints[key], str) else key
-        if not isinstance(paints[key], str):
-            library[key] = paints[key]
-        if rank[key] == 0:
-            factor_numbers = [number for number, spectrum in enumerate(original) if spectrum == key]
-        elif rank[key] == 1:
-            factor_numbers = [materials.index(key)]
-        else:
-            factor_numbers = _paint_factor(record, instances.index(key), problems)
-        # a repainted base gets the flakes of its new paint; scales correct the flake shares in the weights
-        for number in factor_numbers:
-            assigned[number] = name
-            base = record.factors[number].material
-            traced_flakes = record.materials[base].flakes
-            if record.factors[number].flakes or traced_flakes is None:
-                continue
-            if traced_flakes.share >= 1.0:
-                problems.add(
-                    f"{record.materials[base].name!r} has flakes only and cannot be repainted",
-                    code="paint-all-flakes",
-                )
-                continue
-            new_flakes = (
-                paint_spec(name).flakes if (isinstance(paints[key], str) and is_paint(name)) else None
-            )
-            scales[number] = (1.0 - (new_flakes.share if new_flakes else 0.0)) / (1.0 - traced_flakes.share)
-            for other_number, factor in enumerate(record.factors):
-                if factor.material == base and factor.flakes:
-                    scales[other_number] = new_flakes.share / traced_flakes.share if new_flakes else 0.0
-                    if new_flakes is not None:
-                        assigned[other_number] = (
-                            new_flakes.turned if factor.turned else ""
-                        ) or new_flakes.spectrum
-    return assigned, scales
 
 
 def _paint_factor(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
