@@ -453,10 +453,8 @@ def align_to_irradiance(
     spectrum[used_bands] = mean
     shift = declared.shift(mean.shape[1])
     # Spectra, pixels, shifts and column numbers of groups of neighbouring columns.
-    columns = np.arange(pixels.size, dtype=np.float64)
-    if group == 1:
-        spectrum, pixels, shift, column = spectrum, pixels, shift, columns
-    else:
+    column = np.arange(pixels.size, dtype=np.float64)
+    if group > 1:
         starts = np.arange(0, pixels.size, group)
         # leave out columns with a bad element in all bands: otherwise the group's mean would show
         # another surface in the band of that element
@@ -471,7 +469,7 @@ def align_to_irradiance(
             np.where(has_band & (total > 0), mean, np.nan),
             total,
             np.add.reduceat(shift, starts, axis=1) / size,
-            np.add.reduceat(columns, starts) / size,
+            np.add.reduceat(column, starts) / size,
         )
     estimates, departures = [], []
     for is_inside in inside_windows:

@@ -166,7 +166,7 @@ def element_differences(
         model = np.maximum((values * first).sum(axis=1, keepdims=True), 1e-300) * first
         residual = values - model
         residual -= (residual * second).sum(axis=1, keepdims=True) * second
-        model, residual, freedom = model, residual, 1.0 - first**2 - second**2
+        freedom = 1.0 - first**2 - second**2
         excess = residual**2 - sweep_data.noise.variance(model, float(lab.frames[step])) * freedom
         # samples that are not bright contain scattered light
         is_bright = model > _MIN_BRIGHT_SHARE * model.max(axis=1, keepdims=True)

@@ -82,13 +82,11 @@ def parameters_of(qualified_name: str) -> dict[str, Parameter]:
     )
     entries = re.findall(r"^(\S[^\n]*)\n((?:[ ]+[^\n]*\n?|\n)+)", section[1] if section else "", re.M)
     described = {name: _help(text) for names, text in entries for name in re.split(r",\s*", names)}
-    function = node
     # The descriptions that `hyperpaint.base.facts.documented` adds to a function's parameters.
-    calls = (node for node in function.decorator_list if isinstance(node, ast.Call))
+    calls = (call for call in node.decorator_list if isinstance(call, ast.Call))
     decorator = next((call for call in calls if ast.unparse(call.func) == "documented"), None)
-    if decorator is None:
-        shared = {}
-    else:
+    shared: dict[str, str] = {}
+    if decorator is not None:
         table: dict[str, str] = _value(ast.Name("PARAMETERS"), "base.facts")
         texts = {word.arg: ast.literal_eval(word.value) for word in decorator.keywords if word.arg}
         shared = table | {name: table.get(text, text) for name, text in texts.items()}

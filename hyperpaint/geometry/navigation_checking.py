@@ -1061,7 +1061,7 @@ def _fit_clock(setting: Setting, hypothesis: Hypothesis, compared: Bools, start:
         residual = target - design[..., 1:] @ sizes[1:]
         factor = _correlation_factor(np.where(is_valid, target - design @ sizes, np.nan))
         cost = 0.5 * float(np.minimum((residual[is_valid] / scale) ** 2, RULES.clip_sd**2).sum()) / factor
-        step, sd, last = float(sizes[0]), sd, cost
+        step, last = float(sizes[0]), cost
         first = last if iteration == 0 else first
         offset += float(np.clip(step, -RULES.max_step_s, RULES.max_step_s))
         if abs(step) < RULES.converged_sd * sd:

@@ -935,7 +935,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         for number, line in numbered_lines(text)
         if number >= first and line.strip() and not line.lstrip().startswith("#")
     )
-    comments, header, table = comments, header, table_of(path, [column.shown for column in header], rows)
+    table = table_of(path, [column.shown for column in header], rows)
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
     convention, assumed, clock_settings = _declarations(comments, problems)
     columns = _columns(header, problems)

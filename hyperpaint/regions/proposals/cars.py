@@ -1010,8 +1010,9 @@ def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Verdict]:
 
 def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limits) -> Verdict | None:
     # Verdict on a roof; None where all its pixels are near edges
-    # Pixels of a roof away from other colours.
-    # Pixels brighter than the car's other paint count as paint: they lie in the lobe of flakes, or in glint.
+    #
+    # Its pixels are away from other colours. Pixels brighter than the car's other paint count as paint: they
+    # lie in the lobe of flakes, or in glint.
     paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
     inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > limits["erode"])
     lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
