@@ -666,8 +666,10 @@ _BLOCKS_BY_QUANTITY = {
 }  # fmt: skip
 
 
-def _receptor_conflict(content: AsdFile | AsdText, quantity: str) -> str:
+def _receptor_conflict(content: AsdFile | AsdText | SpectrumText, quantity: str) -> str:
     # Return the setting of the instrument that contradicts a quantity; empty without one.
+    if isinstance(content, SpectrumText):
+        return ""  # its columns name their quantity
     if isinstance(content, AsdText):
         has_cosine = content.preamble.get("cosine_receptor")
         if quantity == "irradiance" and has_cosine is False:
