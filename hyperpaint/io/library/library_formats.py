@@ -103,6 +103,8 @@ def open_library(
         * text of the ECOSTRESS library (version 1), the ASTER library (version 2) or the USGS library, or a
           table with wavelengths in its first column: several files with equal wavelengths become one
           library;
+        * CSV of EcoSIS (a row a spectrum) or SPECCHIO, with the properties of the samples as columns; text of
+          a field spectrometer (Spectral Evolution, Ocean Optics, Avantes) with reflectance;
         * Parquet in the columns of OpenSpecLib (extra ``library``), with equal wavelengths in all rows;
         * files of `hyperpaint.write_library`, including CSV and Zarr; any Zarr (folder, zip file, URL or
           store object of zarr); a path inside a store names a group.

@@ -1035,7 +1035,8 @@ def open_asd(
     Parameters
     ----------
     paths
-        A file, a glob, a folder, or a list of files: binary ``.asd`` files of any version, or text exports.
+        A file, a glob, a folder, or a list of files: binary ``.asd`` files of any version, text exports, or
+        texts of other field spectrometers (Spectral Evolution, Ocean Optics, Avantes).
     quantity
         ``counts``, ``reflectance`` (spectrum / white reference), ``radiance`` or ``irradiance``. By default
         the quantity displayed to the operator, which binary files hold; for a text export it is guessed

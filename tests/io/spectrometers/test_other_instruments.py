@@ -10,11 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import ROOT
 from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, TimeError
+from hyperpaint.io.spectrometers.asd import EXPORTS
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
+from hyperpaint.io.spectrometers.spectrum_texts import FORMS
+from hyperpaint.io.spectrometers.svc import DIALECTS
 
 NM = np.arange(350.0, 1050.0, 5.0)
 LIGHT = 1.2 * np.exp(-(((NM - 600.0) / 300.0) ** 2))  # W m-2 nm-1
@@ -534,3 +538,10 @@ def test_a_sheet_within_a_folder(tmp_path: Path) -> None:
     expect_refusals(
         (FormatError, "format-unknown", "ProcSpec", lambda: hp.open_library(tmp_path / "a.ProcSpec"))
     )
+
+
+def test_the_table_of_the_docs_names_every_form() -> None:
+    table = (ROOT / "docs" / "formats" / "index.md").read_text("utf-8")
+    rows = [line for line in table.splitlines() if line.count("|") == 6]
+    instruments = [*(row.instrument for row in (*EXPORTS, *DIALECTS, *FORMS))]
+    assert [name for name in instruments if not any(name in row for row in rows)] == []
