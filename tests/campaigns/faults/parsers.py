@@ -99,6 +99,12 @@ def _ends(opened: Any, _: Path) -> None:
         array.isel({array.dims[0]: [0, -1]}).load()
 
 
+def _columns(read: Any, _: Path) -> None:
+    for quantity in ("reflectance", "irradiance"):
+        with contextlib.suppress(FormatError):
+            read.column(quantity, "W m-2 nm-1")
+
+
 def exposure(read: Any, path: Path) -> None:
     from hyperpaint.io.flightline.headwall import exposure_seconds
 
@@ -166,12 +172,12 @@ PARSERS: Mapping[str, Parser] = {
         "irradiance-csv": (
             reader(f"{_SPECTRA}.irradiance:read_irradiance_csv"),
             _FORMAT,
-            ("sky.csv", "zone.csv"),
+            ("sky.csv", "zone.csv", "logger.csv"),
         ),
         "irradiance-open": (
             reader(f"{_SPECTRA}.irradiance:open_irradiance", SKY),
             (FormatError, TimeError, UnitsError),
-            ("sky.csv", "zone.csv", "asd/sky00001.asd"),
+            ("sky.csv", "zone.csv", "asd/sky00001.asd", "logger.csv", "sky.JazIrrad"),
         ),
         "frame-index": (
             reader(f"{_LINES}:read_frame_index"),
@@ -215,10 +221,17 @@ PARSERS: Mapping[str, Parser] = {
         ),
         "control-points": (reader("io:read_control_points"), _FORMAT, ("points.csv",)),
         "radcal": (reader("io:read_radcal"), _FORMAT, ("radcal.txt",), ("lab_calibration/CP_*RADCAL*.TXT",)),
+        "angular": (reader("io:read_angular_response"), _FORMAT, ("angular.txt",)),
+        "spectrum-text": (
+            reader(f"{_SPECTRA}.spectrum_texts:read_spectrum_text", then=_columns),
+            _FORMAT,
+            ("door.sed", "sky.JazIrrad", "li180.txt", "door.ttt", "sky.irr"),
+        ),
+        "sample-table": (_library, _FORMAT, ("ecosis.csv", "specchio.csv")),
         "certificate": (
             reader("io:read_certificate"),
             _FORMAT,
-            ("panel.csv", "zenith.txt"),
+            ("panel.csv", "zenith.txt", "falling.csv"),
             ("lab_calibration/*certificate.csv", "spectra_ascii/R90.txt"),
         ),
         "light-table": (reader("simulation.rendering.four_curves:read_table"), _SCHEMA, ("light.csv",)),

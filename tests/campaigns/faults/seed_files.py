@@ -209,6 +209,9 @@ def _write_side_inputs(folder: Path) -> None:
         + "".join(f"P{row};raw_0;{row}.5;{row};{500000 + row};{3700000 + row};-20\n" for row in range(9)),
         "light.csv": "wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]\n"
         + "".join(f"{400 + 50 * row},{1.2 - row / 40},{0.3 - row / 60}\n" for row in range(14)),
+        "falling.csv": "Wavelength (nm);Reflectance;Uncertainty (k=2)\n"
+        + "".join(f"{900 - 40 * row};0,98{row};0,005\n" for row in range(9)),
+        **_texts_of_spectrometers(),
         "pairs.csv": "paint,reference\nhood,svc_0012\n\"roof, left\",svc_0013\n",
         "regions.geojson": json.dumps(_regions()),
         "box.obj": _obj(),
@@ -224,6 +227,46 @@ def _write_side_inputs(folder: Path) -> None:
     (folder / "box.ply").write_bytes(_ply())
     (folder / "box.glb").write_bytes(_glb())
     _write_rasters(folder)
+
+
+def _texts_of_spectrometers() -> dict[str, str]:
+    # Return a small file of every form of `spectrum_texts`, of the tables of samples, and of other loggers
+    rows = range(400, 700, 10)
+    tables = "".join(f"{row} {400 + 5 * row} 5.0 0.0 4.0\n" for row in range(4))
+    error, u = (
+        f"[COLUMN_NAMES]\npx wl\\angle -60 0 60\n[{name}]\n{tables}[END_OF_{name}]\n"
+        for name in ("COSERROR", "UNCERTAINTY")
+    )
+    return {
+        "door.sed": "Comment: door\nInstrument: PSR-3500_SN1 [3]\nDate: 03/05/2024,03/05/2024\n"
+        "Time: 10:00:00.07,10:00:20.07\nUnits: W/m^2/sr/nm\nLatitude: 72.35670\nLongitude: 126.31747\n"
+        "Altitude: 10.50\nGPS Time: 03:31:37\nColumns [4]:\nData:\n"
+        "Wvl\tRad. (Ref.)\tRad. (Target)\tTgt./Ref. %\n"
+        + "".join(f" {nm}.0\t2.342770E-002\t9.092904E-004\t  3.8833\n" for nm in rows),
+        "sky.JazIrrad": "Jaz Absolute Irradiance File\n++++\nDate: Sat Jun 01 10:00:00 CEST 2024\n"
+        "Integration Time (usec): 495000 (JAZA2517)\nSpectra Averaged: 3 (JAZA2517)\n"
+        ">>>>>Begin Processed Spectral Data<<<<<\nW\tD\tS\tP\n"
+        + "".join(f"{nm},191016\t0,000000\t0,5\t{nm / 7:.6f}\n".replace(".", ",") for nm in rows)
+        + ">>>>>End Processed Spectral Data<<<<<\n>>>>>Begin Calibration Data<<<<<\n5.8e-05\n",
+        "li180.txt": "Model Name\tLI-180\nSerial Number\tA1\nTime\t2021/03/02_09:24:26\n"
+        "R:B\t1.48\nI-Time\t92.0\n"
+        + "".join(f"{nm}nm\t{nm / 9:.6f}\n" for nm in rows)
+        + "CCT\t5465.0\n",
+        "door.ttt": "1305084U1- I C\nIntegration time: 95,00 ms\nAverage: 20 scans\n"
+        "Wave   ;Sample   ;Dark     ;Reference;Reflectance\n[nm]   ;[counts] ;[counts] ;[counts] ;[%]\n\n"
+        + "".join(f" {nm},00;   -6,893;  -10,335;   -9,339;52,16336\n" for nm in rows),
+        "sky.irr": '" File: roof"\n" RAD->  Wave:643.77nm  Time:100ms  Avg:1"\n'
+        + "".join(f" {nm}.50  1.0000E-001\n" for nm in rows)
+        + ": 5\n",
+        "ecosis.csv": "Site,sample name,Latitude,Wavelength Units," + ",".join(map(str, rows)) + "\n"
+        + "".join(f"lot,roof {row},61.5,Nanometers{',0.25' * len(rows)}\n" for row in range(4)),
+        "specchio.csv": "File Name,red,blue\nLocation Name,Hyytiala, Finland\nAltitude,170.0,171.5\n"
+        + "".join(f"{nm}.0,0.13252,0.16318\n" for nm in rows),
+        "logger.csv": "# units: W m-2 nm-1\nDate;Time;" + ";".join(f"{nm} nm" for nm in rows) + "\n"
+        + "".join(f"13/06/2024;10:00:{row:02d} AM{';0,812' * len(rows)}\n" for row in range(20)),
+        "angular.txt": "!FRM4SOC_CP\n!ANGDATA\n"
+        + "".join(f"[AZIMUTH_ANGLE]\n{angle}\n{error}{u}" for angle in (0, 90)),
+    }  # fmt: skip
 
 
 def _regions() -> dict[str, object]:
