@@ -144,6 +144,15 @@ def read_sample_table(
         mend="remove them, or pass quantity='reflectance'",
         code="quantity-wrong",
     )
+    is_percent = PERCENT.search(value_units) is not None
+    # such tables exist in EcoSIS: fractions under a column of units that says percent
+    FormatError.raise_if(
+        is_percent and scale is None and np.nanmax(values, initial=0.0) <= 1.0,
+        f"{source}: units are {value_units[:60]!r}, but values are up to {np.nanmax(values, initial=0.0):g}",
+        expected="percent",
+        mend="pass scale=1 for fractions, scale=100 for percent",
+        code="scale-conflict",
+    )
     axis = np.array([_nm(heading) for heading in (headings[band] for band in bands)], np.float64)
     nm, note = in_nanometres(units, axis, source)
     return Spectra(
@@ -154,7 +163,7 @@ def read_sample_table(
         reflectance=reflectances(
             values,
             source,
-            file_scale=100.0 if PERCENT.search(value_units) else None,
+            file_scale=100.0 if is_percent else None,
             scale=scale,
             is_reflectance=is_reflectance,
         ),

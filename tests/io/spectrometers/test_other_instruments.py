@@ -360,6 +360,13 @@ REFUSED: dict[str, tuple[str, str | bytes, Any, str, tuple[str, ...]]] = {
         "quantity-wrong",
         ("Radiance",),
     ),
+    "EcoSIS fractions under percent": (
+        "e.csv",
+        "id,Measurement Units,450,550,650\ndoor,Percent,.1,.2,.3\n",
+        hp.open_library,
+        "scale-conflict",
+        ("scale=1",),
+    ),
     "EcoSIS ragged": (
         "e.csv",
         "id,site,450,550,650\ndoor,lot,.1,.2,.3\nroof,.1,.2,.3\n",
