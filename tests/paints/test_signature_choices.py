@@ -11,6 +11,7 @@ from support.refusals import expect_refusals
 
 import hyperpaint as hp
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
+from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import CUBE, LIBRARY_VARIABLES, VARIABLES
 from hyperpaint.light.sky_functions import zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction
@@ -31,6 +32,38 @@ def test_excluded_flags_are_the_users_choice() -> None:
     line["reflectance"].values[5, :, 3] = np.nan
     line["quality"].values[:] = 0
     assert extract_signatures(line, TWO).n_excluded.values.tolist() == [1, 0]
+
+
+@pytest.mark.parametrize("flag", [Quality.ILLUMINATION_UNSTABLE, Quality.TIMING_SENSITIVE])
+def test_lines_of_unsteady_light_are_excluded_where_others_remain(flag: Quality) -> None:
+    line = made()
+    line["quality"].values[:] = 0
+    steady = extract_signatures(line, TWO)
+    line["quality"].values[::2] = int(flag)
+    halved = extract_signatures(line, TWO)
+    assert (halved.n < 0.7 * steady.n).all()
+    assert str(flag.name).lower() in halved.attrs["exclude"]
+    assert not halved.quality.any()
+    line["quality"].values[:] = int(flag)
+    with pytest.warns(PaintWarning, match="light-unsteady"):
+        unsteady = extract_signatures(line, TWO)
+    np.testing.assert_array_equal(unsteady.reflectance, steady.reflectance)
+    assert (unsteady.quality == int(flag)).all()
+    with pytest.raises(SchemaError, match="region-too-small"):
+        extract_signatures(line, TWO, exclude=flag)
+
+
+def test_flags_that_were_never_searched_are_not_called_excluded() -> None:
+    line = made()
+    line["quality"].values[:] = 0
+    with pytest.warns(PaintWarning, match="flags-not-searched"):
+        library = extract_signatures(line, TWO)
+    assert (
+        library.attrs["exclude"] == "saturated irradiance_gap illumination_unstable no_data timing_sensitive"
+    )
+    line["quality"].attrs["flags_from"] = "a survey"
+    assert "glint shadow adjacency mixed_edge" in extract_signatures(line, TWO).attrs["exclude"]
+    assert extract_signatures(line.drop_vars("quality"), TWO).attrs["exclude"] == "none"
 
 
 def test_all_regions_with_too_few_pixels_are_named() -> None:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats, Progress
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.mirrored_light import (
     BODY,
@@ -40,6 +40,7 @@ from hyperpaint.base.schema import (
     SIGNATURE,
     Quality,
     flag_names,
+    flags_set_from,
     numbers_of,
     quality_attrs,
 )
@@ -448,6 +449,9 @@ EXCLUDED = (
     | Quality.MIXED_EDGE
 )
 
+#: Flags of lines whose light may differ from the record: excluded where a region has other pixels.
+UNSTEADY = Quality.ILLUMINATION_UNSTABLE | Quality.TIMING_SENSITIVE
+
 #: Maximum size of samples in memory [byte]; a larger region is processed in several rounds of bands.
 MAX_GATHERED_BYTES = 64 * 2**20
 #: Maximum size of a region for which all bands must be in memory together [byte].
@@ -492,7 +496,9 @@ def extract_signatures(
     exclude
         Flags of excluded pixels; 0 excludes none. By default the flags in the property ``excluded_flags`` of
         a region, which `propose_regions` sets, else the flags of pixels whose reflectance differs from that
-        of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency and mixed_edge.
+        of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency and mixed_edge. By
+        default pixels of lines with unsteady light are excluded, too (illumination_unstable and
+        timing_sensitive), unless a region then has too few pixels: it keeps them, with a warning.
     members
         Maximum number of single pixels stored with a signature.
     centre
@@ -556,6 +562,13 @@ def extract_signatures(
         Options, lines or regions cannot be used: a region has no pixels, or too few usable ones (see
         ``drop_small``); flight lines have different bands; the mirrored sky was removed before, or the
         position of the sun is unknown. All faults of a kind are listed.
+
+    Warns
+    -----
+    PaintWarning
+        All pixels of a region are of lines with unsteady light; or flags of the scene are excluded, but a
+        line was not searched for them (`hyperpaint.surroundings.flag`): the attribute ``exclude`` lists only
+        flags that were searched in all lines.
 
     Notes
     -----
@@ -659,7 +672,13 @@ def extract_signatures(
             start = rows.stop
             if bands.start == 0:
                 planes = {key: values[key][rows] for key in source.planes}
-                draft.choose(values["present"][rows], planes, line_values, excluded[position], members, seed)
+                exclusions = [excluded[position]]
+                if exclude is None:  # lines of unsteady light stay where too few pixels have steady light
+                    exclusions.insert(0, exclusions[0] | UNSTEADY)
+                for exclusion in exclusions:
+                    draft.choose(values["present"][rows], planes, line_values, exclusion, members, seed)
+                    if draft.n >= min_pixels:
+                        break
             if draft.n >= min_pixels:
                 draft.take_bands({key: cube[rows] for key, cube in spectra.items()}, bands, centre)
             if report is not None:
@@ -675,9 +694,18 @@ def extract_signatures(
                 code="region-too-small",
             )
         problems.raise_if_any()
+    excludable = flags | UNSTEADY if exclude is None else flags
+    searched = _searched_flags(sources, drafts, names, excludable)
+    if exclude is None and (unsteady := [k for k in large_enough if drafts[k].values["quality"] & UNSTEADY]):
+        warn_user(
+            "all pixels are of lines with unsteady light (illumination_unstable, timing_sensitive), and are "
+            f"used: {', '.join(region_list[k].name for k in unsteady[:5])}; their level may be wrong by the "
+            "change of the light; state clock_uncertainty_s of the record, or measure under a steady sky",
+            "light-unsteady",
+        )
     remaining = Regions(tuple(region_list[k] for k in large_enough), region_list.coordinates, region_list.crs)
     notes = {
-        "exclude": " ".join(flag_names(flags)) or "none",
+        "exclude": " ".join(flag_names(searched)) or "none",
         "members": members,
         "centre": centre,
         "min_pixels": min_pixels,
@@ -695,6 +723,31 @@ def extract_signatures(
         library = without_coat(library, remaining, coat_index, sun_zenith)
     library = with_aspecular_geometry(library)
     return library.assign_attrs(left_out=list(small.values())) if small else library
+
+
+def _searched_flags(
+    sources: Mapping[str, Source], drafts: Sequence[Draft], names: Mapping[int, str], flags: int
+) -> int:
+    # Flags among ``flags`` for which all lines were searched; warns of lines without flags of the scene.
+    scene = flags_set_from("scene")
+    shares = {name: np.zeros(len(Quality)) for name in sources}
+    for position, draft in enumerate(drafts):
+        shares[names[position]] += draft.values["quality_share"]
+    searched, without = flags, []
+    for name, source in sources.items():
+        quality = source.planes.get("quality")
+        # lines of other programs have bits without a record of the search
+        has_bits = any(share and flag & scene for flag, share in zip(Quality, shares[name], strict=True))
+        if quality is None or not ("flags_from" in quality.attrs or has_bits):
+            without.append(name or "the line")
+            searched &= 0 if quality is None else ~scene
+    if without and flags & scene:
+        warn_user(
+            f"{', '.join(without)} was not searched for {', '.join(flag_names(flags & scene))}: such pixels "
+            "are in the signatures; flag the line first with line.paint.flag()",
+            "flags-not-searched",
+        )
+    return searched
 
 
 def _first_half(progress: Progress, count: int, blocks: int) -> None:
