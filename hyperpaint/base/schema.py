@@ -263,6 +263,19 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         dataset = dataset.reset_index(indexed)
     names = {old: new for old, new in names.items() if old != new}
     dataset = dataset.rename_dims(names) if names else dataset
+    if "wavelength" not in dataset.variables:  # the only axis of wavelengths of another name
+        axes = [
+            name
+            for name, variable in dataset.variables.items()
+            if variable.dims == (BAND,)
+            and (
+                str(name).lower() in _WAVELENGTH_NAMES
+                or variable.attrs.get("standard_name") == "radiation_wavelength"
+            )
+        ]
+        if len(axes) == 1:
+            renamed = _with_table_units(dataset.rename({axes[0]: "wavelength"}).set_coords("wavelength"))
+            dataset = renamed.drop_indexes("wavelength", errors="ignore")
     for dim, item in zip(CUBE, ("line", "band", "column"), strict=True):
         SchemaError.raise_if(
             dataset.sizes.get(dim) == 0,
@@ -274,6 +287,16 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     return with_integer_dtypes(dataset) if is_map else _with_table_dims(dataset)
 
 
+#: Names of wavelengths in cubes of other programs, in lower case.
+_WAVELENGTH_NAMES = (
+    "wavelengths",
+    "wavelength",
+    "wvl",
+    "wl",
+    "wave",
+    "center_wavelength",
+    "centre_wavelength",
+)
 _ELEMENT_VARIABLES = ("dark_counts", "radiance_gain")
 _WHOLE_LINE_VARIABLES = ("overview", "coarse_reflectance")
 
@@ -514,6 +537,13 @@ def find(
             continue
         array = plain(dataset[name])
         fault = row.dim_problem(array) or row.unit_problem(array)
+        if not fault and name == "reflectance" and array.dtype.kind in "iu":
+            fault = Problem(
+                f"{name!r} is {array.dtype} without scale_factor",
+                expected="reflectance as a fraction",
+                mend="divide it by the stored value of a reflectance of one, such as 10000",
+                code="scale-missing",
+            )
         if fault:
             # one call mends all variables with the same fault: the message names it once
             is_repeated = any(fault.mend == other.mend for other in problems)

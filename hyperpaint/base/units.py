@@ -308,7 +308,8 @@ def _symbol(name: str) -> str:
 def plain(labelled: Any) -> Any:
     """Return a Dataset, DataArray or DataTree whose Quantities are numbers with ``units`` attributes.
 
-    The unit of a Quantity replaces the attribute. Objects without a Quantity are returned unchanged; nothing
+    The unit of a Quantity replaces the attribute, and the attributes ``scale_factor`` and ``add_offset`` are
+    applied. Objects without a Quantity are returned unchanged; nothing
     is computed. Variables of paint libraries of hyperpaint 0.2 are renamed (`with_new_names`).
 
     Raises
@@ -342,6 +343,7 @@ def plain(labelled: Any) -> Any:
         )
     if _is_quantity(array_values):
         labelled = labelled.copy(data=_magnitude(array_values)).assign_attrs(units=_unit_text(array_values))
+    labelled = _unpacked(labelled)
     coords = {name: data for name, data in arrays.items() if _is_quantity(data)}
     if not coords:
         return labelled
@@ -350,6 +352,38 @@ def plain(labelled: Any) -> Any:
         for name, data in coords.items()
     }
     return labelled.assign(values) if isinstance(labelled, xr.Dataset) else labelled.assign_coords(values)
+
+
+_PACKING = ("scale_factor", "add_offset")
+
+
+def _unpacked(labelled: Any) -> Any:
+    # Apply, lazily, what a reader without mask_and_scale left in the attributes of a dataset or array
+    is_dataset = isinstance(labelled, xr.Dataset)
+    variables = labelled.variables if is_dataset else {labelled.name: labelled.variable}
+    values = {}
+    for name, variable in variables.items():
+        if not any(key in variable.attrs for key in _PACKING):
+            continue
+        attrs = dict(variable.attrs)
+        for key in _PACKING:
+            number = attrs.get(key, 1.0)
+            is_number = isinstance(number, (int, float, np.number)) and np.isfinite(number)
+            UnitsError.raise_if(
+                not is_number or (key == "scale_factor" and number == 0),
+                f"{name!r} has the attribute {key} {number!r:.40}",
+                expected="a finite number, no scale of 0",
+                mend="open the file with mask_and_scale=True",
+                code="scale-wrong",
+            )
+        if "nodata" in attrs:
+            attrs.setdefault("_FillValue", attrs.pop("nodata"))
+        packed = xr.Variable(variable.dims, variable._data, attrs, fastpath=True)
+        values[name] = xr.conventions.decode_cf_variable(str(name), packed, decode_times=False)
+        values[name].encoding = variable.encoding
+    if not values:
+        return labelled
+    return labelled.assign(values) if is_dataset else labelled._replace(variable=values[labelled.name])
 
 
 def in_units(value: Any, wanted: str, name: str) -> Any:

@@ -9,6 +9,7 @@ it holds for any other pair of shapes too.
 from __future__ import annotations
 
 import functools
+import itertools
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -167,6 +168,24 @@ def band_spacing(wavelength: npt.ArrayLike) -> Floats:
     """
     wavelength = np.asarray(wavelength, np.float64)
     return np.ones_like(wavelength) if wavelength.size < 2 else np.asarray(np.abs(np.gradient(wavelength)))
+
+
+def spectral_parts(wavelength: npt.ArrayLike) -> list[slice]:
+    """Return the parts of a spectral axis between detector joins, overlaps and gaps.
+
+    A new part begins where wavelengths run back, and after a step of more than four times its neighbours.
+
+    Examples
+    --------
+    >>> spectral_parts([400.0, 410.0, 420.0, 415.0, 425.0, 435.0, 535.0, 545.0])
+    [slice(0, 3, None), slice(3, 6, None), slice(6, 8, None)]
+    """
+    steps = np.diff(np.asarray(wavelength, np.float64))
+    forward = steps * (-1.0 if steps.size and np.median(steps) < 0 else 1.0)
+    padded = np.pad(np.maximum(forward, 0.0), 1)
+    is_join = (forward <= 0) | ((steps.size > 1) & (forward > 4.0 * np.maximum(padded[:-2], padded[2:])))
+    edges = [0, *(np.flatnonzero(is_join) + 1).tolist(), steps.size + 1]
+    return [slice(start, stop) for start, stop in itertools.pairwise(edges)]
 
 
 def mean_responsivity(gain: npt.ArrayLike) -> Floats:

@@ -18,7 +18,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.units import convert, takes_quantities
-from hyperpaint.light.responses import band_spacing
+from hyperpaint.light.responses import band_spacing, spectral_parts
 
 from .slabs import line_chunked
 
@@ -73,7 +73,9 @@ def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
     targets = np.asarray(wavelength, np.float64)
     nearest = np.abs(centres - targets[..., None]).argmin(axis=-1)
     distances = np.abs(centres[nearest] - targets)
-    if (distances > band_spacing(np.sort(centres)).max()).any() or not np.isfinite(targets).all():
+    ordered = np.sort(centres)
+    spacing = max(float(band_spacing(ordered[part]).max()) for part in spectral_parts(ordered))
+    if (distances > spacing).any() or not np.isfinite(targets).all():
         worst = np.atleast_1d(targets)[np.atleast_1d(distances).argmax()]
         raise SchemaError(
             f"no band at {worst:g} nm",
@@ -241,8 +243,10 @@ def smooth(
 
     Notes
     -----
-    A missing band stays missing, and changes only the bands whose window contains it. Bands that are not
-    ``good`` are left unchanged, and out of their neighbours' windows. Quality flags are left unchanged.
+    No window reaches over a detector join, an overlap of detectors or a gap: where wavelengths run back, or
+    step by more than four times their neighbours. A missing band stays missing, and changes only the bands
+    whose window contains it. Bands that are not ``good`` are left unchanged, and out of their neighbours'
+    windows. Quality flags are left unchanged.
 
     References
     ----------
@@ -276,7 +280,28 @@ def smooth(
         (method == "box" or 0 <= order < window - 1, f"order {order}", orders, "value-out-of-range"),
     ):
         problems.add_if(not is_valid, found, expected=expected, code=code)
+    axis = dataset["wavelength"].values if "wavelength" in dataset.variables else np.arange(bands)
+    parts = spectral_parts(axis) if axis.shape == (bands,) else [slice(0, bands)]
+    problems.add_if(
+        len(parts) > max(6, bands // 20),
+        f"wavelengths run back or have gaps in {len(parts) - 1} places",
+        expected="bands in the order of their wavelengths",
+        mend="sort them: .sortby('wavelength')",
+        code="wavelength-unordered",
+    )
     problems.raise_if_any()
+    if len(parts) > 1:
+        # no window reaches over a detector join; it shrinks to a short part
+        smoothed = []
+        for part in parts:
+            piece, size = dataset.isel({schema.BAND: part}), part.stop - part.start
+            width = min(window, size - 1 + size % 2)
+            is_wide = width >= 3 and (method == "box" or order < width - 1)
+            smoothed.append(smooth(piece, method, width, order=order) if is_wide else piece)
+        whole = xr.concat([piece["reflectance"] for piece in smoothed], schema.BAND, coords="minimal")
+        array = whole.transpose(*dataset["reflectance"].dims).assign_attrs(smoothed[0]["reflectance"].attrs)
+        left_out = set(dataset.variables) - set(smoothed[0].variables)
+        return dataset.drop_vars(left_out).assign(reflectance=array)
     array = convert(dataset["reflectance"], "1")
     is_cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if is_cube else array

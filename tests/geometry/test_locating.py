@@ -411,3 +411,15 @@ def test_footprints() -> None:
     expect_refusals(
         (SchemaError, "ground-not-seen", lambda: hp.geometry.footprint(located.isel(along_track=[0])))
     )
+
+
+def test_a_footprint_across_the_dateline_has_two_parts() -> None:
+    line = flown(200, 5, altitude=10.0, roll=0, pitch=0, heading=5)
+    middle = float(line["longitude"].mean())
+    line["longitude"] = line["longitude"] - middle + 180.0
+    line["longitude"] = (line["longitude"] + 180.0) % 360.0 - 180.0
+    outline = hp.geometry.footprint(hp.geometry.locate(line, ground=0.0, camera=CAMERA))["geometry"]
+    assert outline["type"] == "MultiPolygon"
+    spans = [np.ptp(np.array(rings[0])[:, 0]) for rings in outline["coordinates"]]
+    assert len(spans) == 2
+    assert max(spans) < 1e-3

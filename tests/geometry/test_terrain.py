@@ -14,6 +14,7 @@ from support.refusals import expect_refusals
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import Quality
+from hyperpaint.base.units import plain
 from hyperpaint.geometry.georeference.locating import grid_of, terrain_of
 
 COLUMNS = 21
@@ -301,8 +302,8 @@ METRES_PER_FOOT = 1200 / 3937
 def test_heights_are_read_in_the_unit_and_scale_of_the_raster(
     stored: float, attrs: dict[str, Any], told: str | None, recwarn: pytest.WarningsRecorder
 ) -> None:
-    grid = grid_of(dem(np.full((4, 5), stored), **attrs))
-    heights = terrain_of(np.full((4, 5), stored), grid).heights
+    raster = plain(dem(np.full((4, 5), stored), **attrs))
+    heights = terrain_of(raster.values, grid_of(raster)).heights
     np.testing.assert_allclose(heights, 160.0, rtol=1e-9)
     assert [told in str(one.message) for one in recwarn] == ([True] if told else [])
 
@@ -321,7 +322,8 @@ def test_a_zero_that_the_reference_system_names_is_taken() -> None:
         ({"units": "ft", "crs": compound(5703)}, "units-conflict"),
         ({"scale_factor": "x"}, "scale-wrong"),
         ({"scale_factor": 0.0}, "scale-wrong"),
+        ({"add_offset": np.nan}, "scale-wrong"),
     ],
 )
 def test_units_and_scales_that_contradict_are_refused(attrs: dict[str, Any], code: str) -> None:
-    expect_refusals((PaintError, code, lambda: grid_of(dem(np.zeros((4, 5)), **attrs))))
+    expect_refusals((PaintError, code, lambda: grid_of(plain(dem(np.zeros((4, 5)), **attrs)))))

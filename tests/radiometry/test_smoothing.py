@@ -10,8 +10,9 @@ from support.refusals import expect_error, expect_refusals
 from support.strategies import flight
 
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.light.responses import spectral_parts
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.radiometry.spectral_axis import METHODS, smooth
+from hyperpaint.radiometry.spectral_axis import METHODS, at, smooth
 
 
 def cube(lines: int = 20, bands: int = 15, columns: int = 4) -> xr.Dataset:
@@ -103,3 +104,41 @@ def test_a_band_that_is_not_good_touches_nothing(method: str) -> None:
     plain, spoilt = smooth(made, method, 5).reflectance.values
     np.testing.assert_array_equal(spoilt[good], plain[good])
     assert spoilt[10] == np.float32(9.0)
+
+
+AXES = {
+    "overlap": np.r_[np.arange(400.0, 1000.0, 20.0), np.arange(960.0, 1400.0, 20.0)],
+    "gap": np.r_[np.arange(400.0, 1000.0, 20.0), np.arange(1500.0, 1940.0, 20.0)],
+    "descending": np.r_[np.arange(1400.0, 960.0, -20.0), np.arange(1000.0, 400.0, -20.0)],
+}
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("method", METHODS)
+def test_no_window_reaches_over_a_detector_join(axis: str, method: str) -> None:
+    nm = AXES[axis]
+    parts = spectral_parts(nm)
+    assert len(parts) == 2
+    step = np.where(np.arange(nm.size) < parts[0].stop, 0.2, 0.6).astype("f4")
+    spectra = xr.Dataset(
+        {"reflectance": ("band", step, {"units": "1"})}, {"wavelength": ("band", nm, {"units": "nm"})}
+    )
+    np.testing.assert_allclose(smooth(spectra, method, 7).reflectance, step, rtol=1e-5)
+    assert smooth(spectra.chunk(band=5), method, 7).reflectance.chunks is not None
+
+
+def test_axes_without_joins_are_one_part_and_shuffled_ones_are_refused() -> None:
+    for nm in (np.r_[400:900:1.5, 902:1700:6.0], [450.0, 550.0, 650.0, 700.0, 850.0], [500.0], [5.0, 4.0]):
+        assert len(spectral_parts(nm)) == 1
+    nm = np.random.default_rng(3).permutation(np.arange(400.0, 1000.0, 5.0))
+    spectra = xr.Dataset(
+        {"reflectance": ("band", np.full(nm.size, 0.2, "f4"), {"units": "1"})},
+        {"wavelength": ("band", nm, {"units": "nm"})},
+    )
+    expect_refusals((SchemaError, "wavelength-unordered", lambda: smooth(spectra, "box", 7)))
+
+
+def test_no_band_is_near_inside_a_gap() -> None:
+    spectra = xr.Dataset(coords={"wavelength": ("band", AXES["gap"], {"units": "nm"})})
+    assert float(at(spectra, 985.0).wavelength) == 980.0
+    expect_refusals((SchemaError, "band-missing", lambda: at(spectra, 1200.0)))

@@ -13,6 +13,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError, needs_extra
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import require
+from hyperpaint.io.maps.map_grids import cut_at_dateline
 
 from .geodesy import between_maps, crs_of
 
@@ -34,7 +35,8 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     -------
     dict
         Feature with a Polygon through the centres of
-        the outermost pixels; a MultiPolygon where lines without a pose divide it. Properties: ``area`` on the
+        the outermost pixels; a MultiPolygon where lines without a pose, or the longitude of 180 degrees,
+        divide it. Properties: ``area`` on the
         map of the line [m2]; ``lines``, the number of located lines; ``crs``.
 
     Raises
@@ -87,9 +89,12 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     covered = shapely.simplify(shapely.union_all(quads), bend)
     target = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)
     outline = shapely.transform(covered, lambda xy: between_maps(xy, source, target))
+    geometry = json.loads(shapely.to_geojson(outline))
+    if crs is None:
+        geometry, _ = cut_at_dateline(geometry)
     return {
         "type": "Feature",
-        "geometry": json.loads(shapely.to_geojson(outline)),
+        "geometry": geometry,
         "properties": {"area": float(covered.area), "lines": int(is_placed.sum()), "crs": target},
     }
 

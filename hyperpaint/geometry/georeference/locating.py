@@ -450,8 +450,7 @@ class TerrainGrid:
     x: tuple[float, float]  #: Coordinate of the centre of the first cell, and step from cell to cell
     y: tuple[float, float]
     heights: Convention  #: Height reference of the raster
-    scale: float  #: Metres of a stored height
-    offset: float  #: Height of a stored zero [m]
+    metres: float  #: Metres of a unit of height; negative for depths
     missing: tuple[float, ...]  #: Numbers that mark holes
 
 
@@ -471,8 +470,8 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     # Return the grid of a raster from its coordinates and attributes; its heights are not read.
     #
     # Raises `SchemaError`: Other dims than (y, x), fewer than two cells, coordinates that are missing or
-    # uneven, a grid that is turned, no crs, an unreadable scale of heights, a unit that contradicts the crs,
-    # or ``height_reference`` that is not declared; all are listed. Raises `UnitsError`: The unit of heights
+    # uneven, a grid that is turned, no crs, a unit that contradicts the crs, or
+    # ``height_reference`` that is not declared; all are listed. Raises `UnitsError`: The unit of heights
     # is not a length. Raises `MissingExtraError`: pyproj is not installed. Warns `PaintWarning`:
     # ``height_reference`` contradicts the crs.
     problems = Problems("this DEM cannot be used", SchemaError)
@@ -541,8 +540,8 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     if crs_texts:
         crs = crs_of(crs_texts[0])
         vertical = vertical_of(crs_texts[0])
-    # the unit of heights, by the raster or else by its reference system, and what a reader left unscaled
-    metres, factor, offset = 1.0 if vertical is None else vertical.metres, 1.0, 0.0
+    # the unit of heights, by the raster or else by its reference system
+    metres = 1.0 if vertical is None else vertical.metres
     if "units" in dem.attrs:
         units = str(dem.attrs["units"])
         try:
@@ -560,20 +559,6 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
                 expected="a length such as 'm', 'ft' or 'US survey foot'",
                 code=error.problem.code,
             ) from error
-    try:
-        factor, offset = (
-            float(dem.attrs.get(name, 1.0 if name == "scale_factor" else 0.0))
-            for name in ("scale_factor", "add_offset")
-        )
-    except (TypeError, ValueError):
-        factor = 0.0
-    problems.add_if(
-        not (np.isfinite([factor, offset]).all() and factor),
-        f"scale_factor {dem.attrs.get('scale_factor')!r}, add_offset {dem.attrs.get('add_offset')!r}",
-        expected="finite numbers, no scale of 0",
-        mend="open the raster with mask_and_scale=True",
-        code="scale-wrong",
-    )
     if vertical is not None and vertical.reference == "ellipsoid":
         declared.setdefault("height_reference", "ellipsoid")
     heights = Convention()
@@ -600,8 +585,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     # where xarray decoded the raster (fill value in `encoding`), holes are already NaN
     hole_marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
     holes = {float(mark) for mark in hole_marks if np.ndim(mark) == 0 and np.isfinite(float(mark))}
-    scale = factor * metres
-    return TerrainGrid(crs, axes["x"], axes["y"], heights, scale, offset * metres, tuple(holes))
+    return TerrainGrid(crs, axes["x"], axes["y"], heights, metres, tuple(holes))
 
 
 def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
@@ -613,8 +597,7 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
         elevation[np.asarray(heights) == value] = np.nan
     elevation[~np.isfinite(elevation)] = np.nan
     SchemaError.raise_if(np.isnan(elevation).all(), "this DEM contains only holes", code="dem-empty")
-    if (grid.scale, grid.offset) != (1.0, 0.0):
-        elevation = elevation * grid.scale + grid.offset
+    elevation *= grid.metres
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
     # highest point of every block of cells; neighbouring blocks share a border
     filled = np.where(np.isnan(elevation), -np.inf, elevation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from dataclasses import dataclass, replace
@@ -412,6 +413,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     first, last = times.min(), times.max()
     moments = {"datetime": first + (last - first) // 2, "start_datetime": first, "end_datetime": last}
     ring = [list(corner) for corner in zip(longitude, latitude, strict=True)]
+    geometry, box = cut_at_dateline({"type": "Polygon", "coordinates": [[*ring, ring[0]]]})
     return {
         "type": "Feature",
         "stac_version": "1.1.0",
@@ -419,8 +421,8 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
             f"https://stac-extensions.github.io/{name}/schema.json" for name in _STAC_EXTENSIONS
         ],
         "id": path.stem,
-        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
-        "bbox": [min(longitude), min(latitude), max(longitude), max(latitude)],
+        "geometry": geometry,
+        "bbox": box,
         "properties": {
             **{key: f"{np.datetime_as_string(time, unit='ms')}Z" for key, time in moments.items()},
             "gsd": float(np.hypot(grid.transform[1], grid.transform[4])),
@@ -437,6 +439,40 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
             }
         },
     }
+
+
+def cut_at_dateline(geometry: dict[str, Any]) -> tuple[dict[str, Any], list[float]]:
+    """Return a GeoJSON geometry in longitude and latitude, and its bounding box.
+
+    Polygons that cross the longitude of 180 degrees are cut there, and the box begins in the west at the
+    larger longitude (RFC 7946, 3.1.9 and 5.2).
+
+    Examples
+    --------
+    >>> ring = [[179.0, 1.0], [-179.0, 1.0], [-179.0, 2.0], [179.0, 2.0], [179.0, 1.0]]
+    >>> geometry, box = cut_at_dateline({"type": "Polygon", "coordinates": [ring]})
+    >>> geometry["type"], box
+    ('MultiPolygon', [179.0, 1.0, -179.0, 2.0])
+    """
+    polygons = geometry["coordinates"] if geometry["type"] == "MultiPolygon" else [geometry["coordinates"]]
+    corners = np.array([corner for polygon in polygons for ring in polygon for corner in ring], np.float64)
+    (west, south), (east, north) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    if east - west <= 180.0 and -180.0 <= west <= east <= 180.0:
+        return geometry, [west, south, east, north]
+    with needs_extra("shapely", "geo", "an outline across the longitude of 180 degrees"):
+        import shapely
+    shape = shapely.from_geojson(json.dumps(geometry))
+    shape = shapely.transform(shape, lambda xy: np.column_stack([xy[:, 0] % 360.0, xy[:, 1]]))
+    parts = [
+        shapely.transform(part, lambda xy, turn=turn: xy - [turn, 0.0])
+        for first, turn in ((0.0, 0.0), (180.0, 360.0))
+        for part in shapely.get_parts(shapely.intersection(shape, shapely.box(first, -90, first + 180, 90)))
+        if part.geom_type == "Polygon"
+    ]
+    cut = shapely.orient_polygons(shapely.multipolygons(parts))
+    longitude = corners[:, 0] % 360.0
+    box = [float(longitude.min()), south, float(longitude.max()) - 360.0, north]
+    return json.loads(shapely.to_geojson(cut)), box
 
 
 def _crs_fields(grid: Grid) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 import xarray as xr
 from click.testing import CliRunner
 from support.flown_lines import EAST, GSD, MAP, NORTH, fly, located
@@ -13,7 +14,14 @@ from support.flown_lines import EAST, GSD, MAP, NORTH, fly, located
 import hyperpaint as hp
 from hyperpaint.cli.program import main
 from hyperpaint.io.maps import map_grids
-from hyperpaint.io.maps.map_grids import RasterFormat, geozarr_attrs, grid_of, stac_item, with_own_transform
+from hyperpaint.io.maps.map_grids import (
+    RasterFormat,
+    cut_at_dateline,
+    geozarr_attrs,
+    grid_of,
+    stac_item,
+    with_own_transform,
+)
 from hyperpaint.workflows.maps import write_map
 
 pyproj = pytest.importorskip("pyproj")
@@ -178,6 +186,30 @@ def test_a_stac_item_says_where_and_when(resampled: dict[str, xr.Dataset], tmp_p
     assert bands[1] == {"name": "650 nm", "eo:center_wavelength": 0.65, "eo:full_width_half_max": 0.007}
     with pytest.raises(hp.SchemaError, match="variable-missing"):
         stac_item(made.drop_vars("line_time"), tmp_path / "map.tif")
+
+
+@pytest.mark.parametrize(
+    ("longitudes", "parts", "west", "east"),
+    [
+        ((179.9, -179.9), 2, 179.9, -179.9),
+        ((179.9, 180.1), 2, 179.9, -179.9),
+        ((-180.1, -179.9), 2, 179.9, -179.9),
+        ((179.8, 179.9), 1, 179.8, 179.9),
+        ((-0.1, 0.1), 1, -0.1, 0.1),
+        ((-180.0, -179.9), 1, -180.0, -179.9),
+    ],
+)
+def test_outlines_are_cut_at_the_dateline(
+    longitudes: tuple[float, float], parts: int, west: float, east: float
+) -> None:
+    a, b = longitudes
+    ring = [[a, 51.0], [b, 51.0], [b, 52.0], [a, 52.0], [a, 51.0]]
+    geometry, box = cut_at_dateline({"type": "Polygon", "coordinates": [ring]})
+    assert box == pytest.approx([west, 51.0, east, 52.0])
+    shape = shapely.from_geojson(json.dumps(geometry))
+    assert (len(shapely.get_parts(shape)), shape.is_valid) == (parts, True)
+    assert shape.area == pytest.approx((east - west) % 360.0)
+    assert (np.abs(shapely.get_coordinates(shape)[:, 0]) <= 180.0).all()
 
 
 def test_the_command_writes_overviews_an_item_and_attributes(line: xr.Dataset, tmp_path: Path) -> None:
