@@ -1,6 +1,7 @@
 """The commands from raw cubes to stores and maps: ``run``, ``check``, ``process``, ``mosaic`` and others."""
 
 import contextlib
+import json
 import textwrap
 import time
 from pathlib import Path
@@ -206,9 +207,11 @@ def _list_kinds(ctx: click.Context, _parameter: click.Parameter, is_set: bool) -
     epilog="""\b
 Examples:
   hyperpaint check collect.toml
+  hyperpaint check collect.toml --json                for programs: findings with codes, and what passed
   hyperpaint check --list                             all possible findings by name""",
 )
 @click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
 @click.option(
     "--list",
     is_flag=True,
@@ -218,7 +221,7 @@ Examples:
     help="List all possible findings, and exit.",
 )
 @click.pass_context
-def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
+def check(ctx: click.Context, /, collect: Path, as_json: bool, **_options: Any) -> None:
     """Check whether the inputs of a collect are plausible, in seconds.
 
     Prints every finding: its name, the observed value, the expected value, and the remedy. process and run
@@ -226,12 +229,24 @@ def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
     results wrong, and warn of others; --accept FINDING accepts a finding. Exit status 1 if there are
     findings.
     """
-    findings = workflows.collect_check.check_collect(collect)
-    for finding in findings:
+    judged = workflows.collect_check.check_collect(collect, passed=True)
+    findings = [finding for finding in judged if not finding.passes]
+    if as_json:
+        rows: dict[str, list[dict[str, str]]] = {"findings": [], "passed": []}
+        for finding in judged:
+            facts = {"code": finding.kind.name, "line": finding.line}
+            facts |= {"found": finding.found, "expected": finding.expected}
+            if not finding.passes:
+                state = "wrong" if finding.kind.refused else "doubtful"
+                facts |= {"kind": state, "likely_cause": finding.kind.meaning, "mend": finding.kind.mend}
+            rows["passed" if finding.passes else "findings"].append(facts)
+        click.echo(json.dumps({"collect": str(collect), **rows}, indent=1, ensure_ascii=False))
+    for finding in [] if as_json else findings:
         click.echo(f"{'wrong' if finding.kind.refused else 'doubtful'}: {finding}")
     if findings:
         ctx.exit(FAILED_CHECK)
-    click.echo(f"{collect}: no findings")
+    if not as_json:
+        click.echo(f"{collect}: no findings; {len(judged)} judgements passed")
 
 
 @command(

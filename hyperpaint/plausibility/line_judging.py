@@ -27,6 +27,8 @@ from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, has_white, light_level
 
+from .product_judging import Product, judge_product
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -191,6 +193,64 @@ _ROWS = (
         "set clock_offset_s of this record, or stamp",
         refused=False,
     ),
+    Kind(
+        "reflectance-impossible",
+        "Reflectance of sampled lines is far beyond any surface's: the scale of an input is wrong.",
+        "correct the unit or scale of the input that is named",
+    ),
+    Kind(
+        "reflectance-level",
+        "Reflectance of sampled lines does not suit its colour: an input may be wrong by a factor.",
+        "check scale and unit of calibration, exposure time, bit depth and irradiance; nothing for glint or "
+        "slopes to a low sun",
+        refused=False,
+    ),
+    Kind(
+        "counts-multiple",
+        "All counts share a divisor: a converter of fewer bits was shifted up.",
+        "shift counts and dark down, and set bit_depth in [camera]; nothing if the gain is shifted too",
+        refused=False,
+    ),
+    Kind(
+        "gain-order",
+        "The pattern of the gain is in the scene in another order of bands or columns.",
+        "name the calibration in the order of this camera's bands and columns",
+    ),
+    Kind(
+        "gain-pattern",
+        "The pattern of the gain over neighbouring elements is not in the scene.",
+        "name the calibration of this camera, in the same binning and orientation",
+        refused=False,
+    ),
+    Kind(
+        "smile-sign",
+        "Solar lines move over the columns against the declared smile.",
+        "change the sign of wavelength_shift in the calibration",
+        refused=False,
+    ),
+    Kind(
+        "swath-step",
+        "Radiance steps at one column, alike in all bands and lines: part of the slit or lens is covered.",
+        "leave out the darker columns, or calibrate the gain with this slit",
+        refused=False,
+    ),
+    Kind(
+        "dark-faintly-lit",
+        "The dark holds some light: its spectrum follows the scene's.",
+        "record the dark again with the lens capped and the shutter closed",
+        refused=False,
+    ),
+    Kind(
+        "panel-level",
+        "A panel measures more than twice or less than half of its certificate.",
+        "name the certificate of this panel, in fractions or per cent as its heading states",
+    ),
+    Kind(
+        "panel-doubtful",
+        "A panel does not measure its certificate, or is shaded, tilted or saturated.",
+        "check the region, the certificate and the irradiance record",
+        refused=False,
+    ),
 )
 #: Every kind of finding, by its name.
 KINDS = {kind.name: kind for kind in _ROWS}
@@ -208,12 +268,15 @@ class Finding:
         Name of the flight line or cube.
     found, expected
         Measured and accepted values, in words.
+    passes
+        Whether the measured value is accepted: then it is no fault.
     """
 
     kind: Kind
     line: str
     found: str
     expected: str
+    passes: bool = False
 
     def __str__(self) -> str:
         return str(self.problem())
@@ -253,6 +316,7 @@ class CubeSample:
     maximum: Floats
     divisor: int  #: Greatest common divisor of all counts
     counters: Bools  #: Elements that count lines; only columns at the edges are examined
+    blocks: Floats | None = None  #: Means of the blocks (block, band, cross_track)
 
 
 def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
@@ -269,13 +333,16 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
     maximum = np.full(shape, -np.inf)
     lines, divisor = 0, 0
     steps: list[Floats] = []
+    means: list[Floats] = []
     edges = sorted({0, 1, shape[1] - 2, shape[1] - 1} & {*range(shape[1])})
     for start in starts.tolist():
         block = counts[start : start + size].to_numpy()[recorded[start : start + size]]
         if not len(block):
             continue
         lines += len(block)
-        sums += block.sum(axis=0, dtype=np.float64)
+        block_sum = block.sum(axis=0, dtype=np.float64)
+        means.append(block_sum / len(block))
+        sums += block_sum
         maximum = np.maximum(maximum, block.max(axis=0))
         divisor = int(np.gcd.reduce(block, axis=None, initial=divisor))
         steps.append(np.diff(block[:, :, edges].astype(np.float64), axis=0))
@@ -288,7 +355,7 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
         usual = np.median(step, axis=0)
         is_usual = np.abs(step - usual) <= SAMPLE_RULES.counter_spread * np.abs(usual)
         counters[:, edges] = (usual != 0) & (is_usual.mean(axis=0) >= SAMPLE_RULES.counter_share)
-    return CubeSample(lines, sums / lines, maximum, divisor, counters)
+    return CubeSample(lines, sums / lines, maximum, divisor, counters, np.stack(means))
 
 
 # -- Check the order of the bands by the solar lines and absorption bands in the cube.
@@ -837,18 +904,20 @@ DARK_RULES = SimpleNamespace(
     over_share=0.1,
     over_counts=5.0,
     over_level=0.2,
-    # Minimum correlation [1] and regression slope [1] of the dark's curvature over wavelength on that of the
-    # scene's light, maximum slope, and minimum number of bands. Any two rising spectra have similar slopes;
-    # light and detector bias have similar curvature only by chance. Set between correlations of 0.36 of
-    # right and 0.97 of lit darks in the fault campaign. Above `lit_most` the spectrum of the dark is larger
-    # than the light.
-    lit_correlation=0.9,
-    lit_slope=0.03,
+    # Slope [1] of the spectrum of the dark on that of the scene's light from which the dark is doubtful, and
+    # refused; its significance [standard uncertainties] for either; maximum slope, and minimum number of
+    # bands. A polynomial of `lit_degree` over bands is left out of both: the bias of a detector is smooth.
+    # Right darks have 1.5 standard uncertainties at most, 2 % of the light 5 (48 columns).
+    lit_slope=0.004,
+    lit_refused=0.03,
+    lit_sds=3.2,
+    lit_refused_sds=8.0,
     lit_most=1.0,
     lit_bands=16,
-    # Range of the scene's light over bands, over the range of the dark after this light is subtracted [1]:
-    # set between a gradient of the bias under a dim scene (right, 1) and darks with a tenth to a third of
-    # the light (wrong, 17).
+    lit_degree=5,
+    # Range of the scene's light over bands, over the range of the dark after this light is subtracted [1],
+    # for a refusal: set between a gradient of the bias under a dim scene (right, 1) and darks with a tenth to
+    # a third of the light (wrong, 17).
     lit_range=5.0,
     # Number of frames of a dark, and of bands, that are sampled; accepted change of the median of a frame,
     # in counts and as a share [1]: temperature changes it by some per cent.
@@ -902,7 +971,7 @@ def judge_dark(
             f"at most {100 * DARK_RULES.over_share:g} %",
         )
         return
-    yield from _judge_light(name, dark_bands, light_bands)
+    yield from _judge_light(name, dark, light_bands)
     if uncertainty is not None:
         yield from _judge_pattern(name, dark, uncertainty, gain, sample, full)
 
@@ -924,32 +993,42 @@ def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
 
 
 def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
-    # Find light of the scene in a dark, both (band,), by their second differences
-    finite = np.isfinite(dark) & np.isfinite(light)
-    dark, light = dark[finite], light[finite]
-    if dark.size < DARK_RULES.lit_bands or not (np.ptp(dark) > 0.0 and np.ptp(light) > 0.0):
+    # Find light of the scene (band,) in a dark (band, cross_track)
+    finite = np.isfinite(dark).any(axis=1) & np.isfinite(light)
+    if finite.sum() < DARK_RULES.lit_bands or not np.ptp(light[finite]) > 0.0:
         return
-    dark_curvature, light_curvature = np.diff(dark, 2), np.diff(light, 2)
-    if not (np.any(dark_curvature) and np.any(light_curvature)):
-        return
-    correlation = float(
-        dark_curvature
-        @ light_curvature
-        / np.sqrt((dark_curvature @ dark_curvature) * (light_curvature @ light_curvature))
+    smooth = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, light.size), DARK_RULES.lit_degree)
+    basis = np.linalg.qr(smooth[finite])[0]
+    # hot elements are pulled to the spread of their band
+    middle = np.nanmedian(dark[finite], axis=1, keepdims=True)
+    spread = 6.0 * np.nanmedian(np.abs(dark[finite] - middle), axis=1, keepdims=True)
+    columns = np.clip(dark[finite], middle - spread, middle + spread)
+
+    def rough(spectrum: Floats) -> Floats:
+        return np.asarray(spectrum - basis @ (basis.T @ spectrum))
+
+    scene = rough(light[finite])
+    whole, *halves = (
+        rough(np.nanmean(columns[:, part], axis=1))
+        for part in (slice(None), slice(0, None, 2), slice(1, None, 2))
     )
-    slope = float(dark_curvature @ light_curvature / (light_curvature @ light_curvature))
-    if not DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most:
+    size = float(scene @ scene)
+    slope, first, second = (float(part @ scene) / size for part in (whole, *halves))
+    freedom = scene.size - DARK_RULES.lit_degree - 2
+    u = math.sqrt(float(np.sum((whole - slope * scene) ** 2)) / freedom / size)
+    rest = np.nanmean(columns, axis=1) - slope * light[finite]
+    if not DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most or slope < DARK_RULES.lit_sds * u:
         return
-    if correlation > DARK_RULES.lit_correlation and np.ptp(light) > DARK_RULES.lit_range * np.ptp(
-        dark - slope * light
-    ):
-        yield Finding(
-            KINDS["dark-lit"],
-            name,
-            f"the spectrum of the dark follows the scene (correlation {correlation:.2f}), with "
-            f"{100 * slope:.3g} % of its light",
-            f"no light, under {100 * DARK_RULES.lit_slope:g} %",
-        )
+    if min(first, second) < 0.4 * slope:
+        return  # light of the scene is in all columns
+    is_clear = slope > max(DARK_RULES.lit_refused, DARK_RULES.lit_refused_sds * u)
+    is_clear &= float(np.ptp(light[finite])) > DARK_RULES.lit_range * float(np.ptp(rest))
+    yield Finding(
+        KINDS["dark-lit" if is_clear else "dark-faintly-lit"],
+        name,
+        f"the spectrum of the dark follows the scene, with {100 * slope:.2g} +- {100 * u:.1g} % of its light",
+        f"no light, under {100 * DARK_RULES.lit_slope:g} %",
+    )
 
 
 def _judge_pattern(
@@ -1113,6 +1192,46 @@ def _judge_sample(
         fwhm = float(np.median(line["fwhm"].values)) if "fwhm" in line.coords else 5.0
         light = np.nanmean(np.where(np.isfinite(gain), sample.mean - dark, np.nan), axis=1)
         yield from judge_bands(name, light, np.nanmean(gain, axis=1), line["wavelength"].values, fwhm, record)
+        product = _product(line, sample, dark, gain, fwhm, saturation_limit)
+        for verdict in judge_product(product):
+            yield Finding(KINDS[verdict.kind], name, verdict.found, verdict.expected, verdict.passes)
+
+
+def _product(
+    line: xr.Dataset, sample: CubeSample, dark: Floats, gain: Floats, fwhm: float, saturation_limit: float
+) -> Product:
+    # Calibrate the blocks of a sample as the line would be.
+    assert sample.blocks is not None
+    is_unsaturated = sample.maximum < saturation_limit
+    light = np.where(is_unsaturated & np.isfinite(gain), sample.blocks - dark, np.nan)
+    wavelength = line["wavelength"].values.astype(np.float64)
+    shift, reflectance, share, zenith, daylight = None, None, math.nan, math.nan, None
+    if "wavelength_shift" in line.coords:
+        shift = line["wavelength_shift"].transpose(..., CROSS_TRACK).values
+        shift = shift.mean(axis=0) if shift.ndim == 2 else shift
+    if "irradiance" in line and not has_white(line):
+        # spectra around the line
+        times, channels = (
+            line[IRRADIANCE_TIME].values,
+            line["irradiance_wavelength"].values.astype(np.float64),
+        )
+        spectra = line["irradiance"].transpose(IRRADIANCE_TIME, ...).values
+        stamps = line["time"].values
+        stamps = stamps[~np.isnat(stamps)]
+        if stamps.size:
+            first, last = np.searchsorted(times, [stamps.min(), stamps.max()])
+            spectra, times = (values[max(first - 1, 0) : last + 1] for values in (spectra, times))
+        position = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
+        level = light_level(position, spectra, channels, times)
+        share, zenith = level.median / level.clear, level.zenith
+        daylight = _Daylight(wavelength, fwhm, (channels, np.nanmean(spectra, axis=0))).irradiance_at
+        if line.attrs.get("absolute_scale") != "unknown":
+            exposure = float(np.nanmean(line["exposure_time"].values))
+            light_of_bands = np.where(daylight(wavelength) > 0.0, daylight(wavelength), np.nan)
+            reflectance = np.pi * gain * light / (exposure * light_of_bands[:, None])
+    return Product(
+        light, gain, wavelength, sample.lines, sample.divisor, reflectance, share, zenith, shift, daylight
+    )
 
 
 def _mean_dark(line: xr.Dataset) -> tuple[Floats, bool]:

@@ -65,6 +65,9 @@ class PanelRules:
         of a calibrated field spectrometer with a cosine receptor.
     coverage
         Accepted distance of a factor from 1 in standard uncertainties [1].
+    most_factor
+        Factor of a panel, or its inverse, above which it is refused [1]: the certificate is of another panel
+        or unit, or the scale of the line is wrong; stained and aged panels have 0.8 and more.
     off_bands
         Share of bands beyond ``coverage`` above which it is reported [1].
     repeatability
@@ -86,6 +89,7 @@ class PanelRules:
     gain_u: float = 0.03
     irradiance_u: float = 0.05
     coverage: float = 2.0
+    most_factor: float = 2.0
     off_bands: float = 0.1
     repeatability: float = 0.005
 
@@ -230,6 +234,10 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
             f"it measures {low:.3f} to {high:.3f} (median {median:.3f}) of the reflectance expected from "
             f"irradiance, with a combined standard uncertainty of {np.nanmedian(u):.3f}"
         )
+        if not 1.0 / RULES.most_factor <= median <= RULES.most_factor:
+            reasons.append(
+                f"it measures {median:.3g} times its certificate, which is of another panel or unit"
+            )
     state |= REFUSED if reasons else 0
     share_used = 1.0 - (is_foreign[:, None, :] | ~is_valid).mean(axis=(0, 2))
     return notes, scale, factor, u, mean_u, share_used, state, "; ".join(reasons)

@@ -395,6 +395,7 @@ def line_section(
         ("panel_factor" in names, "panels", partial(_chart, "panels", line)),
         (bool({"reflectance", "irradiance"} & names), "reflectance", partial(_reflectance, line)),
         (chain <= names, "counts to reflectance", partial(_triptych, line, regions)),
+        ("passed_checks" in line.attrs, "checks", partial(_checks, line.attrs)),
         ("alignment_state" in line.attrs, "alignment", partial(_alignment, line.attrs)),
         (True, "provenance", partial(_provenance, line.attrs)),
     ]
@@ -739,6 +740,14 @@ def picture_bytes(picture: xr.DataArray) -> np.ndarray[Any, np.dtype[np.uint8]]:
     # Return a picture from 0 to 1 as bytes; pixels without a value are black.
     values = np.nan_to_num(np.asarray(picture)).clip(0.0, 1.0)
     return np.ascontiguousarray((values * 255.0 + 0.5).astype(np.uint8))
+
+
+def _checks(attrs: Mapping[Any, Any]) -> Markup:
+    # judgements of the inputs by their result, and findings that were accepted
+    rows = [("accepted", text, "") for text in attrs.get("accepted_findings", ())]
+    rows += [("passed", *text.split("; expected ")) for text in attrs["passed_checks"]]
+    heads = ("", "found", "expected")
+    return page_part("table", heads=heads, rows=rows, numbers=0, heading="Checks of the inputs")
 
 
 def _alignment(attrs: Mapping[Any, Any]) -> Markup:

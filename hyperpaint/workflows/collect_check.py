@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Collection, Iterable
+import warnings
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import CollectError, warn_user
+import xarray as xr
+
+from hyperpaint.base.errors import CollectError, PaintWarning, warn_user
 from hyperpaint.geometry.navigation_checking import navigation_findings
 from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
+from hyperpaint.radiometry.counts_to_reflectance import panel_closure
+from hyperpaint.radiometry.panel_judging import RULES
+from hyperpaint.radiometry.panels import declared_panels
 from hyperpaint.radiometry.planning import has_white
 
 from .laboratory import opened_collect
@@ -20,10 +26,12 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_toml import OpenedCollect
 
 
-def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
+def check_collect(path: str | os.PathLike[str], *, passed: bool = False) -> tuple[Finding, ...]:
     """Return findings of implausible inputs of a collect, from samples of its cubes and all records.
 
-    Conventions of the navigation and clocks are tested on the picture of one line.
+    Reflectance of the samples is judged as well, by level, colour and pattern. Conventions of the navigation
+    and clocks are tested on the picture of one line. ``passed`` adds the judgements of the product that
+    passed, with their values.
 
     Raises `CollectError` if the collect or one of its files cannot be opened; all problems are listed.
 
@@ -43,18 +51,39 @@ def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
         kind = KINDS["navigation-clock" if "clock" in found.field else "navigation-convention"]
         text = f"{found.field} {found.declared}: {found.evidence}"
         findings.append(Finding(kind, str(lines[line].attrs["name"]), text, found.likely))
-    return tuple(findings)
+    if needs_irradiance:
+        findings += itertools.chain(*(_panel_findings(line) for line in lines.values()))
+    return tuple(finding for finding in findings if passed or not finding.passes)
+
+
+def _panel_findings(line: xr.Dataset) -> Iterator[Finding]:
+    # Measure the panels that a line declares; processing refuses or warns of the same.
+    name = str(line.attrs["name"])
+    for panel in declared_panels(line) if "wavelength" in line.coords else ():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", PaintWarning)
+            closure = panel_closure(line, panel).compute()
+        factor = float(closure["panel_factor"].median())
+        texts = [
+            str(each.message) for each in caught if getattr(each.message, "code", "") == "panel-doubtful"
+        ]
+        is_other = max(factor, 1.0 / factor) > RULES.most_factor
+        is_other &= line.attrs.get("absolute_scale") != "unknown"
+        kind = KINDS["panel-level" if is_other else "panel-doubtful"]
+        found = texts[0].rpartition(" [")[0] if texts else f"a panel measures {factor:.3f} of its certificate"
+        yield Finding(kind, name, found, "1 within its uncertainty", passes=not texts)
 
 
 def refuse_findings(
     opened: OpenedCollect, lines: Iterable[str], accept: Collection[str], *, lit: bool
 ) -> dict[str, dict[str, Any]]:
-    # Check flight lines of an opened collect, named by their groups; return the accepted findings.
+    # Check flight lines of an opened collect, named by their groups; return what was accepted and passed.
     #
     # ``accept``: names of accepted findings. ``lit``: whether reflectance is computed, which needs
     # irradiance.
     #
-    # Returns by group the attributes for the store: the accepted findings of a line. Raises `CollectError`
+    # Returns by group the attributes for the store: accepted findings of a line, and judgements that it
+    # passed. Raises `CollectError`
     # for findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
     refused = []
     accepted: dict[str, dict[str, Any]] = {}
@@ -62,10 +91,12 @@ def refuse_findings(
         opened, [name for name in lines if name in opened.members], lit=lit
     ).items():
         for finding in findings:
-            if finding.kind.name in accept:
-                accepted.setdefault(group, {"accepted_findings": []})["accepted_findings"].append(
-                    str(finding)
+            if finding.passes:
+                accepted.setdefault(group, {}).setdefault("passed_checks", []).append(
+                    f"{finding.found}; expected {finding.expected}"
                 )
+            elif finding.kind.name in accept:
+                accepted.setdefault(group, {}).setdefault("accepted_findings", []).append(str(finding))
             elif finding.kind.refused:
                 refused.append(finding.problem(acceptable=True))
             else:

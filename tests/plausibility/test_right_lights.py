@@ -91,7 +91,7 @@ RNG = np.random.default_rng(18)
 
 
 def _said_darks(dark: np.ndarray, scene: np.ndarray, uncertainty: np.ndarray | None = None) -> list[str]:
-    sample = CubeSample(128, scene, scene, 1)
+    sample = CubeSample(128, scene, scene, 1, np.zeros(scene.shape, bool))
     return [
         finding.kind.name
         for finding in judge_dark("dark", dark, uncertainty, np.ones_like(dark), sample, 4000.0)
@@ -178,7 +178,7 @@ def test_irradiance_over_that_of_a_clear_sky(share: float, named: bool, monkeypa
 @pytest.mark.parametrize(("share", "name"), [(1.4e-3, "stray-counts"), (3e-3, "counts-over-range")])
 def test_share_of_elements_over_the_range(share: float, name: str) -> None:
     maximum = np.where(np.arange(10_000) < 10_000 * share, 5000.0, 100.0)
-    sample = CubeSample(1, maximum, maximum, 1)
+    sample = CubeSample(1, maximum, maximum, 1, np.zeros(maximum.shape, bool))
     assert [f.kind.name for f in judge_range("line", sample, 12, 4095.0)] == [name]
 
 
