@@ -67,7 +67,7 @@ class Rules:
     step
         Minimum step of the logarithm of radiance between neighbouring columns [1].
     step_colour, step_change, step_part
-        Largest standard deviation of a step over bands, and largest change of it in a part of the blocks of
+        Largest standard deviation of a step over bands (with a third of 1), and change in a part of blocks of
         lines, relative to the step and a half [1]: an edge of the slit dims all bands of all lines alike
         (0.002 and 0.006); edges of surfaces along the track change colour (0.01 to 0.03), others wander.
     step_blocks
@@ -96,7 +96,7 @@ class Rules:
     smile_nm: float = 0.4
     wrong_smile: float = -0.4
     step: float = 0.08
-    step_colour: float = 0.005
+    step_colour: float = 0.015
     step_change: float = 0.014
     step_part: float = 0.7
     step_blocks: int = 4
@@ -311,7 +311,7 @@ def _swath(product: Product) -> Iterator[Verdict]:
     change = np.quantile(np.abs(blocks - np.median(blocks, axis=0)), RULES.step_part, axis=0)
     is_edge = (
         (np.abs(size) > RULES.step)
-        & (colour < RULES.step_colour)
+        & (colour < RULES.step_colour * (0.3 + np.abs(size)))
         & (change < RULES.step_change * (0.5 + np.abs(size)))
     )
     column = int(np.argmax(np.where(is_edge, np.abs(size), -1.0)))
