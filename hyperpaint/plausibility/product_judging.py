@@ -216,7 +216,7 @@ def _slip(product: Product, median: float) -> str:
         if is_record
         else "the gain of the calibration, the exposure time, the bit depth or the irradiance"
     )
-    return f": likely {blamed}, by a factor of about {factor:.2g} as of {slips}"
+    return f": likely {blamed}, by a factor of about {factor:.2g}; known slips of this size: {slips}"
 
 
 def _gain(product: Product) -> Iterator[Verdict]:

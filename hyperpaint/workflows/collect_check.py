@@ -6,6 +6,7 @@ import itertools
 import os
 import warnings
 from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -100,7 +101,7 @@ def refuse_findings(
             elif finding.kind.refused:
                 refused.append(finding.problem(acceptable=True))
             else:
-                warn_user(str(finding), finding.kind.name)
+                warn_user(str(replace(finding.problem(), code="")), finding.kind.name)
     if refused:
         raise CollectError(
             f"{opened.settings.path} is implausible, and is not processed",

@@ -829,7 +829,7 @@ _MAX_REPEATS = 0.05
 _NO_SPREAD, _IS_SPREAD = -1, -2
 _SAY_SO = "pass quantity='reflectance' if the values are reflectance"
 
-_IN_FULL = re.compile(r"standard[ _.-]?dev|st\.? ?dev|std[ _.-]?dev", re.I)
+_IN_FULL = re.compile(r"standard[ _.-]?dev|st\.? ?dev|std[ _.-]*dev", re.I)
 _MEAN = re.compile(r"(?<![a-z])(?:mean|average|avg|reflectance|reflectivity|refl|of|the)(?![a-z])", re.I)
 _OF_LIGHT = re.compile(
     r"(?<![a-z])[mµμun]?W(?:att)?s?[ */.·]*(?:c?m\^?-?\(?-?2|/ ?c?m)|/ ?sr\b|\bsr\^?-1", re.I
