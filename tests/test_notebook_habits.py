@@ -441,3 +441,27 @@ def look_at_it(desk: SimpleNamespace) -> None:
 @pytest.mark.parametrize("name", HABITS)
 def test_a_habit(name: str, desk: SimpleNamespace) -> None:
     HABITS[name](desk)
+
+
+@pytest.mark.parametrize("names", [("latitude", "longitude"), ("lat", "lon")])
+def test_a_map_in_degrees_is_a_map(names: tuple[str, str]) -> None:
+    # dims, words and coordinates as EMIT-tools writes them
+    values = np.random.default_rng(8).random((8, 9, 30)).astype(np.float32)
+    cube = xr.Dataset(
+        {
+            "reflectance": ((*names, "wavelengths"), values, {"units": "unitless"}),
+            "elev": (names, np.zeros((8, 9), np.float32), {"units": "m"}),
+        },
+        {
+            "wavelengths": ("wavelengths", np.linspace(381, 1000, 30), {"units": "nm"}),
+            "good_wavelengths": ("wavelengths", np.ones(30, np.float32)),
+            names[0]: np.linspace(43.1, 43.0, 8),
+            names[1]: np.linspace(-77.7, -77.6, 9),
+            "spatial_ref": 0,
+        },
+    )
+    region = hp.Region("field", [(1, 1), (6, 1), (6, 6), (1, 6)])
+    paints = cube.paint.signatures([region], exclude=0)
+    np.testing.assert_allclose(paints.reflectance[0], values[1:7, 1:7].mean((0, 1)), rtol=1e-6)
+    np.testing.assert_array_equal(cube.paint.at(650).reflectance, values[..., 13])
+    assert cube.paint.rgb().shape == (8, 9, 3)

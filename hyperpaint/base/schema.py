@@ -232,6 +232,10 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
                     mend=_FOREIGN_ARRAYS[package],
                     code="array-foreign",
                 )
+    # maps in degrees, such as those of EMIT-tools
+    for north, east in (("latitude", "longitude"), ("lat", "lon")):
+        if {north, east} <= set(dataset.dims):
+            dataset = dataset.rename({north: "y", east: "x"})
     # lines and times vary from cell to cell of a map
     is_map = {"y", "x"} <= {*dataset.dims, *dataset.coords} or "spatial_ref" in dataset.variables
     dataset = _with_table_units(plain(dataset))

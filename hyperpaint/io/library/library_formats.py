@@ -191,7 +191,7 @@ def open_library(
             addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
             raise FormatError(
                 f"{path} holds no paint library at its root (groups: {addresses})",
-                mend="extract one with hyperpaint signatures; hyperpaint.write_envi writes cubes",
+                mend="extract one with hyperpaint signatures; hyperpaint.io.write_envi writes cubes",
                 code="library-missing",
             )
         library = with_new_names(open_store(path, ""))
