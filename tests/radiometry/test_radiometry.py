@@ -304,7 +304,8 @@ def test_smile_without_structure_changes_nothing() -> None:
 def test_without_light_there_is_no_reflectance(smile: np.ndarray | None) -> None:
     line = flight(smile=smile).line
     line["irradiance"].values[:, 120:200] = 0.0  # 520 to 600 nm: water, or a night
-    got, nm = values(line), line.wavelength.values
+    with pytest.warns(PaintWarning, match="irradiance-(channels|gaps)"):
+        got, nm = values(line), line.wavelength.values
     assert np.isnan(got[:, (nm > 528) & (nm < 588)]).all()
     assert np.isfinite(got[:, (nm < 508) | (nm > 612)]).all()
     assert not np.isinf(got).any()

@@ -124,7 +124,7 @@ def clipped_top(values: Floats) -> Bools:
         _, counts = np.unique(row[(row > 0.5 * top[number]) & ~at_top], return_counts=True)
         clipped[number] = at_top & (
             (edges[1::2] - edges[::2]).max() >= RULES.clipped_channels
-            and at_top.mean() <= RULES.flat_share
+            and at_top.sum() <= RULES.flat_share * (row > 0.0).sum()
             and at_top.sum() >= RULES.clipped_excess * counts.max(initial=1)
         )
     return clipped
