@@ -101,6 +101,7 @@ RATIO = "target / reference"
 _WAVELENGTH = re.compile(r"w(?:vl|ave\w*|l)?\b", re.IGNORECASE)
 #: What the head says of columns without a heading: words, and quantity.
 _HEAD = (
+    (_pattern(r'^"?rem:[^\n]*(?:\bqntm\b|photon|quant)'), "photons"),
     (_pattern(r"absolute ?irradiance|^\S*mode: *irradiance"), "irradiance"),
     (_pattern(r"^[^\n:]*mode: *reflect|^\"?rem: *refl"), "reflectance"),
     (_pattern(r"^[^\n:]*mode: *(?:transm|absorb)"), "transmittance or absorbance"),
