@@ -6,6 +6,7 @@ Savitzky-Golay filter of the same width (see docs/figures.md).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -280,43 +281,26 @@ def smooth(
         (method == "box" or 0 <= order < window - 1, f"order {order}", orders, "value-out-of-range"),
     ):
         problems.add_if(not is_valid, found, expected=expected, code=code)
-    axis = dataset["wavelength"].values if "wavelength" in dataset.variables else np.arange(bands)
-    parts = spectral_parts(axis) if axis.shape == (bands,) else [slice(0, bands)]
-    problems.add_if(
-        len(parts) > max(6, bands // 20),
-        f"wavelengths run back or have gaps in {len(parts) - 1} places",
-        expected="bands in the order of their wavelengths",
-        mend="sort them: .sortby('wavelength')",
-        code="wavelength-unordered",
-    )
     problems.raise_if_any()
-    if len(parts) > 1:
-        # no window reaches over a detector join; it shrinks to a short part
-        smoothed = []
-        for part in parts:
-            piece, size = dataset.isel({schema.BAND: part}), part.stop - part.start
-            width = min(window, size - 1 + size % 2)
-            is_wide = width >= 3 and (method == "box" or order < width - 1)
-            smoothed.append(smooth(piece, method, width, order=order) if is_wide else piece)
-        whole = xr.concat([piece["reflectance"] for piece in smoothed], schema.BAND, coords="minimal")
-        array = whole.transpose(*dataset["reflectance"].dims).assign_attrs(smoothed[0]["reflectance"].attrs)
-        left_out = set(dataset.variables) - set(smoothed[0].variables)
-        return dataset.drop_vars(left_out).assign(reflectance=array)
     array = convert(dataset["reflectance"], "1")
     is_cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if is_cube else array
-    options: dict[str, Any] = {"is_cube": is_cube, "window": window}
-    if method != "box":
-        options["polynomials"] = _window_polynomials(window, order, array.sizes[schema.BAND])
-    arrays = [source.chunk({schema.BAND: -1}) if source.chunks else source]
     core = [schema.BAND, schema.CROSS_TRACK] if is_cube else [schema.BAND]
-    if "good" in dataset.variables:
-        arrays.append(dataset["good"].reset_coords(drop=True))
+    good = xr.DataArray(np.ones(bands, bool), dims=schema.BAND)
+    axis = xr.DataArray(np.arange(float(bands)), dims=schema.BAND)
+    if "wavelength" in dataset.variables and dataset["wavelength"].dims == (schema.BAND,):
+        axis = dataset["wavelength"]
+    inputs = (
+        source,
+        dataset.get("good", good).reset_coords(drop=True),
+        axis.reset_coords(drop=True),
+    )
+    arrays = [each.chunk({schema.BAND: -1}) if each.chunks else each for each in inputs]
     filtered = xr.apply_ufunc(
         _filter,
         *arrays,
-        kwargs=options,
-        input_core_dims=[core, [schema.BAND]][: len(arrays)],
+        kwargs={"is_cube": is_cube, "method": method, "window": window, "order": order},
+        input_core_dims=[core, [schema.BAND], [schema.BAND]],
         output_core_dims=[core],
         dask="parallelized",
         output_dtypes=[np.float32],
@@ -339,33 +323,43 @@ def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
 
 
 def _filter(
-    values: Array,
-    good: Array | None = None,
-    *,
-    window: int,
-    polynomials: tuple[Array, Array, Array] | None = None,
-    is_cube: bool,
+    values: Array, good: Array, wavelength: Array, *, is_cube: bool, method: str, window: int, order: int
 ) -> Array:
     from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
 
+    parts = spectral_parts(wavelength)
+    SchemaError.raise_if(
+        len(parts) > max(6, wavelength.size // 20),
+        f"wavelengths run back or have gaps in {len(parts) - 1} places",
+        expected="bands in the order of their wavelengths",
+        mend="sort them: .sortby('wavelength')",
+        code="wavelength-unordered",
+    )
     spectra = values.astype(np.float32, copy=False)
     # the kernels take cubes: without a cross-track dim, each spectrum becomes a line of one column
     if not is_cube:
         spectra = spectra.reshape(-1, values.shape[-1], 1)
-    out = np.empty(spectra.shape, np.float32)
-    is_bad = None if good is None or good.all() else ~good
-    filtered = spectra if is_bad is None else np.where(is_bad[:, None], np.float32(np.nan), spectra)
-    filtered = np.ascontiguousarray(filtered)
-    if polynomials is None:
-        average_slab(filtered, window, out)
-    else:
-        first, weights, fallback = polynomials
-        filter_slab(filtered, weights, first, fallback, out)
-    if is_bad is not None:
-        out[:, is_bad] = spectra[:, is_bad]
+    out = spectra.copy()
+    usable = spectra if good.all() else np.where(good[:, None], spectra, np.float32(np.nan))
+    for part in parts:
+        # no window reaches over a detector join; it shrinks to a short part
+        size = part.stop - part.start
+        width = min(window, size - 1 + size % 2)
+        if width < 3 or (method != "box" and order >= width - 1):
+            continue
+        piece = np.ascontiguousarray(usable[:, part])
+        filtered = np.empty(piece.shape, np.float32)
+        if method == "box":
+            average_slab(piece, width, filtered)
+        else:
+            first, weights, fallback = _window_polynomials(width, order, size)
+            filter_slab(piece, weights, first, fallback, filtered)
+        out[:, part] = filtered
+    out[:, ~good] = spectra[:, ~good]
     return out.reshape(values.shape)
 
 
+@functools.cache
 def _window_polynomials(window: int, order: int, bands: int) -> tuple[Array, Array, Array]:
     # Return the first band of each band's window (band,) int64, the weights of its values (band, width)
     # float32, and (band, width, width) float32, whose row k has the weights without the k-th value.
