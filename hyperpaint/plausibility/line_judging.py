@@ -23,7 +23,7 @@ from hyperpaint.io.flightline.dark import DARK_NONE
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
 from hyperpaint.io.flightline.timing import Timing
-from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR
+from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, RECORD
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, has_white, light_level
 
@@ -590,7 +590,7 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
         code, _, found = fault.partition(": ")
         # scans that were left out may be of another flight line
         if is_hole or code != "irradiance-scans":
-            yield Finding(KINDS[code], name, found, "daylight that changes as the sun and clouds change it")
+            yield Finding(KINDS[code], RECORD, found, "daylight that changes as the sun and clouds change it")
     channels = line["irradiance_wavelength"].values.astype(np.float64)
     position = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
     level = light_level(position, spectra, channels, times)

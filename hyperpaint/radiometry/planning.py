@@ -40,7 +40,7 @@ from hyperpaint.base.schema import (
     IRRADIANCE_WAVELENGTH,
     Quality,
 )
-from hyperpaint.io.spectrometers.record_faults import judge_record, warn_of_faults
+from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, judge_record, warn_of_faults
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.diffuse_record import SKY_STATES, split_of_arrays
 from hyperpaint.light.illumination import (
@@ -549,7 +549,9 @@ def _illuminate(
         & (wavelength <= channels[-1])
     )
     is_missing = np.isnan(spectra[has_values]).any(axis=0)
-    if is_lost.any() and is_missing.any():
+    # channels that were left out of a record were told when it was opened
+    is_told = "irradiance-channels" in light.get(FAULTS_ATTR, "")
+    if is_lost.any() and is_missing.any() and not is_told:
         warn_user(
             f"irradiance is undefined in {is_missing.sum()} channels, such as "
             f"{channels[is_missing][0]:g} nm: {is_lost.sum()} of {is_lost.size} bands become NaN at these "
@@ -937,6 +939,7 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str,
         values[attr] = str(dataset.attrs.get(attr, "gaussian"))
         one_of(values[attr], schema.SRF_SHAPES, f"attribute {attr}")
     values["departure"] = departure_of_record(dataset.attrs)
+    values[FAULTS_ATTR] = str(dataset.attrs.get(FAULTS_ATTR, ""))
     return values
 
 

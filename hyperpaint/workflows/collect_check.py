@@ -15,6 +15,7 @@ import xarray as xr
 from hyperpaint.base.errors import CollectError, PaintWarning, warn_user
 from hyperpaint.geometry.navigation_checking import navigation_findings
 from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.io.spectrometers.record_faults import RECORD
 from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
 from hyperpaint.radiometry.counts_to_reflectance import panel_closure
 from hyperpaint.radiometry.panel_judging import RULES
@@ -45,8 +46,15 @@ def check_collect(path: str | os.PathLike[str], *, passed: bool = False) -> tupl
     ()
     """
     needs_irradiance = read_collect(path, need_irradiance=False).irradiance is not None
-    opened = opened_collect(path, need_irradiance=needs_irradiance)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        opened = opened_collect(path, need_irradiance=needs_irradiance)
     findings = list(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
+    # a fault of the record is a finding where a line uses it, and a warning otherwise
+    texts = tuple(finding.found for finding in findings if finding.line == RECORD)
+    for each in caught:
+        if not any(text in str(each.message) for text in texts):
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
     lines = {name: opened.tree[name].to_dataset() for name in opened.members}
     for line, found in navigation_findings(lines):
         kind = KINDS["navigation-clock" if "clock" in found.field else "navigation-convention"]
@@ -100,7 +108,7 @@ def refuse_findings(
                 accepted.setdefault(group, {}).setdefault("accepted_findings", []).append(str(finding))
             elif finding.kind.refused:
                 refused.append(finding.problem(acceptable=True))
-            else:
+            elif finding.line != RECORD:  # whose faults were told when it was opened
                 warn_user(str(replace(finding.problem(), code="")), finding.kind.name)
     if refused:
         raise CollectError(
@@ -111,14 +119,17 @@ def refuse_findings(
 
 
 def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
-    # findings on a dark cube are listed with the first line that uses it
+    # findings on a dark cube or the record are listed with the first line that uses it
     cubes = {str(entry.name): entry for entry in opened.settings.flightlines}
     findings: dict[str, list[Finding]] = {}
     darks: set[Path] = set()
+    listed: set[str] = set()
     for name in lines:
         members = tuple(cubes[member] for member in opened.members[name])
         line = opened.tree[name].to_dataset()
-        findings[name] = list(judge_line(line, members, lit=lit and not has_white(line)))
+        judged = judge_line(line, members, lit=lit and not has_white(line))
+        findings[name] = [each for each in judged if each.line != RECORD or each.found not in listed]
+        listed |= {each.found for each in findings[name]}
         dark = members[0].dark if "counts" in opened.tree[name] else None
         for path in dark if isinstance(dark, tuple) else ():
             if path not in darks:

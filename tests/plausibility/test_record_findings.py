@@ -1,6 +1,7 @@
 """Faults of the irradiance record as findings of a collect, and in a line without a collect."""
 
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -55,11 +56,21 @@ def test_faults_of_the_record_are_findings(
     folder = shutil.copytree(flown, tmp_path / "collect")
     assert check_collect(folder / "collect.toml") == ()
     _change_counts(folder, change)
-    (finding,) = check_collect(folder / "collect.toml")
+    with warnings.catch_warnings(record=True) as checked:
+        warnings.simplefilter("always")
+        (finding,) = check_collect(folder / "collect.toml")
     assert (finding.kind.name, finding.kind.refused) == (code, is_refused)
+    assert not [each for each in checked if "irradiance-" in str(each.message)]
     if is_refused:
         with pytest.raises(CollectError, match=code):
             process(folder / "collect.toml", tmp_path / "lot.zarr", reflectance="none")
+        return
+    with warnings.catch_warnings(record=True) as processed:
+        warnings.simplefilter("always")
+        process(folder / "collect.toml", tmp_path / "lot.zarr")
+    assert [
+        getattr(each.message, "code", "") for each in processed if "irradiance-" in str(each.message)
+    ] == [code]
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 9999.0, np.nan])

@@ -101,6 +101,8 @@ class RecordRules:
 RULES = RecordRules()
 #: Attribute of a record that was judged: codes and texts of its faults.
 FAULTS_ATTR = "irradiance_faults"
+#: What a fault of a record is told of: the record, whichever of its flight lines shows it.
+RECORD = "irradiance record"
 #: Number of scans whose median is the level of a channel.
 _MAX_LEVEL_SCANS = 256
 #: Number of channels that show whether all channels have one value.
@@ -319,4 +321,4 @@ def _step(levels: Floats) -> tuple[int, float] | None:
 def warn_of_faults(faults: tuple[Problem, ...]) -> None:
     # Warn of the faults of a record.
     for fault in faults:
-        warn_user(f"irradiance record: {fault.found}", fault.code)
+        warn_user(f"{RECORD}: {fault.found}", fault.code)
