@@ -366,7 +366,11 @@ def _unpacked(labelled: Any) -> Any:
     variables = labelled.variables if is_dataset else {labelled.name: labelled.variable}
     values = {}
     for name, variable in variables.items():
-        if not any(key in variable.attrs for key in _PACKING):
+        # a mark of missing values alone: integers keep their type, as counts and flags have to
+        is_marked = variable.dtype.kind == "f" and (
+            "_FillValue" in variable.attrs or "nodata" in variable.attrs
+        )
+        if not is_marked and not any(key in variable.attrs for key in _PACKING):
             continue
         attrs = dict(variable.attrs)
         for key in _PACKING:

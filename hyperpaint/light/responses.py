@@ -159,7 +159,7 @@ class Responses:
 
 
 def band_spacing(wavelength: npt.ArrayLike) -> Floats:
-    """Return the distance between neighbouring bands at each band [nm].
+    """Return the distance between neighbouring bands at each band [nm], in any order of bands.
 
     Examples
     --------
@@ -167,7 +167,10 @@ def band_spacing(wavelength: npt.ArrayLike) -> Floats:
     array([2. , 2.5, 3. ])
     """
     wavelength = np.asarray(wavelength, np.float64)
-    return np.ones_like(wavelength) if wavelength.size < 2 else np.asarray(np.abs(np.gradient(wavelength)))
+    spacing, order = np.ones_like(wavelength), np.argsort(wavelength, kind="stable")
+    if wavelength.size > 1:
+        spacing[order] = np.gradient(wavelength[order])
+    return spacing
 
 
 def spectral_parts(wavelength: npt.ArrayLike) -> list[slice]:

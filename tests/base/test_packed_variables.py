@@ -59,6 +59,17 @@ def test_fill_values_become_missing() -> None:
     for name in ("_FillValue", "missing_value", "nodata"):
         unpacked = plain(cube(values, scale_factor=1e-4, **{name: np.int16(-9999)})).reflectance
         assert int(np.isnan(unpacked).sum()) == 1
+    for name in ("_FillValue", "nodata"):
+        alone = cube(np.where(values == -9999, -9999.0, FULL), **{name: -9999.0})
+        assert int(np.isnan(plain(alone).reflectance).sum()) == 1
+        # counts and flags keep their type
+        assert plain(cube(values, **{name: np.int16(-9999)})).reflectance.dtype == values.dtype
+
+
+def test_pictures_do_not_depend_on_the_order_of_bands() -> None:
+    order = np.random.default_rng(1).permutation(31)
+    line = cube(FULL.astype("f4"))
+    np.testing.assert_allclose(line.isel(band=order).paint.rgb(), line.paint.rgb(), atol=1e-5)
 
 
 def test_unpacking_reads_nothing(tmp_path: Any) -> None:

@@ -9,6 +9,7 @@ import pytest
 import shapely
 import xarray as xr
 from support.flown_lines import GSD, MAP, Flown, fly, located
+from support.refusals import expect_words
 
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
@@ -257,4 +258,7 @@ def test_degrees_without_a_crs_are_not_guessed_but_said(flown: Flown, line: xr.D
     # what can be no degrees is not taken for them
     with pytest.raises(SchemaError, match="region-empty") as caught:
         extract(line, Region("far", [(500, 500), (600, 500), (600, 600)]))
-    assert "CRS84" not in str(caught.value)
+    expect_words(str(caught.value), without=("CRS84", "crs="))
+    # what can only be metres of a map
+    with pytest.raises(SchemaError, match=r"crs=.*region-empty"):
+        extract(line, Region("metres", drawn(flown)[0].polygon))

@@ -73,7 +73,12 @@ _NANOMETRES = {
     **dict.fromkeys(("meters", "m"), 1e9),
 }
 _UNKNOWN_UNITS = ("", "unknown")
-_NOT_WAVELENGTHS = ("wavenumber", "ghz", "mhz", "index")
+#: Wavelength [nm] times the value, of units that are reciprocal to wavelength
+_RECIPROCAL = {
+    **dict.fromkeys(("wavenumber", "wavenumbers", "cm-1", "cm^-1", "1/cm"), 1e7),
+    "ghz": 299_792_458.0,
+    "mhz": 299_792_458e3,
+}
 _MAX_MICROMETRES = 100.0
 #: Ratios of width and wavelength, outside which a width is in another unit, and the factor to the unit of the
 #: wavelengths: resolving powers are above 2, and below 20,000.
@@ -461,7 +466,13 @@ def _spectral_axis(
     is_unknown, factor = unit in _UNKNOWN_UNITS, _NANOMETRES.get(unit, 1.0)
     if not has_wavelengths and lists["fwhm"] is None:
         return _wavelength_of_names(names, reader), None
-    if unit in _NOT_WAVELENGTHS:
+    values, widths = lists["wavelength"], lists["fwhm"]
+    if unit in _RECIPROCAL and values is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            lists["wavelength"] = _RECIPROCAL[unit] / values
+            lists["fwhm"] = None if widths is None else widths * lists["wavelength"] / values
+        unit = "nm"
+    if unit == "index" or unit in _RECIPROCAL:
         reader.note(f"wavelength units are {text!r}: the lists are not read as wavelengths")
         return None, None
     if not is_unknown and unit not in _NANOMETRES:

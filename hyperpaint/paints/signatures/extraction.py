@@ -759,6 +759,10 @@ _DEGREES_WITHOUT_CRS = (
     'Regions(..., coordinates="map", crs="OGC:CRS84"), or write "crs": "OGC:CRS84" beside "features" in '
     "the file"
 )
+_METRES_WITHOUT_CRS = (
+    "without a crs the coordinates are columns and lines; these look like metres of a map: pass "
+    'Regions(..., coordinates="map", crs=...) with the crs of the map, such as "EPSG:32633"'
+)
 
 
 # --- pixels and rounds, with checks before values are read -------------------------------------------------
@@ -788,7 +792,11 @@ def _pixels_of_regions(
         line = sources[name].line
         # sensor coordinates that are all valid longitudes and latitudes, as in RFC 7946
         corners = np.abs(np.concatenate([region.polygon for region in line_regions]))
-        could_be_degrees = line_regions.coordinates == "sensor" and bool((corners <= [180.0, 90.0]).all())
+        is_sensor = line_regions.coordinates == "sensor"
+        could_be_degrees = is_sensor and bool((corners <= [180.0, 90.0]).all())
+        # no camera has so many columns
+        could_be_metres = is_sensor and bool((corners > 10_000.0).all())
+        metres_mend = _METRES_WITHOUT_CRS if could_be_metres else ""
         for position, region_pixels in zip(
             positions, distinct_pixels(line, pixels_of(line_regions, line)), strict=True
         ):
@@ -797,7 +805,7 @@ def _pixels_of_regions(
                 size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"
                 problems.add(
                     f"region {regions[position].name!r} contains no pixel of the line ({size})",
-                    mend=_DEGREES_WITHOUT_CRS if could_be_degrees else "",
+                    mend=_DEGREES_WITHOUT_CRS if could_be_degrees else metres_mend,
                     code="region-empty",
                 )
     problems.raise_if_any()

@@ -77,7 +77,19 @@ def test_sli__micrometres(tmp_path: Path, unit: str) -> None:
     assert ("micrometres" in library.attrs.get("notes", "")) == (unit == "Unknown")
 
 
-WAVENUMBERS = NAMES + "wavelength units = Wavenumber\nwavelength = {1, 2, 3}\n"
+@pytest.mark.parametrize(
+    ("unit", "speed"), [("Wavenumber", 1e7), ("GHz", 299_792_458.0), ("MHz", 299_792_458e3)]
+)
+def test_sli__reciprocals_of_wavelength(tmp_path: Path, unit: str, speed: float) -> None:
+    nm = np.array([650.0, 550.0, 450.0])
+    lists = {"wavelength": speed / nm, "fwhm": speed / (nm - 2.5) - speed / (nm + 2.5)}
+    text = "".join(f"{key} = {{{', '.join(map(repr, each.tolist()))}}}\n" for key, each in lists.items())
+    library = hp.open_library(write_sli(tmp_path, ROWS, f"{NAMES}wavelength units = {unit}\n{text}"))
+    np.testing.assert_allclose(library["wavelength"].values, nm)
+    np.testing.assert_allclose(library["fwhm"].values, 5.0, rtol=1e-4)
+
+
+BAND_NUMBERS = NAMES + "wavelength units = Index\nwavelength = {1, 2, 3}\n"
 TITLE = "z plot titles = {wavelength, reflectance [*10000]}\n"
 
 
@@ -87,9 +99,9 @@ TITLE = "z plot titles = {wavelength, reflectance [*10000]}\n"
         (100, NAMES + NANOMETRES, {}, "scale-missing"),
         (100, NAMES + NANOMETRES, {"scale": -1}, "value-out-of-range"),
         (1e4, f"{NAMES}{NANOMETRES}reflectance scale factor = 1\n{TITLE}", {}, "scale-conflict"),
-        (1, WAVENUMBERS, {}, "wavelength-missing"),
-        (1, WAVENUMBERS, {"wavelength": [450, 550]}, "length-mismatch"),
-        (1, WAVENUMBERS, {"wavelength": [[450, np.nan]]}, "value-out-of-range"),
+        (1, BAND_NUMBERS, {}, "wavelength-missing"),
+        (1, BAND_NUMBERS, {"wavelength": [450, 550]}, "length-mismatch"),
+        (1, BAND_NUMBERS, {"wavelength": [[450, np.nan]]}, "value-out-of-range"),
         (1, f"{NAMES}{NANOMETRES}z plot titles = {{Wavelength, Emissivity}}\n", {}, "quantity-wrong"),
     ],
 )
@@ -107,7 +119,7 @@ def test_sli__what_is_unclear_is_refused(
 
 def test_sli__takes_the_scale_and_the_wavelengths_given(tmp_path: Path) -> None:
     given = hp.open_library(
-        write_sli(tmp_path, np.array(ROWS) * 100, WAVENUMBERS),
+        write_sli(tmp_path, np.array(ROWS) * 100, BAND_NUMBERS),
         scale=100, wavelength=[450, 550, 650], fwhm=np.full(3, 5.0),
     )  # fmt: skip
     np.testing.assert_allclose(given["reflectance"].values, ROWS, rtol=1e-6)
