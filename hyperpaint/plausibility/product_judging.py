@@ -166,7 +166,9 @@ def _level(product: Product, reflectance: Floats) -> tuple[list[Verdict], float]
     first, last = RULES.judged_nm
     is_judged = (product.wavelength >= first) & (product.wavelength <= last)
     spectra = reflectance[:, is_judged if is_judged.sum() >= 3 else slice(None)]
-    low, level, high = np.nanquantile(spectra, (0.1, 0.5, 0.9), axis=1)
+    # saturated pixels, mostly glint, say nothing by their few other bands
+    is_known = np.isfinite(spectra).mean(axis=1, keepdims=True) > 0.5
+    low, level, high = np.nanquantile(np.where(is_known, spectra, np.nan), (0.1, 0.5, 0.9), axis=1)
     if not np.isfinite(level).any():
         return [], math.nan
     zenith = math.radians(min(product.zenith, 89.0)) if math.isfinite(product.zenith) else 0.0

@@ -469,8 +469,9 @@ def _spectral_axis(
     values, widths = lists["wavelength"], lists["fwhm"]
     if unit in _RECIPROCAL and values is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
-            lists["wavelength"] = _RECIPROCAL[unit] / values
-            lists["fwhm"] = None if widths is None else widths * lists["wavelength"] / values
+            wavelength = _RECIPROCAL[unit] / values
+            lists["wavelength"] = wavelength
+            lists["fwhm"] = None if widths is None else widths * wavelength / values
         unit = "nm"
     if unit == "index" or unit in _RECIPROCAL:
         reader.note(f"wavelength units are {text!r}: the lists are not read as wavelengths")
