@@ -177,7 +177,7 @@ PARSERS: Mapping[str, Parser] = {
         "irradiance-open": (
             reader(f"{_SPECTRA}.irradiance:open_irradiance", SKY),
             (FormatError, TimeError, UnitsError),
-            ("sky.csv", "zone.csv", "asd/sky00001.asd", "logger.csv", "sky.JazIrrad"),
+            ("sky.csv", "zone.csv", "asd/sky00001.asd", "logger.csv"),
         ),
         "frame-index": (
             reader(f"{_LINES}:read_frame_index"),
