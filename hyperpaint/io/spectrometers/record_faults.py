@@ -176,7 +176,7 @@ def judge_record(
             faults.append(Problem(f"{text}{example[0]:.4g} at {stamps[first]}", code="irradiance-scans"))
 
     rows = np.unique(np.linspace(0, len(values) - 1, min(len(values), _MAX_LEVEL_SCANS)).astype(int))
-    leave_out(~(values > 0.0), "zero, darker than their dark, or a fill value")
+    leave_out(~(values > 0.0), "zero, negative (darker than the dark) or a fill value")
     sample = values[:, np.flatnonzero(judged)[:: max(1, judged.sum() // _MAX_FLAT_CHANNELS)]]
     is_flat = (sample == _median(sample, axis=1)[:, None]).mean(axis=1) > RULES.flat_share
     is_flat &= is_flat.sum() < 0.5 * np.isfinite(values).any(axis=1).sum()  # not a made-up record
