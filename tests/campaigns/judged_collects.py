@@ -80,7 +80,8 @@ def said_of(path: Path, whole: bool = False) -> list[str]:
             if whole:
                 process(path, path.parent / "lot.zarr", reflectance="none")
                 return [str(each.message) for each in caught]
-            return [str(finding) for finding in check_collect(path)]
+            findings = [str(finding) for finding in check_collect(path)]
+            return findings + [str(each.message) for each in caught]
         except PaintError as error:
             return [str(error)]
 

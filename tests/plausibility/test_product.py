@@ -100,7 +100,11 @@ def test_products_that_pass_and_those_that_are_named(product: Product, named: se
         (_product(20.0, share=0.05), "irradiance record", "20 (a filter"),
         (_product(1000.0), "gain of the calibration, the exposure time", "1000 (mW taken for W"),
         (_product(5.0), "exposure time", "5 (an exposure time"),
-        (_product(16.0, divisor=16), "bit depth", "factor of about 16; known slips of this size: 16 (counts of 12 bits"),
+        (
+            _product(16.0, divisor=16),
+            "bit depth",
+            "factor of about 16; known slips of this size: 16 (counts of 12 bits",
+        ),
     ],
 )
 def test_the_likely_slip_of_a_level_has_its_factor(product: Product, blamed: str, slip: str) -> None:
