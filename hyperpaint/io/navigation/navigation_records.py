@@ -28,6 +28,7 @@ found in a log among other text.
 from __future__ import annotations
 
 import contextlib
+import datetime as dt
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -1323,8 +1324,9 @@ class _Log:
 
     def _date(self, clock: str, year: int, month: int, day: int) -> None:
         days = int(self._record_seconds(clock) // _DAY_S)
-        midnight = int(np.datetime64(f"{year:04}-{month:02}-{day:02}", "ns").astype(np.int64))
+        date = dt.date(year, month, day)  # refuses days that do not exist
         if self.first_day is None:
+            midnight = int(np.datetime64(date, "ns").astype(np.int64))
             self.first_day = midnight - days * _DAY_S * NS_PER_S
 
 
