@@ -46,15 +46,18 @@ def check_collect(path: str | os.PathLike[str], *, passed: bool = False) -> tupl
     ()
     """
     needs_irradiance = read_collect(path, need_irradiance=False).irradiance is not None
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        opened = opened_collect(path, need_irradiance=needs_irradiance)
-    findings = list(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
-    # a fault of the record is a finding where a line uses it, and a warning otherwise
-    texts = tuple(finding.found for finding in findings if finding.line == RECORD)
-    for each in caught:
-        if not any(text in str(each.message) for text in texts):
-            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    texts: tuple[str, ...] = ()
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            opened = opened_collect(path, need_irradiance=needs_irradiance)
+        findings = list(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
+        texts = tuple(finding.found for finding in findings if finding.line == RECORD)
+    finally:
+        # a fault of the record is a finding where a line uses it, and a warning otherwise
+        for each in caught:
+            if not any(text in str(each.message) for text in texts):
+                warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
     lines = {name: opened.tree[name].to_dataset() for name in opened.members}
     for line, found in navigation_findings(lines):
         kind = KINDS["navigation-clock" if "clock" in found.field else "navigation-convention"]

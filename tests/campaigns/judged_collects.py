@@ -81,9 +81,9 @@ def said_of(path: Path, whole: bool = False) -> list[str]:
                 process(path, path.parent / "lot.zarr", reflectance="none")
                 return [str(each.message) for each in caught]
             findings = [str(finding) for finding in check_collect(path)]
-            told = [str(each.message) for each in caught]
+            messages = [str(each.message) for each in caught]
             # of the record and its files: the reader itself leaves out spectra of zeros
-            return findings + [text for text in told if re.search(r"irradiance record|\bsky", text)]
+            return findings + [text for text in messages if re.search(r"irradiance record|\bsky", text)]
         except PaintError as error:
             return [str(error)]
 

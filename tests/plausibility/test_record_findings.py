@@ -93,3 +93,11 @@ def test_a_scan_that_is_left_out_is_told() -> None:
     with pytest.warns(PaintWarning) as caught:
         hp.reflectance(shaded).compute()
     assert "irradiance-scans" in {warning.message.code for warning in caught}  # type: ignore[union-attr]
+
+
+def test_warnings_stay_where_a_collect_cannot_be_opened(flown: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(flown, tmp_path / "c")
+    _change_counts(folder, lambda number, counts: counts * (number != 3))
+    (folder / "flight/frameIndex_0.txt").write_text("no index")
+    with pytest.warns(PaintWarning, match="zero"), pytest.raises(CollectError):
+        check_collect(folder / "collect.toml")

@@ -133,8 +133,8 @@ def read_sample_table(
             problems.add(found, expected=expected, code="row-unreadable")
     problems.raise_if_any()
     properties = {headings[at]: [record[at] for record in records] for at in others}
-    units = _said(properties, _WAVELENGTH_UNITS)
-    quantity, value_units = _said(properties, _QUANTITY), _said(properties, _VALUE_UNITS)
+    units = _shared_words(properties, _WAVELENGTH_UNITS)
+    quantity, value_units = _shared_words(properties, _QUANTITY), _shared_words(properties, _VALUE_UNITS)
     names = _names(properties, path, len(records))
     other = next((text for text in (quantity, value_units, *names) if other_quantity(text)), "")
     FormatError.raise_if(
@@ -199,7 +199,7 @@ def _transposed(rows: Sequence[list[str]], source: str) -> list[list[str]]:
     return [list(column) for column in zip(*fields, *(row for _, row in bands), strict=True)]
 
 
-def _said(properties: dict[str, list[str]], pattern: re.Pattern[str]) -> str:
+def _shared_words(properties: dict[str, list[str]], pattern: re.Pattern[str]) -> str:
     # Return the words of a property that all spectra share.
     found = [texts for heading, texts in properties.items() if pattern.fullmatch(heading)]
     return " ".join(dict.fromkeys(text for texts in found for text in texts))[:200]
