@@ -56,7 +56,7 @@ def faults() -> tuple[Fault, ...]:
                 continue
             keywords = {keyword.arg: keyword.value for keyword in node.keywords}
             code = keywords.get("code")
-            if isinstance(code, ast.Constant) and isinstance(code.value, str) and node.args:
+            if isinstance(code, ast.Constant) and isinstance(code.value, str) and code.value and node.args:
                 found = next((text for text in map(_template, node.args) if " " in text), "")
                 expected, mend = (_template(keywords.get(name)) for name in ("expected", "mend"))
                 mend = mend or _template(keywords.get("option"))

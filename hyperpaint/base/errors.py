@@ -218,7 +218,7 @@ class FormatError(PaintError, ValueError):
     >>> hp.regions.regions_from({"type": "Feature"})
     Traceback (most recent call last):
     hyperpaint.base.errors.FormatError: these regions cannot be read as regions:
-      feature 0: no property 'name', which names the paint [region-name-missing]
+      feature 0: no property 'name', which names the paint; ... [region-name-missing]
     """
 
 
