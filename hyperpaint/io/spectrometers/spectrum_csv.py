@@ -17,6 +17,7 @@ from hyperpaint.base.errors import FormatError, Problem, Problems
 from hyperpaint.base.schema import VARIABLES
 from hyperpaint.base.units import conversion_factor, is_unit
 from hyperpaint.io.files.reading import (
+    TABLE_DIALECTS,
     first_row,
     foreign_format,
     number,
@@ -38,7 +39,8 @@ def read_spectrum_csv(
     path: str | Path, headings: int = 1
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     # Read a spectrum: lines of wavelength [nm] and value, separated by a comma, semicolon, tab or blanks,
-    # with decimal points or commas; in ascending or descending order.
+    # with decimal points or commas; in ascending or descending order. Separators may differ from line to line
+    # where numbers have decimal points.
     #
     # Ignores empty lines, lines that begin with ``#``, and headings before the first numbers.
     #
@@ -70,6 +72,8 @@ def _table(
             comments += [content] if content and not rows else []
             continue
         row = row_numbers(content, dialect)
+        if row is None and not dialect[1]:
+            row = next((r for d in TABLE_DIALECTS if not d[1] and (r := row_numbers(content, d))), None)
         if row is not None and len(row) == len(rows[0] if rows else row) and (has_units or len(row) == 2):
             rows.append(row)
         elif not rows and line_number <= headings:
@@ -96,7 +100,7 @@ def _table(
         (
             not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()),
             Problem(
-                "wavelengths rise and fall from line to line, or a value is not finite",
+                "wavelengths do not increase or decrease throughout, or a value is not finite",
                 code="wavelength-unordered",
             ),
         ),
