@@ -15,9 +15,9 @@ import xarray as xr
 
 from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.input_files import head_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, flags_set_from
 from hyperpaint.io.spectrometers.svc import open_svc
-from hyperpaint.paints.signatures.extraction import extract_signatures
+from hyperpaint.paints.signatures.extraction import EXCLUDED, extract_signatures
 from hyperpaint.regions.geojson import read_regions
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.simulation.collect import MARKER, PARTS, REGIONS, SVC_FOLDER
@@ -204,7 +204,11 @@ def compare_with_field(store: Path, folder: Path) -> Validation | None:
     if not len(regions):
         return None
     paints = extract_signatures(
-        xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}"), regions, specular_sky=True, members=0
+        xr.open_zarr(store, group=f"{LINES}{lines_of_store(store)[0]}"),
+        regions,
+        exclude=EXCLUDED & ~flags_set_from("scene"),  # the simulator's regions are clean
+        specular_sky=True,
+        members=0,
     )
     return validate(paints, open_svc(folder / SVC_FOLDER))
 
