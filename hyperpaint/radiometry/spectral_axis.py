@@ -110,8 +110,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
 
     Notes
     -----
-    Cubic (Lagrange) over the four nearest bands. Nothing is extrapolated: the outermost bands are NaN in
-    columns that do not cover the nominal wavelength, and so is a value if one of its four bands is missing.
+    Cubic (Lagrange) over the four nearest bands of the same part of the axis: a join, an overlap of detectors
+    or a gap separates parts, as in `smooth`. Nothing is extrapolated: the outermost bands of a part are NaN
+    in columns that do not cover the nominal wavelength, and so is a value if one of its bands is missing.
 
     Examples
     --------
@@ -182,33 +183,47 @@ def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
         bands < 4, f"{bands} bands to interpolate between", expected="4 or more", code="bands-too-few"
     )
     axis = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
-    is_descending = wavelength[0] > wavelength[-1]
-    axis = axis[::-1] if is_descending else axis
+    first = np.empty((bands, columns), np.int64)
+    weights = np.zeros((bands, columns, 4))
+    for part in _ordered_parts(wavelength):
+        # descending wavelengths increase with the other sign; the weights do not depend on it
+        sign = -1.0 if wavelength[part][0] > wavelength[part][-1] else 1.0
+        part_axis, nominal = sign * axis[part], sign * wavelength[part]
+        SchemaError.raise_if(
+            not (np.diff(part_axis, axis=0) > 0).all(),
+            "wavelengths are not in order in every column",
+            mend="correct wavelength_shift",
+            code="wavelength-unordered",
+        )
+        taps = min(4, nominal.size)
+        for column, nodes in enumerate(part_axis.T):
+            start = np.clip(np.searchsorted(nodes, nominal, side="right") - 2, 0, nominal.size - taps)
+            tap_nodes = nodes[start[:, None] + np.arange(taps)]
+            first[part, column] = np.minimum(part.start + start, bands - 4)
+            # a short part at the end has its bands among the last of four
+            skipped = part.start + start - first[part, column]
+            for k in range(taps):
+                other_taps = [j for j in range(taps) if j != k]
+                weights[np.arange(part.start, part.stop), column, skipped + k] = np.prod(
+                    (nominal[:, None] - tap_nodes[:, other_taps])
+                    / (tap_nodes[:, [k]] - tap_nodes[:, other_taps]),
+                    axis=1,
+                )
+            weights[part, column][(nominal < nodes[0]) | (nominal > nodes[-1])] = np.nan
+    return np.ascontiguousarray(first), np.ascontiguousarray(weights, np.float32)
+
+
+def _ordered_parts(wavelength: Array) -> list[slice]:
+    # Return the parts of an axis between joins, overlaps and gaps; raises SchemaError for bands in no order.
+    parts = spectral_parts(wavelength)
     SchemaError.raise_if(
-        not (np.diff(axis, axis=0) > 0).all(),
-        "wavelengths are not in order",
-        mend="split the cube at detector joins before interpolating between bands",
+        len(parts) > max(6, wavelength.size // 20),
+        f"wavelengths run back or have gaps in {len(parts) - 1} places",
+        expected="bands in the order of their wavelengths",
+        mend="sort them: .sortby('wavelength')",
         code="wavelength-unordered",
     )
-    nominal = wavelength[::-1] if is_descending else wavelength
-    first = np.empty((bands, columns), np.int64)
-    weights = np.empty((bands, columns, 4))
-    for column in range(columns):
-        nodes = axis[:, column]
-        start = np.clip(np.searchsorted(nodes, nominal, side="right") - 2, 0, bands - 4)
-        tap_nodes = nodes[start[:, None] + np.arange(4)]
-        for k in range(4):
-            other_taps = [j for j in range(4) if j != k]
-            weights[:, column, k] = np.prod(
-                (nominal[:, None] - tap_nodes[:, other_taps])
-                / (tap_nodes[:, [k]] - tap_nodes[:, other_taps]),
-                axis=1,
-            )
-        first[:, column] = start
-        weights[(nominal < nodes[0]) | (nominal > nodes[-1]), column] = np.nan
-    if is_descending:
-        first, weights = bands - 4 - first[::-1], weights[::-1, :, ::-1]
-    return np.ascontiguousarray(first), np.ascontiguousarray(weights, np.float32)
+    return parts
 
 
 @takes_quantities()
@@ -327,14 +342,7 @@ def _filter(
 ) -> Array:
     from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
 
-    parts = spectral_parts(wavelength)
-    SchemaError.raise_if(
-        len(parts) > max(6, wavelength.size // 20),
-        f"wavelengths run back or have gaps in {len(parts) - 1} places",
-        expected="bands in the order of their wavelengths",
-        mend="sort them: .sortby('wavelength')",
-        code="wavelength-unordered",
-    )
+    parts = _ordered_parts(wavelength)
     spectra = values.astype(np.float32, copy=False)
     # the kernels take cubes: without a cross-track dim, each spectrum becomes a line of one column
     if not is_cube:
