@@ -1207,7 +1207,8 @@ def _product(
     is_unsaturated = sample.maximum < saturation_limit
     light = np.where(is_unsaturated & np.isfinite(gain), sample.blocks - dark, np.nan)
     wavelength = line["wavelength"].values.astype(np.float64)
-    shift, reflectance, share, zenith, daylight = None, None, math.nan, math.nan, None
+    shift, reflectance, full_scale, daylight = None, None, None, None
+    share, zenith = math.nan, math.nan
     if "wavelength_shift" in line.coords:
         shift = line["wavelength_shift"].transpose(..., CROSS_TRACK).values
         shift = shift.mean(axis=0) if shift.ndim == 2 else shift
@@ -1230,9 +1231,21 @@ def _product(
         if line.attrs.get("absolute_scale") != "unknown":
             exposure = float(np.nanmean(line["exposure_time"].values))
             light_of_bands = np.where(daylight(wavelength) > 0.0, daylight(wavelength), np.nan)
-            reflectance = np.pi * gain * light / (exposure * light_of_bands[:, None])
+            per_count = np.pi * gain / (exposure * light_of_bands[:, None])
+            reflectance = per_count * light
+            full_scale = np.nanmedian(per_count * (saturation_limit - dark), axis=1)
     return Product(
-        light, gain, wavelength, sample.lines, sample.divisor, reflectance, share, zenith, shift, daylight
+        light,
+        gain,
+        wavelength,
+        sample.lines,
+        sample.divisor,
+        reflectance,
+        full_scale,
+        share,
+        zenith,
+        shift,
+        daylight,
     )
 
 
