@@ -6,8 +6,6 @@ wavelengths or widths differ from the declared ones. The check is relative to th
 reflectance is.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

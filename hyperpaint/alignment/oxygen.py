@@ -1,7 +1,5 @@
 """Mean spectra of columns, and the residual oxygen A band in them: a sign of wrong wavelengths."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import xarray as xr

@@ -1,7 +1,5 @@
 """Absolute anchors: one gain for every element, from optics, a known source or a vendor's coefficients."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`calibrate`: all steps from a lab sweep to a calibration, in order, with the checks between them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace

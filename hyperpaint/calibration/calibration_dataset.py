@@ -1,7 +1,5 @@
 """Assemble the calibration dataset from the fitted lamp lines, element by element, with uncertainties."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass

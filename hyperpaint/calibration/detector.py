@@ -1,7 +1,5 @@
 """Detector properties without a spectrum: dark at any exposure, flat field, linearity, bad elements."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ lines varies much more with the ground than with the light. But from one line to
 nearly the same ground, so that the median change over columns is the change of the light.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable, Mapping, Sequence

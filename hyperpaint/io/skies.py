@@ -3,8 +3,6 @@
 Columns, marks and words of each format stand in tables above its reader.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re

@@ -5,8 +5,6 @@ the sky in view. The record itself gives the diffuse fraction; since the tilt ch
 fraction is derived a second time from the corrected record.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Colours in daylight: sRGB of reflectance spectra, CIE Lab, CIEDE2000, and names of car colours."""
 
-from __future__ import annotations
-
 import difflib
 import re
 

@@ -5,8 +5,6 @@ colour, and changes over a minute. Called by `process`, which stores the split w
 and for flight lines that have a record only.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ The spectrometer's samples are matched to the imager's responses (`match_irradia
 shifts of its smile, and converted to a tilted surface (`Tilt`). `synchrony` assigns samples to lines.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass

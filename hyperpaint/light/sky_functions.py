@@ -13,8 +13,6 @@ asymmetry 0.65, exponent 1.14, single-scattering albedo 0.94) over ground of 0.1
 and six wavelengths (``tests/campaigns/sky_table.py``); linear between them, constant beyond. No clouds.
 """
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Position of the sun, and the split of clear-sky light into direct and diffuse."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ Plain arrays of a sample come in, verdicts go out, those that passed as well. A 
 in reflectance, the one number with a known range.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Means of blocks of pixels: a flight line at the size of a screen, stored beside the line by `process`."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -6,8 +6,6 @@
 Both are lazy: one task a slab of lines, one pass over memory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Targets of known reflectance in the scene, declared and measured."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

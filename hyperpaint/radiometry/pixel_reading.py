@@ -1,7 +1,5 @@
 """Reflectance of a pixel, a region or a band: reads only its storage chunks, without a scheduler."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

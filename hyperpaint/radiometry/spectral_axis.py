@@ -4,8 +4,6 @@ The paper smooths with a box. It is available, but not the default: it shifts a 
 Savitzky-Golay filter of the same width (see docs/figures.md).
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from typing import Any, NamedTuple

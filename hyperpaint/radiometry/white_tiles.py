@@ -6,8 +6,6 @@ A white reference is a gain per detector element, ``reflectance_gain``, in place
 irradiance; several white references in time add the change of the light, ``white_level``.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

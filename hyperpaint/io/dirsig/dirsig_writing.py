@@ -3,8 +3,6 @@
 Reflectance is written ascending, without gaps, and with the clear coat counted once.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

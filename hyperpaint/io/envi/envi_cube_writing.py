@@ -4,8 +4,6 @@ The data file is filled block by block as dask computes them, so that a cube of 
 a few blocks. Header and data are published together, the header last.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import threading

@@ -1,7 +1,5 @@
 """A flight line from the files of its instruments: counts and all inputs of their calibration, lazily."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace

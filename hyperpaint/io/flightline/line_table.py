@@ -1,7 +1,5 @@
 """Flight lines as a table of text: time, place, attitude, and every other variable of a line."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

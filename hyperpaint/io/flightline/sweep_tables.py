@@ -1,7 +1,5 @@
 """Lab sweeps as tables in CSV: counts in the table, or in cubes that its rows name."""
 
-from __future__ import annotations
-
 import csv
 import difflib
 import re

@@ -1,7 +1,5 @@
 """Formats of spectral libraries: `open_library` by content, `write_library` by name or suffix."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence

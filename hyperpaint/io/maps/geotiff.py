@@ -3,8 +3,6 @@
 Windows are written one row of tiles at a time; GDAL then streams the plain file into the final format.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import uuid

@@ -1,7 +1,5 @@
 """Ground control points: surveyed coordinates, and the pixels where the points are visible."""
 
-from __future__ import annotations
-
 import csv
 import re
 import warnings

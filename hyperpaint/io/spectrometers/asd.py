@@ -12,8 +12,6 @@ sentences. The preamble may contain the comment field as NUL bytes, a blank firs
 sentences. No export contains the quantity, its units, or the UTC offset of the time stamp.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 import os

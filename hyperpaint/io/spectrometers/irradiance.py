@@ -1,7 +1,5 @@
 """The record of a sky-pointing spectrometer as one series in UTC: spectra, csv files, Zarr or netCDF."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 import os

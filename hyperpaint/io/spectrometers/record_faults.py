@@ -3,8 +3,6 @@
 The spectra of a record judge one another: no model of the sky, no place and no time of the day enter.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Text tables of laboratories: spectra, certificates of white panels, calibrations of FRM4SOC."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ decimal comma, and only a comma *and a blank* separate the items of a list. `DIA
 way to write such a file.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import json
 import math

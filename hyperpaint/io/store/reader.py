@@ -5,8 +5,6 @@ memory, are errors. A group in its store's manifest must be unchanged and have a
 the crc32c of a chunk with its bytes during reading.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

@@ -1,7 +1,5 @@
 """`verify`: check that every chunk of a store is present, readable, and unchanged since it was written."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor

@@ -4,8 +4,6 @@ A group is built beside its store, flushed, and moved to its path; the manifest 
 writes the groups of a run; the store is unfinished until all of them are at their paths.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

@@ -9,8 +9,6 @@ repeated frames or of a flight's homogeneous blocks, lie on a straight line whos
 properties of the camera.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 
