@@ -1,11 +1,10 @@
 """Mean spectra of columns, and the residual oxygen A band in them: a sign of wrong wavelengths."""
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats, Progress
+from hyperpaint.base.arrays import Bools, Floats, Indices, Ints, Progress
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
@@ -18,7 +17,7 @@ from hyperpaint.radiometry.stray_light import described
 _FIRST_LINES = 64
 
 
-def radiance_of_bands(dataset: xr.Dataset, used: npt.NDArray[np.intp]) -> xr.DataArray:
+def radiance_of_bands(dataset: xr.Dataset, used: Indices) -> xr.DataArray:
     # Return radiance of some bands on any scale, lazily; stray light is subtracted with all bands.
     dataset = dataset.assign_attrs(absolute_scale="not needed")  # wavelengths do not depend on the scale
     if described(dataset.variables) is None:
@@ -28,7 +27,7 @@ def radiance_of_bands(dataset: xr.Dataset, used: npt.NDArray[np.intp]) -> xr.Dat
 
 def mean_over_lines(
     cube: xr.DataArray, level: Floats, progress: Progress | None = None
-) -> tuple[Floats, npt.NDArray[np.int64]]:
+) -> tuple[Floats, Ints]:
     # Return the mean over lines of a cube over its light's level (band, column), and its number of pixels.
     #
     # One slab is in memory at a time. Lines are added in order, so that the result does not depend
@@ -135,7 +134,7 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     )
 
 
-def _parts(wavelength: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
+def _parts(wavelength: Floats) -> tuple[Bools, Floats]:
     shoulders = np.logical_or.reduce([(wavelength >= low) & (wavelength <= high) for low, high in SHOULDERS])
     return shoulders, np.clip(1.0 - np.abs(wavelength - CENTRE) / REACH, 0.0, None)
 

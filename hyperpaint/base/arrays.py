@@ -7,10 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[Any]
+ArrayLike: TypeAlias = npt.ArrayLike
 Bools: TypeAlias = npt.NDArray[np.bool_]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Floats32: TypeAlias = npt.NDArray[np.float32]
+Indices: TypeAlias = npt.NDArray[np.intp]
 Ints: TypeAlias = npt.NDArray[np.int64]
+Times: TypeAlias = npt.NDArray[np.datetime64]
 #: Called with the number of steps done and the total.
 Progress: TypeAlias = Callable[[int, int], None]
 

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.arrays import Array, ArrayLike, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
 from hyperpaint.base.units import takes_quantities
@@ -243,7 +242,7 @@ def element_values(array: xr.DataArray, shape: tuple[int, ...], name: str) -> Ar
 
 
 @takes_quantities()
-def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -> tuple[float, ...]:
+def linearity(signal: ArrayLike, measured: ArrayLike, degree: int = 3) -> tuple[float, ...]:
     r"""Return the polynomial from measured counts to counts proportional to the light.
 
     Parameters

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats, Ints
+from hyperpaint.base.arrays import Array, ArrayLike, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
@@ -52,7 +51,7 @@ def diffuse_from_record(
     latitude: float,
     longitude: float,
     *,
-    wavelength: npt.ArrayLike = _SHOWN_NM,
+    wavelength: ArrayLike = _SHOWN_NM,
     calibration_uncertainty: float = 0.05,
     pressure: float = 101_325.0,
 ) -> xr.Dataset:
@@ -177,7 +176,7 @@ def sky_state_attrs() -> dict[str, Any]:
     return {"flag_values": np.arange(len(SKY_STATES), dtype=np.int8), "flag_meanings": " ".join(SKY_STATES)}
 
 
-def states_of(probability: Floats) -> npt.NDArray[np.int8]:
+def states_of(probability: Floats) -> Array:
     # Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`.
     return np.where(
         probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, probability.argmax(axis=1)

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, ArrayLike, Floats
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.units import convert, takes_quantities
@@ -175,7 +174,7 @@ class Smile:
         return np.moveaxis(np.stack(coefficients, axis=-1), -3, -2)
 
 
-def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
+def smile_cells(wavelength_shift: ArrayLike | None, columns: int) -> Smile:
     # Return the nodes, cells and runs of a smile over a number of columns.
     #
     # ``wavelength_shift`` (cross_track,) or (band, cross_track) is the true minus the nominal wavelength of
@@ -210,16 +209,16 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
 @takes_quantities(wavelength="nm", fwhm="nm", irradiance_fwhm="nm", nodes="nm", srf_offset="nm")
 def match_irradiance(
     irradiance: xr.DataArray,
-    wavelength: npt.ArrayLike,
-    fwhm: npt.ArrayLike,
+    wavelength: ArrayLike,
+    fwhm: ArrayLike,
     *,
-    irradiance_fwhm: npt.ArrayLike = 3.0,
-    nodes: npt.ArrayLike = (0.0,),
+    irradiance_fwhm: ArrayLike = 3.0,
+    nodes: ArrayLike = (0.0,),
     srf_shape: str = "gaussian",
     irradiance_srf_shape: str = "gaussian",
-    responsivity: npt.ArrayLike | None = None,
-    srf_offset: npt.ArrayLike | None = None,
-    srf: npt.ArrayLike | None = None,
+    responsivity: ArrayLike | None = None,
+    srf_offset: ArrayLike | None = None,
+    srf: ArrayLike | None = None,
 ) -> xr.DataArray:
     """Return the irradiance in the imager's own bands.
 

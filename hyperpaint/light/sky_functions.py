@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import ArrayLike, Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -131,7 +130,7 @@ def function_shapes(sun_zenith: float) -> Floats:
     return shapes
 
 
-def clear_sky_shares(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
+def clear_sky_shares(wavelength: ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
     """Return the shares of uniform, molecular and aureole function in a clear sky's level irradiance [1].
 
     Parameters
@@ -159,7 +158,7 @@ def clear_sky_shares(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: floa
     return np.asarray(shares / shares.sum(axis=0))
 
 
-def zenith_radiance(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
+def zenith_radiance(wavelength: ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
     """Return the zenith radiance of a clear sky relative to a uniform sky (band,) [1].
 
     Arguments as for `clear_sky_shares`.
@@ -173,7 +172,7 @@ def zenith_radiance(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float
 
 
 def radiance_towards_sun(
-    wavelength: npt.ArrayLike, sun_zenith: float, angle: float, aerosol: float = 0.1
+    wavelength: ArrayLike, sun_zenith: float, angle: float, aerosol: float = 0.1
 ) -> Floats:
     """Return the radiance of a clear sky relative to a uniform sky (band,) [1], at an angle from the zenith.
 
@@ -191,7 +190,7 @@ def radiance_towards_sun(
     return np.asarray(np.array([1.0, *parts]) @ clear_sky_shares(wavelength, sun_zenith, aerosol))
 
 
-def sunward_gain(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
+def sunward_gain(wavelength: ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
     r"""Return the relative gain of clear-sky light on a surface tilted towards the sun (band,) [1].
 
     Relative change of diffuse light for a unit change of :math:`c = \cos i / \cos \theta_s`, direct light,
@@ -217,7 +216,7 @@ def sunward_gain(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 
     )
 
 
-def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from_sun: float) -> Floats:
+def facing_gain(wavelength: ArrayLike, sun_zenith: float, angle: float, from_sun: float) -> Floats:
     r"""Return a clear sky's light on a slope relative to a uniform sky's (band,) [1].
 
     Both have the same level irradiance. The result depends on the side of the sky that the slope faces; it

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints, Times
 from hyperpaint.base.errors import SchemaError, warn_user
 
 #: Faults of a panel, in the order of the bits of ``panel_state``.
@@ -100,7 +99,7 @@ RULES = PanelRules()
 class PanelContext(NamedTuple):
     # Properties of the line for the judgement of its panels.
     wavelength: Floats  # (band,) [nm]
-    good: NDArray[np.bool_]  # (band,)
+    good: Bools  # (band,)
     u: Floats  # (band,) relative standard uncertainty of gain and irradiance together [1]
     has_scale: bool  # Whether the gain is absolute
 
@@ -112,11 +111,11 @@ class PanelClosure(NamedTuple):
     u: Floats  # Combined standard uncertainty of the factor [1]
     mean_u: Floats  # Relative standard uncertainty of the mean over pixels [1]
     used: Floats  # Share of pixels used [1]
-    state: NDArray[np.uint8]
-    time: NDArray[np.datetime64]
+    state: Array
+    time: Times
     reasons: tuple[str, ...]  # Reason of the refusal of a panel; empty if not refused
 
-    def at(self, indices: NDArray[np.int64]) -> PanelClosure:
+    def at(self, indices: Ints) -> PanelClosure:
         # Return the results of the panels at indices.
         arrays: list[Any] = [*self[:-1]]
         reasons = tuple(self.reasons[k] for k in indices)
@@ -243,7 +242,7 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
     return notes, scale, factor, u, mean_u, share_used, state, "; ".join(reasons)
 
 
-def _brightness_and_outliers(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+def _brightness_and_outliers(observed: Floats, clean: Bools) -> tuple[Floats, Bools]:
     # Return the relative brightness of pixels (line, column), and which pixels do not show the panel,
     # from the `clean` bands, or from all bands if these are few; NaN and false for pixels without such
     # samples.
@@ -265,7 +264,7 @@ def _brightness_and_outliers(observed: Floats, clean: NDArray[np.bool_]) -> tupl
     return brightness, is_foreign
 
 
-def _is_outlier(values: Floats) -> NDArray[np.bool_]:
+def _is_outlier(values: Floats) -> Bools:
     finite = values[np.isfinite(values)]
     if finite.size < 3:
         return np.zeros(values.shape, bool)
@@ -279,8 +278,8 @@ def _is_outlier(values: Floats) -> NDArray[np.bool_]:
 def _panel_means(
     observed: Floats,
     ceiling: Floats,
-    saturated: NDArray[np.bool_],
-    on_panel: NDArray[np.bool_],
+    saturated: Bools,
+    on_panel: Bools,
     brightness: Floats | None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     # Return number and sum of a panel's pixels, the error of the mean, and the saturated share (band,).

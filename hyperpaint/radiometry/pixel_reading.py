@@ -5,11 +5,10 @@ from typing import Any
 
 import dask
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array
+from hyperpaint.base.arrays import Array, ArrayLike
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, CUBE
 from hyperpaint.base.units import takes_quantities
@@ -36,7 +35,7 @@ def pixels(
     along_track: Place = slice(None),
     cross_track: Place = slice(None),
     *,
-    wavelength: npt.ArrayLike | None = None,
+    wavelength: ArrayLike | None = None,
 ) -> xr.Dataset:
     """Return reflectance of a pixel, a region or a band, with the bits of `reflectance`.
 

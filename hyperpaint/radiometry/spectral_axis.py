@@ -9,11 +9,10 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array
+from hyperpaint.base.arrays import Array, ArrayLike
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.units import convert, takes_quantities
@@ -33,7 +32,7 @@ class NominalAxis(NamedTuple):
 
 
 @takes_quantities(wavelength="nm")
-def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
+def at(dataset: xr.Dataset, wavelength: ArrayLike) -> xr.Dataset:
     """Return the bands nearest to one or several wavelengths.
 
     Also for axes that are not sorted, as at detector joins, where an index fails.
@@ -64,7 +63,7 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     return selected
 
 
-def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
+def bands_at(dataset: xr.Dataset, wavelength: ArrayLike) -> Any:
     # Return the index of the band nearest to a wavelength [nm], or of the bands nearest to several.
     #
     # Raises `SchemaError`: As `at`.

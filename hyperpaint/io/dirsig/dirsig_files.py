@@ -28,10 +28,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text, unique_names
@@ -77,7 +76,7 @@ class ColumnText:
     b'0.4000000\t0.250000\n0.7025000\t1.000000\n'
     """
 
-    def __init__(self, wavelength: Sequence[float] | npt.NDArray[Any], title: str = "") -> None:
+    def __init__(self, wavelength: Sequence[float] | Array, title: str = "") -> None:
         micrometres = [f"{nm / 1000.0:.{WAVELENGTH_DECIMALS}f}" for nm in np.asarray(wavelength, float)]
         pairs = itertools.pairwise(micrometres)
         if equal := next((text for text, following in pairs if float(following) <= float(text)), ""):
@@ -98,7 +97,7 @@ class ColumnText:
             self._runs.append((slice(start, start + count * width), slice(row, row + count), width))
             start, row = start + count * width, row + count
 
-    def text(self, values: npt.NDArray[Any]) -> bytes:
+    def text(self, values: Array) -> bytes:
         # Return the text of spectra (spectrum, wavelength) between 0 and 1.
         digits_left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
         texts = np.repeat(self._template[np.newaxis], len(digits_left), axis=0)

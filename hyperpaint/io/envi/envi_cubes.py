@@ -31,13 +31,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from hyperpaint.base import schema, units
-from hyperpaint.base.arrays import Array, Floats, Ints
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import FormatError, Problem, Problems, needs_extra, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input
@@ -131,7 +130,7 @@ class EnviHeader:
     wavelength: Floats | None = None
     fwhm: Floats | None = None
     # False for bands that the header marks as bad; None without a bad band list
-    good: npt.NDArray[np.bool_] | None = None
+    good: Bools | None = None
     band_names: tuple[str, ...] = ()  # As written; empty where absent
     data_ignore_value: int | float | None = None  # Stored value that means "no data"
     reflectance_scale_factor: float | None = None  # Stored value of a reflectance of 1
@@ -600,8 +599,8 @@ class Scaling:
     ignore: int | float | None = None  # Compared with stored samples, before scaling
     divisor: float | None = None  # The reflectance scale factor
     # gain, offset: One value per band
-    gain: npt.NDArray[np.float64] | None = None
-    offset: npt.NDArray[np.float64] | None = None
+    gain: Floats | None = None
+    offset: Floats | None = None
 
     def apply(self, stored: Array, per_band: Callable[[Array], Array]) -> Array:
         # Return values of `stored`; `per_band` selects and reshapes a band vector to match it

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Bools, Floats, Times
 from hyperpaint.base.constants import (
     DULL_MEDIAN,
     HIGHEST_MEDIAN,
@@ -85,8 +84,8 @@ class IrradianceTable(NamedTuple):
     name: str  # file name without its folder
     times: tuple[dt.datetime, ...]  # (sample), with a zone where the file gives one
     lines: tuple[int, ...]  # (sample), line numbers in the file
-    wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
-    values: npt.NDArray[np.float64]  # (sample, wavelength), NaN where a cell is empty
+    wavelength: Floats  # (wavelength) [nm]
+    values: Floats  # (sample, wavelength), NaN where a cell is empty
     units: str | None  # from a comment, or None
     fwhm_nm: float | None  # from a comment, or None
 
@@ -330,7 +329,7 @@ def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
 class _Series:
     # Samples as logged, before correction of clocks and units, or as stored.
     sources: Sequence[str]
-    stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
+    stamps: Times  # (sample), in the zone of utc_offset_h
     utc_offset_h: Sequence[float]  # (sample)
     averaging_s: Floats  # (sample)
     wavelength: Floats
@@ -790,7 +789,7 @@ def _from_xarray(
 
 def _dataset(
     series: _Series,
-    times: npt.NDArray[np.datetime64],
+    times: Times,
     values: Floats,
     fwhm_nm: Any,
     max_gap_s: float | None,
@@ -899,15 +898,15 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
 
 class UncoveredError(TimeError):
     # An irradiance record of other times than the flight lines, with the clock that would fit.
-    lines: list[npt.NDArray[np.datetime64]] = []  # noqa: RUF012
+    lines: list[Times] = []  # noqa: RUF012
 
     @classmethod
     def of(
         cls,
         irradiance: xr.Dataset,
-        lines: list[npt.NDArray[np.datetime64]],
+        lines: list[Times],
         subject: str = "the flight line was",
-        others: Sequence[npt.NDArray[np.datetime64]] = (),
+        others: Sequence[Times] = (),
     ) -> Self:
         # The error for all ``lines``, sorted times of lines outside the record; ``others``: inside it.
         record = irradiance[IRRADIANCE_TIME].values.astype("datetime64[ns]")
@@ -944,7 +943,7 @@ class UncoveredError(TimeError):
         return error
 
 
-def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> xr.Dataset:
+def cut_irradiance(irradiance: xr.Dataset, time: Times) -> xr.Dataset:
     # Cut an irradiance record to a flight line +- 60 s, or to its bracketing samples where these are wider.
     #
     # irradiance: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``,

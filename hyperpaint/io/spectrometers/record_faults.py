@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Indices
 from hyperpaint.base.constants import JUDGED_NM
 from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
 
@@ -250,7 +249,7 @@ def _smooth(level: Floats) -> Floats:
     return np.asarray(np.interp(np.arange(level.size), known, smooth))
 
 
-def _stuck(values: Floats, rows: npt.NDArray[np.intp]) -> Bools:
+def _stuck(values: Floats, rows: Indices) -> Bools:
     # Channels that never change between unequal scans, while those around them do, beyond their rounding;
     # ``rows`` are the scans that are compared
     change = np.abs(np.diff(values[rows], axis=0))
@@ -265,7 +264,7 @@ def _stuck(values: Floats, rows: npt.NDArray[np.intp]) -> Bools:
     return stuck
 
 
-def _unlike_scans(levels: Floats, seconds: Floats) -> npt.NDArray[np.intp]:
+def _unlike_scans(levels: Floats, seconds: Floats) -> Indices:
     # Numbers of up to three scans in a row that differ from the scans before and after, which agree.
     # ``levels`` (scan, interval) are logarithms. Too many such scans are weather, and stay.
     count = len(levels)

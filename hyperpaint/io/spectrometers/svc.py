@@ -19,10 +19,9 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import VARIABLES, label
@@ -551,7 +550,7 @@ class _Measurement(NamedTuple):
     overlap: SvcOverlap
     wavelength: Floats
     values: Floats
-    detector: npt.NDArray[np.int64] | None
+    detector: Ints | None
     trimmed_at: tuple[float, ...]
 
 
@@ -649,7 +648,7 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
     return tuple(handovers)
 
 
-def _trimmed_channels(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
+def _trimmed_channels(file: SvcFile, handovers: Sequence[float]) -> Bools:
     # Return which channels remain: below a join those of the lower detector, above it those of the next.
     is_used = np.ones(len(file.wavelength), bool)
     for start, join in zip(file.starts[1:], handovers, strict=False):
