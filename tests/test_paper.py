@@ -12,7 +12,7 @@ import pytest
 from support.refusals import expect_error
 
 from hyperpaint import paper
-from hyperpaint.base.units import conversion_factor, registry
+from hyperpaint.base.facts import conversion_factor, registry
 from hyperpaint.paper import Setup, Variant
 from hyperpaint.radiometry.example_pixel import worked_example
 

@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Array, Bools, Floats, Ints, require
 from hyperpaint.light.responses import (
     GAUSSIAN_SIGMA,
     Matching,
@@ -75,7 +73,7 @@ class Declared:
     def by(cls, dataset: xr.Dataset) -> Declared:
         # Return the declarations of a dataset; SchemaError if any are missing.
         names = [*_NEEDED, *(name for name in _OPTIONAL if name in dataset.variables)]
-        arrays = schema.require(dataset, names, "the alignment")
+        arrays = require(dataset, names, "the alignment")
         values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
         wavelength, fwhm = values["wavelength"], values["fwhm"]
         slope = None

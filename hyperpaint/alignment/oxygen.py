@@ -3,12 +3,20 @@
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Bools, Floats, Indices, Ints, Progress
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    Bools,
+    Floats,
+    Indices,
+    Ints,
+    Progress,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.stray_light import described
@@ -107,11 +115,11 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     >>> bool(abs(oxygen_residual(line)).max() < 0.01 < abs(oxygen_residual(moved)).min())
     True
     """
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     if "reflectance" not in dataset.variables:
         dataset = reflectance(dataset)
     names = ["wavelength", "reflectance", *(n for n in ("wavelength_shift",) if n in dataset.variables)]
-    arrays = schema.require(dataset, names, "the oxygen residual")
+    arrays = require(dataset, names, "the oxygen residual")
     cube = arrays["reflectance"]
     shift = arrays["wavelength_shift"].values if "wavelength_shift" in arrays else 0.0
     wavelengths = arrays["wavelength"].values[:, None] + np.broadcast_to(

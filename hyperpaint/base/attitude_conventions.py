@@ -14,9 +14,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .arrays import ArrayLike, Floats
 from .errors import Problems, SchemaError
 from .facts import check_fields, declared, fact, is_number
+from .schema import ArrayLike, Floats
 
 _PREFIX = "convention_"
 

@@ -190,7 +190,7 @@ class UnitsError(PaintError, ValueError):
     Examples
     --------
     >>> import xarray as xr
-    >>> from hyperpaint.base.units import convert
+    >>> from hyperpaint.base.facts import convert
     >>> convert(xr.DataArray(1.0, attrs={"units": "m"}), "s", "exposure_time")
     Traceback (most recent call last):
     hyperpaint.base.errors.UnitsError: 'exposure_time': units 'm' are not convertible to 's'; ...

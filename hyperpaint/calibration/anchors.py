@@ -5,12 +5,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
-from hyperpaint.base.units import convert, same_dimension, takes_quantities
+from hyperpaint.base.facts import convert, one_of, same_dimension, takes_quantities
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, Floats, label, require
 from hyperpaint.light.responses import Responses, log_slope
 from hyperpaint.radiometry.linear_counts import linearity_of
 

@@ -8,11 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.polynomial import chebyshev
 
-from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import label
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, one_of, takes_quantities
+from hyperpaint.base.schema import Bools, Floats, label
 from hyperpaint.kernels.line_fits import GAUSSIAN
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, Linearity, linearity_of
 

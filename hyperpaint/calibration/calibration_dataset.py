@@ -8,11 +8,21 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U, QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import SchemaError, warn_user
-from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, VARIABLES, dtype_of, label, require
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import (
+    BAND,
+    CROSS_TRACK,
+    STEP,
+    VARIABLES,
+    Bools,
+    Floats,
+    Ints,
+    dtype_of,
+    label,
+    require,
+)
 from hyperpaint.kernels.line_fits import profiles
 from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.responses import Responses

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, ArrayLike, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import BAND, CROSS_TRACK, Array, ArrayLike, Bools, Floats, label, require
 
 _ELEMENT = (BAND, CROSS_TRACK)
 #: Relative difference of exposure times that are taken as equal, by rounding of drivers [1].

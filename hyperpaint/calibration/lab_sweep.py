@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, find
+from hyperpaint.base.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, Floats, find
 
 from .detector import DarkModel, fit_dark_model
 

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
+from hyperpaint.base.schema import Array
 
 from .arguments import InverseTile, LinePositions, MapCells, Places
 

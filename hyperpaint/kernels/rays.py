@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
+from hyperpaint.base.schema import Array
 
 from .arguments import BLOCK, LineFrames, LineRays, Raster
 

@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import inlined_kernel
+from hyperpaint.base.schema import Array
 
 from .arguments import DetectorModel, ErrorTerms, LightCells, LineCounts, Rounding, SlabOutputs
 from .linear_counts import LinearMemory, round_row, rounded, slope_row

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, inlined_kernel, kernel
+from hyperpaint.base.schema import Array
 
 _NAN = np.float32(np.nan)
 _ZERO = np.float32(0.0)

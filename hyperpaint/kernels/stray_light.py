@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
+from hyperpaint.base.schema import Array
 
 from .arguments import Calibration, DetectorModel, LightCells, Rounding, SlabOutputs, StrayLight
 from .linear_counts import LinearMemory, linear_memory, round_row, signal_row, straighten_dark

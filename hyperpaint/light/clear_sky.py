@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Floats
 
 from .sky_functions import table_rows
 from .sun import Scatterers, air_mass, scattered_light

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import ArrayLike, Floats
+from hyperpaint.base.schema import ArrayLike, Floats
 
 from .sky_functions import clear_sky_shares, dome, function_shapes, relative_radiance, scattering_cosine
 

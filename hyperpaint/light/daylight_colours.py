@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array, ArrayLike, Floats
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Array, ArrayLike, Floats
 
 from .responses import band_spacing
 

@@ -12,11 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, ArrayLike, Floats
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import is_number, one_of
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.facts import convert, is_number, one_of, takes_quantities
+from hyperpaint.base.schema import IRRADIANCE_WAVELENGTH, VARIABLES, Array, ArrayLike, Floats, label
 
 from .responses import Matching, Responses, log_slope, matching_operator, mean_responsivity, misfit_through
 from .sky_functions import facing_gain
@@ -278,14 +276,14 @@ def match_irradiance(
     >>> print(matched.dims, matched.values.round(4))
     ('irradiance_time', 'node', 'band') [[[1.3 1.3]]]
     """
-    dims = schema.VARIABLES["irradiance"].dims
+    dims = VARIABLES["irradiance"].dims
     SchemaError.raise_if(
         set(irradiance.dims) != set(dims),
         f"'irradiance' has dims {irradiance.dims}",
         expected=f"{dims}",
         code="dims-wrong",
     )
-    irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
+    irradiance = convert(irradiance.transpose(*dims), VARIABLES["irradiance"].units, "irradiance")
     channels = channels_of(irradiance)
     imager = {
         "wavelength": wavelength,
@@ -299,8 +297,8 @@ def match_irradiance(
     _warn_of_bands(matching, channels, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
-        irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
-        input_core_dims=[[schema.IRRADIANCE_WAVELENGTH]],
+        irradiance.chunk({IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
+        input_core_dims=[[IRRADIANCE_WAVELENGTH]],
         output_core_dims=[["node", "band"]],
         dask="parallelized",
         output_dtypes=[np.float32],
@@ -314,10 +312,10 @@ def match_irradiance(
     shifts, centres = (np.atleast_1d(np.asarray(values, np.float64)) for values in (nodes, wavelength))
     matched = matched.assign_coords(
         node=("node", shifts, {"units": "nm", "long_name": "Wavelength shift"}),
-        wavelength=("band", centres, schema.VARIABLES["wavelength"].attrs),
+        wavelength=("band", centres, VARIABLES["wavelength"].attrs),
         **quality,
     )
-    return schema.label(matched, "irradiance")
+    return label(matched, "irradiance")
 
 
 def _responses(

@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import ArrayLike, Floats
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.facts import convert, takes_quantities
+from hyperpaint.base.schema import ArrayLike, Floats
 
 #: Added to the cosine of the zenith angle in u [1].
 HORIZON_SHIFT = 0.05

@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import ArrayLike, Floats
-from hyperpaint.base.facts import documented
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, takes_quantities
+from hyperpaint.base.schema import ArrayLike, Floats
 
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
 

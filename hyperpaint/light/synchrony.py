@@ -11,10 +11,17 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
-from hyperpaint.base.units import convert
+from hyperpaint.base.facts import convert
+from hyperpaint.base.schema import (
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    Array,
+    Floats,
+    Floats32,
+    Ints,
+    Quality,
+)
 
 from .sun import solar_position
 

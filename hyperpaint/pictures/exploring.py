@@ -25,12 +25,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintError, SchemaError, StoreError, needs_extra
 from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.base.old_names import renamed
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, rename_to_roles
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Floats, Quality, rename_to_roles
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store

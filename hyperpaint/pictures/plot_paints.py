@@ -12,9 +12,8 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -22,11 +21,12 @@ from hyperpaint.base.schema import (
     LIBRARY_VARIABLES,
     MEMBER,
     SIGNATURE,
+    Array,
+    Bools,
     Quality,
     rename_to_roles,
     require,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.daylight_colours import srgb
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.signatures.extraction import EXCLUDED

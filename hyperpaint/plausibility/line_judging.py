@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS, lines_a_task
 from hyperpaint.base.errors import PaintWarning, Problem
-from hyperpaint.base.variables import BAND, CROSS_TRACK, IRRADIANCE_TIME
+from hyperpaint.base.schema import BAND, CROSS_TRACK, IRRADIANCE_TIME, Array, Bools, Floats, Ints
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, open_envi, read_header
 from hyperpaint.io.flightline.dark import DARK_NONE
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs

@@ -3,11 +3,22 @@
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, round_bits
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    VARIABLES,
+    Array,
+    has_own_means,
+    label,
+    rename_to_roles,
+    require,
+    round_bits,
+    stamp_means,
+)
 from hyperpaint.kernels.overviews import average_blocks
 
 from .counts_to_reflectance import reflectance
@@ -63,7 +74,7 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
             [0.4],
             [0.4]]], dtype=float32)
     """
-    line = schema.rename_to_roles(dataset)
+    line = rename_to_roles(dataset)
     if side is not None and not 1 <= side <= CHUNK_LINES:
         raise SchemaError(
             f"side={side}",
@@ -75,7 +86,7 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
         line = line if "reflectance" in line.variables else reflectance(line)
         means = coarse_reflectance(line, side)
     else:
-        means = stored.transpose(*schema.VARIABLES["coarse_reflectance"].dims)
+        means = stored.transpose(*VARIABLES["coarse_reflectance"].dims)
     side = int(means.attrs[_SIDE])
     middle_positions = {
         dim: np.minimum(np.arange(0, line.sizes[dim], side) + side // 2, line.sizes[dim] - 1)
@@ -85,7 +96,7 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     labels = line[small_coordinates].isel(middle_positions, missing_dims="ignore")
     level = "computed" if stored is None else "stored"
     values = xr.DataArray(means.data.astype(np.float32), dims=CUBE)
-    return labels.assign(reflectance=schema.label(values, "reflectance", **{_SIDE: side, "level": level}))
+    return labels.assign(reflectance=label(values, "reflectance", **{_SIDE: side, "level": level}))
 
 
 def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArray:
@@ -94,7 +105,7 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
     # One small task per written slab; the same bits for all chunks.
     import dask.array as da
 
-    cube = line_chunked(schema.require(line, ["reflectance"], "means of blocks")["reflectance"])
+    cube = line_chunked(require(line, ["reflectance"], "means of blocks")["reflectance"])
     lines, bands, columns = cube.shape
     if side is None:
         side = MIN_BLOCK_SIDE
@@ -112,9 +123,9 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
         dtype=np.float32,
         meta=np.empty((0, 0, 0), np.float32),
     )
-    spec = schema.VARIABLES["coarse_reflectance"]
+    spec = VARIABLES["coarse_reflectance"]
     out = xr.DataArray(means, dims=spec.dims, name=spec.name, attrs={**spec.attrs, _SIDE: side})
-    schema.stamp_means(out, line)
+    stamp_means(out, line)
     return out
 
 
@@ -127,7 +138,7 @@ def _means(values: Array, side: int) -> Array:
 
 def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
     # Return the stored means if they belong to this line and are complete, else None.
-    spec = schema.VARIABLES["coarse_reflectance"]
+    spec = VARIABLES["coarse_reflectance"]
     stored = line.get(spec.name)
     if stored is None or set(stored.dims) != set(spec.dims):
         return None
@@ -136,4 +147,4 @@ def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
         return None
     lengths = {"coarse_y": line.sizes.get(ALONG_TRACK, 0), "coarse_x": line.sizes.get(CROSS_TRACK, 0)}
     is_complete = all(stored.sizes[dim] == -(-length // stored_side) for dim, length in lengths.items())
-    return stored if is_complete and schema.has_own_means(line) else None
+    return stored if is_complete and has_own_means(line) else None

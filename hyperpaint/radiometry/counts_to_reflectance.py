@@ -14,10 +14,18 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, flags_set_from, rename_to_roles
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    flags_set_from,
+    label,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.light.synchrony import replace_record
 
@@ -103,10 +111,10 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     >>> print(f"{float(hp.radiance(line).radiance[0, 0, 0]):.6f}")
     0.165521
     """
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     if "counts" not in dataset.variables:
         _require_one_of(dataset, ("counts", "radiance"), "radiance")
-        return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
+        return dataset.assign(require(dataset, ["radiance"], "radiance"))
     cube, values = cube_inputs(dataset, "radiance")
     refuse_calibration(dataset, needs_scale=True)
     (radiances,), quality, _ = slabs.calibrated(
@@ -315,7 +323,7 @@ def _reflectance(
     refuses: bool = True,
 ) -> xr.Dataset:
     # Compute `reflectance`; with `refuses=False` panels are judged but not refused.
-    dataset = schema.rename_to_roles(dataset)
+    dataset = rename_to_roles(dataset)
     if isinstance(tilt, tuple) and len(tilt) == 2:
         tilt = Tilt(*tilt)
     if tilt is not None and not isinstance(tilt, Tilt):
@@ -331,7 +339,7 @@ def _reflectance(
             code="option-conflict",
         )
         return dataset.assign(
-            schema.require(dataset, ["reflectance", *(UNCERTAINTIES if uncertainty else ())], "reflectance")
+            require(dataset, ["reflectance", *(UNCERTAINTIES if uncertainty else ())], "reflectance")
         )
     is_white = has_white(dataset)
     SchemaError.raise_if(
@@ -383,9 +391,7 @@ def _reflectance(
         "timing_sensitivity": (light_of_lines(plan, "sensitivity"), ALONG_TRACK, lines),
         "irradiance_misfit": (plan.misfit, BAND, bands),
     }.items():
-        result[name] = schema.label(
-            xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim), name
-        )
+        result[name] = label(xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim), name)
     if stored is not None:
         return result
     # replace the panels of an earlier reflectance
@@ -422,10 +428,10 @@ def _with_product(
     # Return the dataset with a calibrated cube, its quality, and `attributes` that are not empty.
     earlier_quality = None
     if "quality" in dataset.variables:
-        earlier_quality = schema.require(dataset, ["quality"], name)["quality"].variable
+        earlier_quality = require(dataset, ["quality"], name)["quality"].variable
     bits = merged_quality(name, quality, earlier_quality, anew="counts" in dataset.variables)
     attrs = {key: text for key, text in attributes.items() if text}
-    values = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **attrs)
+    values = label(xr.DataArray(cube, dims=CUBE), name, **attrs)
     return dataset.assign({name: values, "quality": bits})
 
 
@@ -439,7 +445,7 @@ def merged_quality(name: str, quality: Any, before: xr.Variable | None, *, anew:
         # bits of other rooms, such as glint or shadow, stay
         flags = flags | (before & np.uint16(0xFFFF ^ (int(_PRODUCT_BITS[name]) if anew else 0)))
         attrs = {key: text for key, text in before.attrs.items() if key == "flags_from"}
-    return schema.label(flags.astype(np.uint16), "quality", **attrs)
+    return label(flags.astype(np.uint16), "quality", **attrs)
 
 
 # -- Calibrate whole lines in memory at once, in the calling thread: the unit of work for any engine.

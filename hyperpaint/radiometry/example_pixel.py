@@ -3,8 +3,15 @@
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+)
 
 
 def worked_example() -> xr.Dataset:
@@ -18,7 +25,7 @@ def worked_example() -> xr.Dataset:
     counts = exposure * 0.4 * 1.3 / np.pi / gain
     time = np.datetime64("2020-06-21T17:00:00", "ns")
     variables = {
-        "counts": (schema.CUBE, np.full((1, 3, 3), counts + 100.0, np.float32)),
+        "counts": (CUBE, np.full((1, 3, 3), counts + 100.0, np.float32)),
         "dark_counts": ((BAND, CROSS_TRACK), np.full((3, 3), 100.0, np.float32)),
         "radiance_gain": ((BAND, CROSS_TRACK), np.full((3, 3), gain, np.float32)),
         "exposure_time": ((), exposure),
@@ -35,5 +42,5 @@ def worked_example() -> xr.Dataset:
     }
     line = xr.Dataset(variables, coords)
     for name in line.variables:
-        line[name].attrs = dict(schema.VARIABLES[str(name)].attrs)
+        line[name].attrs = dict(VARIABLES[str(name)].attrs)
     return line

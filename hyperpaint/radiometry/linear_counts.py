@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import require
+from hyperpaint.base.schema import Floats, require
 from hyperpaint.kernels.arguments import DetectorModel
 
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints, Times
 from hyperpaint.base.errors import SchemaError, warn_user
+from hyperpaint.base.schema import Array, Bools, Floats, Ints, Times
 
 #: Faults of a panel, in the order of the bits of ``panel_state``.
 PANEL_STATES = ("saturated", "partly_other", "uneven", "leaning", "off_level", "refused")

@@ -12,8 +12,8 @@ import xarray as xr
 
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.facts import convert, takes_quantities
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, PANEL, VARIABLES, label, require
-from hyperpaint.base.units import convert, takes_quantities
 
 from . import slabs
 from .panel_judging import PANEL_STATES

@@ -7,11 +7,20 @@ import dask
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, ArrayLike
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, CUBE
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    Array,
+    ArrayLike,
+    label,
+    rename_to_roles,
+    require,
+)
 from hyperpaint.io.store.computing import scheduler_in_force
 from hyperpaint.kernels.arguments import SlabOutputs
 
@@ -75,7 +84,7 @@ def pixels(
     >>> pixels(line, wavelength=550.0).reflectance.dims
     ('along_track', 'cross_track')
     """
-    line = schema.rename_to_roles(dataset)
+    line = rename_to_roles(dataset)
     selection: dict[str, Any] = {ALONG_TRACK: along_track, BAND: slice(None), CROSS_TRACK: cross_track}
     entry = _entry_of(line) if {"counts", "radiance"} & set(line.variables) else None
     if wavelength is not None:
@@ -83,7 +92,7 @@ def pixels(
     positions = {dim: _positions(position, line, dim) for dim, position in selection.items()}
     if entry is None:
         names = [name for name in ("reflectance", "quality") if name in line.variables]
-        schema.require(line, names or ["reflectance"], "reflectance of pixels")
+        require(line, names or ["reflectance"], "reflectance of pixels")
         return line[names].isel(positions, missing_dims="ignore").compute(scheduler=scheduler_in_force())
     single = {dim: 0 for dim, position in positions.items() if isinstance(position, int)}
     positions |= {dim: slice(positions[dim], positions[dim] + 1) for dim in single}
@@ -103,7 +112,7 @@ def pixels(
     cube = (
         line.variables["counts"].transpose(*CUBE)
         if is_from_counts
-        else schema.require(line, ["radiance"], "reflectance")["radiance"].variable
+        else require(line, ["radiance"], "reflectance")["radiance"].variable
     )
     cubes, flags = [], []
     samples = sizes[BAND] * sizes[CROSS_TRACK]
@@ -124,12 +133,12 @@ def pixels(
         if is_flagged:
             flags.append(quality[rows][:, selected[1]])
     labels = entry.labels.isel(positions, missing_dims="ignore")
-    values = schema.label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
+    values = label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
     products = {"reflectance": values.variable}
     if is_flagged:
         earlier = None
         if "quality" in line.variables:
-            stored = schema.require(line, ["quality"], "reflectance")["quality"]
+            stored = require(line, ["quality"], "reflectance")["quality"]
             part = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable
             earlier = part.compute(scheduler=scheduler_in_force())
         merged = merged_quality("reflectance", _joined(flags), earlier, anew=is_from_counts)

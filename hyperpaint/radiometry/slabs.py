@@ -15,11 +15,10 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import SchemaError, warn_user
 from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
+from hyperpaint.base.schema import CHUNK_LINES, CUBE, Array, Floats, Quality
 from hyperpaint.kernels.arguments import (
     Calibration,
     DetectorModel,

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import Array, Floats, Ints
 from hyperpaint.kernels.arguments import StrayLight
 
 #: Variables that declare stray light and smear.

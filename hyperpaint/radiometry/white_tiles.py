@@ -14,19 +14,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.facts import takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     CUBE,
+    Bools,
+    Floats,
     dtype_of,
     label,
     rename_to_roles,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.flightline.calibration_store import saturation_of
 from hyperpaint.io.flightline.dark import (
     MIN_NOISE_LINES,

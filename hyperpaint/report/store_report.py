@@ -22,12 +22,11 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.old_names import renamed, with_new_names
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, rename_to_roles
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, Array, Progress, rename_to_roles
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.store import list_groups, open_group, open_store, open_unverified

@@ -55,9 +55,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import Fact, check_fields, check_values, declared, fact
+from hyperpaint.base.schema import Floats
 from hyperpaint.light.clear_sky import TABLE_AIR_MASS, ClearSky, sunlight_table
 from hyperpaint.light.sky_functions import clear_sky_shares
 

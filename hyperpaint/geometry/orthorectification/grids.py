@@ -17,8 +17,8 @@ from dask.base import tokenize
 from dask.callbacks import Callback
 from dask.highlevelgraph import HighLevelGraph
 
-from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import Array, Floats, Progress
 
 # smallest and largest distance to the right, then down, from the anchor of axes [m]
 Box = tuple[float, float, float, float]

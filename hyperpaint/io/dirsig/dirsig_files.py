@@ -30,9 +30,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, Array, Floats
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text, unique_names
 
 #: Line before every curve in the new layout of an ``.ems`` file.

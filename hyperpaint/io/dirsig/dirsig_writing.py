@@ -17,13 +17,11 @@ import jinja2
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Ints
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, StoreError, warn_user
-from hyperpaint.base.facts import documented, is_number, one_of
+from hyperpaint.base.facts import documented, is_number, one_of, takes_quantities
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Variable, require
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Array, Ints, Variable, require
 from hyperpaint.io.files.publishing import published_folder
 
 from .dirsig_files import (

@@ -35,12 +35,21 @@ import xarray as xr
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from hyperpaint.base import schema, units
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import FormatError, Problem, Problems, needs_extra, warn_user
-from hyperpaint.base.facts import one_of
+from hyperpaint.base.facts import one_of, same_dimension
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    VARIABLES,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+)
 from hyperpaint.io.files.reading import decoded_text, foreign_format, refuse
 
 if TYPE_CHECKING:
@@ -962,7 +971,7 @@ def open_envi(
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
     file_axes = FILE_AXES[header.interleave]
     order = "lbs" if header.map_info is None else "lsb"
-    dims = schema.CUBE if header.map_info is None else ("y", "x", "band")
+    dims = CUBE if header.map_info is None else ("y", "x", "band")
     array = EnviArray(
         path=os.path.abspath(data_path),
         file_size=status.st_size,
@@ -977,14 +986,14 @@ def open_envi(
     if array.scaling is None and header.data_ignore_value is not None:
         attrs["data_ignore_value"] = header.data_ignore_value
     chunks = dict(zip(dims, array.shape, strict=True))
-    chunks[dims[0]] = min(schema.CHUNK_LINES, lines)
+    chunks[dims[0]] = min(CHUNK_LINES, lines)
     variable = xr.Variable(
         dims, indexing.LazilyIndexedArray(array), attrs, encoding={"preferred_chunks": chunks}
     )
     # fastpath: otherwise xarray imports dask to check the type of the values, which takes longer than the
     # rest
     coords: dict[str, Any] = {
-        name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
+        name: xr.Variable("band", values, VARIABLES[name].attrs, fastpath=True)
         for name, values in (
             ("wavelength", header.wavelength),
             ("fwhm", header.fwhm),
@@ -1112,7 +1121,7 @@ def _quantity(
     if quantity is None and is_integer and not has_gain and is_raw_form:
         quantity = unsaid
     name = declared or quantity or "values"
-    attrs = {} if name == "values" else dict(schema.VARIABLES[name].attrs)
+    attrs = {} if name == "values" else dict(VARIABLES[name].attrs)
     if name == "radiance":
         del attrs["units"]
         attrs |= {"units": radiance_units} if radiance_units else {}
@@ -1126,7 +1135,7 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     # Headwall's comment on units, if it can be read as units
     comment = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
     unit_text = comment.replace("^", "").strip()
-    is_radiance = unit_text and units.same_dimension(unit_text, schema.VARIABLES["radiance"].units)
+    is_radiance = unit_text and same_dimension(unit_text, VARIABLES["radiance"].units)
     radiance_units = unit_text if is_radiance else None
     level, scale, is_integer = _level(header), header.reflectance_scale_factor, header.dtype.kind in "iu"
     if level is None and scale is not None and (scale != 1.0 or not is_integer):

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError, warn_user
-from hyperpaint.base.facts import one_of
+from hyperpaint.base.facts import convert, one_of
 from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import (
     BAND,
@@ -21,10 +20,10 @@ from hyperpaint.base.schema import (
     STEP,
     SWEEP_VARIABLES,
     VARIABLES,
+    Floats,
     dtype_of,
     label,
 )
-from hyperpaint.base.units import convert
 from hyperpaint.io.files.reading import load_netcdf
 from hyperpaint.io.store import list_groups, load_group, open_unverified
 from hyperpaint.io.store.reader import is_zarr

@@ -19,9 +19,19 @@ from hyperpaint.base.errors import (
     Unavailable,
     warn_user,
 )
-from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_calibration_names, with_numbers
-from hyperpaint.base.units import conversion_factor, convert, takes_quantities
-from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARIABLES
+from hyperpaint.base.facts import conversion_factor, convert, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    VARIABLES,
+    label,
+    rename_to_roles,
+    with_calibration_names,
+    with_numbers,
+)
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import refuse
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation

@@ -25,8 +25,8 @@ from hyperpaint.base.errors import (
     UnitsError,
     warn_user,
 )
+from hyperpaint.base.facts import conversion_factor
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
-from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.reading import refuse
 from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
 

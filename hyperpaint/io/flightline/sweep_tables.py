@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, UnitsError
+from hyperpaint.base.facts import conversion_factor
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, STEP, SWEEP_VARIABLES
-from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.envi.envi_cubes import open_envi
 from hyperpaint.io.files.reading import number, read_limited_text
 

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Bools, Floats
 from hyperpaint.io.files.reading import decoded_text, number, numbers, read_limited_text, refuse
 from hyperpaint.io.spectrometers.spectrum_texts import NM_HEADING, TIME_HEADING, heading_cells
 

@@ -46,11 +46,23 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError, needs_extra, warn_user
 from hyperpaint.base.input_files import open_input, read_limited
 from hyperpaint.base.old_names import NEW_NAMES, VERSION_NAME, warn_of_old_names
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE, find, quality_attrs
+from hyperpaint.base.schema import (
+    BAND,
+    LIBRARY_VARIABLES,
+    MEMBER,
+    SIGNATURE,
+    Array,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    Progress,
+    find,
+    quality_attrs,
+)
 from hyperpaint.io.envi.envi_cubes import (
     MAX_LIBRARY_HEADER_BYTES,
     EnviHeader,

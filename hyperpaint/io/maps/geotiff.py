@@ -15,10 +15,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, takes_quantities
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
 from hyperpaint.io.store.computing import in_stages
 

@@ -10,8 +10,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems, needs_extra
-from hyperpaint.base.facts import documented
-from hyperpaint.base.units import is_unit, same_dimension
+from hyperpaint.base.facts import documented, is_unit, same_dimension
 from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.files.text_tables import name_rows, table_of
 

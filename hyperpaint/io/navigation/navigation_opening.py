@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
-from hyperpaint.base.facts import is_number, one_of
+from hyperpaint.base.facts import is_number, one_of, takes_quantities
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.store import load_group
 from hyperpaint.io.store.reader import is_zarr
 

@@ -51,9 +51,8 @@ from hyperpaint.base.errors import (
     UnitsError,
     warn_user,
 )
-from hyperpaint.base.facts import one_of
+from hyperpaint.base.facts import conversion_factor, one_of
 from hyperpaint.base.input_files import open_input
-from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, read_header
 from hyperpaint.io.files.reading import number, numbered_lines
 from hyperpaint.io.files.text_tables import (

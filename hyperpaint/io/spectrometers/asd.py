@@ -26,11 +26,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import FormatError, Problem, SchemaError, TimeError, warn_user
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import head_of, read_limited
-from hyperpaint.base.schema import VARIABLES, label
+from hyperpaint.base.schema import VARIABLES, Bools, Floats, label
 from hyperpaint.io.files.reading import foreign_format, read_limited_text, refuse
 
 from .record_faults import clipped_top

@@ -12,7 +12,6 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats, Times
 from hyperpaint.base.constants import (
     DULL_MEDIAN,
     HIGHEST_MEDIAN,
@@ -31,10 +30,18 @@ from hyperpaint.base.errors import (
     UnitsError,
     warn_user,
 )
-from hyperpaint.base.facts import is_number, one_of
+from hyperpaint.base.facts import conversion_factor, convert, is_number, one_of, takes_quantities
 from hyperpaint.base.input_files import input_path
-from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
-from hyperpaint.base.units import conversion_factor, convert, takes_quantities
+from hyperpaint.base.schema import (
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+    Bools,
+    Floats,
+    Times,
+    label,
+    require,
+)
 from hyperpaint.io.files.reading import (
     load_netcdf,
     number,

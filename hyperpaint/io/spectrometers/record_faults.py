@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Indices
 from hyperpaint.base.constants import JUDGED_NM
 from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
+from hyperpaint.base.schema import Array, Bools, Floats, Indices
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problem, Problems
-from hyperpaint.base.schema import VARIABLES
-from hyperpaint.base.units import conversion_factor, is_unit
+from hyperpaint.base.facts import conversion_factor, is_unit
+from hyperpaint.base.schema import VARIABLES, Floats
 from hyperpaint.io.files.reading import (
     TABLE_DIALECTS,
     first_row,

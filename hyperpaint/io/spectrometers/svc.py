@@ -21,10 +21,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
 from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import VARIABLES, label
+from hyperpaint.base.schema import VARIABLES, Bools, Floats, Ints, label
 from hyperpaint.io.files.reading import read_limited_text, refuse
 
 from .spectrum_files import (

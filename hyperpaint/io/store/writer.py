@@ -21,9 +21,8 @@ import xarray as xr
 
 from hyperpaint.base.constants import DEFAULT_CODEC
 from hyperpaint.base.errors import IncompleteStoreError, Problem, Problems, StoreError
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
-from hyperpaint.base.units import takes_quantities
 
 from . import chunks, computing, layout
 from .budget import check_memory, limited_threads, thread_space

@@ -12,10 +12,9 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Bools, Floats, Ints
 from hyperpaint.geometry.georeference.cameras import directions
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, meridian_convergence
 from hyperpaint.geometry.georeference.poses import matrices, quaternions

@@ -9,11 +9,9 @@ import numpy as np
 import xarray as xr
 from scipy import sparse
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, LIBRARY_VARIABLES
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, CUBE, LIBRARY_VARIABLES, SIGNATURE, Array, Floats
 from hyperpaint.radiometry.spectral_axis import NominalAxis
 
 from .error_sources import COMPONENTS, FORMS, LineErrors, line_errors, rounding_variance
@@ -141,9 +139,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
         result["u_random"].attrs["components"], result["u_systematic"].attrs["components"] = errors.components
         return result.assign(
             {
-                name: array.isel({schema.SIGNATURE: 0}, drop=True)
-                if schema.SIGNATURE in array.dims
-                else array
+                name: array.isel({SIGNATURE: 0}, drop=True) if SIGNATURE in array.dims else array
                 for name, array in error_variables([errors]).items()
             }
         )
@@ -155,7 +151,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
 
 def _errors_of(region: xr.Dataset, mean_dims: Sequence[str], cubes: Sequence[Floats]) -> MeanErrors | None:
     # Return the errors of the mean by source; None where they cannot be separated.
-    if set(mean_dims) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(schema.CUBE):
+    if set(mean_dims) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(CUBE):
         return None
     if (line := line_errors(region)) is None:
         return None

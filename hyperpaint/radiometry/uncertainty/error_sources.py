@@ -11,11 +11,18 @@ import dask
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    Array,
+    Floats,
+    require,
+)
 from hyperpaint.light.illumination import COMMON_SHARE, at_bands, matched_noise
 from hyperpaint.light.synchrony import line_light
 from hyperpaint.radiometry.stray_light import SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
@@ -132,7 +139,7 @@ def line_errors(line: xr.Dataset) -> LineErrors | None:
     if not is_known_form or not set(required) <= set(line.variables):
         return None
     try:
-        arrays = schema.require(line, required, "errors of a region")
+        arrays = require(line, required, "errors of a region")
         values = dict(zip(arrays, dask.compute(*(array.values for array in arrays.values())), strict=True))
         return _line_errors(line, values)
     except (SchemaError, ValueError):
@@ -155,7 +162,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
     common = {name: COMPONENTS[name][0] for name in ("gain", "white tile", "linearity")}
     sources = {name: of(variable) for name, variable in common.items() if variable in values}
     if "irradiance_u_systematic" in values:
-        channels = line[schema.IRRADIANCE_WAVELENGTH].values
+        channels = line[IRRADIANCE_WAVELENGTH].values
         band_values = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
         sources["irradiance"] = np.broadcast_to(band_values[:, None], shape)
     if "panel_scale_u" in line.variables:
@@ -197,7 +204,7 @@ def _stray_light_errors(line: xr.Dataset) -> Floats | None:
     names = [name for name in STRAY_LIGHT if name in line.variables]
     if STRAY_U not in names or len(names) < 2:
         return None
-    arrays = schema.require(line, [*names, "exposure_time"], "errors of stray light")
+    arrays = require(line, [*names, "exposure_time"], "errors of stray light")
     bands = line.sizes[BAND]
     shares = np.zeros((bands, bands))
     if STRAY in arrays:
@@ -208,18 +215,18 @@ def _stray_light_errors(line: xr.Dataset) -> Floats | None:
 
 
 def _light_errors(line: xr.Dataset) -> LightErrors:
-    names = ["irradiance", "irradiance_fwhm", schema.IRRADIANCE_TIME, schema.IRRADIANCE_WAVELENGTH]
+    names = ["irradiance", "irradiance_fwhm", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
     names += ["wavelength", "fwhm"]
     optional = ("band_spacing", "srf_offset", "srf", "radiance_gain", "irradiance_u_random")
     names += [name for name in optional if name in line.variables]
-    arrays = {name: array.values for name, array in schema.require(line, names, "noise of light").items()}
+    arrays = {name: array.values for name, array in require(line, names, "noise of light").items()}
     arrays |= {name: line.attrs.get(name, "gaussian") for name in ("srf_shape", "irradiance_srf_shape")}
     spectra = arrays["irradiance"]
     is_finite = np.isfinite(spectra)
     is_complete = is_finite[:, is_finite.mean(axis=0) > COMMON_SHARE].all(axis=1)
     levels = np.where(is_complete, np.where(is_finite, spectra, 0.0).sum(axis=1), np.nan)
     neighbours = line_light(
-        line["time"].values, arrays[schema.IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
+        line["time"].values, arrays[IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
     )
     weight = np.nan_to_num(neighbours.weight)
     return LightErrors(neighbours.before, neighbours.after, weight, *matched_noise(arrays))

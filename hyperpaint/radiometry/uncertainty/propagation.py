@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import CROSS_TRACK
+from hyperpaint.base.schema import BAND, CROSS_TRACK, CUBE, VARIABLES, Array, Floats, label, require
 from hyperpaint.kernels.arguments import ErrorTerms
 from hyperpaint.light.illumination import INTERPOLATED, at_bands, matched_noise
 from hyperpaint.radiometry import slabs
@@ -71,7 +69,7 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
     for name in NOISE:
         if name not in dataset.variables:
             problems.add(
-                f"{name!r} is missing: {schema.VARIABLES[name].meaning.lower()}",
+                f"{name!r} is missing: {VARIABLES[name].meaning.lower()}",
                 mend="take it from a calibration, or line.assign(hp.radiometry.estimate_noise(line))",
                 code="variable-missing",
             )
@@ -79,7 +77,7 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
     # a white reference replaces calibration and irradiance, a calibration the white reference
     others = OF_LIGHT if "reflectance_gain" in dataset.variables else OF_WHITE
     names = [name for name in (*NOISE, *SYSTEMATIC) if name in dataset.variables and name not in others]
-    arrays = schema.require(dataset, names, "uncertainties of reflectance")
+    arrays = require(dataset, names, "uncertainties of reflectance")
     values = {name: slabs.small(array) for name, array in arrays.items()}
     return values if panel is None else {**values, "panel_u": panel}
 
@@ -104,14 +102,14 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
     for name, cube, (components, extra) in zip(UNCERTAINTIES, cubes, details, strict=True):
         attrs = {
             "pdf_shape": "gaussian",
-            "err_corr_1_dim": list(schema.CUBE),
+            "err_corr_1_dim": list(CUBE),
             "err_corr_1_form": name.rpartition("_")[2],
             "err_corr_1_units": [],
             "err_corr_1_params": [],
             "components": ", ".join(components) or NONE_KNOWN,
             **extra,
         }
-        result[name] = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **attrs)
+        result[name] = label(xr.DataArray(cube, dims=CUBE), name, **attrs)
     result["reflectance"].attrs["unc_comps"] = list(UNCERTAINTIES)
     return result
 
@@ -119,7 +117,7 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
 def masked_elements(line: xr.Dataset) -> int:
     # Return the number of elements of a line that receive no light.
     masked = line["masked"]
-    other_sizes = [line.sizes[dim] for dim in (schema.BAND, CROSS_TRACK) if dim not in masked.dims]
+    other_sizes = [line.sizes[dim] for dim in (BAND, CROSS_TRACK) if dim not in masked.dims]
     return int(masked.values.sum()) * math.prod(other_sizes)
 
 

@@ -199,7 +199,7 @@ def warm_up() -> None:
         ),
     ):
         importlib.import_module(module)
-    from hyperpaint.base.units import conversion_factor
+    from hyperpaint.base.facts import conversion_factor
 
     conversion_factor("W m-2 nm-1", "W m-2 um-1")
 
