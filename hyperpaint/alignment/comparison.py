@@ -31,18 +31,19 @@ from hyperpaint.base.schema import (
     rename_to_roles,
     require,
 )
-from hyperpaint.light.clear_sky import sunlight_table
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM, noise_of_record
+from hyperpaint.light.sky_functions import sunlight_table
 
 from .lamp import (
     Declared,
     channels_near,
+    mean_over_lines,
+    radiance_of_bands,
     responses_table,
     shares_of_samples,
     smooth_basis,
     variance_of_responses,
 )
-from .oxygen import mean_over_lines, radiance_of_bands
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,16 @@ from hyperpaint.base.schema import (
     rename_to_roles,
 )
 
-from .lamp import FACTORS, Declared, IrradianceTable, mean_light, smooth_basis, table_of_bands
-from .oxygen import mean_over_lines, radiance_of_bands
+from .lamp import (
+    FACTORS,
+    Declared,
+    IrradianceTable,
+    mean_light,
+    mean_over_lines,
+    radiance_of_bands,
+    smooth_basis,
+    table_of_bands,
+)
 
 # -- Shift and width of every column by least squares in windows of the spectrum, and their mean.
 

@@ -10,7 +10,7 @@ from hyperpaint.base.errors import Problems, SchemaError, warn_user
 from hyperpaint.base.facts import convert, one_of, same_dimension, takes_quantities
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, Floats, label, require
 from hyperpaint.light.responses import Responses, log_slope
-from hyperpaint.radiometry.linear_counts import linearity_of
+from hyperpaint.radiometry.stray_light import linearity_of
 
 from .detector import row_medians
 
@@ -184,7 +184,7 @@ def anchor_to_radiance(
 
     Examples
     --------
-    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> from hyperpaint.radiometry.pixel_reading import worked_example
     >>> line = worked_example()
     >>> frames = line[["counts", "dark_counts", "exposure_time"]]
     >>> nm = xr.DataArray([400.0, 700.0], dims="wavelength", attrs={"units": "nm"})

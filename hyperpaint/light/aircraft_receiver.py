@@ -155,7 +155,7 @@ def level_irradiance(
     Examples
     --------
     >>> import xarray as xr
-    >>> from hyperpaint.light.clear_sky import ClearSky
+    >>> from hyperpaint.light.sky_functions import ClearSky
     >>> nm, noon = np.arange(400.0, 1001.0), np.array(["2024-06-21T12:00", "2024-06-21T12:01"], "M8[ns]")
     >>> zenith = solar_position(noon, 50.0, 0.0)[0][0]
     >>> direct, diffuse = (0.967 * part for part in ClearSky(zenith).irradiance(nm))

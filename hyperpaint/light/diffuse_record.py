@@ -28,7 +28,7 @@ from hyperpaint.base.schema import (
     require,
 )
 
-from .clear_sky import ClearSky
+from .sky_functions import ClearSky
 from .sun import Scatterers, scattered_light, solar_position
 from .synchrony import channels_of, check_irradiance_times
 
@@ -106,7 +106,7 @@ def diffuse_from_record(
     Examples
     --------
     >>> import xarray as xr
-    >>> from hyperpaint.light.clear_sky import ClearSky
+    >>> from hyperpaint.light.sky_functions import ClearSky
     >>> nm, noon = np.arange(400.0, 1001.0), np.array(["2024-06-21T12:00", "2024-06-21T12:01"], "M8[ns]")
     >>> sky = np.tile(0.967 * sum(ClearSky(26.6).irradiance(nm)), (2, 1))
     >>> light = xr.DataArray(

@@ -11,7 +11,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import takes_quantities
 from hyperpaint.base.schema import BAND, Floats
 from hyperpaint.radiometry.spectral_axis import at
-from hyperpaint.radiometry.uncertainty.error_sources import FORMS
+from hyperpaint.radiometry.uncertainty.propagation import FORMS
 
 OTHER_BAND = "other_band"
 

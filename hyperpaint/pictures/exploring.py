@@ -38,12 +38,10 @@ from hyperpaint.paints.paint_search import search_library
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of, summarise
 from hyperpaint.paints.starter_paints import starter_library
-from hyperpaint.radiometry.coarse_lines import coarse
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.radiometry.pixel_reading import pixels
+from hyperpaint.radiometry.pixel_reading import coarse, pixels
 from hyperpaint.radiometry.spectral_axis import at, bands_at
-from hyperpaint.radiometry.uncertainty.averages import mean_uncertainty
-from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES
+from hyperpaint.radiometry.uncertainty.propagation import UNCERTAINTIES, mean_uncertainty
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from, write_regions
 from hyperpaint.regions.pixels_in_regions import contains, renumbered
 

@@ -44,7 +44,6 @@ from hyperpaint.base.schema import (
     warn_of_lost_calibration,
 )
 from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, judge_record, warn_of_faults
-from hyperpaint.light.clear_sky import ClearSky
 from hyperpaint.light.diffuse_record import SKY_STATES, split_of_arrays
 from hyperpaint.light.illumination import (
     MAX_SUN_ZENITH_DEG,
@@ -56,16 +55,22 @@ from hyperpaint.light.illumination import (
     matched_series,
     smile_cells,
 )
-from hyperpaint.light.sky_functions import sunward_gain
+from hyperpaint.light.sky_functions import ClearSky, sunward_gain
 from hyperpaint.light.sun import solar_position
 from hyperpaint.light.synchrony import UNSTABLE_CHANGE, LineLight, check_irradiance_times, line_light
 
 from . import slabs
-from .linear_counts import TABLE, Linearity, declared_linearity
-from .panel_judging import REFUSED, RULES as PANEL_RULES, PanelClosure, PanelContext, judge_panels
-from .panels import Panel
+from .panels import REFUSED, RULES as PANEL_RULES, Panel, PanelClosure, PanelContext, judge_panels
 from .slabs import Plan, panel_correction, scale_of_factors, usable_panels
-from .stray_light import SHIFT_TIME, STRAY_LIGHT, check_stray_light, stray_light_of
+from .stray_light import (
+    SHIFT_TIME,
+    STRAY_LIGHT,
+    TABLE,
+    Linearity,
+    check_stray_light,
+    declared_linearity,
+    stray_light_of,
+)
 from .uncertainty.propagation import error_terms, uncertainty_inputs
 
 # -- Light on a tilted surface under the sky that the irradiance record shows, which may not be clear.

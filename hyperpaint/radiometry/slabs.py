@@ -34,7 +34,7 @@ from hyperpaint.kernels.arguments import (
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
 
-from .panel_judging import RULES, PanelClosure
+from .panels import RULES, PanelClosure
 
 # -- Interpolate the scale of panels in time to all lines of a flight line.
 
@@ -276,7 +276,7 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
         out,
     )
     if plan.stray is not None:
-        from hyperpaint.kernels.stray_light import subtract_stray_light
+        from hyperpaint.kernels.radiometry import subtract_stray_light
 
         stray = plan.stray._replace(smear=plan.stray.smear[lines])
         subtract_stray_light(counts, calibration, light, stray, rounding(plan.cleared_bits), out)

@@ -30,10 +30,8 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, Ar
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.store import list_groups, open_group, open_store, open_unverified
-from hyperpaint.io.store.groups import version_of_program
-from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.manifest import store_state
-from hyperpaint.io.store.reader import place_of
+from hyperpaint.io.store.manifest import Location, store_state
+from hyperpaint.io.store.reader import place_of, version_of_program
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, orientation_of, png_of
 from hyperpaint.pictures.plot import (

@@ -29,7 +29,7 @@ from hyperpaint.base.schema import (
     label,
 )
 from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells, Places
-from hyperpaint.kernels.inverse_map import fill_between, gather_bilinear, gather_nearest, invert_lines
+from hyperpaint.kernels.rays import fill_between, gather_bilinear, gather_nearest, invert_lines
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import to_nominal
 

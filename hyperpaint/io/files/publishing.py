@@ -36,8 +36,8 @@ from pathlib import Path
 from hyperpaint.base.errors import PaintError, Problem, Problems, StoreError
 from hyperpaint.base.input_files import is_plain_file
 from hyperpaint.io.store.budget import size_text
-from hyperpaint.io.store.disk import flush_group
-from hyperpaint.io.store.location import sync
+from hyperpaint.io.store.computing import flush_group
+from hyperpaint.io.store.manifest import sync
 from hyperpaint.io.store.stage import Staging, discard, staging
 
 _SWAP, _JOURNAL = "swap", "journal"

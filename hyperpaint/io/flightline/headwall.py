@@ -27,8 +27,7 @@ from hyperpaint.base.errors import (
 )
 from hyperpaint.base.facts import conversion_factor
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
-from hyperpaint.io.files.reading import refuse
-from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
+from hyperpaint.io.files.reading import Table, name_rows, read_table, read_text, refuse, to_integers
 
 _MAX_FRAME = 1 << 40
 _SECOND_US = 1_000_000

@@ -11,8 +11,7 @@ import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems, needs_extra
 from hyperpaint.base.facts import documented, is_unit, same_dimension
-from hyperpaint.io.files.reading import read_limited_text
-from hyperpaint.io.files.text_tables import name_rows, table_of
+from hyperpaint.io.files.reading import name_rows, read_limited_text, table_of
 
 from .navigation_records import limited_numbers
 

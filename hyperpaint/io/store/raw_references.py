@@ -45,8 +45,7 @@ from hyperpaint.base.input_files import head_of, read_limited
 from hyperpaint.base.schema import Array
 
 from .layout import encoding, prepare
-from .location import clean_group
-from .manifest import INPUTS
+from .manifest import INPUTS, clean_group
 
 # Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs.
 RAW_FILES = "raw_files"

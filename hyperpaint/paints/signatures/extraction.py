@@ -50,8 +50,13 @@ from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.light.diffuse_record import SKY_STATES, sky_state_attrs
 from hyperpaint.light.sky_functions import radiance_towards_sun, sunward_gain
 from hyperpaint.light.sun import solar_position
-from hyperpaint.radiometry.uncertainty.averages import MeanErrors, RegionSums, error_variables
-from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
+from hyperpaint.radiometry.uncertainty.propagation import (
+    NONE_KNOWN,
+    UNCERTAINTIES,
+    MeanErrors,
+    RegionSums,
+    error_variables,
+)
 from hyperpaint.regions import Regions, pixels_of, regions_from
 from hyperpaint.surroundings.corrections import LEVELS, NORMAL_REFLECTANCE, WIDTHS, correct_coat
 

@@ -27,8 +27,7 @@ from hyperpaint.radiometry.spectral_axis import (
     smoothing_matrix,
     to_nominal,
 )
-from hyperpaint.radiometry.uncertainty.error_sources import LineErrors, line_errors
-from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
+from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES, LineErrors, line_errors
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky

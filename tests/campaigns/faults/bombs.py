@@ -182,8 +182,8 @@ def warm_up() -> None:
     # Import what the readers import, so that a child's time and memory are those of the bomb
     for module in (
         *(f"hyperpaint.io.{name}" for name in ("collect.collect_toml", "envi.envi_cubes", "library")),
-        *(f"hyperpaint.io.{name}" for name in ("flightline.calibration_store", "store.verification")),
-        *(f"hyperpaint.io.{name}" for name in ("navigation.navigation_opening", "spectrometers.asd")),
+        *(f"hyperpaint.io.{name}" for name in ("flightline.calibration_store", "store.reader")),
+        *(f"hyperpaint.io.{name}" for name in ("navigation.navigation_records", "spectrometers.asd")),
         *(
             "hyperpaint.io.spectrometers.irradiance",
             "hyperpaint.cli.info_command",
