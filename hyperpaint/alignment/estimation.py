@@ -43,7 +43,7 @@ from .lamp import (
 
 #: Lower limit of relative residuals, from float32 and matching [1].
 RESIDUAL_FLOOR = 1e-4
-_ITERATIONS = 12
+_FIT_ITERATIONS = 12
 MIN_FREEDOM = 3
 
 
@@ -156,7 +156,7 @@ def fit_columns(
             factor = np.where(is_better, trial_factor, factor)
     # Gauss-Newton, slightly damped: steps stay finite where the light has no structure
     last_step = np.zeros((best.size, 2))
-    for _ in range(_ITERATIONS):
+    for _ in range(_FIT_ITERATIONS):
         tilt = ratio.tilt(tilt, best, factor)
         departure = ratio.departure(tilt, best, factor)
         matrix, vector = ratio.normal_equations(tilt, best, factor, departure)

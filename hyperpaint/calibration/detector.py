@@ -152,13 +152,13 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
         frames.extend(counts)
         exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
-    problems.add_if(len(shapes) > 1, f"darks of shapes {shapes}", expected="one shape", code="grid-mismatch")
-    problems.add_if(
-        not all(0 < value < np.inf for value in exposures),
-        "'dark_exposure_time' is not finite and positive everywhere",
-        code="exposure-invalid",
+    problems.raise_if_any(
+        (len(shapes) > 1, Problem(f"darks of shapes {shapes}", expected="one shape", code="grid-mismatch")),
+        (
+            not all(0 < value < np.inf for value in exposures),
+            Problem("'dark_exposure_time' is not finite and positive everywhere", code="exposure-invalid"),
+        ),
     )
-    problems.raise_if_any()
     model = fit_dark_model(np.stack(frames), np.array(exposures))
     SchemaError.raise_if(
         not model.has_rate,

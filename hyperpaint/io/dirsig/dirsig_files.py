@@ -187,13 +187,16 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
         )
         for angle in np.flatnonzero(np.isnan(weights))[:_MAX_SHOWN].tolist()
     )
-    problems.add_if(
-        np.isinf(weights).any() or (weights < 0.0).any(),
-        "a weight of a view angle is negative or not finite",
-        expected="0 or more",
-        code="value-out-of-range",
+    problems.raise_if_any(
+        (
+            np.isinf(weights).any() or (weights < 0.0).any(),
+            Problem(
+                "a weight of a view angle is negative or not finite",
+                expected="0 or more",
+                code="value-out-of-range",
+            ),
+        ),
     )
-    problems.raise_if_any()
     body = lines[-1]
     # Layout, and curves after the weights
     start = body.rfind(b"\n", 0, len(body) - len(body.lstrip(b" \t\n"))) + 1  # first line with text
@@ -508,8 +511,9 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
         Problem(f"ID {token[:40]!r} occurs twice", expected="distinct IDs", code="id-duplicate")
         for token in [token for token, count in counts.items() if count > 1][:_MAX_SHOWN]
     )
-    problems.add_if(not top, "there is no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
-    problems.raise_if_any()
+    problems.raise_if_any(
+        (not top, Problem("there is no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")),
+    )
     return tuple(materials)
 
 

@@ -896,7 +896,7 @@ def open_envi(
     problems = Problems(f"ENVI header {str(header_path)!r} cannot be used", FormatError)
     has_scale = header.reflectance_scale_factor not in (None, 1.0)
     has_procedures = "read procedures" in header.fields
-    checks = (
+    problems.raise_if_any(
         (
             header.is_spectral_library,
             Problem(
@@ -932,8 +932,6 @@ def open_envi(
             ),
         ),
     )
-    problems.extend(problem for is_wrong, problem in checks if is_wrong)
-    problems.raise_if_any()
     status = os.stat(data_path)
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
     # doubts that may make values wrong

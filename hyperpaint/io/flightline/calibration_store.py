@@ -16,7 +16,15 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
-from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError, UnitsError, warn_user
+from hyperpaint.base.errors import (
+    FormatError,
+    PaintError,
+    Problem,
+    Problems,
+    SchemaError,
+    UnitsError,
+    warn_user,
+)
 from hyperpaint.base.facts import conversion_factor, convert, one_of
 from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import (
@@ -72,13 +80,18 @@ def read_sweep_table(path: Path) -> xr.Dataset:
     wide = [name for name in columns if _WIDE.fullmatch(name)]
     factors = _factors(headings, problems)
     of_elements = BAND in columns and (bool(wide) or {"counts", CROSS_TRACK} <= set(columns))
-    problems.add_if(
-        ("cube" in columns) == of_elements or "exposure_time" not in columns or len(columns) < len(headings),
-        f"columns {', '.join(name for name, _ in headings)[:200]}",
-        expected="each once: exposure_time; cube, or band, cross_track, counts, or band, column 0, ...",
-        code="column-missing",
+    problems.raise_if_any(
+        (
+            ("cube" in columns) == of_elements
+            or "exposure_time" not in columns
+            or len(columns) < len(headings),
+            Problem(
+                f"columns {', '.join(name for name, _ in headings)[:200]}",
+                expected="each once: exposure_time; cube, or band, cross_track, counts, or band, column 0 ...",
+                code="column-missing",
+            ),
+        ),
     )
-    problems.raise_if_any()
     # counts, or cubes, by the values of a step: all rows with these values are of one step
     steps: dict[tuple[float, ...], dict[tuple[float, float], Any]] = {}
     of_step = [name for name in _OF_STEP if name in columns]
@@ -124,13 +137,16 @@ def read_sweep_table(path: Path) -> xr.Dataset:
         except FormatError as error:
             problems.add_error("", error)
     shapes = {array.shape[1:] for array in arrays.values()}
-    problems.add_if(
-        len(shapes) > 1,
-        f"steps of {' and '.join(map(str, sorted(shapes)))} bands and columns",
-        expected="one size",
-        code="shape-mismatch",
+    problems.raise_if_any(
+        (
+            len(shapes) > 1,
+            Problem(
+                f"steps of {' and '.join(map(str, sorted(shapes)))} bands and columns",
+                expected="one size",
+                code="shape-mismatch",
+            ),
+        ),
     )
-    problems.raise_if_any()
     return _sweep(of_step, arrays, problems, has_frames="cube" in columns)
 
 
@@ -208,13 +224,16 @@ def _sweep(
     exposure = names.index("exposure_time")
     lit = sorted(key for key in arrays if any(key[k] > 0 for k in light))
     darks = [key for key in arrays if key not in set(lit)]
-    problems.add_if(
-        not lit or not darks,
-        f"{len(lit)} steps with light and {len(darks)} darks",
-        expected=f"both; a dark has no {', '.join(names[k] for k in light)}",
-        code="dark-missing",
+    problems.raise_if_any(
+        (
+            not lit or not darks,
+            Problem(
+                f"{len(lit)} steps with light and {len(darks)} darks",
+                expected=f"both; a dark has no {', '.join(names[k] for k in light)}",
+                code="dark-missing",
+            ),
+        ),
     )
-    problems.raise_if_any()
     sweep = xr.Dataset()
     for name, values in zip(names, np.where(np.array(lit) < 0, np.nan, lit).T, strict=True):
         is_constant = name not in _LIGHT and (values == values[0]).all()
@@ -464,13 +483,12 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     if shape is not None:
         one_of(shape, SRF_SHAPES, "attribute srf_shape", problems=problems)
     sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}
-    problems.add_if(
-        any(size == 0 for size in sizes.values()),
-        f"sizes {sizes}",
-        expected="at least one element",
-        code="empty-input",
+    problems.raise_if_any(
+        (
+            any(size == 0 for size in sizes.values()),
+            Problem(f"sizes {sizes}", expected="at least one element", code="empty-input"),
+        ),
     )
-    problems.raise_if_any()
     if shape is None:
         shape = "gaussian"
         warn_user(f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed", "srf-shape-missing")

@@ -413,13 +413,14 @@ def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
         problems.add(f"dims {tuple(map(str, counts.dims))}", expected=str(CUBE), code="dims-wrong")
     elif counts.sizes[CUBE[0]] == 0:
         problems.add("the cube has no lines", code="empty-input")
-    problems.add_if(
-        counts.dtype.kind != "u" or counts.dtype.itemsize > 2,
-        f"dtype {counts.dtype}",
-        expected="unsigned raw counts of 8 or 16 bits",
-        code="type-wrong",
+    problems.raise_if_any(
+        (
+            counts.dtype.kind != "u" or counts.dtype.itemsize > 2,
+            Problem(
+                f"dtype {counts.dtype}", expected="unsigned raw counts of 8 or 16 bits", code="type-wrong"
+            ),
+        ),
     )
-    problems.raise_if_any()
     shape = counts.shape[1:]
     total, squares = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
     maximum, line_means = np.zeros(shape, counts.dtype), []

@@ -1321,10 +1321,12 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
     )
     units = fields.get("Y Units", "")
     file_scale = 100.0 if PERCENT.search(units) else 1.0 if _FRACTION.search(units) else None
-    problems.add_if(
-        other_quantity(units), f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong"
+    problems.raise_if_any(
+        (
+            other_quantity(units),
+            Problem(f"'Y Units' is {units[:60]!r}", expected="reflectance", code="quantity-wrong"),
+        ),
     )
-    problems.raise_if_any()
     table = _table(lines, first, 2, source)
     FormatError.raise_if(
         (count := fields["Number of X Values"]) != str(len(table)),

@@ -1731,18 +1731,20 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
     problems, first = Problems(f"{record.name} contradicts week or date", TimeError), int(stamp[0])
     begins = f"it begins at {np.datetime64(first // NS_PER_S, 's')}"
     stamp_week = (first - GPS_EPOCH) // (WEEK_S * NS_PER_S)
-    problems.add_if(
-        midnight is not None and abs(first - midnight - _DAY_NS // 2) > 1.5 * _DAY_NS,
-        f"{begins}, but date is {source.date}",
-        mend="correct date, or open another file",
-        code="date-conflict",
+    problems.raise_if_any(
+        (
+            midnight is not None and abs(first - midnight - _DAY_NS // 2) > 1.5 * _DAY_NS,
+            Problem(
+                f"{begins}, but date is {source.date}",
+                mend="correct date, or open another file",
+                code="date-conflict",
+            ),
+        ),
+        (
+            source.week not in (None, stamp_week) and record.counts_from != "week",
+            Problem(f"{begins}, in week {stamp_week}, but week is {source.week}", code="gps-week-conflict"),
+        ),
     )
-    problems.add_if(
-        source.week not in (None, stamp_week) and record.counts_from != "week",
-        f"{begins}, in week {stamp_week}, but week is {source.week}",
-        code="gps-week-conflict",
-    )
-    problems.raise_if_any()
     scale = source.time_scale or record.time_scale
     leap = record.leap_seconds if source.leap_seconds is None else int(source.leap_seconds)
     correction = ClockCorrection(source.clock_offset_s or 0.0, scale, leap)

@@ -517,8 +517,9 @@ def open_irradiance(
             f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
             code="time-duplicate",
         )
-    problems.add_if(len(repeats) > _MAX_SHOWN, f"... ({len(repeats)} pairs in all)", code="time-duplicate")
-    problems.raise_if_any()
+    problems.raise_if_any(
+        (len(repeats) > _MAX_SHOWN, Problem(f"... ({len(repeats)} pairs in all)", code="time-duplicate")),
+    )
     factor = conversion_factor(series.units, VARIABLES["irradiance"].units)
     # in the units of the schema; refused where float32 would overflow
     raw = series.values[order]

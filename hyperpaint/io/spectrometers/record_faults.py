@@ -190,23 +190,27 @@ def judge_record(
     excess = spectrum[1:-1] - 0.5 * (spectrum[:-2] + spectrum[2:])
     excess[::2] *= -1.0
     alternation = abs(float(_median(excess[:, None], axis=0)[0])) if excess.size > RULES.window else 0.0
-    problems = Problems("the irradiance record is not daylight", SchemaError)
-    problems.add_if(
-        min(channels, scans) < RULES.least_share,
-        f"{100 * channels:.0f} % of the channels and {100 * scans:.0f} % of the scans remain: "
-        + "; ".join(fault.found for fault in faults),
-        expected=f"at least {100 * RULES.least_share:g} %",
-        mend="check the spectrometer and the conversion of its files; leave faulty files out",
-        code="irradiance-lost",
+    Problems("the irradiance record is not daylight", SchemaError).raise_if_any(
+        (
+            min(channels, scans) < RULES.least_share,
+            Problem(
+                f"{100 * channels:.0f} % of the channels and {100 * scans:.0f} % of the scans remain: "
+                + "; ".join(fault.found for fault in faults),
+                expected=f"at least {100 * RULES.least_share:g} %",
+                mend="check the spectrometer and the conversion of its files; leave faulty files out",
+                code="irradiance-lost",
+            ),
+        ),
+        (
+            alternation > RULES.alternation,
+            Problem(
+                f"every second channel is {np.exp(-alternation):.3g} times its neighbours",
+                expected="a smooth spectrum",
+                mend="check the spectrometer and the conversion of its files",
+                code="irradiance-lost",
+            ),
+        ),
     )
-    problems.add_if(
-        alternation > RULES.alternation,
-        f"every second channel is {np.exp(-alternation):.3g} times its neighbours",
-        expected="a smooth spectrum",
-        mend="check the spectrometer and the conversion of its files",
-        code="irradiance-lost",
-    )
-    problems.raise_if_any()
     # levels in intervals of 100 nm of the scans that remain
     used = judged & (np.isnan(values).mean(axis=0) <= RULES.missing_share)
     complete = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1)) if used.any() else np.zeros(0, int)

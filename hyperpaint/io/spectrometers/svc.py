@@ -482,13 +482,14 @@ def open_svc(
         code="option-conflict",
     )
     one_of(overlap, get_args(Overlap), "overlap", problems=problems)
-    problems.add_if(
-        joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf),
-        f"joins={joins!r}",
-        expected="two increasing wavelengths in nm",
-        code="value-out-of-range",
+    problems.raise_if_any(
+        (
+            joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf),
+            Problem(
+                f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
+            ),
+        ),
     )
-    problems.raise_if_any()
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
     files = find_paths(

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import Problems, SchemaError, warn_user
+from hyperpaint.base.errors import Problem, Problems, SchemaError, warn_user
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -214,14 +214,16 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
 
 def _block_starts(shape: tuple[int, ...]) -> Ints:
     lines, bands, columns = shape
-    problems = Problems("noise cannot be estimated", SchemaError)
-    problems.add_if(
-        lines < BLOCK_LINES, f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few"
+    Problems("noise cannot be estimated", SchemaError).raise_if_any(
+        (
+            lines < BLOCK_LINES,
+            Problem(f"{lines} lines", expected=f"{BLOCK_LINES} or more", code="lines-too-few"),
+        ),
+        (
+            bands < 3,
+            Problem(f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few"),
+        ),
     )
-    problems.add_if(
-        bands < 3, f"{bands} bands", expected="3 or more, next to each other", code="bands-too-few"
-    )
-    problems.raise_if_any()
     blocks = lines // BLOCK_LINES
     sampled = min(blocks, max(4, MAX_SAMPLES // (BLOCK_LINES * bands * columns)))
     return np.unique(np.linspace(0, blocks - 1, sampled).astype(np.int64)) * BLOCK_LINES
