@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import require
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import Array, Bools, Floats, Ints, require
 from hyperpaint.geometry.georeference.cameras import PinholeCamera, look_angles
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, east_north_up
 from hyperpaint.geometry.georeference.poses import (

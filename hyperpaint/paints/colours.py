@@ -6,9 +6,9 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats32
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import Floats32
 from hyperpaint.light.daylight_colours import srgb
 
 

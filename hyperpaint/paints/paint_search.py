@@ -10,11 +10,9 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.facts import convert, documented, takes_quantities
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Floats
 from hyperpaint.light.daylight_colours import ciede2000, lab_of, parse_colour
 
 from .colours import paint_colours

@@ -17,10 +17,9 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import takes_quantities
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Array, Floats, Floats32
 from hyperpaint.light.daylight_colours import srgb_hex
 
 from .colours import paint_colours

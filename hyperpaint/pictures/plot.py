@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problem, Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -20,6 +19,7 @@ from hyperpaint.base.schema import (
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
     VARIABLES,
+    Array,
     Quality,
     flag_names,
     flag_shares,
@@ -28,7 +28,6 @@ from hyperpaint.base.schema import (
     rename_to_roles,
     require,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.light.daylight_colours import encode_srgb, srgb_weights

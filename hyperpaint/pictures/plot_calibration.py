@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, require
+from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, Array, require
 from hyperpaint.calibration.calibration_dataset import fitted_lines
 
 from .figures import axes_width, check_picture, columns_for, ink_of, legend_below, new_figure, save_figure

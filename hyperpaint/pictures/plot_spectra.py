@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problem, Problems, SchemaError
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -20,13 +19,13 @@ from hyperpaint.base.schema import (
     LIBRARY_VARIABLES,
     QUANTILE,
     SIGNATURE,
+    Array,
     Quality,
     find,
     flag_names,
     rename_to_roles,
     require,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.daylight_colours import ciede2000, lab_of, srgb
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.signatures import extract_signatures

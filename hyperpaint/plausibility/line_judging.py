@@ -14,17 +14,14 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS, lines_a_task
 from hyperpaint.base.errors import PaintWarning, Problem
-from hyperpaint.base.variables import BAND, CROSS_TRACK, IRRADIANCE_TIME
+from hyperpaint.base.schema import BAND, CROSS_TRACK, IRRADIANCE_TIME, Array, Bools, Floats, Ints
 from hyperpaint.io.envi.envi_cubes import EnviHeader, find_pair, open_envi, read_header
-from hyperpaint.io.flightline.dark import DARK_NONE
-from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
+from hyperpaint.io.flightline.flightline_opening import DARK_NONE, FlightlineInputs, Timing
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
-from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, RECORD
-from hyperpaint.light.clear_sky import ClearSky
+from hyperpaint.light.sky_functions import ClearSky
 from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, has_white, light_level
 
 from .product_judging import Product, judge_product

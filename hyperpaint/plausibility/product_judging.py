@@ -4,8 +4,6 @@ Plain arrays of a sample come in, verdicts go out, those that passed as well. A 
 in reflectance, the one number with a known range.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.schema import Bools, Floats
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from typing import Any, overload
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, Problems, SchemaError
 from hyperpaint.base.facts import documented, is_number, one_of
 from hyperpaint.base.input_files import is_plain_file, open_input, read_limited
+from hyperpaint.base.schema import Floats
 from hyperpaint.geometry.georeference.geodesy import crs_of
 from hyperpaint.io.files.publishing import publish_file
 

@@ -23,9 +23,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Bools, Floats, Ints, numbers_of
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.geometry.georeference.locating import locate
 from hyperpaint.geometry.georeference.poses import POSE

@@ -22,19 +22,16 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.old_names import renamed, with_new_names
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, rename_to_roles
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, SIGNATURE, Array, Progress, rename_to_roles
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.store import list_groups, open_group, open_store, open_unverified
-from hyperpaint.io.store.groups import version_of_program
-from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.manifest import store_state
-from hyperpaint.io.store.reader import place_of
+from hyperpaint.io.store.manifest import Location, store_state
+from hyperpaint.io.store.reader import place_of, version_of_program
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, orientation_of, png_of
 from hyperpaint.pictures.plot import (

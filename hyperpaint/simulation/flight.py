@@ -27,7 +27,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats, Floats32
+from hyperpaint.base.schema import Floats, Floats32
 
 from .atmosphere import Light, Sky, cloud_transmittance, relative_air_mass, spectral_grid
 from .camera import Camera, convolve_gaussian, expected_counts

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Floats
 
 from .atmosphere import CIE_OVERCAST_SHARE, clear_spread
 from .camera import BandSet

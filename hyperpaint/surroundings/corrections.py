@@ -13,10 +13,9 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import convert, documented, takes_quantities
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, THROUGH_COAT, mirror_reflection
 from hyperpaint.base.schema import BAND, SIGNATURE
-from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX, COAT_INDEX_U, sky_reflectance, transmitted_share
 from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance

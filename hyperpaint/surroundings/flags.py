@@ -16,12 +16,10 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented, is_number
+from hyperpaint.base.facts import documented, is_number, takes_quantities
 from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, flags_set_from
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Array, Progress, Quality, flags_set_from
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
 

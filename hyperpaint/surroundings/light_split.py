@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError, needs_extra, warn_user
 from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE
+from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE, Floats
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
 from hyperpaint.light.sky_functions import (
     clear_sky_shares,

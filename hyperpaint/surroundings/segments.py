@@ -11,7 +11,7 @@ import numpy.typing as npt
 import scipy.sparse
 from scipy.ndimage import distance_transform_edt, find_objects, label
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
+from hyperpaint.base.schema import Array, Bools, Floats, Floats32, Ints
 
 from .detection_rules import GLINT, LOBES, MIRROR, MIXTURES, SEGMENTS
 from .model import CELL, GLINTED, LIT, SHADED

@@ -14,12 +14,22 @@ import xarray as xr
 from scipy.ndimage import binary_dilation, find_objects, label
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, takes_quantities
 from hyperpaint.base.progress_reports import as_progress
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    Array,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    Progress,
+    Quality,
+)
 from hyperpaint.radiometry.slabs import line_chunked
 
 from .detection_rules import BODIES, DARK_COATS, GLINT, SHADOWS, SURVEY, VEGETATION

@@ -18,8 +18,7 @@ from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.io.spectrometers.record_faults import RECORD
 from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
 from hyperpaint.radiometry.counts_to_reflectance import panel_closure
-from hyperpaint.radiometry.panel_judging import RULES
-from hyperpaint.radiometry.panels import declared_panels
+from hyperpaint.radiometry.panels import RULES, declared_panels
 from hyperpaint.radiometry.planning import has_white
 
 from .laboratory import opened_collect

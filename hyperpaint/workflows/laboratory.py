@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, SchemaError
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import CROSS_TRACK, label
+from hyperpaint.base.schema import CROSS_TRACK, Floats, label
 from hyperpaint.geometry.georeference.cameras import PinholeCamera
 from hyperpaint.io.collect.collect_toml import open_with_settings
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 from hyperpaint.io.flightline.calibration_store import open_sweep
-from hyperpaint.io.flightline.dark import Reference, read_reference
-from hyperpaint.io.flightline.timing import Timing
+from hyperpaint.io.flightline.flightline_opening import Reference, Timing, read_reference
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.io.store import to_store
 from hyperpaint.light.aircraft_receiver import level_irradiance

@@ -38,14 +38,13 @@ from hyperpaint.io.store import budget, open_group
 from hyperpaint.io.store.budget import limited_threads, parse_size
 from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.layout import Codec, Layout, with_layout
-from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Manifest, content_of
+from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Location, Manifest, content_of
 from hyperpaint.io.store.writer import check_codec
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.pictures.plot import overview
 from hyperpaint.plausibility import KINDS
-from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 from hyperpaint.radiometry.panels import declared_panels
+from hyperpaint.radiometry.pixel_reading import coarse_reflectance
 from hyperpaint.radiometry.planning import has_white, is_lamp_lit
 from hyperpaint.surroundings.flags import flag_line
 from hyperpaint.surroundings.scratch import survey_planned

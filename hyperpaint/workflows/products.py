@@ -34,10 +34,9 @@ from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.store import is_complete
 from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
-from hyperpaint.io.store.groups import check_above, groups_above, version_of_program
 from hyperpaint.io.store.layout import Codec
-from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.manifest import INPUTS, Manifest, content_of, numerics_of
+from hyperpaint.io.store.manifest import INPUTS, Location, Manifest, content_of, numerics_of
+from hyperpaint.io.store.reader import check_above, groups_above, version_of_program
 from hyperpaint.io.store.writer import WholeRun, check_room, run_contents, whole_run
 
 if TYPE_CHECKING:

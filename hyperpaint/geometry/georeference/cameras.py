@@ -8,12 +8,10 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import one_of
-from hyperpaint.base.schema import CROSS_TRACK
-from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.base.facts import convert, one_of, takes_quantities
+from hyperpaint.base.schema import CROSS_TRACK, Floats
 
 _MAX_LOOK_ANGLE_DEG = 89.0  # angle from the optical axis
 

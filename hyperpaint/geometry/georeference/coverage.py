@@ -9,10 +9,9 @@ import dask
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError, needs_extra
 from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import require
+from hyperpaint.base.schema import Floats, require
 from hyperpaint.io.maps.map_grids import cut_at_dateline
 
 from .geodesy import between_maps, crs_of

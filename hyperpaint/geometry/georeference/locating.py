@@ -11,13 +11,22 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import Problems, SchemaError, UnitsError, warn_user
-from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
-from hyperpaint.base.units import conversion_factor, takes_quantities
+from hyperpaint.base.facts import conversion_factor, documented, takes_quantities
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    Array,
+    Floats,
+    Ints,
+    Quality,
+    label,
+    require,
+)
 from hyperpaint.io.files.reading import numbers
 from hyperpaint.kernels.arguments import BLOCK, LineFrames, LineRays, Raster
 

@@ -10,12 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, label
-from hyperpaint.base.units import conversion_factor, convert, takes_quantities
+from hyperpaint.base.facts import conversion_factor, convert, documented, one_of, takes_quantities
+from hyperpaint.base.schema import ALONG_TRACK, Array, Floats, Ints, label
 
 from .geodesy import meridian_convergence
 

@@ -14,11 +14,9 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra
-from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import BAND, Quality
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, one_of, takes_quantities
+from hyperpaint.base.schema import BAND, Array, Bools, Floats, Ints, Progress, Quality
 from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.geometry.orthorectification.grids import MapGrid, Place, check_cells, tile_array
 from hyperpaint.io.store.layout import TILE as STORE_TILE

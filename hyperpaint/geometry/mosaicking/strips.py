@@ -16,9 +16,8 @@ import xarray as xr
 from dask._task_spec import convert_legacy_graph, cull
 from dask.highlevelgraph import HighLevelGraph
 
-from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Array, Progress
 from hyperpaint.geometry.georeference.locating import is_located, locate
 from hyperpaint.geometry.orthorectification.grids import NORTH, MapGrid, Survey, covering, survey_lines
 from hyperpaint.geometry.orthorectification.mapping import line_chunks, orthorectify

@@ -11,11 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
-from hyperpaint.base.units import takes_quantities
+from hyperpaint.base.facts import documented, takes_quantities
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Array, Floats, Progress
 from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
 

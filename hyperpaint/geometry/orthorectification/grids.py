@@ -17,8 +17,8 @@ from dask.base import tokenize
 from dask.callbacks import Callback
 from dask.highlevelgraph import HighLevelGraph
 
-from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import Array, Floats, Progress
 
 # smallest and largest distance to the right, then down, from the anchor of axes [m]
 Box = tuple[float, float, float, float]
@@ -100,7 +100,7 @@ class MapGrid:
 
     @property
     def frame(self) -> Floats:
-        """Transform from map coordinates to cells, see `hyperpaint.kernels.inverse_map`."""
+        """Transform from map coordinates to cells, see `hyperpaint.kernels.rays`."""
         east, north = self._place(0.5, 0.5)
         return np.concatenate([[east, north], np.array([*self.axes.right, *self.axes.down]) / self.gsd])
 
@@ -282,7 +282,7 @@ def _computed_survey(
 def _survey_of_slabs(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
     # Return survey rows of slabs (line, `_COLUMNS`), and their first and last pixels, as an array of one
     # object.
-    from hyperpaint.kernels.inverse_map import look_at_lines
+    from hyperpaint.kernels.rays import look_at_lines
 
     out = np.full((sum(map(len, easts)), _COLUMNS), np.nan)
     frame = np.array([*axes.anchor, *axes.right, *axes.down])

@@ -11,20 +11,20 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError, warn_user
-from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.facts import documented, one_of, takes_quantities
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
     CROSS_TRACK,
+    Array,
+    Progress,
     dtype_of,
     label,
     numbers_of,
     require,
 )
-from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
 from hyperpaint.geometry.georeference.locating import is_located, line_slabs, locate
 from hyperpaint.geometry.georeference.poses import LOCATION_UNITS

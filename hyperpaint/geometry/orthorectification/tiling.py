@@ -15,11 +15,21 @@ import numpy as np
 import xarray as xr
 from dask.base import tokenize
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, label
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    Array,
+    Bools,
+    Floats,
+    Ints,
+    Quality,
+    label,
+)
 from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells, Places
-from hyperpaint.kernels.inverse_map import fill_between, gather_bilinear, gather_nearest, invert_lines
+from hyperpaint.kernels.rays import fill_between, gather_bilinear, gather_nearest, invert_lines
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import to_nominal
 

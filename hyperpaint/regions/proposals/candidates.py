@@ -10,8 +10,16 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import binary_opening, find_objects, label, uniform_filter
 
-from hyperpaint.base.arrays import Array, Bools, Floats
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, Quality
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    Array,
+    Bools,
+    Floats,
+    Quality,
+)
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.light_split import split_of

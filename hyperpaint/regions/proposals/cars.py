@@ -19,7 +19,7 @@ from scipy.ndimage import (
 )
 from scipy.spatial import ConvexHull
 
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.schema import Array, Bools, Floats
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings.light_split import MAX_SUN_ZENITH_DEG

@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import (
     FormatError,
     Problems,
@@ -28,10 +27,9 @@ from hyperpaint.base.errors import (
     needs_extra,
     warn_user,
 )
-from hyperpaint.base.facts import check_values, one_of
+from hyperpaint.base.facts import check_values, conversion_factor, convert, one_of
 from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.schema import require
-from hyperpaint.base.units import conversion_factor, convert
+from hyperpaint.base.schema import Floats, require
 from hyperpaint.light.sky_functions import fit_sky
 from hyperpaint.simulation.atmosphere import (
     CIE_OVERCAST_SHARE,
