@@ -87,7 +87,7 @@ def read_sweep_table(path: Path) -> xr.Dataset:
             or len(columns) < len(headings),
             Problem(
                 f"columns {', '.join(name for name, _ in headings)[:200]}",
-                expected="each once: exposure_time; cube, or band, cross_track, counts, or band, column 0 ...",
+                expected="each once: exposure_time; cube, or band, cross_track, counts, or band, column 0...",
                 code="column-missing",
             ),
         ),
