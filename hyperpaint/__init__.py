@@ -20,8 +20,9 @@ def __getattr__(name: str) -> Any:
     try:
         return _load(name)
     except AttributeError as error:
-        rooms = [room for room in __all__ if room == "errors" or (Path(__file__).parent / room).is_dir()]
-        for room in rooms if not name.startswith("_") else ():
-            if name in getattr(_load(room), "__all__", ()):
+        # tools ask every module for private names: no folders are listed for these
+        for room in __all__ if not name.startswith("_") else ():
+            is_room = room == "errors" or (Path(__file__).parent / room).is_dir()
+            if is_room and name in getattr(_load(room), "__all__", ()):
                 error.add_note(f"it is hyperpaint.{room}.{name}")
         raise

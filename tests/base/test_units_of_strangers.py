@@ -21,9 +21,9 @@ from hyperpaint.radiometry.pixel_reading import worked_example
 
 pint = pytest.importorskip("pint")
 
-FIRST = pint.UnitRegistry(force_ndarray_like=True)
-SECOND = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
-SECOND.define("look = 2 * degree")  # a unit that only its own registry knows
+# read on first use: a registry takes a second
+FIRST = pint.LazyRegistry(kwargs={"force_ndarray_like": True})
+SECOND = pint.LazyRegistry(kwargs={"autoconvert_offset_to_baseunit": True})
 APPLICATION = pint.get_application_registry()
 
 
@@ -220,6 +220,7 @@ def test_units_of_places() -> None:
         3, field_of_view=SECOND.Quantity(np.pi / 2, "rad"), edges="centres"
     ).field_of_view == pytest.approx(90.0)
     options = {"camera": camera, "convention": convention}
+    SECOND.define("look = 2 * degree")  # a unit that only its own registry knows
     located = line.paint.locate(
         ground=50.0, lever_arm=(1.0, 2.0, 0.3048), boresight=(2.0, 0.0, 0.0), **options
     )
