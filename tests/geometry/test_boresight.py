@@ -88,17 +88,16 @@ def test_without_errors_it_is_exact() -> None:
 
 @pytest.mark.slow
 def test_eight_points_on_four_lines() -> None:
-    # As the benchmark has it for 100 repeats: 0.01 degrees, 0.1 degrees of heading, 2 ms
+    # the benchmark repeats it 100 times: 0.01 degrees, 0.1 degrees of heading, 2 ms
     both = [flights(4, wobble) for wobble in ("calm", "rough")]
-    scores, within = [], 0
-    for seed in range(12):
+    scores = []
+    for seed in range(6):
         flown = both[seed % 2]
         found = solved(flown, picked(true_points(flown, seed), seed))
         scores.append(errors(found) / list(found.sd.values()))
-        within += bool((np.abs(errors(found)) < LIMITS).all())
+        np.testing.assert_array_less(np.abs(errors(found)), LIMITS)
         assert found.picking_sd == pytest.approx(0.3, rel=0.35)
-    assert within >= 11
-    # 60 numbers of unit variance: their mean square is 1 to a fifth
+    # 30 numbers of unit variance: the standard deviation of their mean square is 0.26
     assert 0.4 < np.mean(np.square(scores)) < 1.9
 
 

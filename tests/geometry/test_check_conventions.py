@@ -21,7 +21,7 @@ pytest.importorskip("pyproj")
 
 
 @functools.cache
-def flight_of(seed: int, lines: int = 600) -> tuple[Flight, xr.Dataset, xr.Dataset]:
+def flight_of(seed: int, lines: int = 400) -> tuple[Flight, xr.Dataset, xr.Dataset]:
     # Return a flight, its line and its record
     flight = flown(seed, lines=lines)
     return flight, flight.line(), flight.navigation()
@@ -37,7 +37,7 @@ def check(flight: Flight, made: Made, **options: Any) -> ConventionCheck:
 
 @pytest.mark.slow
 def test_twelve_wrong_declarations() -> None:
-    flight, *_ = flight_of(1, 900)
+    flight, *_ = flight_of(1)
     fields, checks = {}, {}
     for name, (fields[name], make) in cases(flight).items():
         checks[name] = check(flight, make())
@@ -50,7 +50,7 @@ def test_twelve_wrong_declarations() -> None:
 
 @pytest.mark.slow
 def test_nothing_is_named_of_a_right_declaration() -> None:
-    flights = {seed: flight_of(seed) for seed in (201, 202, 203, 204)}
+    flights = {seed: flight_of(seed) for seed in (201, 202)}  # rough, calm
     named = {seed: check(flight, (*made, DECLARED)).wrong for seed, (flight, *made) in flights.items()}
     assert named == dict.fromkeys(flights, ())
 
