@@ -1,5 +1,6 @@
 """Pixels, regions and bands at once: the bits of the lazy cube, what is needed is read, nothing is stale."""
 
+import functools
 import gc
 import itertools
 import threading
@@ -56,8 +57,13 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return made
 
 
-def smiling(**more: Any) -> xr.Dataset:
+@functools.cache
+def simulated(**more: Any) -> xr.Dataset:
     return simulate_line(**CAMERA, **more)
+
+
+def smiling(**more: Any) -> xr.Dataset:
+    return simulated(**more).copy(deep=True)
 
 
 def stray() -> xr.Dataset:

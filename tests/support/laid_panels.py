@@ -1,5 +1,6 @@
 """Simulated flights over a panel with known faults: light on it by two cosines, nothing of the chain."""
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,13 +79,18 @@ class _OverPanels(PlanFlight):
         return seen
 
 
-def flown_over(*laid: Laid, seed: int, lines: int = 32, saturated: float = 0.0, **effects: Any) -> xr.Dataset:
-    # Return a line over panels; of the first the share ``saturated`` of pixels is, by a lower converter
+@functools.lru_cache(maxsize=8)
+def _flown_over(*laid: Laid, seed: int, lines: int, **effects: Any) -> xr.Dataset:
     usual = {"lines": lines, "columns": 28, "bands": 68, "bit_depth": 14, "electrons_per_count": 5.0}
     settings = SimulationSettings.of({**usual, "seed": seed, **effects})
     flight = _OverPanels(settings)
     flight.laid = laid
-    line = line_dataset(flight, flight.lines(0, settings.lines), matched=False)
+    return line_dataset(flight, flight.lines(0, settings.lines), matched=False)
+
+
+def flown_over(*laid: Laid, seed: int, lines: int = 32, saturated: float = 0.0, **effects: Any) -> xr.Dataset:
+    # Return a line over panels; of the first the share ``saturated`` of pixels is, by a lower converter
+    line = _flown_over(*laid, seed=seed, lines=lines, **effects).copy()
     if saturated:
         counts = line.counts.values[laid[0].along, :, laid[0].across]
         full = np.floor(np.quantile(counts.max(axis=1), 1.0 - saturated)) + 16.0
