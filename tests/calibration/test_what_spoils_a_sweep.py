@@ -25,7 +25,9 @@ def _sweep(effects: tuple[tuple[str, Any], ...]) -> xr.Dataset:
 
 
 def sweep_of(**effects: Any) -> xr.Dataset:
-    return _sweep(tuple(sorted({"columns": 12, "nonuniformity": 0, "seed": 1, **effects}.items())))
+    return _sweep(
+        tuple(sorted({"columns": 12, "bands": 136, "nonuniformity": 0, "seed": 1, **effects}.items()))
+    )
 
 
 def with_values(sweep: xr.Dataset, name: str, values: Any) -> xr.Dataset:
@@ -81,7 +83,7 @@ def test_noise_of_the_dark_is_in_the_uncertainty() -> None:
 
 @pytest.mark.parametrize("exposures", [(10.0, 10.02), (10.0, 11.0)])
 def test_a_dark_rate_is_not_carried_far(exposures: tuple[float, float]) -> None:
-    sweep = sweep_of(bands=136, dark_exposure_ms=exposures, step_exposure_ms=50.0)
+    sweep = sweep_of(dark_exposure_ms=exposures, step_exposure_ms=50.0)
     expect_refusals((SchemaError, "dark-exposure-differs", "50 ms", lambda: hp.calibrate(sweep)))
 
 
@@ -98,7 +100,7 @@ def test_a_dark_model_reaches_as_far_as_it_is_known() -> None:
 
 @pytest.mark.parametrize("seed", [1, 3])
 def test_dead_elements_at_the_edge_spoil_no_neighbour(seed: int) -> None:
-    sweep = sweep_of(columns=20, bad_elements=200, seed=seed)
+    sweep = sweep_of(bands=272, columns=20, bad_elements=200, seed=seed)
     made = hp.calibrate(sweep)
     assert np.nanmax(np.abs(error_of(made, sweep))) < 0.02
     dead = sweep.true_bad.transpose("band", "cross_track").values
@@ -107,7 +109,7 @@ def test_dead_elements_at_the_edge_spoil_no_neighbour(seed: int) -> None:
 
 def test_one_dead_element_at_either_end() -> None:
     # One in every column
-    sweep, dead = sweep_of(columns=6), ([0, 1, 2, 269, 270, 271], range(6))
+    sweep, dead = sweep_of(columns=6), ([0, 1, 2, 133, 134, 135], range(6))
     counts = sweep.counts.values.copy()
     counts[:, *dead] = sweep.dark_counts.values[dead]
     assert np.nanmax(np.abs(error_of(hp.calibrate(with_values(sweep, "counts", counts)), sweep))) < 0.02
@@ -115,7 +117,7 @@ def test_one_dead_element_at_either_end() -> None:
 
 @pytest.mark.parametrize("nonuniformity", [0.0, 0.005, 0.02])
 def test_elements_that_differ_are_uncertain_by_as_much(nonuniformity: float) -> None:
-    sweep = sweep_of(columns=20, nonuniformity=nonuniformity)
+    sweep = sweep_of(bands=272, columns=20, nonuniformity=nonuniformity)
     made = hp.calibrate(sweep)
     assert made.element_differences == pytest.approx(nonuniformity, rel=0.1, abs=3e-4)
     assert 0.8 < spread_of_z(made, sweep) < 1.15
@@ -123,7 +125,7 @@ def test_elements_that_differ_are_uncertain_by_as_much(nonuniformity: float) -> 
 
 @pytest.mark.parametrize("nonuniformity", [0.0, 0.01])
 def test_noise_that_nobody_tells_is_found(nonuniformity: float) -> None:
-    sweep = sweep_of(columns=20, nonuniformity=nonuniformity)
+    sweep = sweep_of(bands=272, columns=20, nonuniformity=nonuniformity)
     with pytest.warns(PaintWarning, match="noise-missing") as caught:
         made = hp.calibrate(sweep.drop_vars("counts_variance"))
     assert (caught[0].filename, "electrons_per_count" in made) == (__file__, False)
@@ -165,7 +167,7 @@ def test_columns_without_light() -> None:
     assert np.isnan(levelled.radiance_gain.values[:, last + 1 :]).all()
     anchored = anchor_to_radiance(made, frames_of(sweep), even_radiance())
     assert np.isnan(anchored.radiance_gain.values[:, :first]).all()
-    assert np.isfinite(anchored.radiance_gain.values[100, first : last + 1]).all()
+    assert np.isfinite(anchored.radiance_gain.values[50, first : last + 1]).all()
     flux[3, 12] = 0.0
     expect_refusals(
         (
@@ -191,11 +193,11 @@ def test_columns_without_light() -> None:
 
 
 def test_clipped_lines_without_a_saturation_count() -> None:
-    sweep = sweep_of(beam_power_w=6e-6)
+    sweep = sweep_of(bands=272, beam_power_w=6e-6)
     with pytest.warns(PaintWarning, match=r"4095.*saturation-missing") as caught:
         hp.calibrate(sweep.drop_vars("saturation_count"))
     assert caught[0].filename == __file__
-    for whole in (sweep_of(), sweep_of(**CLEAN)):
+    for whole in (sweep_of(bands=272), sweep_of(**CLEAN)):
         calibrated_silently(whole.drop_vars("saturation_count"))
 
 
@@ -238,7 +240,7 @@ def test_stray_light_within_the_lines_is_taken_out_and_what_is_left_is_uncertain
 
 
 def test_the_dial_is_in_the_uncertainty_of_wavelengths() -> None:
-    sweep = sweep_of(bands=136)
+    sweep = sweep_of()
     assert float(hp.calibrate(sweep).wavelength_u) == pytest.approx(0.1, rel=0.01)
     made = hp.calibrate(sweep, wavelength_uncertainty=0.3)
     assert float(made.wavelength_u) == pytest.approx(np.hypot(0.3, made.wavelength_residual_nm))
@@ -278,7 +280,7 @@ def frames_of(sweep: xr.Dataset, dark_ms: float = 5.0, rate: float = 0.0) -> xr.
 
 @pytest.fixture(scope="module")
 def relative() -> tuple[xr.Dataset, xr.Dataset]:
-    sweep = sweep_of(bands=136, columns=6, **CLEAN)
+    sweep = sweep_of(columns=6, **CLEAN)
     return sweep, hp.calibrate(sweep.drop_vars(["capture_fraction", "etendue"]), absolute=False)
 
 
@@ -326,7 +328,7 @@ def test_no_scale_no_quantum_efficiency_and_no_radiance(relative: tuple[xr.Datas
 
 
 def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:
-    sweep = sweep_of(bands=136, columns=6, **CLEAN)
+    sweep = sweep_of(columns=6, **CLEAN)
     made = hp.calibrate(sweep, linearity=(0.0, 1e-9)).assign_attrs(linearity=[1e-4])
     frames = frames_of(sweep)
     curved = (-1 + np.sqrt(1 + 4e-4 * (frames.counts - frames.dark_counts))) / 2e-4  # c + 1e-4 c^2 = bent
