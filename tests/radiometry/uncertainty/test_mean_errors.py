@@ -53,24 +53,29 @@ def pulls(draws: int, seed: int, shape: tuple[int, int, int], **options: Any) ->
 @pytest.mark.parametrize(
     ("lines", "columns", "darks", "draws"),
     # all twelve of regions and numbers of darks: tests/campaigns/region_means.py
-    [(150, 4, 10, 120), (100, 4, 100, 120), (400, 1, 100, 120), (1, 120, 10, 120)],
+    [(150, 4, 10, 60), (100, 4, 100, 60), (400, 1, 100, 60), (1, 120, 10, 60)],
 )
 def test_means_scatter_as_is_stated(lines: int, columns: int, darks: int, draws: int) -> None:
     ratios = pulls(draws, 7000 + darks, (lines, columns, darks))
     assert 0.95 < np.sqrt(np.mean(ratios**2)) < 1.05
-    # 120 draws know the ratio of one band to 6.5 %
-    assert np.abs(ratios - 1.0).max() < 0.2
+    # 60 draws know the ratio of one band to 9.1 %, and of all bands together to 2 %
+    assert np.abs(ratios - 1.0).max() < 0.28
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "options",
-    [{"common": True}, {"masked": 4, **QUIET}, {"dark_times": 2, **QUIET}, {"read_noise": 0.2, **QUIET}],
+    ("draws", "options"),
+    [
+        (150, {"common": True}),
+        (75, {"masked": 4, **QUIET}),
+        (75, {"dark_times": 2, **QUIET}),
+        (75, {"read_noise": 0.2, **QUIET}),
+    ],
     ids=["all of a flight", "pedestal", "two darks", "rounding"],
 )
-def test_means_scatter_as_is_stated_with_what_is_shared(options: dict[str, Any]) -> None:
-    ratios = pulls(150, 7100, (40, 10, 10), **options)
-    # what bands share is one draw a collect: known to 6 %
+def test_means_scatter_as_is_stated_with_what_is_shared(draws: int, options: dict[str, Any]) -> None:
+    ratios = pulls(draws, 7100, (40, 10, 10), **options)
+    # what bands share is one draw a collect: 150 know it to 6 %
     assert 0.85 < np.sqrt(np.mean(ratios**2)) < 1.15
 
 
