@@ -18,7 +18,7 @@ from hyperpaint.simulation.camera import stray_light_wings
 pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 
 BANDS = 24
-CAMERA: dict[str, Any] = {"lines": 12, "bands": BANDS, "columns": 150, "noise": False, "quantise": False}
+CAMERA: dict[str, Any] = {"lines": 12, "bands": BANDS, "columns": 64, "noise": False, "quantise": False}
 SECONDS = {"units": "s"}
 
 
