@@ -1,13 +1,17 @@
 """Every block of README and tour runs as it stands, on the files of the demonstration."""
 
-import os
+import contextlib
+import io
 import re
+import shlex
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
+from support.commands import hyperpaint
 
 pytestmark = pytest.mark.slow
 
@@ -26,32 +30,31 @@ def blocks(page: str, heading: str = "") -> list[tuple[str, str]]:
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    # Folder with the demonstration, and what it printed
+    # Folder with the demonstration, and what it printed: the first command, in a process of its own
     folder = tmp_path_factory.mktemp("first")
-    (folder / "bin").mkdir()
-    for name, words in {"python": "", "hyperpaint": " -m hyperpaint"}.items():
-        (folder / "bin" / name).write_text(f'#!/bin/sh\nexec "{sys.executable}"{words} "$@"\n')
-        (folder / "bin" / name).chmod(0o755)
-    (folder / "shown.txt").write_text(run(folder, *blocks("README.md", "Try it")[0]))
+    *installs, command = blocks("README.md", "Try it")[0][1].splitlines()
+    assert all(line.startswith(INSTALLS) for line in installs)
+    words = [sys.executable, "-m", *shlex.split(command)]
+    shown = subprocess.run(words, cwd=folder, check=True, capture_output=True, text=True, timeout=600).stdout
+    (folder / "shown.txt").write_text(shown)
     return folder
 
 
 def run(home: Path, language: str, text: str) -> str:
-    # Run a block in a new process; return what it printed
-    path = f"{home / 'bin'}{os.pathsep}{os.environ['PATH']}"
-    python = f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-    lines = [line for line in text.splitlines() if not line.startswith(INSTALLS)]
-    words = [sys.executable, "-c"] if language == "python" else ["bash", "-e", "-c"]
-    done = subprocess.run(
-        [*words, "\n".join(lines)],
-        cwd=home,
-        env={**os.environ, "PATH": path, "PYTHONPATH": python, "MPLBACKEND": "Agg"},
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
-    return done.stdout
+    # Run a block as a new process would, without its imports; return what it printed
+    printed = io.StringIO()
+    heredoc = re.fullmatch(r"python - <<'PY'\n(.*)^PY\n", text, re.M | re.S)
+    with contextlib.chdir(home), contextlib.redirect_stdout(printed), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a process prints them
+        if heredoc or language == "python":
+            exec(compile(heredoc[1] if heredoc else text, "block", "exec"), {"__name__": "__main__"})
+        else:
+            for line in text.splitlines():
+                words = shlex.split(line, comments=True)
+                if words and not line.startswith(INSTALLS):
+                    assert words[0] == "hyperpaint"
+                    printed.write(hyperpaint(*words[1:], status=0).stdout)
+    return printed.getvalue()
 
 
 def test_the_tour(home: Path) -> None:
