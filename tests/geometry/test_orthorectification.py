@@ -18,11 +18,6 @@ CUBE = ("along_track", "band", "cross_track")
 OFF = int(hp.Quality.OFF_SWATH)
 
 
-def coordinates(flown: Flown) -> Any:
-    # Return the coordinate cube: a band of east, and one of north
-    return (CUBE, np.stack([flown.east, flown.north], axis=1))
-
-
 def centres(made: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     # Return where cells lie, by GDAL's transform alone
     c, a, b, f, d, e = map(float, made.spatial_ref.attrs["GeoTransform"].split())
@@ -42,7 +37,8 @@ def away(made: xr.Dataset) -> np.ndarray:
 @pytest.mark.parametrize("wobble", ["calm", "rough"])
 def test_coordinates_come_back(wobble: str, ground: Any, grid: Any) -> None:
     flown = fly(300, 120, wobble, heading=37.0, ground=ground)
-    line = located(flown, there=coordinates(flown))
+    # bands of east and north
+    line = located(flown, there=(CUBE, np.stack([flown.east, flown.north], axis=1)))
     made = hp.geometry.orthorectify(line, grid=grid, variables="there", method="bilinear").compute()
     error = away(made)
     shown = np.isfinite(made.glt_line.values)
