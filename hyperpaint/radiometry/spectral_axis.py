@@ -177,7 +177,7 @@ def _without_bands(dataset: xr.Dataset) -> list[str]:
 
 
 def _resample(values: Array, *, first: Array, weights: Array) -> Array:
-    from hyperpaint.kernels.spectral_axis import resample_slab
+    from hyperpaint.kernels.radiometry import resample_slab
 
     out = np.empty(values.shape, np.float32)
     resample_slab(np.ascontiguousarray(values, np.float32), first, weights, out)
@@ -348,7 +348,7 @@ def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
 def _filter(
     values: Array, good: Array, wavelength: Array, *, is_cube: bool, method: str, window: int, order: int
 ) -> Array:
-    from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
+    from hyperpaint.kernels.radiometry import average_slab, filter_slab
 
     parts = _ordered_parts(wavelength)
     spectra = values.astype(np.float32, copy=False)

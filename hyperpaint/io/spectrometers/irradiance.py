@@ -402,7 +402,7 @@ def open_irradiance(
         averaged), else 0.
     clock_uncertainty_s
         Largest remaining difference between the clocks of camera and spectrometer [s]. By default up to
-        40 s are assumed; see `hyperpaint.light.synchrony`.
+        40 s are assumed; see `hyperpaint.light.illumination`.
 
     Returns
     -------
