@@ -289,8 +289,9 @@ def smooth(
     sizes = dict(dataset["reflectance"].sizes) if "reflectance" in dataset else {BAND: window}
     bands, orders = sizes.get(BAND, window), f"0 to {window - 2} for a window of {window}"
     if "reflectance" not in dataset.variables:
-        mend = "call .paint.reflectance() first"
-        problems.add("'reflectance' is missing", mend=mend, code="variable-missing")
+        problems.add(
+            "'reflectance' is missing", mend="call .paint.reflectance() first", code="variable-missing"
+        )
     one_of(method, METHODS, "method", problems=problems)
     for is_valid, found, expected, code in (
         (

@@ -188,8 +188,9 @@ def read_sample_table(
         elif len(problems) < _MAX_SHOWN_ROWS:
             place = f"spectrum {at + 1}" if is_transposed else f"line {lines[at + 1][0]}"
             found = f"{place}: {separator.join(record)[:60]!r}"
-            expected = f"{len(others)} properties and {len(bands)} numbers"
-            problems.add(found, expected=expected, code="row-unreadable")
+            problems.add(
+                found, expected=f"{len(others)} properties and {len(bands)} numbers", code="row-unreadable"
+            )
     problems.raise_if_any()
     properties = {headings[at]: [record[at] for record in records] for at in others}
     units = _shared_words(properties, _WAVELENGTH_UNITS)
