@@ -139,7 +139,7 @@ class Smooth:
         np.copyto(self.out, self.counts)
 
     def time_box(self, lines, width=11):
-        from hyperpaint.kernels.spectral_axis import average_slab
+        from hyperpaint.kernels.radiometry import average_slab
 
         average_slab(self.values, width, self.out)
 
@@ -147,7 +147,7 @@ class Smooth:
         self.time_box(lines, 51)
 
     def time_savitzky_golay(self, lines):
-        from hyperpaint.kernels.spectral_axis import filter_slab
+        from hyperpaint.kernels.radiometry import filter_slab
 
         first, weights, fallback = self.polynomials
         filter_slab(self.values, weights, first, fallback, self.out)

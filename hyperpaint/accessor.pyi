@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pint
 import xarray as xr
 
-from hyperpaint.alignment.estimation import Window
+from hyperpaint.alignment.comparison import Window
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.schema import Progress, Quality
 from hyperpaint.geometry.georeference.cameras import PinholeCamera

@@ -30,6 +30,7 @@ from hyperpaint.base.schema import (
     rename_to_roles,
     require,
 )
+from hyperpaint.light.illumination import line_light
 from hyperpaint.light.responses import (
     GAUSSIAN_SIGMA,
     Matching,
@@ -38,7 +39,6 @@ from hyperpaint.light.responses import (
     matching_operator,
     mean_responsivity,
 )
-from hyperpaint.light.synchrony import line_light
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.stray_light import described

@@ -5,14 +5,16 @@ Out: a dataset with gain, wavelengths, dark and uncertainties. Called by workflo
 alignment, pictures and reports read its results.
 """
 
-from .anchors import (
+from .calibration_dataset import (
     anchor_to_radiance,
+    calibrate,
     calibration_from_coefficients,
     etendue_from_optics,
     etendue_from_pupil,
     panel_radiance,
+    quantum_efficiency,
+    relative_responsivity,
 )
-from .calibration_dataset import calibrate, quantum_efficiency, relative_responsivity
 from .detector import dark_at, dark_model, flat_field, linearity
 
 __all__ = [

@@ -52,7 +52,7 @@ from hyperpaint.geometry.georeference.poses import (
     poses_at,
     quaternions,
 )
-from hyperpaint.light.synchrony import check_irradiance_times
+from hyperpaint.light.illumination import check_irradiance_times
 
 Verdict = Literal["right", "wrong", "undecided"]
 Positions = Literal["as declared", "latitude and longitude swapped", "longitude west positive"]

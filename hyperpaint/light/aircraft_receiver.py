@@ -17,9 +17,9 @@ from hyperpaint.base.facts import convert, takes_quantities
 from hyperpaint.base.schema import IRRADIANCE_TIME, Array, Floats, label, require
 
 from .diffuse_record import SKY_STATES, split_of_arrays
+from .illumination import channels_of, check_irradiance_times
 from .sky_functions import sunward_gain
 from .sun import diffuse_fraction, solar_position
-from .synchrony import channels_of, check_irradiance_times
 
 _ANGLES = ("roll", "pitch", "heading")
 _POSITION = ("latitude", "longitude")

@@ -28,9 +28,9 @@ from hyperpaint.base.schema import (
     require,
 )
 
+from .illumination import channels_of, check_irradiance_times
 from .sky_functions import ClearSky
 from .sun import Scatterers, scattered_light, solar_position
-from .synchrony import channels_of, check_irradiance_times
 
 #: Words of ``sky_state``, in the order of its numbers.
 SKY_STATES = ("clear", "hazy", "broken", "overcast", "contradictory")

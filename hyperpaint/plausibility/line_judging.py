@@ -708,8 +708,14 @@ def judge_index(inputs: FlightlineInputs, lines: int) -> tuple[Bools, list[Findi
         matching = timing.frame_index.with_name(f"frameIndex_{number}.txt")
         foreign = matching != timing.frame_index and matching.is_file()
         kind = KINDS["foreign-frame-index" if foreign else "first-frame"]
-        found = f"the first frame of {timing.frame_index.name} for {inputs.path.name} is {first_frame}"
-        findings.append(Finding(kind, name, found, str(number)))
+        findings.append(
+            Finding(
+                kind,
+                name,
+                f"the first frame of {timing.frame_index.name} for {inputs.path.name} is {first_frame}",
+                str(number),
+            )
+        )
     recorded = row >= 0
     if not index.fitted:
         findings += _jumps(name, frame[recorded], index.stamp[row[recorded]])

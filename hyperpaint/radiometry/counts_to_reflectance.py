@@ -54,8 +54,7 @@ from hyperpaint.io.flightline.headwall import find_exposure, recording_clock
 from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
 from hyperpaint.io.store.reader import is_zarr, open_unverified
-from hyperpaint.light.illumination import Tilt
-from hyperpaint.light.synchrony import UNSTABLE_CHANGE, replace_record
+from hyperpaint.light.illumination import UNSTABLE_CHANGE, Tilt, replace_record
 
 from . import slabs
 from .panels import (

@@ -47,17 +47,20 @@ from hyperpaint.io.spectrometers.record_faults import FAULTS_ATTR, judge_record,
 from hyperpaint.light.diffuse_record import SKY_STATES, split_of_arrays
 from hyperpaint.light.illumination import (
     MAX_SUN_ZENITH_DEG,
+    UNSTABLE_CHANGE,
+    LineLight,
     Smile,
     Tilt,
     at_bands,
+    check_irradiance_times,
     departure_of_record,
     imager_of,
+    line_light,
     matched_series,
     smile_cells,
 )
 from hyperpaint.light.sky_functions import ClearSky, sunward_gain
 from hyperpaint.light.sun import solar_position
-from hyperpaint.light.synchrony import UNSTABLE_CHANGE, LineLight, check_irradiance_times, line_light
 
 from . import slabs
 from .panels import REFUSED, RULES as PANEL_RULES, Panel, PanelClosure, PanelContext, judge_panels

@@ -31,8 +31,7 @@ from hyperpaint.kernels.arguments import (
     rounding,
     without_empty_arrays,
 )
-from hyperpaint.light.illumination import Smile
-from hyperpaint.light.synchrony import LineLight
+from hyperpaint.light.illumination import LineLight, Smile
 
 from .panels import RULES, PanelClosure
 

@@ -177,7 +177,7 @@ def _without_bands(dataset: xr.Dataset) -> list[str]:
 
 
 def _resample(values: Array, *, first: Array, weights: Array) -> Array:
-    from hyperpaint.kernels.spectral_axis import resample_slab
+    from hyperpaint.kernels.radiometry import resample_slab
 
     out = np.empty(values.shape, np.float32)
     resample_slab(np.ascontiguousarray(values, np.float32), first, weights, out)
@@ -289,8 +289,9 @@ def smooth(
     sizes = dict(dataset["reflectance"].sizes) if "reflectance" in dataset else {BAND: window}
     bands, orders = sizes.get(BAND, window), f"0 to {window - 2} for a window of {window}"
     if "reflectance" not in dataset.variables:
-        mend = "call .paint.reflectance() first"
-        problems.add("'reflectance' is missing", mend=mend, code="variable-missing")
+        problems.add(
+            "'reflectance' is missing", mend="call .paint.reflectance() first", code="variable-missing"
+        )
     one_of(method, METHODS, "method", problems=problems)
     for is_valid, found, expected, code in (
         (
@@ -348,7 +349,7 @@ def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
 def _filter(
     values: Array, good: Array, wavelength: Array, *, is_cube: bool, method: str, window: int, order: int
 ) -> Array:
-    from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
+    from hyperpaint.kernels.radiometry import average_slab, filter_slab
 
     parts = _ordered_parts(wavelength)
     spectra = values.astype(np.float32, copy=False)

@@ -197,8 +197,11 @@ def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, pro
         (shifted_bands == bands, f"{SHIFT_TIME!r} belongs to {shifted_bands} bands, this line has {bands}"),
     ):
         if not is_valid:
-            mend = "select bands after computing reflectance, or drop the variable"
-            problems.add(found, mend=mend, code="bands-selected")
+            problems.add(
+                found,
+                mend="select bands after computing reflectance, or drop the variable",
+                code="bands-selected",
+            )
     relative = float(cube.get(STRAY_U, 0.0))
     problems.add_if(
         not 0.0 <= relative < 1.0,

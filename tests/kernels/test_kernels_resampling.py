@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hyperpaint.kernels.spectral_axis import resample_slab
+from hyperpaint.kernels.radiometry import resample_slab
 from hyperpaint.radiometry.spectral_axis import _lagrange_weights
 
 

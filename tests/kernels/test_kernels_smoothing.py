@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
+from hyperpaint.kernels.radiometry import average_slab, filter_slab
 from hyperpaint.radiometry.spectral_axis import _window_polynomials
 
 

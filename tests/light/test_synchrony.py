@@ -9,8 +9,8 @@ from support.refusals import refusal
 
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import Quality
+from hyperpaint.light.illumination import line_light, timing_sensitivity
 from hyperpaint.light.sun import solar_position
-from hyperpaint.light.synchrony import line_light, timing_sensitivity
 
 START = np.datetime64("2020-06-21T17:00", "ns")
 

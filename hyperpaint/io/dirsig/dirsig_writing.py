@@ -151,11 +151,11 @@ class PaintCurves:
         self.wavelength = wavelength[self.order]
         steps = np.diff(wavelength)
         if not ((steps > 0).all() or (steps < 0).all()):
-            msg = (
+            warn_user(
                 "wavelengths of detectors overlap: bands are sorted, so that samples of both alternate; "
-                "keep one detector per wavelength, as open_svc(overlap='trim') does"
+                "keep one detector per wavelength, as open_svc(overlap='trim') does",
+                "wavelength-unordered",
             )
-            warn_user(msg, "wavelength-unordered")
         micrometres = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
         if equal := np.flatnonzero(np.diff(micrometres) <= 0.0).tolist():
             examples = ", ".join(f"{self.wavelength[band]:.4f}" for band in equal[:8])

@@ -149,8 +149,9 @@ class TableReader:
             return None
         path = self.folder / value
         if "\0" in value or not os.path.lexists(path):
-            found = f"{place} {key} = {value!r}: no such file ({path})"
-            self.problems.add(found, mend=_RELATIVE, code="file-not-found")
+            self.problems.add(
+                f"{place} {key} = {value!r}: no such file ({path})", mend=_RELATIVE, code="file-not-found"
+            )
             return None
         if _is_special(path):
             self._note_special(f"{place} {key} = {value!r}")
@@ -177,8 +178,11 @@ class TableReader:
                 self._note_special(f"{place} {key} = {text!r}: {match}")
             paths += matches
             if not matches:
-                found = f"{place} {key} = {text!r} matches no file in {self.folder / base}"
-                self.problems.add(found, mend=_RELATIVE, code="file-not-found")
+                self.problems.add(
+                    f"{place} {key} = {text!r} matches no file in {self.folder / base}",
+                    mend=_RELATIVE,
+                    code="file-not-found",
+                )
         return tuple(dict.fromkeys(paths))
 
     def _note_special(self, found: str) -> None:

@@ -494,8 +494,10 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
         stamps["time of day"] = time_of_day(table, "time")[0]
     record = Navigation(table.name, table.rows, stamps, utc=None, values=values)
     if is_unaligned.all():
-        message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
-        warn_user(message, "attitude-missing")
+        warn_user(
+            f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude",
+            "attitude-missing",
+        )
     if utc is None:
         return record
     # the date of an unaligned row must agree with the aligned rows
@@ -1218,8 +1220,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
         code="checksum-wrong",
     )
     if damaged:
-        message = f"{path.name}: {wrong_checksums}, and are ignored"
-        warn_user(message, "checksum-wrong")
+        warn_user(f"{path.name}: {wrong_checksums}, and are ignored", "checksum-wrong")
     log.problems.raise_if_any()
     FormatError.raise_if(
         not log.rows,
@@ -1245,8 +1246,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     log.problems.raise_if_any()
     refuse_backwards(path.name, stamp, row="position")
     if all(np.isnan(values[name]).all() for name in ANGLES):
-        text = f"{path.name} contains no roll, pitch or heading (PASHR, HDT or THS)"
-        warn_user(text, "attitude-missing")
+        warn_user(f"{path.name} contains no roll, pitch or heading (PASHR, HDT or THS)", "attitude-missing")
     return PoseRecord(
         path.name,
         "NMEA 0183",

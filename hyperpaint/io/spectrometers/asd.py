@@ -587,8 +587,11 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     statistics = [] if is_spectrum_per_row else statistics_among(spectra)
     kept = [number for number, spectrum in enumerate(spectra) if spectrum not in statistics]
     if statistics and kept:
-        text = f"columns {', '.join(map(repr, statistics))} are statistics, not spectra, and are left out"
-        warn_of(text, [name], "columns-left-out")
+        warn_of(
+            f"columns {', '.join(map(repr, statistics))} are statistics, not spectra, and are left out",
+            [name],
+            "columns-left-out",
+        )
         spectra, values = [spectra[number] for number in kept], values[kept]
     wavelength.flags.writeable = values.flags.writeable = False
     return AsdText(name, export.instrument, tuple(spectra), wavelength, values, preamble)
@@ -747,11 +750,11 @@ def read_spectra(
         for content in contents
     )
     if quantity is None and texts:
-        text = (
+        warn_user(
             f"text exports do not state their quantity; {target_quantity} is a guess from the range of the "
-            f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}"
+            f"plot. Pass quantity={target_quantity!r} if it is right. Files: {', '.join(texts)}",
+            "quantity-assumed",
         )
-        warn_user(text, "quantity-assumed")
     names_by_conflict: dict[str, list[str]] = {}
     for content in contents:
         if conflict := _receptor_conflict(content, target_quantity):
@@ -827,8 +830,10 @@ def read_spectra(
         content.name for content in contents if isinstance(content, AsdFile) and not content.dark_subtracted
     ]
     if names_with_dark and target_quantity != "counts":
-        text = f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}"
-        warn_user(text, "dark-not-subtracted")
+        warn_user(
+            f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}",
+            "dark-not-subtracted",
+        )
     return mask_undefined(spectra, target_quantity), target_quantity
 
 
@@ -949,10 +954,11 @@ def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]
         is_masked = np.logical_or.reduce(list(faults.values()))
         masked.append(replace(spectrum, values=np.where(is_masked, np.nan, values)))
     for reason, names in names_by_reason.items():
-        text = (
-            f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
+        warn_user(
+            f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: "
+            f"{listed(names)}",
+            "samples-undefined",
         )
-        warn_user(text, "samples-undefined")
     return masked
 
 
@@ -975,8 +981,10 @@ def utc_offsets(
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
         if set(sources_by_offset) - {utc_offset_h}:
-            text = f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}"
-            warn_user(text, "utc-offset-conflict")
+            warn_user(
+                f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}",
+                "utc-offset-conflict",
+            )
         return [utc_offset_h] * len(spectra)
     TimeError.raise_if(
         one_clock and len(sources_by_offset) > 1,
@@ -1097,8 +1105,7 @@ def open_asd(
     has_stamp = np.array([s.local_time is not None for s in spectra])
     has_zone = np.array([utc_offset_h is not None or s.utc_offset_h is not None for s in spectra])
     if unknown := [spectra[i] for i in np.flatnonzero(has_stamp & ~has_zone)]:
-        text = f"local times are NaT, since {_missing_zone_text(unknown)}"
-        warn_user(text, "zone-missing")
+        warn_user(f"local times are NaT, since {_missing_zone_text(unknown)}", "zone-missing")
     dated = [spectra[i] for i in np.flatnonzero(has_stamp & has_zone)]
     offsets = np.rint(np.array(utc_offsets(dated, utc_offset_h)) * 3600e9).astype("timedelta64[ns]")
     times = np.full(len(spectra), np.datetime64("NaT", "ns"))

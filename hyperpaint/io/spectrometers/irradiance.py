@@ -317,10 +317,10 @@ def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
     if _HYPERNETS_FLAG in data.variables:
         is_good &= data[_HYPERNETS_FLAG].values == 0
     if not is_good.all():
-        text = (
-            f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out"
+        warn_user(
+            f"{np.sum(~is_good)} of {is_good.size} spectra have no time or a quality flag, and are left out",
+            "samples-flagged",
         )
-        warn_user(text, "samples-flagged")
     data, time = data.isel({dim: is_good}), stamps[is_good].astype("datetime64[ns]")
     series: xr.Dataset = data[["irradiance"]].reset_coords(drop=True)
     series = series.assign_coords(time=(dim, time), wavelength=data["wavelength"]).swap_dims({dim: "time"})
@@ -402,7 +402,7 @@ def open_irradiance(
         averaged), else 0.
     clock_uncertainty_s
         Largest remaining difference between the clocks of camera and spectrometer [s]. By default up to
-        40 s are assumed; see `hyperpaint.light.synchrony`.
+        40 s are assumed; see `hyperpaint.light.illumination`.
 
     Returns
     -------
@@ -886,8 +886,10 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     slip = unit_slip(brightest)
     median = f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1"
     if LOWEST_MEDIAN <= brightest < DULL_MEDIAN and slip:
-        text = f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon"
-        warn_user(text, "irradiance-dim")
+        warn_user(
+            f"{median} at its brightest, {slip}; check its units, unless the sun was below the horizon",
+            "irradiance-dim",
+        )
     if brightest < LOWEST_MEDIAN or brightest > HIGHEST_MEDIAN:
         direction = (
             f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"

@@ -166,8 +166,12 @@ def judge_record(
         values[is_wrong | channels] = np.nan
         if channels.any():
             nm = wavelength[channels]
-            text = f"{nm.size} channels between {nm[0]:g} and {nm[-1]:g} nm are {reason}, and are left out"
-            faults.append(Problem(text, code="irradiance-channels"))
+            faults.append(
+                Problem(
+                    f"{nm.size} channels between {nm[0]:g} and {nm[-1]:g} nm are {reason}, and are left out",
+                    code="irradiance-channels",
+                )
+            )
         if scans.any():
             text = f"{scans.sum()} of {len(values)} scans are left out: values are {reason}, such as "
             faults.append(Problem(f"{text}{example[0]:.4g} at {stamps[first]}", code="irradiance-scans"))
@@ -222,16 +226,25 @@ def judge_record(
         unlike = complete[_unlike_scans(levels, ticks / 1e9)]
         if unlike.size:
             when = ", ".join(stamps[unlike][:5])
-            text = f"{unlike.size} of {len(values)} scans are left out: unlike their neighbours, at {when}"
-            faults.append(Problem(text, code="irradiance-scans"))
+            faults.append(
+                Problem(
+                    f"{unlike.size} of {len(values)} scans are left out: unlike their neighbours, at {when}",
+                    code="irradiance-scans",
+                )
+            )
             values[unlike] = np.nan
         is_kept = ~np.isin(complete, unlike)
         step = _step(levels[is_kept])
         if step is not None:
             number, factor = step
             when = stamps[complete[is_kept][number + 1]]
-            text = f"step in gain at {when}: all channels change by the factor {factor:.3g} between two scans"
-            faults.append(Problem(text, code="irradiance-step"))
+            faults.append(
+                Problem(
+                    f"step in gain at {when}: all channels change by the factor {factor:.3g} "
+                    "between two scans",
+                    code="irradiance-step",
+                )
+            )
     return JudgedRecord(values, tuple(faults))
 
 

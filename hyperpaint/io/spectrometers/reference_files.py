@@ -171,8 +171,13 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
                     continue
                 if line_number > 1 or cells[0].lower() not in _HEADINGS or cells[1:2] != ["reference"]:
                     is_pair = len(cells) == 2 and all(cells)
-                    found = f"line {line_number}: {','.join(row)[:60]!r}"
-                    entries.append((found, cells[0], cells[1:] if is_pair else []))
+                    entries.append(
+                        (
+                            f"line {line_number}: {','.join(row)[:60]!r}",
+                            cells[0],
+                            cells[1:] if is_pair else [],
+                        )
+                    )
         except csv.Error as error:
             problems.add(f"after line {line_number}: {error}", code="row-unreadable")
     references_by_paint: dict[str, dict[str, None]] = {}

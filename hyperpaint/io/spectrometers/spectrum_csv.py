@@ -71,8 +71,11 @@ def _table(path: Path, headings: int, *, has_units: bool = False) -> tuple[Float
         elif not rows and line_number <= headings:
             headings_above.append(content)
         else:
-            found, expected = f"line {line_number}: {content[:60]!r}", "a wavelength [nm] and a value"
-            problems.add(found, expected=expected, code="row-unreadable")
+            problems.add(
+                f"line {line_number}: {content[:60]!r}",
+                expected="a wavelength [nm] and a value",
+                code="row-unreadable",
+            )
             if len(problems) == _MAX_SHOWN:
                 problems.raise_if_any()
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 2)
@@ -406,14 +409,20 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     for name, (columns, _, nm_column) in tables_of.items():
         rows = sections.get(name, [])
         if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
-            found, expected = f"[{name}] has {len(rows)} rows", f"at least two up to [END_OF_{name}]"
-            problems.add(found, expected=expected, code="table-missing")
+            problems.add(
+                f"[{name}] has {len(rows)} rows",
+                expected=f"at least two up to [END_OF_{name}]",
+                code="table-missing",
+            )
             continue
         cells = [numbers(text.split()) for _, text in rows]
         wrong = (row for row, values in zip(rows, cells, strict=True) if len(values or ()) != columns)
         if (row := next(wrong, None)) is not None:
-            found, expected = f"line {row[0]}: {row[1][:60]!r}", f"{columns} numbers of [{name}]"
-            problems.add(found, expected=expected, code="row-unreadable")
+            problems.add(
+                f"line {row[0]}: {row[1][:60]!r}",
+                expected=f"{columns} numbers of [{name}]",
+                code="row-unreadable",
+            )
             continue
         table = np.array(cells, np.float64)
         tables[name] = table[1:] if name == "CALDATA" else table  # whose first row holds integration times

@@ -519,8 +519,11 @@ def open_svc(
     )
     values = np.stack([measurement.values for measurement in measurements])
     values[~np.isfinite(values)] = np.nan
-    undefined = [file.name for file, row in zip(contents, values, strict=True) if np.isnan(row).any()]
-    warn_of("samples that are undefined (not finite) become NaN", undefined, "samples-undefined")
+    warn_of(
+        "samples that are undefined (not finite) become NaN",
+        [file.name for file, row in zip(contents, values, strict=True) if np.isnan(row).any()],
+        "samples-undefined",
+    )
     is_ratio = target_quantity == "reflectance"
     # the wavelengths, and the detectors if these are the same in all files
     wavelength_attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
@@ -814,8 +817,11 @@ def _coords_of_scans(
         coords[name] = ("spectrum", times[scan], {"long_name": meaning})
     # positions by the GPS
     positions = [position_of(file.header, scans[0]) for file in files]
-    unreadable = [file.name for file, position in zip(files, positions, strict=True) if position is None]
-    warn_of("unreadable positions are NaN", unreadable, "position-unreadable")
+    warn_of(
+        "unreadable positions are NaN",
+        [file.name for file, position in zip(files, positions, strict=True) if position is None],
+        "position-unreadable",
+    )
     columns = np.array([position or _NO_POSITION for position in positions], np.float64).T
     for name, column in zip(("latitude", "longitude"), columns, strict=True):
         attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}

@@ -41,8 +41,7 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.kernels.arguments import ErrorTerms
-from hyperpaint.light.illumination import COMMON_SHARE, INTERPOLATED, at_bands, matched_noise
-from hyperpaint.light.synchrony import line_light
+from hyperpaint.light.illumination import COMMON_SHARE, INTERPOLATED, at_bands, line_light, matched_noise
 from hyperpaint.radiometry import slabs
 from hyperpaint.radiometry.spectral_axis import NominalAxis
 from hyperpaint.radiometry.stray_light import SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
