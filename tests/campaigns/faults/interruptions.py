@@ -75,7 +75,6 @@ CONTEXT.set_forkserver_preload(
         "hyperpaint.radiometry",
         "hyperpaint.kernels.radiometry",
         "hyperpaint.cli.program",
-        "hyperpaint.report.static_site",
         "hyperpaint.report.store_report",
         "campaigns.faults.interruptions",
         "campaigns.faults.disks",
